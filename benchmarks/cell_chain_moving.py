@@ -18,15 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.app.join import join
 from armsight.app.measure.run import measure
-from armsight.app.requests.files import JoinJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.calibrate.arm import ArmCalibration, calibrate_arm
 from armsight.calibrate.cameras import calibrate_stereo
 from armsight.calibrate.light_target import calibrate_target
 from armsight.kinematics import fk
 from armsight.ops.calibrate_cameras import calibrate_timing
+from armsight.ops.files import join
 from armsight.store import write_rig, write_target
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
@@ -118,13 +117,12 @@ def chain_moving(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> M
         }
         files["rig"] = folder / "timed.yaml"
         measure(MeasureJob(**files, **tables, out=folder / "out", timing="free", rate_hz=RATE_OF_POSES_HZ))
-        joined = JoinJob(
-            measured=folder / "out" / "poses.csv",
+        join(
+            folder / "out" / "poses.csv",
             out=folder / "points.csv",
             joints=joint_log(world, folder / "joints.csv"),
             arm=str(folder / "arm.yaml"),
         )
-        join(joined)
         points = read_arm_points(folder / "points.csv")
     done = calibrate_arm(nominal, points)
     by_arm = Calibrated(

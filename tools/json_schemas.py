@@ -26,7 +26,7 @@ from armsight.app.convert import ConvertOutput
 from armsight.app.demo import DemoOutput
 from armsight.app.doctor import DoctorOutput
 from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
-from armsight.app.join import JoinOutput
+from armsight.app.join import JoinResult
 from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
 from armsight.app.path.check import PathCheckOutput
 from armsight.app.path.export import PathExportOutput
@@ -111,7 +111,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "history-export": HistoryExportOutput,
     "design": DesignOutput,
     "batch": BatchOutput,
-    "join": JoinOutput,
+    "join": JoinResult,
     "simulate": SimulateOutput,
     "reproduce": ReproduceOutput,
     "kinematics-fk": FkOutput,

@@ -138,13 +138,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("kinematics path", "--poses"): "`Arm.track(T_world_tool, t_s)` of `read_poses(path)`",
     ("kinematics path", "--start"): "`Arm.track(near)`",
     ("kinematics path", "-o"): "`write_joints(path, t_s, track.q)`",
-    ("kinematics show", "--joints"): "`show_arm(q)`",
-    ("path smooth", "--bound-deg"): "`paths.smooth(bound_rad)`",
-    ("path angle", "--travel-deg"): "`paths.angle(travel_rad)`",
-    ("path angle", "--work-deg"): "`paths.angle(work_rad)`",
-    ("path join", "sources"): "`paths.join(first, second)`",
-    ("path join", "--gap-deg"): "`paths.join(gap_rad)`",
-    ("path from-picks", "--view"): "`paths.from_picks(view)`",
     ("batch", "--each"): "`{path.stem: {...} for path in folder.glob(...)}`",
     ("batch", "--name"): "the keys of `batch(jobs)`",
     ("doctor", "--depth"): "`doctor(depths_m)`",
@@ -152,12 +145,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("doctor", "--accuracy"): "`doctor(accuracy_m)`",
     ("doctor", "--compile"): "`doctor(compile_ahead)`",
     ("teach", "--wait"): "read the frames when they are wanted",
-    ("join", "--offset"): "`join(offset_s)`",
-    **{(f"path {name}", "source"): f"`paths.{name}(path)` of `read_path(path)`" for name in ("check", "export")},
-    **{
-        (f"path {name}", "source"): f"`paths.{name}(path)` of `read_path(path)`"
-        for name in ("smooth", "resample", "fillet", "offset", "angle", "reverse")
-    },
 }
 """What a flag of one command is in Python, where that is no parameter of its name."""
 
@@ -175,10 +162,6 @@ WHY_NOT: Mapping[str | tuple[str, str], str] = {
         "--target",
     ): "lit targets calibrate by the command alone: it is done once, on a bench",
     ("calibrate mirrors", "--index"): "of glass; another one by the command",
-    ("path from-picks", "--near"): "bounds of the search: as the rig sees them",
-    ("path from-picks", "--far"): "bounds of the search: as the rig sees them",
-    ("path from-picks", "--patch-px"): "the patch is as the command has it",
-    ("path from-picks", "--pick-std-px"): "the picks' deviation is as the command has it",
     **{
         ("verify", flag): "for the plant's systems, which want a process that stays: run the command"
         for flag in (

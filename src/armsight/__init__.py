@@ -18,7 +18,6 @@ from armsight._files import Files
 
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
-    from armsight.api import paths as paths
     from armsight.api.cameras import CameraResult as CameraResult
     from armsight.api.cameras import RigResult as RigResult
     from armsight.api.cameras import calibrate_camera as calibrate_camera
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from armsight.api.convert import cut_recording as cut_recording
     from armsight.api.convert import export_recording as export_recording
     from armsight.api.convert import open_recording as open_recording
-    from armsight.api.convert import show_arm as show_arm
-    from armsight.api.convert import write_formulas as write_formulas
     from armsight.api.files import read_arm as read_arm
     from armsight.api.files import read_camera as read_camera
     from armsight.api.files import read_hand_eye as read_hand_eye
@@ -81,11 +78,8 @@ if TYPE_CHECKING:
     from armsight.api.robots import RobotWorldResult as RobotWorldResult
     from armsight.api.robots import calibrate_arm as calibrate_arm
     from armsight.api.robots import calibrate_robot_world as calibrate_robot_world
-    from armsight.api.runs import JoinResult as JoinResult
     from armsight.api.runs import MeasureResult as MeasureResult
     from armsight.api.runs import VerifyResult as VerifyResult
-    from armsight.api.runs import compare as compare
-    from armsight.api.runs import join as join
     from armsight.api.runs import measure as measure
     from armsight.api.runs import plan_verification as plan_verification
     from armsight.api.runs import record as record
@@ -103,6 +97,7 @@ if TYPE_CHECKING:
     from armsight.api.watch import identify_arm_live as identify_arm_live
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
+    from armsight.app.join import JoinResult as JoinResult
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
     from armsight.calibrate.light_target import TargetResult as TargetResult
     from armsight.calibrate.timing import TimingResult as TimingResult
@@ -135,10 +130,15 @@ if TYPE_CHECKING:
     from armsight.kinematics import JointPath as JointPath
     from armsight.kinematics import presets as presets
     from armsight.measure.settings import SpotSettings as SpotSettings
+    from armsight.ops import paths as paths
     from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
     from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
+    from armsight.ops.files import compare as compare
+    from armsight.ops.files import join as join
+    from armsight.ops.kinematics import show_arm as show_arm
+    from armsight.ops.kinematics import write_formulas as write_formulas
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
@@ -173,11 +173,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
     "armsight.api.tracks": ("PoseTrack",),
     "armsight.api.runs": (
-        "JoinResult",
         "MeasureResult",
         "VerifyResult",
-        "compare",
-        "join",
         "measure",
         "plan_verification",
         "record",
@@ -202,6 +199,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_hand_eye_from_streams",
     ),
     "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
+    "armsight.app.join": ("JoinResult",),
+    "armsight.ops.files": ("compare", "join"),
+    "armsight.ops.kinematics": ("show_arm", "write_formulas"),
     "armsight.ops.calibrate_cameras": ("calibrate_target", "calibrate_timing"),
     "armsight.calibrate.light_target": ("TargetResult",),
     "armsight.calibrate.timing": ("TimingResult",),
@@ -228,8 +228,6 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "cut_recording",
         "export_recording",
         "open_recording",
-        "show_arm",
-        "write_formulas",
     ),
     "armsight.api.files": (
         "read_arm",
@@ -256,7 +254,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "simulate",
         "write_simulation",
     ),
-    "armsight.api": ("paths",),
+    "armsight.ops": ("paths",),
     "armsight_lab.api": ("history",),
     "armsight.measure.settings": ("SpotSettings",),
     "armsight.calibrate.cameras": ("BoardOptions",),

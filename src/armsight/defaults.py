@@ -32,6 +32,14 @@ GLASS = 1.5
 
 PICK_STD_PX = 0.5
 """A person's picks in a picture."""
+PATCH_PX = 15
+"""Side of what is looked for in the other picture."""
+SMOOTHING_M = 5e-4
+"""No row of a path moves further when it is smoothed."""
+SMOOTHING_RAD = math.radians(1.0)
+PATH_GAP_M = 1e-3
+"""Between the ends of paths that are joined."""
+PATH_GAP_RAD = math.radians(5.0)
 LIT_LIGHTS = 3
 SAG = 0.05
 """Standard deviation of what a joint gives way, rad per metre of lever of the weight that it carries."""

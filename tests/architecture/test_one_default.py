@@ -35,7 +35,6 @@ from armsight.control.play import PlaySettings
 from armsight.control.servo import ServoSettings
 from armsight.control.session.operator_session import FIRST_OVERRIDE
 from armsight.fields import Bounds
-from armsight.measure.correspondence import PatchSettings
 from armsight.ops.checks import bounds_of_parameters
 from armsight.ops.commands import parameter
 from armsight.optics import Plate
@@ -174,15 +173,9 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
         assert a == b
     built, given = CellMirrors(), import_module("armsight.app.requests.calibrate_cameras").MirrorsJob
     assert (built.near_m, built.gap_m, built.index) == (given.near_m, given.gap_m, given.index)
-    files, robots = (import_module(f"armsight.app.requests.{name}") for name in ("files", "calibrate_robot"))
+    robots = import_module("armsight.app.requests.calibrate_robot")
     cameras = import_module("armsight.app.requests.calibrate_cameras")
     known = (
-        (files.SmoothJob.bound_m, smoothing.BOUND_M),
-        (files.SmoothJob.bound_rad, smoothing.BOUND_RAD),
-        (files.JoinPathsJob.gap_m, along.GAP_M),
-        (files.JoinPathsJob.gap_rad, along.GAP_RAD),
-        (files.PicksJob.pick_std_px, PatchSettings().pick_std_px),
-        (files.PicksJob.patch_px, 2 * PatchSettings().half_px + 1),
         (robots.ArmJob.tolerance_m, Tolerance().length_m),
         (robots.ArmJob.tolerance_rad, Tolerance().angle_rad),
         (cameras.CameraJob.folds, BoardOptions().folds),

@@ -1,4 +1,4 @@
-"""Files of one kind as those of another; recordings opened, cut and exported; an arm as a page or as formulas."""
+"""Files of one kind as those of another; recordings opened, cut and exported."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from os import fspath
 from pathlib import Path
 from typing import Any, Literal
-
-from numpy.typing import ArrayLike
 
 from armsight.api.files import image_size
 from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
@@ -18,18 +16,15 @@ from armsight.app.convert import (
     convert_poses,
     convert_rig,
 )
-from armsight.app.kinematics import FormulasOutput, ShowOutput, draw_arm
-from armsight.app.kinematics import write_formulas as write_formulas_of
 from armsight.app.record.export import ExportOutput, export
 from armsight.app.requests.shared import FileUnits
 from armsight.app.tables import convert_table
 from armsight.errors import UsageError
-from armsight.kinematics import Arm
 from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import Given, PathText
 from armsight.optics import Rig
-from armsight.records import Progress, checked_array
+from armsight.records import Progress
 from armsight.records.output import Output
 from armsight.store.foreign import FrameNames
 from armsight.store.interpret import OURS, TableFormat
@@ -166,33 +161,6 @@ def convert(
         if chosen == "poses" and {path.suffix.lower() for path in (sources[0], outs[0])} & set(TUM_SUFFIXES):
             return convert_poses(sources[0], outs[0])
         return convert_table(sources[0], outs[0], kind=None if chosen == "table" else chosen, format_=table)
-
-
-@speaks_python()
-def show_arm(arm: Arm | PathText, out: PathText, *, q: ArrayLike | None = None) -> ShowOutput:
-    """Write a page with the arm in 3-D at joint readings q (n,), else in the middle. Raises UsageError.
-
-    Examples
-    --------
-    >>> armsight.show_arm(armsight.presets.ur10(), folder / "arm.html").arm
-    'ur10'
-    """
-    with Given() as given:
-        joints = None if q is None else ",".join(map(repr, checked_array("q", q, (None,)).tolist()))
-        return draw_arm(given.arm("arm", arm), as_path(out, "out"), joints=joints)
-
-
-@speaks_python()
-def write_formulas(arm: Arm | PathText, out: PathText) -> FormulasOutput:
-    """Write an arm's forward kinematics and Jacobian as formulas: .py or .tex. Raises UsageError, Inconsistent.
-
-    Examples
-    --------
-    >>> armsight.write_formulas("stanford-rrp", folder / "arm.py").arm
-    'stanford-rrp'
-    """
-    with Given() as given:
-        return write_formulas_of(given.arm("arm", arm), as_path(out, "out"))
 
 
 def _kind(source: object, files: Sequence[Path]) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight import store
-from armsight.api.runs import Columns, read_columns
 from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
 from armsight.app.calibrate.zoom import fix_camera, fix_rig
 from armsight.app.convert import (
@@ -34,6 +33,7 @@ from armsight.store import arm_file, limits_file, path_file, write_text
 from armsight.store.handeye_file import HandEyeFile, TipFile, read_handeye, read_tip
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.saving import file_to_write
+from armsight.store.tables import Columns, read_columns
 from armsight.store.urdf import read_urdf
 from armsight.store.worlds import World
 

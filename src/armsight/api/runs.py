@@ -1,33 +1,23 @@
-"""The main jobs: measure, record, verify, compare, join; each as the command of that name does it."""
+"""The main jobs: measure, record, verify; each as the command of that name does it."""
 
 from __future__ import annotations
 
-import csv
-import io
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight.api.tracks import PoseTrack
-from armsight.app.compare.run import CompareOutput
-from armsight.app.compare.run import compare as run_compare
-from armsight.app.join import JoinOutput
-from armsight.app.join import join as run_join
 from armsight.app.measure.run import measure as run_measure
 from armsight.app.record.record import RecordOutput, mend
 from armsight.app.record.record import record as run_record
-from armsight.app.requests.files import CompareJob, JoinJob
 from armsight.app.requests.measure import MeasureJob, RecordJob
 from armsight.app.requests.verify import PlanJob, VerifyJob
 from armsight.app.verify.plan import VerifyPlanOutput, run_plan
 from armsight.app.verify.run import run_verify
-from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.file_names import ERRORS, POSES
 from armsight.measure.results import MeasureOutput
-from armsight.ops.arrays import Array, as_path
+from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import (
     ArmLike,
@@ -42,16 +32,14 @@ from armsight.ops.given import (
 from armsight.records import Progress, one_of
 from armsight.records.output import extended, output
 from armsight.store import read_poses
-from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
 from armsight.store.recording import ImageFormat, Repaired
 from armsight.store.saving import file_to_write
+from armsight.store.tables import Columns, read_columns
 from armsight.verify.results import VerifyOutput
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
-
-Columns = dict[str, Any]
 
 
 @output
@@ -78,13 +66,6 @@ class VerifyResult(VerifyOutput):
         figure = go.Figure(go.Scatter(x=self.errors["row"], y=1e3 * self.errors["error_m"], mode="markers"))
         figure.update_layout(title=self.verdict, xaxis_title="row", yaxis_title="error, mm")
         return figure
-
-
-@output
-class JoinResult(JoinOutput):
-    """What `join` found: its figures, and `table`, the columns of the rows that belong together."""
-
-    table: Columns
 
 
 @speaks_python(MeasureJob)
@@ -308,90 +289,3 @@ def plan_verification(
     with Given(out) as given:
         job = given.job(PlanJob, {"arm": arm, "part": part, "side_m": side_m, "speed_m_s": speed_m_s})
         return run_plan(job, progress)
-
-
-@speaks_python(CompareJob)
-def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | None = None) -> CompareOutput:
-    """Return whether two results of one kind agree within their uncertainty, and what the difference comes to.
-
-    a, b: rigs, cameras, hand-eye calibrations or arms; or their files, or the folders of two runs of measure or verify.
-    distance_m: at which rigs are compared; else 8 baselines. out: a folder for the report. Raises UsageError,
-    Inconsistent for two kinds.
-
-    Examples
-    --------
-    >>> rig = armsight.simulate("hand-cell", frames=1).rig
-    >>> armsight.compare(rig, rig).verdict
-    'Neither result tells how sure it is: whether they agree cannot be told...'
-    """
-    with Given() as given:
-        files = {name: given.file(name, value) for name, value in (("a", a), ("b", b))}
-        job = CompareJob(**files, out=None if out is None else as_path(out, "out"), distance_m=distance_m)
-        done = run_compare(job)
-        return extended(done, CompareOutput, **{n: n for n, p in files.items() if p.is_relative_to(given.folder)})
-
-
-@speaks_python(JoinJob)
-def join(
-    measured: TableLike,
-    *,
-    kind: Literal["points", "observed", "pairs"] = "points",
-    joints: TableLike | None = None,
-    arm: ArmLike | None = None,
-    robot_stream: TableLike | None = None,
-    setup: Literal["eye-in-hand", "eye-to-hand"] | Setup = "eye-in-hand",
-    offset_s: float | None = None,
-    still: bool = False,
-    table: TableFormat | None = None,
-    out: PathText | None = None,
-) -> JoinResult:
-    """Join a controller's log and measurements on different clocks: what was read and measured at the same moments.
-
-    Parameters
-    ----------
-    measured
-        Poses or points with times: a PoseTrack, (t_s, T), columns, or a file.
-    kind
-        Which table: points (for calibrate_arm), observed (calibrate_robot_world) or pairs (calibrate_hand_eye).
-    joints, arm
-        The controller's readings (t_s, q) on its own clock, and the arm; nominal is enough.
-    robot_stream
-        Instead: poses of the flange with times.
-    offset_s
-        To be added to measured times; else it is found.
-    still
-        One row, the mean, for each rest of the arm.
-    out
-        A table to write.
-
-    Returns
-    -------
-    JoinResult
-        `table`: its columns by name; offset_s and what was left out.
-
-    Examples
-    --------
-    >>> arm, t_s = armsight.presets.ur10(), np.linspace(0.0, 4.0, 400)
-    >>> q = np.outer(np.sin(1.3 * t_s), np.linspace(0.2, 0.5, 6)) + [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]
-    >>> round(armsight.join((t_s + 0.3, arm.fk(q)), joints=(t_s, q), arm=arm).offset_s, 4)
-    -0.3
-    """
-    with Given(out, name="joined.csv") as given:
-        job = given.job(JoinJob, locals(), setup=one_of(Setup, "setup", setup), out=given.out)
-        done = run_join(job)
-        done = replace(done, file=None) if out is None else done
-        return extended(done, JoinResult, table=read_columns(read_bytes(given.out, limit=10**9)))
-
-
-def read_columns(data: bytes) -> Columns:
-    """Return a table of ours as columns (n,): numbers where all cells are, NaN for empty ones, else texts."""
-    rows = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline="")))
-    header, body = rows[0], [row for row in rows[1:] if row]
-    return {name: _column([row[i] for row in body]) for i, name in enumerate(header)}
-
-
-def _column(cells: list[str]) -> Array | list[str]:
-    try:
-        return np.array([float(cell) if cell else np.nan for cell in cells])
-    except ValueError:
-        return cells

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.arm_files import given_arm
-from armsight.app.requests.files import JoinJob
-from armsight.calibrate.handeye import PosePairs, Setup
+from armsight.calibrate.handeye import PosePairs
 from armsight.columns import POSITION, QUATERNION
 from armsight.errors import NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
-from armsight.records.output import Output, output
+from armsight.records.output import output
 from armsight.records.result_parts import RejectedRow
-from armsight.store import write_text
+from armsight.shown import REJECTED_SHOWN, Shown, digits
 from armsight.store.covariances import POSITION_COVARIANCE
-from armsight.store.handeye_file import write_pairs
-from armsight.store.tables import cells, word
-from armsight.store.verify_files import MeasuredFile, read_commanded, read_measured, read_reported_joints
+from armsight.store.handeye_file import pairs_text
+from armsight.store.interpret import TableFormat
+from armsight.store.outputs import TextOutput
+from armsight.store.tables import Columns, cells, read_columns, word
+from armsight.store.verify_files import MeasuredFile, read_commanded, read_reported_joints
+from armsight.units import MS
 from armsight.verify import Align, Measured, Paired, Reported
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import pair, pair_at
@@ -38,7 +41,7 @@ STILL_ROWS = 3
 
 
 @output
-class JoinOutput(Output):
+class JoinResult(TextOutput):
     """armsight join."""
 
     kind: Annotated[str, Doc("The table written: points, observed or pairs.")]
@@ -57,67 +60,139 @@ class JoinOutput(Output):
     notes: Annotated[list[str], Doc("What is to be known of times and columns.")]
     file: Annotated[str | None, Doc("The file written.")] = None
 
+    @property
+    def table(self) -> Columns:
+        """The columns, by name, of the rows that belong together."""
+        return read_columns(self.content.encode())
 
-def join(job: JoinJob) -> JoinOutput:
-    """Find the time offset, write the rows that belong together; return what was done.
-
-    Rows without times on one side belong together by order. Raises UsageError, DataRefused.
-    """
-    _check(job)
-    arm = given_arm(job.arm)
-    file = read_measured(job.measured, job.table.of_camera)
-    if job.kind == "pairs" and file.measured.rotation is None:
-        raise UsageError(f"{job.measured} has no rotations, and pairs need them", cure="Give poses, not points")
-    reported = _reported(job, arm)
-    inside = job.kind == "pairs" and job.setup is Setup.EYE_IN_HAND
-    seen = _inverse(file.measured) if inside else file.measured  # moved with the hand: the camera seen by the target
-    if job.offset_s is not None:
-        paired = pair_at(arm, reported, seen, job.offset_s)
-    else:
-        origin = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
-        paired = pair(arm, reported, seen, origin, Align.BOTH)
-    rows = _rests(paired) if job.still else [np.array([i]) for i in range(len(paired.measured))]
-    if not rows:
-        raise NotEnoughData(
-            f"none of {len(file.measured)} measured rows has its place among the robot's",
-            consequence="Nothing is written",
-            cure="Check that both files are of one run" if not job.still else "Leave --still away, or let the arm rest",
-        )
-    table = _Joined(paired=paired, rows=rows, reported=reported, covariance=_covariances(file, paired, rows))
-    _write(job, arm, table, inside)
-    return _output(job, file, paired, len(rows))
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        if self.offset_s is not None:
+            std = "as stated" if self.offset_std_s is None else f"+- {digits(self.offset_std_s / MS, 2)} ms"
+            yield f"Measured times {self.offset_s:+.6f} s are the robot's ({std})"
+        for text in self.notes:
+            yield f"- {text}"
+        for item in self.rejected[:REJECTED_SHOWN]:
+            yield f"  left out: row {item.row}: {item.why}"
+        yield f"{self.n} rows of {self.kind} from {self.n_measured} measured, by {self.by}: {self.file}"
 
 
-def _check(job: JoinJob) -> None:
-    if job.kind not in KINDS:
-        raise UsageError(f"no table is called {job.kind!r}", cure=f"Give --as with one of {', '.join(KINDS)}")
-    if (job.joints is None) == (job.robot_stream is None):
+def require_sources(kind: str, joints: Path | None, arm: Arm | None, robot_stream: Path | None) -> None:
+    """Raise UsageError for what cannot be joined to a table of this kind."""
+    if kind not in KINDS:
+        raise UsageError(f"no table is called {kind!r}", cure=f"Give --as with one of {', '.join(KINDS)}")
+    if (joints is None) == (robot_stream is None):
         raise UsageError(
             "what the robot did is not said, or twice",
             consequence="Nothing is joined",
             cure="Give --joints with --arm, or --robot-stream with the flange's poses",
         )
-    if job.joints is not None and job.arm is None:
+    if joints is not None and arm is None:
         raise UsageError("--joints needs --arm", cure="Give the arm: its nominal geometry is enough")
-    if job.robot_stream is not None and job.kind != "pairs":
-        raise UsageError(f"{job.kind} need joint readings", cure="Give --joints and --arm, or --as pairs")
+    if robot_stream is not None and kind != "pairs":
+        raise UsageError(f"{kind} need joint readings", cure="Give --joints and --arm, or --as pairs")
 
 
-def _reported(job: JoinJob, arm: Arm | None) -> Reported:
-    """Return the joints' own values, or the flange's poses, over time."""
-    if job.robot_stream is not None:
-        commanded = read_commanded(job.robot_stream, job.table)
-        if not commanded.turned:
-            raise UsageError(f"{job.robot_stream} has no rotations", cure="Give the flange's poses")
-        return commanded.reported
-    if job.joints is None or arm is None:
-        raise UsageError("--joints needs --arm")
-    names = job.table.of_arm(arm)
-    found = read_reported_joints(job.joints, names)
+def flange_poses(path: Path, table: TableFormat) -> Reported:
+    """Return the flange's poses over time. Raises UsageError for positions alone."""
+    commanded = read_commanded(path, table)
+    if not commanded.turned:
+        raise UsageError(f"{path} has no rotations", cure="Give the flange's poses")
+    return commanded.reported
+
+
+def joint_log(path: Path, arm: Arm, table: TableFormat) -> Reported:
+    """Return the joints' own values over time. Raises UsageError for the log of another arm."""
+    found = read_reported_joints(path, table.of_arm(arm))
     if found.q is None or found.q.shape[1] != arm.n:
         count = 0 if found.q is None else found.q.shape[1]
-        raise UsageError(f"{job.joints} has {count} joints, {arm.name} has {arm.n}", cure="Give the log of this arm")
+        raise UsageError(f"{path} has {count} joints, {arm.name} has {arm.n}", cure="Give the log of this arm")
     return found.values_of(arm)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Join:
+    """What is joined: measured rows, what the robot told over time, and its arm, where joints are told.
+
+    kind: of KINDS; inside: of pairs, the camera is on the hand; offset_s: stated; still: a row for each rest.
+    """
+
+    kind: str
+    file: MeasuredFile
+    reported: Reported
+    arm: Arm | None
+    inside: bool
+    offset_s: float | None
+    still: bool
+
+    def result(self, out: Path | None) -> JoinResult:
+        """Find the time offset and the rows that belong together, by order where one side has no times."""
+        seen = _inverse(self.file.measured) if self.inside else self.file.measured  # the camera seen by the target
+        if self.offset_s is not None:
+            paired = pair_at(self.arm, self.reported, seen, self.offset_s)
+        else:
+            origin = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
+            paired = pair(self.arm, self.reported, seen, origin, Align.BOTH)
+        rows = _rests(paired) if self.still else [np.array([i]) for i in range(len(paired.measured))]
+        if not rows:
+            raise NotEnoughData(
+                f"none of {len(self.file.measured)} measured rows has its place among the robot's",
+                consequence="Nothing is written",
+                cure="Leave --still away, or let the arm rest"
+                if self.still
+                else "Check that both files are of one run",
+            )
+        clock = paired.clock
+        by = "order" if paired.at_s is None or (clock is None and self.offset_s is None) else "time"
+        rejected = [RejectedRow(row=row, why=why) for row, why in (*self.file.rejected, *paired.rejected)]
+        return JoinResult(
+            kind=self.kind,
+            by=by,
+            offset_s=self.offset_s if clock is None else clock.offset_s,
+            offset_std_s=None if clock is None else clock.std_s,
+            drift_ppm=None if clock is None or clock.drift_ppm == 0.0 else clock.drift_ppm,
+            n_measured=self.file.n,
+            n=len(rows),
+            rejected=rejected,
+            notes=[*self.file.notes, *paired.notes],
+            file=None if out is None else str(out),
+            content=self._table(paired, rows),
+        )
+
+    def _table(self, paired: Paired, rows: list[NDArray[np.intp]]) -> str:
+        """Return the table asked for: one row for each group of rows, their mean."""
+        covariance = _covariances(self.file, paired, rows)
+        measured = _inverse(paired.measured) if self.inside else paired.measured
+        xyz = np.array([measured.xyz_m[group].mean(axis=0) for group in rows])
+        turned = measured.rotation
+        R = None if turned is None else Rotation.concatenate([Rotation.from_matrix(turned[g]).mean() for g in rows])
+        if self.kind == "pairs" and R is not None:
+            F = [RigidTransform.from_matrix(paired.F[group]).mean() for group in rows]
+            seen = [RigidTransform.from_components(x, r) for x, r in zip(xyz, R, strict=True)]
+            known = covariance is not None and bool((np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all())
+            return pairs_text(PosePairs.of(F, seen, camera_covariance=covariance if known else None))
+        if paired.q is None or self.arm is None:
+            raise UsageError(f"{self.kind} need joint readings")
+        q = self.arm.readings(np.array([paired.q[group].mean(axis=0) for group in rows]))
+        at_s = None if paired.at_s is None else np.array([paired.at_s[group].mean() for group in rows])
+        q = q if at_s is None else self.reported.in_their_turn(q, at_s)
+        names, columns = [*(f"q{i + 1}" for i in range(q.shape[1])), *POSITION], [q, xyz]
+        if R is not None and self.kind == "points":
+            names, columns = [*names, *QUATERNION], [*columns, R.as_quat(canonical=True)]
+        if at_s is not None and self.kind == "points":  # calibrate arm takes neighbours in time as what they are
+            names, columns = [*names, "t_s"], [*columns, at_s[:, None]]
+        if covariance is not None:
+            C = covariance[:, :3, :3]
+            names = [*names, *POSITION_COVARIANCE]
+            columns = [*columns, np.sqrt(np.diagonal(C, axis1=1, axis2=2)), C[:, (0, 0, 1), (1, 2, 2)]]
+        labels = [measured.point[group[0]] for group in rows]
+        named = any(labels)
+        lines = [",".join([*names, *(["point"] if named else [])])]
+        values = np.concatenate(columns, axis=1)
+        lines += [
+            f"{cells(row)},{word(label)}" if named else cells(row) for row, label in zip(values, labels, strict=True)
+        ]
+        return "\n".join(lines) + "\n"
 
 
 def _inverse(measured: Measured) -> Measured:
@@ -150,66 +225,3 @@ def _covariances(file: MeasuredFile, paired: Paired, rows: list[NDArray[np.intp]
     if file.repeats.systematic is not None:
         shared = file.repeats.systematic[at]
     return np.array([(own[g] - shared[g]).mean(axis=0) / len(g) + shared[g].mean(axis=0) for g in rows])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Joined:
-    """Rows that belong together, the groups of them that make one row, the log, and the covariance (k, 6, 6)."""
-
-    paired: Paired
-    rows: list[NDArray[np.intp]]
-    reported: Reported
-    covariance: Array | None
-
-
-def _write(job: JoinJob, arm: Arm | None, table: _Joined, inside: bool) -> None:
-    """Write the file asked for: one row for each group of rows, their mean."""
-    paired, rows, covariance = table.paired, table.rows, table.covariance
-    measured = _inverse(paired.measured) if inside else paired.measured
-    xyz = np.array([measured.xyz_m[group].mean(axis=0) for group in rows])
-    turned = measured.rotation
-    R = None if turned is None else Rotation.concatenate([Rotation.from_matrix(turned[g]).mean() for g in rows])
-    if job.kind == "pairs" and R is not None:
-        F = [RigidTransform.from_matrix(paired.F[group]).mean() for group in rows]
-        seen = [RigidTransform.from_components(x, r) for x, r in zip(xyz, R, strict=True)]
-        known = covariance is not None and bool((np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all())
-        write_pairs(job.out, PosePairs.of(F, seen, camera_covariance=covariance if known else None))
-        return
-    if paired.q is None or arm is None:
-        raise UsageError(f"{job.kind} need joint readings")
-    q = arm.readings(np.array([paired.q[group].mean(axis=0) for group in rows]))
-    at_s = None if paired.at_s is None else np.array([paired.at_s[group].mean() for group in rows])
-    q = q if at_s is None else table.reported.in_their_turn(q, at_s)
-    names, columns = [*(f"q{i + 1}" for i in range(q.shape[1])), *POSITION], [q, xyz]
-    if R is not None and job.kind == "points":
-        names, columns = [*names, *QUATERNION], [*columns, R.as_quat(canonical=True)]
-    if at_s is not None and job.kind == "points":  # calibrate arm takes neighbours in time as what they are
-        names, columns = [*names, "t_s"], [*columns, at_s[:, None]]
-    if covariance is not None:
-        C = covariance[:, :3, :3]
-        names = [*names, *POSITION_COVARIANCE]
-        columns = [*columns, np.sqrt(np.diagonal(C, axis1=1, axis2=2)), C[:, (0, 0, 1), (1, 2, 2)]]
-    labels = [measured.point[group[0]] for group in rows]
-    named = any(labels)
-    lines = [",".join([*names, *(["point"] if named else [])])]
-    values = np.concatenate(columns, axis=1)
-    lines += [f"{cells(row)},{word(label)}" if named else cells(row) for row, label in zip(values, labels, strict=True)]
-    write_text(job.out, "\n".join(lines) + "\n")
-
-
-def _output(job: JoinJob, file: MeasuredFile, paired: Paired, n: int) -> JoinOutput:
-    clock = paired.clock
-    by = "order" if paired.at_s is None or (clock is None and job.offset_s is None) else "time"
-    rejected = [RejectedRow(row=row, why=why) for row, why in (*file.rejected, *paired.rejected)]
-    return JoinOutput(
-        kind=job.kind,
-        by=by,
-        offset_s=job.offset_s if clock is None else clock.offset_s,
-        offset_std_s=None if clock is None else clock.std_s,
-        drift_ppm=None if clock is None or clock.drift_ppm == 0.0 else clock.drift_ppm,
-        n_measured=file.n,
-        n=n,
-        rejected=rejected,
-        notes=[*file.notes, *paired.notes],
-        file=str(job.out),
-    )

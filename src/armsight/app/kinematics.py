@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.app.arm_files import NOTES, arm_notes, load_arm
-from armsight.app.sources.bags import joint_states
-from armsight.app.sources.joint_names import columns_of
+from armsight.app.arm_files import NOTES, arm_notes
+from armsight.app.sources.bags import columns_of, joint_states
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import (
@@ -28,16 +27,16 @@ from armsight.kinematics import (
     parameter_jacobian,
     parameter_names,
     pose,
-    track_path,
 )
 from armsight.kinematics.path import Issue
 from armsight.kinematics.target import start_values, task_of
 from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.records.output import Output, output
-from armsight.report.arm_view import arm_report
-from armsight.store import read_joints, read_poses, write_joints, write_poses, write_text
+from armsight.shown import Shown
+from armsight.store import read_joints, write_joints, write_poses
 from armsight.store.bags import JointStates, is_bag
 from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
+from armsight.store.outputs import TextOutput
 from armsight.store.tables import cells, number
 
 Array = NDArray[np.float64]
@@ -51,11 +50,18 @@ ROTATION_HELD = 1e-5
 
 
 @output
-class OfArm(Output):
-    """What is said of an arm in every result."""
+class OfArm(TextOutput):
+    """What is said of an arm in every result. headline: what a terminal shows first, with the file that is written."""
 
     arm: Annotated[str, Doc("The arm's name.")]
     notes: Annotated[tuple[str, ...], NOTES]
+    headline: str
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        yield self.headline
+        for note in self.notes:
+            yield f"  {note}"
 
 
 @output
@@ -64,6 +70,20 @@ class FkOutput(OfArm):
 
     n: Annotated[int, Doc("Rows.")]
     n_beyond_limits: Annotated[int, Doc("Rows with a joint beyond its limits.")]
+    model: Arm
+    motion: Motion
+
+    def write(self, path: Path) -> None:
+        """Write poses.csv: T_world_tool with the deviations that the arm's parameters leave."""
+        q = self.motion.q
+        rows = zip(self.motion.t_s, pose(self.model, q).as_matrix(), left_open(self.model, q), strict=True)
+        write_poses(
+            path,
+            (
+                TargetPose(t_s=float(t), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=C)
+                for t, T, C in rows
+            ),
+        )
 
 
 @output
@@ -95,6 +115,19 @@ class IkOutput(OfArm):
     n_beyond_limits: Annotated[int, Doc("Solutions left out because a joint would be beyond a limit.")]
     complete: Annotated[bool, Doc("Whether these are all: true where a closed form gives them.")]
     unsolved: Annotated[list[UnsolvedPose], Doc("Poses without a solution.")]
+    every: bool
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        first, *notes = OfArm.summary(self)
+        yield first
+        if self.every:
+            left = f", {self.n_beyond_limits} more beyond limits are left out" if self.n_beyond_limits else ""
+            more = "" if self.complete else "; found by search: there may be further ones"
+            yield f"  {self.n_solutions} solutions{left}{more}"
+        yield from notes
+        for entry in self.unsolved[:5]:
+            yield f"  pose {entry.pose}: {entry.status}, {entry.why}"
 
 
 @output
@@ -105,14 +138,30 @@ class PathOutput(OfArm):
     n_reached: Annotated[int, Doc("Poses from the start that were reached.")]
     branch: Annotated[list[str], Doc("The branch of the solution; empty without a closed form.")]
     issues: Annotated[tuple[Issue, ...], Doc("What is wrong with the path.")]
+    motion: Motion | None
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        yield from OfArm.summary(self)
+        for issue in self.issues:
+            yield f"  {issue.text}"
+
+    def write(self, path: Path) -> None:
+        """Write joints.csv, where a pose was reached."""
+        if self.motion is not None:
+            write_joints(path, self.motion)
 
 
 @output
-class FormulasOutput(Output):
+class FormulasOutput(TextOutput):
     """armsight kinematics formulas."""
 
     arm: Annotated[str, Doc("The arm's name.")]
     file: Annotated[str, Doc("The file written.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        yield f"formulas of {self.arm}: {self.file}"
 
 
 @output
@@ -123,7 +172,7 @@ class ShowOutput(OfArm):
     tool_xyz_m: Annotated[tuple[float, float, float], Doc("Where the tool is, in world axes, m.")]
 
 
-def read_values(arm: Arm, path: Path, format_: TableFormat = OURS) -> Motion:
+def read_values(arm: Arm, path: Path, format_: TableFormat | None = None) -> Motion:
     """Return joints.csv or bag:FILE:/topic, which hold a controller's readings, as the joints' own values.
 
     Rows without times are counted: none of the commands here asks for the time.
@@ -131,7 +180,7 @@ def read_values(arm: Arm, path: Path, format_: TableFormat = OURS) -> Motion:
     if is_bag(str(path)):
         motion = _of_arm(arm, joint_states(str(path)))
     else:
-        motion = read_joints(path, format_.of_arm(arm), timed=False)
+        motion = read_joints(path, (format_ or OURS).of_arm(arm), timed=False)
     return Motion(t_s=motion.t_s, q=arm.values(motion.q))
 
 
@@ -141,22 +190,6 @@ def _of_arm(arm: Arm, states: JointStates) -> Motion:
     q = np.zeros((len(states.motion.t_s), arm.n))
     q[:, read] = states.motion.q[:, columns_of([arm.joints[i].name for i in read], states.names)]
     return Motion(t_s=states.motion.t_s, q=q)
-
-
-def write_poses_of_joints(arm: str, joints: Path, out: Path, format_: TableFormat = OURS) -> FkOutput:
-    """Write poses.csv, T_world_tool at each row of joints.csv, with the deviations that the arm's parameters leave."""
-    model = load_arm(arm)
-    motion = read_values(model, joints, format_)
-    poses = pose(model, motion.q)
-    write_poses(
-        out,
-        (
-            TargetPose(t_s=float(t), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=C)
-            for t, T, C in zip(motion.t_s, poses.as_matrix(), left_open(model, motion.q), strict=True)
-        ),
-    )
-    beyond = int((~model.within_limits(motion.q)).sum())
-    return FkOutput(arm=model.name, n=len(motion.t_s), n_beyond_limits=beyond, notes=arm_notes(model))
 
 
 def left_open(arm: Arm, q: Array) -> Iterator[Array]:
@@ -175,73 +208,59 @@ def left_open(arm: Arm, q: Array) -> Iterator[Array]:
         yield from J @ arm.covariance.block(known) @ np.swapaxes(J, 1, 2)
 
 
-def write_jacobians(
-    arm: str, joints: Path, out: Path, *, axes: str = "world", format_: TableFormat = OURS
-) -> JacobianOutput:
-    """Write the geometric Jacobian at each row of joints.csv: t_s, then J11..J6n row by row."""
-    model = load_arm(arm)
-    motion = read_values(model, joints, format_)
+def jacobian_table(arm: Arm, motion: Motion, axes: str) -> str:
+    """Return the geometric Jacobians at rows of joint values, by the readings' rates: t_s, then J11..J6n row by row."""
     if axes not in ("world", "base", "tool"):
         raise UsageError(f"the axes {axes!r} are not known", cure="Use world, base or tool")
-    J = fk_jacobian(model, motion.q, axes=axes)[1]  # type: ignore[arg-type]  # checked above
-    J = J @ model.gearing  # by the readings' rates
-    header = ["t_s", *(f"J{r + 1}{c + 1}" for r in range(6) for c in range(model.n))]
+    J = fk_jacobian(arm, motion.q, axes=axes)[1] @ arm.gearing  # type: ignore[arg-type]  # checked above
+    header = ["t_s", *(f"J{r + 1}{c + 1}" for r in range(6) for c in range(arm.n))]
     rows = (f"{number(t)},{cells(row.ravel().tolist())}" for t, row in zip(motion.t_s, J, strict=True))
-    write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return JacobianOutput(arm=model.name, n=len(J), axes=axes, notes=arm_notes(model))
+    return "\n".join([",".join(header), *rows]) + "\n"
 
 
-def write_joints_of_poses(
-    arm: str,
-    poses: Path,
-    out: Path,
-    *,
-    near: Path | None = None,
-    every: bool = False,
-    task: str | None = None,
-    format_: TableFormat = OURS,
+def solved(
+    arm: Arm, targets: Sequence[TargetPose], starts: Array | None, *, every: bool, task: str | None, saved: str
 ) -> IkOutput:
-    """Write solutions.csv: pose, solution, q1..qn, error_m, error_rad, status; one row per pose, or all of them.
+    """Return solutions: pose, solution, q1..qn, error_m, error_rad, status; one row per pose, or all of them.
 
-    Beyond limits none is written; the result counts them, and says whether there may be further ones.
-
-    near: joints.csv with one row, or one per pose. Without it each pose is solved near the one before. Poses without a
-    solution get one row with empty joint values; the reason is its status, and in words in the result.
+    Beyond limits none is told; the result counts them, and says whether there may be further ones. starts (m, n): to be
+    near to; without them each pose is solved near the one before. Poses without a solution get one row with empty
+    joint values; the reason is its status, and in words in the result.
     """
-    model = load_arm(arm)
-    targets = read_poses(poses, parent="world", format_=format_, timed=False, measured=False)
-    starts = _starts(model, near, len(targets))
-    aim = task_of(model, task)
-    here = start_values(model, None)
+    aim = task_of(arm, task)
+    here = start_values(arm, None)
     rows, counts, unsolved = [], Counter[str](), []
     within, beyond, complete = 0, 0, True
     for k, target in enumerate(targets):
         here = starts[k] if starts is not None else here
-        answer = _solve(model, target, here, aim)
+        answer = _solve(arm, target, here, aim)
         counts[answer.status.value] += 1
         if answer.why and answer.status not in (Status.OK, Status.SINGULAR):
             unsolved.append(UnsolvedPose(pose=k, status=answer.status.value, why=answer.why))
-        rows += _rows(model, k, answer, every)
+        rows += _rows(arm, k, answer, every)
         within, beyond = within + len(answer.solutions), beyond + len(answer.beyond_limits)
         complete &= answer.complete
         if answer.solutions:
             here = answer.solutions[0].q
-    header = ["pose", "solution", *(f"q{i + 1}" for i in range(model.n)), "error_m", "error_rad", "status"]
-    write_text(out, "\n".join([",".join(header), *rows]) + "\n")
+    header = ["pose", "solution", *(f"q{i + 1}" for i in range(arm.n)), "error_m", "error_rad", "status"]
+    told = ", ".join(f"{count} {status}" for status, count in counts.items())
     return IkOutput(
-        arm=model.name,
-        notes=arm_notes(model),
+        arm=arm.name,
+        notes=arm_notes(arm),
+        headline=f"{len(targets)} poses of {arm.name} ({told}): {saved}",
+        content="\n".join([",".join(header), *rows]) + "\n",
         n=len(targets),
         status=dict(counts),
         n_solutions=within,
         n_beyond_limits=beyond,
         complete=complete,
         unsolved=unsolved,
+        every=every,
     )
 
 
-def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:
-    """Return a start for each pose (m, n), or None."""
+def starts_of(arm: Arm, near: Path | None, poses: int) -> Array | None:
+    """Return the joint values that each pose is to be near to (m, n), of a joints.csv with one row or so many."""
     if near is None:
         return None
     q = read_values(arm, near).q
@@ -275,36 +294,18 @@ def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
     return out or [f"{k},," + "," * (arm.n + 2) + answer.status.value]
 
 
-def write_joint_path(
-    arm: str, poses: Path, out: Path, *, start: Path | None = None, task: str | None = None, format_: TableFormat = OURS
-) -> PathOutput:
-    """Write joints.csv, a continuous track along poses.csv, as far as it goes; tell what is wrong with it where."""
-    model = load_arm(arm)
-    targets = read_poses(poses, parent="world", format_=format_, stream=True, measured=False)
-    blind = [k for k, target in enumerate(targets) if target.status is not PoseStatus.OK]
-    if blind:
-        raise Inconsistent(
-            f"{poses}: row {blind[0]} is {targets[blind[0]].status}",
-            consequence="The path has a hole there",
-            cure="Leave such rows out",
-        )
-    t_s = np.array([target.t_s for target in targets])
-    T = np.array([target.pose.as_matrix() for target in targets if target.pose is not None])
-    first = None if start is None else read_values(model, start).q[0]
-    track = track_path(model, T, t_s=t_s, start=first, task=task)
-    if len(track.q):
-        write_joints(out, Motion(t_s=t_s[: len(track.q)], q=model.readings(track.q)))
-    return PathOutput(
-        arm=model.name,
-        notes=(*arm_notes(model), *_turned(model, track.q, T, task)),
-        n=len(targets),
-        n_reached=len(track.q),
-        branch=list(track.branch),
-        issues=track.issues,
-    )
+def require_whole(where: Path, targets: Sequence[TargetPose]) -> None:
+    """Raise Inconsistent for a path with a pose that is not known."""
+    for k, target in enumerate(targets):
+        if target.status is not PoseStatus.OK:
+            raise Inconsistent(
+                f"{where}: row {k} is {target.status}",
+                consequence="The path has a hole there",
+                cure="Leave such rows out",
+            )
 
 
-def _turned(arm: Arm, q: Array, T: Array, task: str | None) -> tuple[str, ...]:
+def turned(arm: Arm, q: Array, T: Array, task: str | None) -> tuple[str, ...]:
     """Return by how much a track q (k, n) of few joints turns the tool otherwise than the poses T (m, 4, 4) want."""
     if arm.n >= 6 or task is not None or not len(q):
         return ()
@@ -317,31 +318,23 @@ def _turned(arm: Arm, q: Array, T: Array, task: str | None) -> tuple[str, ...]:
     )
 
 
-def write_formulas(arm: str, out: Path) -> FormulasOutput:
-    """Write forward kinematics and Jacobian as formulas: Python for a name that ends in .py, LaTeX for .tex."""
+def formulas_of(arm: Arm, name: str) -> str:
+    """Return forward kinematics and Jacobian as formulas: Python for a name that ends in .py, LaTeX for .tex.
+
+    Raises UsageError, Inconsistent.
+    """
     from armsight.kinematics.symbolic import latex_source, python_source  # sympy takes a third of a second to load
 
-    model = load_arm(arm)
-    suffix = out.suffix.lower()
+    suffix = Path(name).suffix.lower()
     if suffix not in (".py", ".tex"):
-        raise UsageError(f"{out.name} ends in neither .py nor .tex", cure="Choose one of them")
-    if not model.direct:
+        raise UsageError(f"{name} ends in neither .py nor .tex", cure="Choose one of them")
+    if not arm.direct:
         raise Inconsistent(
-            f"the joints of {model.name} are not where its controller shows them: readings are coupled, or joints sag",
+            f"the joints of {arm.name} are not where its controller shows them: readings are coupled, or joints sag",
             consequence="The formulas, which are of the joints' own values, would be taken for those of the readings",
             cure="Leave `coupled` and `compliance` out of a copy of the file; give the formulas the joints' own values",
         )
-    write_text(out, python_source(model) if suffix == ".py" else latex_source(model))
-    return FormulasOutput(arm=model.name, file=str(out))
-
-
-def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> ShowOutput:
-    """Write a page with the arm in 3-D at joint values: a joints.csv, numbers separated by commas, or the middle."""
-    model = load_arm(arm)
-    q = start_values(model, None) if joints is None else _joint_values(model, joints)
-    write_text(out, arm_report(model, q))
-    T = fk(model, np.atleast_2d(q)[0])
-    return ShowOutput(arm=model.name, notes=arm_notes(model), file=str(out), tool_xyz_m=T[:3, 3].tolist())
+    return python_source(arm) if suffix == ".py" else latex_source(arm)
 
 
 def reading_values(arm: Arm, text: str) -> Array:
@@ -351,7 +344,8 @@ def reading_values(arm: Arm, text: str) -> Array:
     return np.asarray(arm.readings(read_values(arm, Path(text)).q)[0])
 
 
-def _joint_values(arm: Arm, text: str) -> Array:
+def joint_values(arm: Arm, text: str) -> Array:
+    """Return the joints' own values, (n,) of readings written as 0,-1.2,0.4, or (m, n) of a joints.csv."""
     if re.fullmatch(r"[-+0-9.eE, ]+", text):
         return arm.values(_numbers(arm, text))
     return read_values(arm, Path(text)).q

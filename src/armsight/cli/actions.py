@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable
+from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -15,6 +17,10 @@ from armsight.ops.action import OUT
 
 if TYPE_CHECKING:
     from armsight.ops.action import Action
+
+
+SECTION = re.compile(r"\n    (?:Parameters|Returns|Raises|Examples)\n    -")
+"""What Python's help says further."""
 
 
 def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> None:
@@ -36,14 +42,18 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
                 face.say(one)
             else:
                 face.table(*one)
-        face.say(f"Result: {asked[OUT]}")
+        if not hasattr(result, "write"):  # else its summary says what is told of files
+            face.say(f"Result: {asked[OUT]}")
         face.result(result)
+        if result.exit_code:
+            raise typer.Exit(result.exit_code)
 
-    text = (call.__doc__ or "").partition("\n    Parameters\n")[0]
+    text = SECTION.split(call.__doc__ or "")[0]
     add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **more))
 
 
 def _word(name: str, hint: Any) -> str:
     """Return what the command line calls a parameter: as its flag is written, where that has a name of its own."""
     names = next((flag.names for flag in marks(hint, Flag) if flag.names), "")
-    return names.split()[-1].split("/")[0].lstrip("-").replace("-", "_") if names else name
+    word = names.split()[-1].split("/")[0].lstrip("-").replace("-", "_") if names else name
+    return name if iskeyword(word) else word

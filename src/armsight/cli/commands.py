@@ -18,20 +18,33 @@ from armsight.cli import (
     convert,
     files,
     identify,
-    kinematics,
     measure,
     motion,
-    path,
     robot,
     serve,
     verify,
 )
-from armsight.cli.command import SETS, SIMULATED, VIEWS, WITH_ARM, app, calibrate, command, elsewhere, history
+from armsight.cli.actions import add_action
+from armsight.cli.command import (
+    SETS,
+    SIMULATED,
+    VIEWS,
+    WITH_ARM,
+    app,
+    calibrate,
+    command,
+    elsewhere,
+    history,
+    kinematics,
+    path,
+)
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.examples import add_examples
 from armsight.cli.tables import demo_tables, doctor_tables
 from armsight.fields import Bounds, Doc
 from armsight.file_names import DEMO, MEASURED
+from armsight.ops import kinematics as of_arms
+from armsight.ops import paths
 
 __all__ = [
     "app",
@@ -41,10 +54,8 @@ __all__ = [
     "convert",
     "files",
     "identify",
-    "kinematics",
     "measure",
     "motion",
-    "path",
     "robot",
     "serve",
     "verify",
@@ -132,6 +143,13 @@ def doctor(face: CommandUI, job: requests.simulate.DoctorJob) -> None:
     doctor_tables(face, found)
     face.result(found)
 
+
+for name in ("fk", "ik", "jacobian", "path"):
+    add_action(kinematics, getattr(of_arms, name), streamed=True)
+add_action(kinematics, of_arms.write_formulas)
+add_action(kinematics, of_arms.show_arm)
+for name in ("smooth", "resample", "fillet", "offset", "angle", "reverse", "join", "check", "export", "from_picks"):
+    add_action(path, getattr(paths, name))
 
 elsewhere(
     app,

@@ -1,11 +1,11 @@
-"""armsight convert; `convert recording` stands beside record, `convert arm` beside the kinematics."""
+"""armsight convert; `convert recording` stands beside record."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from armsight.app.requests.shared import AN_ARM, OUT, FileUnits, Table, UnitLength, size_of
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, FileUnits, Table, Tip, UnitLength, size_of
 from armsight.cli.command import command, convert
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure
@@ -123,6 +123,26 @@ def handeye(
 
     names = FrameNames(base=base, flange=flange, camera=camera_frame, target=target)
     _print_written(face, convert_handeye(source, out, to=to, names=names))
+
+
+@command(convert)
+def arm(
+    face: CommandUI,
+    source: Annotated[str, Doc(f"{KNOWN_ARM}."), Flag(positional=True, metavar="FILE")],
+    out: Annotated[Path, Doc("File to write: .yaml or .urdf."), OUT],
+    convention: Annotated[str | None, Doc("standard or craig, for arm.yaml.")] = None,
+    tip: Tip = None,
+    base: Base = None,
+) -> None:
+    """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
+    from armsight.app.arm_files import arm_source
+    from armsight.app.arm_files import convert_arm as run
+
+    done = run(arm_source(source, tip=tip, base=base), out, convention=convention)
+    face.say(f"{done.arm}, {done.joints} joints: {out}")
+    for note in done.notes:
+        face.say(f"  {note}")
+    face.result(done)
 
 
 def _require_ours(to: str | None, size: tuple[int, int] | None) -> None:

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
+from armsight.cli.actions import add_action
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
 from armsight.file_names import COMPARED
-from armsight.shown import REJECTED_SHOWN
-from armsight.units import MS, displayed
+from armsight.ops.files import compare, join
 
 if TYPE_CHECKING:
     from armsight.app.simulate.reproduced import ReproducedTable, ReproduceOutput
@@ -51,21 +51,7 @@ def _row(item: ReproducedTable, name: str) -> list[str]:
     return [name, *(figure(value, 4) for value in values), shown, figure(item.share_of_method[name], 2)]
 
 
-@command(app, streamed=True)
-def join(face: CommandUI, job: requests.files.JoinJob) -> None:
-    """Join a joint log and measurements on different clocks into points.csv, observed.csv or pairs.csv."""
-    from armsight.app.join import join as run
-
-    done = run(job)
-    if done.offset_s is not None:
-        std = "as stated" if done.offset_std_s is None else f"+- {figure(done.offset_std_s / MS, 2)} ms"
-        face.say(f"Measured times {done.offset_s:+.6f} s are the robot's ({std})")
-    for text in done.notes:
-        face.say(f"- {text}")
-    for item in done.rejected[:REJECTED_SHOWN]:
-        face.say(f"  left out: row {item.row}: {item.why}")
-    face.say(f"{done.n} rows of {done.kind} from {done.n_measured} measured, by {done.by}: {done.file}")
-    face.result(done)
+add_action(app, join, streamed=True)
 
 
 @command(app, json=False)
@@ -85,26 +71,4 @@ def report(
     face.say(f"Printed: {print_report(report, out)}")
 
 
-@command(app, keeps=COMPARED, judged=True)
-def compare(face: CommandUI, job: requests.files.CompareJob) -> None:
-    """Tell whether two results of one kind agree within their uncertainty, and what the difference comes to."""
-    from armsight.app.compare.run import compare as run
-
-    done = run(job)
-    rows = []
-    for one in done.parameters:
-        unit, factor = displayed(one.unit)
-        std = None if one.std is None else one.std / factor
-        sigmas = "-" if one.sigmas is None else f"{one.sigmas:+.1f}"
-        name = one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
-        rows.append([name, figure(one.a / factor, 6), figure(one.difference / factor), figure(std, 2), sigmas, unit])
-    face.say(done.verdict)
-    face.table(f"B less A, {done.kind}", ["", "A", "B less A", "+-", "sigma", "unit"], rows)
-    for effect in done.effects:
-        unit, factor = displayed(effect.unit)
-        face.say(f"  {effect.name}: {figure(effect.value / factor)} {unit}".rstrip())
-    for text in done.notes:
-        face.say(f"Note: {text}")
-    if done.report is not None:
-        face.say(f"Results: {job.out}; open {done.report}")
-    face.result(done)
+add_action(app, compare, keeps=COMPARED, judged=True)

@@ -51,11 +51,15 @@ class Input:
 
 @dataclass(frozen=True)
 class Action:
-    """What a function does for people: command: its words on the command line; working: what its progress says."""
+    """What a function does for people: command: its words on the command line; working: what its progress says.
+
+    gives: the attribute of the result that Python gets; '' for all of it.
+    """
 
     command: str
     function: Callable[..., Output]
     working: str
+    gives: str
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
@@ -106,17 +110,17 @@ class Action:
         return [Path(fspath(one)) for one in paths if isinstance(one, str | PathLike)]
 
 
-def action(command: str, *, working: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
+def action(command: str, *, working: str = "", gives: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Make a function an action; it stays a function of Python, which checks what it is given and writes `out`."""
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
-        made = Action(command=command, function=function, working=working)  # type: ignore[arg-type]  # it returns a result
+        made = Action(command=command, function=function, working=working, gives=gives)  # type: ignore[arg-type]  # it returns a result
 
         @wraps(function)
         def run(*args: P.args, **given: P.kwargs) -> R:
             from armsight.ops.checks import checked_call
 
-            return checked_call(made, args, given)  # type: ignore[return-value]  # what the function returns
+            return checked_call(made, args, given)  # type: ignore[no-any-return]  # what the function returns
 
         vars(run)["action"] = made
         return run

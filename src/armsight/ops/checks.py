@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial, wraps
 from os import PathLike
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar, get_args, get_origin
 
 from armsight.drivers import CameraSettings
 from armsight.errors import ArmsightError, UsageError
@@ -17,7 +17,6 @@ from armsight.fields import Bounds, Flag, Flags, bare, bounds_of, known_hints, m
 from armsight.ops.action import OUT, Action
 from armsight.ops.commands import in_python, parameter
 from armsight.records import require_count, require_kind, require_number
-from armsight.records.output import Output
 from armsight.store.interpret import TableFormat
 from armsight.store.outputs import held_outputs
 
@@ -52,11 +51,12 @@ def speaks_python(*requests: type) -> Callable[[Callable[P, R]], Callable[P, R]]
     return decorated
 
 
-def checked_call(made: Action, args: Sequence[Any], given: Mapping[str, Any]) -> Output:
-    """Run an action with what Python gives. Raises ArmsightError in Python's words."""
+def checked_call(made: Action, args: Sequence[Any], given: Mapping[str, Any]) -> Any:
+    """Run an action with what Python gives; return what Python gets. Raises ArmsightError in Python's words."""
     arguments = inspect.signature(made.function).bind(*args, **given).arguments
     with _speaking_python(_checks_of(made), arguments):
-        return made.run(arguments)
+        result = made.run(arguments)
+        return getattr(result, made.gives) if made.gives else result
 
 
 @contextlib.contextmanager
@@ -80,11 +80,16 @@ def _checks_of(made: Action) -> dict[str, list[Check]]:
     for name, one in made.parameters.items():
         hint, bounds = made.hints[name], bounds_of(made.hints[name])
         written = next((group.group.made.__annotations__["return"] for group in marks(hint, Flags)), "")
-        written = written or " | ".join(getattr(kind, "__name__", "") for kind in bare(hint))
+        written = written or " | ".join(map(_written_kind, bare(hint)))
         known = PATH if name == OUT else check_of(str(one.annotation)) or check_of(written)
         found[name] = [] if known is None or name in made.inputs else [partial(_or_none, known)]
         found[name] += [] if bounds is None else [partial(_within, bounds)]
     return found
+
+
+def _written_kind(kind: Any) -> str:
+    """Return a type as an annotation has it."""
+    return f"Literal{list(get_args(kind))}" if get_origin(kind) is Literal else getattr(kind, "__name__", "")
 
 
 def _checks(signature: inspect.Signature, requests: tuple[type, ...]) -> dict[str, list[Check]]:

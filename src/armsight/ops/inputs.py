@@ -16,16 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import NotEnoughData
+from armsight.app.arm_files import arm_source
+from armsight.app.compare.run import GivenResult
+from armsight.control.guard import Limits
+from armsight.drivers.images import read_image
+from armsight.errors import NotEnoughData, UsageError
+from armsight.kinematics import Arm
 from armsight.ops.action import Given
 from armsight.ops.arrays import as_poses
 from armsight.ops.given import Given as Folder
+from armsight.ops.given import as_arm, as_text
 from armsight.optics import Rig
-from armsight.records import PoseStatus, SpotTrack, Target, TargetPose, require_kind
+from armsight.records import PoseStatus, SpotTrack, Target, TargetPose, TaughtPath, checked_array, require_kind
 from armsight.records.measured import covariances_of
 from armsight.store import read_poses, read_rig, read_spot_track, read_target
 from armsight.store.covariances import uncorrelated_note
+from armsight.store.handeye_file import read_tip
 from armsight.store.interpret import OURS
+from armsight.store.limits_file import read_limits
+from armsight.store.path_file import read_path
 from armsight.store.targets import parse_board
 
 Array = NDArray[np.float64]
@@ -39,6 +48,14 @@ class GivenPoses:
     covariances: Array | None = None
     t_s: Array | None = None
     remark: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GivenPath:
+    """A path, and what errors call it: its file, or "the path"."""
+
+    taught: TaughtPath
+    where: str
 
 
 def poses(name: str, value: Any, given: Given, undo: ExitStack) -> GivenPoses:
@@ -85,6 +102,79 @@ def target(name: str, value: Any, given: Given, undo: ExitStack) -> Target:
         require_kind(name, value, Target, cure="Give a record or a file")
         return value  # type: ignore[no-any-return]  # a Target
     return parse_board(str(path)) if ":" in path.name and not path.exists() else read_target(path)
+
+
+def arm(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
+    """Return an arm, that of a file, or the one known by that name. Raises UsageError, BadFile."""
+    return as_arm(name, value)
+
+
+def chain(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
+    """Return an arm, see arm; of a URDF the chain between the links that are said beside it. Raises UsageError."""
+    base, tip = given.get("base"), given.get("tip")
+    if base is None and tip is None:
+        return as_arm(name, value)
+    return as_arm(name, arm_source(as_text(name, value), tip=tip, base=base))
+
+
+def taught(name: str, value: Any, given: Given, undo: ExitStack) -> GivenPath:
+    """Return a path, or that of a path.csv, in the frame that is said beside it. Raises UsageError, BadFile."""
+    path = _path(value)
+    if path is None:
+        require_kind(name, value, TaughtPath, cure="Give a TaughtPath: read_path(file), or teach(...).taught")
+        return GivenPath(taught=value, where="the path")
+    return GivenPath(taught=read_path(path, parent=given.get("frame") or "world"), where=str(path))
+
+
+def taught_paths(name: str, value: Any, given: Given, undo: ExitStack) -> list[GivenPath]:
+    """Return one path or several, see taught."""
+    return [taught(name, one, given, undo) for one in (value if isinstance(value, list | tuple) else [value])]
+
+
+def tip(name: str, value: Any, given: Given, undo: ExitStack) -> Array:
+    """Return a tool's tip (3,) in flange axes, m, of a result or a tip.yaml. Raises UsageError, BadFile."""
+    path = _path(value)
+    if path is None and not hasattr(value, "tip_m"):
+        raise UsageError(
+            f"{name} is of type {type(value).__name__}",
+            consequence="It cannot be used",
+            cure="Give a record or a file",
+        )
+    return np.asarray((value if path is None else read_tip(path)).tip_m)
+
+
+def limits(name: str, value: Any, given: Given, undo: ExitStack) -> Limits:
+    """Return limits, or those of a limits.yaml. Raises UsageError, BadFile."""
+    path = _path(value)
+    if path is None:
+        require_kind(name, value, Limits, cure="Give a record or a file")
+        return value  # type: ignore[no-any-return]  # Limits
+    return read_limits(path)
+
+
+def readings(name: str, value: Any, given: Given, undo: ExitStack) -> str:
+    """Return joint readings as text: a file's path, or the numbers, which are read with the arm that they are of."""
+    if isinstance(value, str | PathLike):
+        return fspath(value)
+    return ",".join(map(repr, checked_array(name, value, (None,)).tolist()))
+
+
+def file(name: str, value: Any, given: Given, undo: ExitStack) -> Path:
+    """Return the path of a file with the value: its own where it is one, else one that goes with the action."""
+    return undo.enter_context(Folder()).file(name, value)
+
+
+def result(name: str, value: Any, given: Given, undo: ExitStack) -> GivenResult:
+    """Return a result's file or folder, and what it is called: its path, or the parameter."""
+    path = _path(value)
+    if path is None:
+        return GivenResult(undo.enter_context(Folder()).file(name, value), name)
+    return GivenResult(path, str(path))
+
+
+def picture(name: str, value: Any, given: Given, undo: ExitStack) -> NDArray[np.uint8]:
+    """Return an image, or that of a file. Raises BadImage."""
+    return read_image(undo.enter_context(Folder()).picture(name, value))
 
 
 def frames(name: str, value: Any, given: Given, undo: ExitStack) -> str:

@@ -22,6 +22,20 @@ PosesLike: TypeAlias = Annotated[Any, Input(f"{READERS}:poses", hashed=True)]
 """Poses (n, 4, 4) in m, a RigidTransform, or the path of a table of poses."""
 SpotsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:spots")]
 """Columns t_s, u_px, v_px, or the path of a table of spots."""
+ArmLike: TypeAlias = Annotated[Any, Input(f"{READERS}:arm", kind=str), Flag(metavar="ARM")]
+"""An Arm, the path of an arm.yaml or URDF, or a known arm's name."""
+TaughtLike: TypeAlias = Annotated[Any, Input(f"{READERS}:taught"), Flag(positional=True, metavar="PATH")]
+"""A TaughtPath, or the path of a path.csv."""
+ToolTip: TypeAlias = Annotated[
+    Any, Doc("tip.yaml of the tool, in flange axes. [default: the arm's tool frame]"), Input(f"{READERS}:tip")
+]
+"""What calibrate_tool_tip returns, or the path of its file."""
+LimitsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:limits")]
+"""Limits, or the path of a limits.yaml."""
+Readings: TypeAlias = Annotated[Any, Input(f"{READERS}:readings", kind=str)]
+"""Joint readings (n,), written as 0,-1.2,0.4, or the path of a joints.csv."""
+AsFile: TypeAlias = Annotated[Any, Input(f"{READERS}:file")]
+"""A file's path, or what becomes one: a table's columns, a pose."""
 Left: TypeAlias = Annotated[Any, Doc(f"Left frames: {SRC}."), FRAMES, Flag(metavar="SRC")]
 """Frames as the command line names them, or images in order."""
 Right: TypeAlias = Annotated[Any, Doc("Right frames, in step with the left ones."), FRAMES, Flag(metavar="SRC")]

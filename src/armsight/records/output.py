@@ -118,6 +118,11 @@ class Output(ByValue):
     def _shown(self) -> tuple[str, Sequence[Row]]:
         return type(self).__name__, list(flat_rows(self.to_dict()))
 
+    @property
+    def exit_code(self) -> int:
+        """With which a command ends that gives this result: 3 where it is not to be relied on."""
+        return 0
+
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it, tables and lines."""
         yield from ()

@@ -141,7 +141,12 @@ def _camera_covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | 
 
 
 def write_pairs(path: Path, pairs: PosePairs) -> None:
-    """Write pairs.csv, with the covariances of the camera's poses where they are known."""
+    """Write pairs.csv."""
+    write_text(path, pairs_text(pairs))
+
+
+def pairs_text(pairs: PosePairs) -> str:
+    """Return a pairs.csv, with the covariances of the camera's poses where they are known."""
     columns = [
         np.concatenate([poses.translation, poses.rotation.as_quat(canonical=True)], axis=1)
         for poses in (pairs.T_base_flange, pairs.T_camera_target)
@@ -152,7 +157,7 @@ def write_pairs(path: Path, pairs: PosePairs) -> None:
         columns.append(np.sqrt(np.diagonal(pairs.camera_covariance, axis1=1, axis2=2)))
         columns.append(np.array([above_diagonal(each) for each in pairs.camera_covariance]))
     rows = (cells(row) for row in np.concatenate(columns, axis=1))
-    write_text(path, "\n".join([",".join(header), *rows]) + "\n")
+    return "\n".join([",".join(header), *rows]) + "\n"
 
 
 def read_robot_poses(

@@ -11,7 +11,19 @@ from pathlib import Path
 from armsight._files import real_path
 from armsight.drivers.lock import DeviceLock
 from armsight.errors import UsageError
-from armsight.store.atomic import STREAM
+from armsight.records.output import Output, output
+from armsight.store.atomic import STREAM, write_text
+
+
+@output
+class TextOutput(Output):
+    """A result whose file is text, its content."""
+
+    content: str = ""
+
+    def write(self, path: Path) -> None:
+        """Write the file."""
+        write_text(path, self.content)
 
 
 @contextlib.contextmanager

@@ -21,13 +21,18 @@ TAG = re.compile(r"[\w.-]{0,40}")
 
 
 def write_path(path: Path, taught: TaughtPath) -> None:
-    """Write path.csv in one step; what is not known (times, speeds) is left empty."""
+    """Write path.csv in one step."""
+    write_text(path, path_text(taught))
+
+
+def path_text(taught: TaughtPath) -> str:
+    """Return a path.csv; what is not known (times, speeds) is left empty."""
     rows = [",".join(COLUMNS)]
     for i, pose in enumerate(taught.poses):
         xyz, quat = xyz_quat(pose)
         speed = number(taught.speed_m_s[i])
         rows.append(f"{i},{number(taught.t_s[i])},{cells([*xyz, *quat])},{speed},{word(taught.tags[i])}")
-    write_text(path, "\n".join(rows) + "\n")
+    return "\n".join(rows) + "\n"
 
 
 def read_path(path: Path, *, parent: str = "world") -> TaughtPath:

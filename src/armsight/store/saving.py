@@ -75,9 +75,15 @@ def save(record: object, path: str | PathLike[str]) -> Path:
     raise TypeError(f"{type(record).__name__} has no file of its own; {path} is not written")
 
 
-def write_result(path: Path, result: object, inputs: Sequence[Path]) -> None:
-    """Write a result's file, with the hashes of the files it was made from. Raises DeviceFailed."""
-    writers = next(writers for kind, writers in WRITERS.items() if isinstance(result, kind))
+def write_result(path: Path, result: Any, inputs: Sequence[Path]) -> None:
+    """Write a result's file, with the hashes of the files it was made from, or what it writes itself: `write(path)`.
+
+    Raises DeviceFailed.
+    """
+    writers = next((writers for kind, writers in WRITERS.items() if isinstance(result, kind)), None)
+    if writers is None:
+        result.write(path)
+        return
     write: Any = next(iter(writers.values()))
     write(path, result, inputs=inputs)
 

@@ -5,8 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from armsight.app.join import join
-from armsight.app.requests.files import JoinJob
+from armsight.ops.files import join
 from reports import case
 
 ROWS_S = 12.0
@@ -33,9 +32,7 @@ def beginning(path, out):
 def test_joints_are_those_of_the_moment_across_seams_and_stalls(tmp_path, name, log, true):
     folder = case(name)
     measured = beginning(folder / "tracker.csv", tmp_path / "tracker.csv")
-    found = join(
-        JoinJob(measured=measured, arm="ur10", joints=folder / f"{log}.csv", kind="points", out=tmp_path / "points.csv")
-    )
+    found = join(measured, arm="ur10", joints=folder / f"{log}.csv", kind="points", out=tmp_path / "points.csv")
     assert abs(found.offset_s - OFFSET_S) < 4 * found.offset_std_s + (2e-3 if name == "arms-17" else 0.0)  # as stamped
     points, tracker, truth = columns(tmp_path / "points.csv"), columns(measured), columns(folder / f"{true}.csv")
     at = np.array([int(np.argmin(np.abs(tracker["x_m"] - x))) for x in points["x_m"]])

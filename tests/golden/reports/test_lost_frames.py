@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from armsight.app.join import join
-from armsight.app.requests.files import JoinJob
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.run import run_verify
+from armsight.ops.files import join
 from armsight.store.arm_points import read_arm_points
 from armsight.store.handeye_file import read_pairs
 from armsight.store.interpret import TableFormat
@@ -78,6 +77,6 @@ def test_zeros_do_not_turn_the_verdict_and_reach_no_table(tmp_path):
     assert (
         off_rad is not None and std_rad is not None and abs(abs(np.degrees(off_rad)) - 0.3) < 3.0 * np.degrees(std_rad)
     )
-    done = join(JoinJob(**files, kind="points", out=tmp_path / "points.csv"))
+    done = join(**files, kind="points", out=tmp_path / "points.csv")
     assert any(names_it(note, LINES) for note in done.notes)
     assert np.linalg.norm(read_arm_points(tmp_path / "points.csv").xyz_m, axis=1).min() > 0.1

@@ -8,15 +8,14 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.compare.parameters import Value, differences, judged
-from armsight.app.compare.run import compare
+from armsight.app.compare.calibrations import Value, differences, judged
 from armsight.app.measure.outputs import made_with
-from armsight.app.requests.files import CompareJob
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.run import run_verify
 from armsight.cli.commands import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import preset
+from armsight.ops.files import compare
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance, Target, TargetKind
 from armsight.store import read_rig, write_camera, write_rig
@@ -63,10 +62,10 @@ def test_chance_parts_results_as_often_as_p_says():
 
 def test_a_moved_principal_point_is_named_with_its_sigma(tmp_path):
     a = camera_file(tmp_path, "a.yaml")
-    same = compare(CompareJob(a=a, b=camera_file(tmp_path, "b.yaml", cx=0.3, fy=-0.3)))
+    same = compare(a=a, b=camera_file(tmp_path, "b.yaml", cx=0.3, fy=-0.3))
     assert same.agree
     assert names_it(same.verdict, "agrees", "A")
-    moved = compare(CompareJob(a=a, b=camera_file(tmp_path, "c.yaml", cx=2.0)))
+    moved = compare(a=a, b=camera_file(tmp_path, "c.yaml", cx=2.0))
     assert moved.agree is False
     assert names_it(moved.verdict, "cx", "2 px", f"{2.0 / np.hypot(0.3, 0.3):.1f} sigma")
     effects = {one.name: one.value for one in moved.effects}
@@ -75,11 +74,11 @@ def test_a_moved_principal_point_is_named_with_its_sigma(tmp_path):
 
 def test_what_has_no_uncertainty_is_not_called_equal(tmp_path):
     a, b = (camera_file(tmp_path, f"{n}.yaml", covariance=None, cx=n) for n in (0.0, 1.0))
-    silent = compare(CompareJob(a=a, b=b))
+    silent = compare(a=a, b=b)
     assert silent.agree is None and silent.p is None
     known = NamedCovariance(names=("fx", "fy"), matrix=np.diag([0.4, 0.4]) ** 2)
     a, b = (camera_file(tmp_path, f"{n}.yaml", covariance=known, cx=n) for n in (0.0, 1.0))
-    partly = compare(CompareJob(a=a, b=b))
+    partly = compare(a=a, b=b)
     assert partly.agree is None
     assert names_it(partly.verdict, "cx", "sure")
 
@@ -100,7 +99,7 @@ def test_a_longer_baseline_shows_where_points_are_measured(tmp_path):
         )
         files.append(tmp_path / f"{baseline_m}.yaml")
         write_rig(files[-1], rig)
-    done = compare(CompareJob(a=files[0], b=files[1], distance_m=1.0))
+    done = compare(a=files[0], b=files[1], distance_m=1.0)
     effects = {one.name: one.value for one in done.effects}
     assert names_it(done.verdict, "right.tx", "0.6 mm")
     assert effects["baseline of B over A, less one"] == pytest.approx(0.005)
@@ -112,7 +111,7 @@ def test_arms_are_compared_where_their_tool_goes(tmp_path):
     longer = replace(arm, joints=(replace(arm.joints[0], d_m=arm.joints[0].d_m + 1e-3), *arm.joints[1:]))
     for name, one in (("a.yaml", arm), ("b.yaml", longer), ("c.yaml", preset("ur10"))):
         write_arm(tmp_path / name, one)
-    done = compare(CompareJob(a=tmp_path / "a.yaml", b=tmp_path / "b.yaml"))
+    done = compare(a=tmp_path / "a.yaml", b=tmp_path / "b.yaml")
     assert done.agree is None
     assert {one.name: one.value for one in done.effects}["tool apart, largest"] == pytest.approx(1e-3, rel=1e-6)
     assert [one.name for one in done.parameters if one.difference] == ["joint 1 d_m"]
@@ -120,35 +119,35 @@ def test_arms_are_compared_where_their_tool_goes(tmp_path):
 
 def test_measurements_agree_where_their_noise_is_as_claimed(tmp_path):
     a = poses_file(tmp_path, "a.csv", 1)
-    done = compare(CompareJob(a=a, b=poses_file(tmp_path, "b.csv", 2)))
+    done = compare(a=a, b=poses_file(tmp_path, "b.csv", 2))
     assert done.agree and done.n == 200
     assert {one.name: one.value for one in done.effects}["inside their 95 % ellipsoid"] > 0.9
-    apart = compare(CompareJob(a=a, b=poses_file(tmp_path, "c.csv", 3, shift_m=5e-4)))
+    apart = compare(a=a, b=poses_file(tmp_path, "c.csv", 3, shift_m=5e-4))
     assert apart.agree is False
     assert next(one for one in apart.parameters if one.name == "mean x_m").difference == pytest.approx(5e-4, abs=5e-5)
     with refuses(NotEnoughData, "one moment"):
-        compare(CompareJob(a=a, b=poses_file(tmp_path, "d.csv", 4, start_s=1000.0)))
+        compare(a=a, b=poses_file(tmp_path, "d.csv", 4, start_s=1000.0))
 
 
 def test_other_kinds_and_other_things_are_refused(tmp_path):
     camera, other = camera_file(tmp_path, "camera.yaml"), tmp_path / "small.yaml"
     write_camera(other, Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0), rms_px=0.1)
     with refuses(Inconsistent, "camera", "measure"):
-        compare(CompareJob(a=camera, b=poses_file(tmp_path, "a.csv", 1)))
+        compare(a=camera, b=poses_file(tmp_path, "a.csv", 1))
     with refuses(Inconsistent, "640x480", "320x240"):
-        compare(CompareJob(a=camera, b=other))
+        compare(a=camera, b=other)
     (tmp_path / "empty").mkdir()
     with refuses(UsageError, "one result"):
-        compare(CompareJob(a=camera, b=tmp_path / "empty"))
+        compare(a=camera, b=tmp_path / "empty")
     (tmp_path / "odd.yaml").write_text("format: armsight/odd\nversion: 1\n")
     with refuses(BadFile, "armsight/odd", "compared"):
-        compare(CompareJob(a=camera, b=tmp_path / "odd.yaml"))
+        compare(a=camera, b=tmp_path / "odd.yaml")
     (tmp_path / "odd.yaml").write_text("arm: ur5e\n")
     with refuses(BadFile, "odd.yaml", "format:", "armsight/camera"):
-        compare(CompareJob(a=tmp_path / "odd.yaml", b=camera))
+        compare(a=tmp_path / "odd.yaml", b=camera)
     (tmp_path / "odd.yaml").write_text("camera_name: left\ncamera_matrix: {rows: 3, cols: 3}\n")
-    with refuses(BadFile, "ros", "armsight convert"):
-        compare(CompareJob(a=tmp_path / "odd.yaml", b=camera))
+    with refuses(BadFile, "ros", "armsight.convert"):
+        compare(a=tmp_path / "odd.yaml", b=camera)
 
 
 def test_the_command_writes_a_report_only_where_it_is_told_to(tmp_path):
@@ -187,18 +186,18 @@ def test_another_rig_or_target_is_told(tmp_path):
     write_rig(tmp_path / "rig.yaml", pair(0.12))
     again = replace(read_rig(tmp_path / "rig.yaml"), rms_px=0.3)  # what a file adds changes nothing
     a = run_folder(tmp_path / "a", 1, pair(0.12))
-    same = compare(CompareJob(a=a, b=run_folder(tmp_path / "b", 2, again)))
+    same = compare(a=a, b=run_folder(tmp_path / "b", 2, again))
     assert (same.same_rig, same.same_target) == (True, True)
     assert "another" not in same.verdict and names_it(same.notes[0], "rig", "target")
-    other = compare(CompareJob(a=a, b=run_folder(tmp_path / "c", 3, pair(0.1201), beacons(0.1001))))
+    other = compare(a=a, b=run_folder(tmp_path / "c", 3, pair(0.1201), beacons(0.1001)))
     assert (other.same_rig, other.same_target) == (False, False)
     assert names_it(other.verdict, "another rig", "another target")
-    bare = compare(CompareJob(a=a, b=poses_file(tmp_path, "bare.csv", 4)))
+    bare = compare(a=a, b=poses_file(tmp_path, "bare.csv", 4))
     assert bare.same_rig is None and "recorded" in bare.notes[0]
     assert "same_rig" not in bare.to_dict()
     (a / "measure.json").write_text("{")
     with refuses(BadFile, "summary", "measurement"):
-        compare(CompareJob(a=a, b=tmp_path / "b"))
+        compare(a=a, b=tmp_path / "b")
 
 
 def handeye_file(folder, name, *, moved_m=0.0, setup="eye-in-hand"):
@@ -222,15 +221,15 @@ def handeye_file(folder, name, *, moved_m=0.0, setup="eye-in-hand"):
 
 def test_a_camera_knocked_on_the_hand_is_named(tmp_path):
     a = handeye_file(tmp_path, "a.yaml")
-    same = compare(CompareJob(a=a, b=handeye_file(tmp_path, "b.yaml", moved_m=1e-4)))
+    same = compare(a=a, b=handeye_file(tmp_path, "b.yaml", moved_m=1e-4))
     assert same.kind == "handeye" and same.agree
-    moved = compare(CompareJob(a=a, b=handeye_file(tmp_path, "c.yaml", moved_m=2e-3), out=tmp_path / "out"))
+    moved = compare(a=a, b=handeye_file(tmp_path, "c.yaml", moved_m=2e-3), out=tmp_path / "out")
     first = max(moved.parameters, key=lambda one: abs(one.sigmas or 0.0))
     assert moved.agree is False and first.sigmas == pytest.approx(2e-3 / np.hypot(2e-4, 2e-4), rel=1e-6)
     assert {one.name: one.value for one in moved.effects}["camera moved by"] == pytest.approx(2e-3, rel=1e-9)
     assert "hand-eye calibrations" in (tmp_path / "out/report.html").read_text()
     with refuses(Inconsistent, "eye-in-hand", "eye-to-hand"):
-        compare(CompareJob(a=a, b=handeye_file(tmp_path, "d.yaml", setup="eye-to-hand")))
+        compare(a=a, b=handeye_file(tmp_path, "d.yaml", setup="eye-to-hand"))
 
 
 def verify_folder(folder, seed, *, scatter_m=3e-5):
@@ -249,13 +248,13 @@ def verify_folder(folder, seed, *, scatter_m=3e-5):
 
 def test_verifications_agree_until_an_arm_scatters_more(tmp_path):
     a = verify_folder(tmp_path / "a", 1)
-    same = compare(CompareJob(a=a, b=verify_folder(tmp_path / "b", 2)))
+    same = compare(a=a, b=verify_folder(tmp_path / "b", 2))
     assert same.kind == "verify" and same.agree
-    worn = compare(CompareJob(a=a, b=verify_folder(tmp_path / "c", 3, scatter_m=9e-5)))
+    worn = compare(a=a, b=verify_folder(tmp_path / "c", 3, scatter_m=9e-5))
     assert worn.agree is False and "RP" in worn.verdict
     names = {one.name: one for one in worn.parameters}
     assert names["RP_m"].b == pytest.approx(3.0 * names["RP_m"].a, rel=0.35)
     assert same.same_rig is None and "same_rig" not in same.to_dict()
     (a / "verify.json").write_text("{}")
     with refuses(BadFile, "summary", "verification"):
-        compare(CompareJob(a=a, b=tmp_path / "b"))
+        compare(a=a, b=tmp_path / "b")

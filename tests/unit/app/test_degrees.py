@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from armsight.app.identify.live import read_limits
-from armsight.app.kinematics import draw_arm
 from armsight.app.requests.motion import JogJob
 from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.opening import guard_for, open_robot
 from armsight.clock import SystemClock
 from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.ops.kinematics import show_arm
 from armsight.store.arm_file import read_arm
 from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees
 from armsight.store.urdf import arm_from_urdf
@@ -89,7 +89,7 @@ def test_a_urdf_in_mm_or_degrees(xyz: str, rpy: str, wrong: str) -> None:
 
 def test_joint_values_on_the_command_line(tmp_path: Path) -> None:
     with refuses(UsageError, "degrees", "90"):
-        draw_arm("ur10", tmp_path / "a.html", joints="0,-90,90,0,0,0")
+        show_arm("ur10", tmp_path / "a.html", q="0,-90,90,0,0,0")
 
 
 def test_what_stays_below() -> None:

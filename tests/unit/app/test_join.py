@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.join import join
-from armsight.app.requests.files import JoinJob
 from armsight.calibrate.handeye import Setup
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import fk, preset
+from armsight.ops.files import join
 from armsight.store import read_poses, write_poses
 from armsight.store.arm_points import read_arm_points
 from armsight.store.handeye_file import read_pairs
@@ -74,8 +73,8 @@ def check_points(path: Path, tolerance_m: float) -> int:
 
 
 def test_points_of_a_joint_log_in_degrees_on_another_clock(run: Path, tmp_path: Path) -> None:
-    job = JoinJob(measured=run / "points.csv", out=tmp_path / "out.csv", joints=run / "joints.csv", arm="ur10")
-    done = join(replace(job, kind="observed"))
+    known = {"out": tmp_path / "out.csv", "joints": run / "joints.csv", "arm": "ur10"}
+    done = join(run / "points.csv", kind="observed", **known)
     assert done.by == "time" and done.n > 0.9 * done.n_measured
     assert done.offset_std_s is not None and done.offset_std_s < 1e-3
     assert done.offset_s == pytest.approx(-LEAD_S, abs=max(1e-3, 4.0 * done.offset_std_s))
@@ -84,8 +83,8 @@ def test_points_of_a_joint_log_in_degrees_on_another_clock(run: Path, tmp_path: 
 
 
 def test_one_row_for_each_rest(run: Path, tmp_path: Path) -> None:
-    job = JoinJob(measured=run / "poses.csv", out=tmp_path / "p.csv", joints=run / "joints.csv", arm="ur10")
-    done = join(replace(job, still=True, offset_s=-LEAD_S))
+    known = {"out": tmp_path / "p.csv", "joints": run / "joints.csv", "arm": "ur10"}
+    done = join(run / "poses.csv", still=True, offset_s=-LEAD_S, **known)
     assert 2 <= done.n < 10
     assert check_points(tmp_path / "p.csv", 2.5e-4) == done.n  # means of noise of 0.1 mm
     assert (tmp_path / "p.csv").read_text().startswith("q1,q2,q3,q4,q5,q6,x_m,y_m,z_m,qx,qy,qz,qw,t_s\n")
@@ -96,8 +95,8 @@ def test_pairs_for_the_hand_eye_calibration(run: Path, tmp_path: Path, setup: Se
     # the same run seen the other way round is a camera on the hand: T_camera_target = T_target_rig of the file
     file = run / ("poses.csv" if setup is Setup.EYE_TO_HAND else "moved.csv")
     source = {"joints": run / "joints.csv", "arm": "ur10"} if by == "joints" else {"robot_stream": run / "flange.csv"}
-    job = JoinJob(measured=file, out=tmp_path / "pairs.csv", kind="pairs", setup=setup, **source)  # type: ignore[arg-type]
-    done = join(job if by == "stream" else replace(job, offset_s=-LEAD_S))
+    offset_s = None if by == "stream" else -LEAD_S
+    done = join(file, out=tmp_path / "pairs.csv", kind="pairs", setup=setup, offset_s=offset_s, **source)
     assert done.offset_s == pytest.approx(-LEAD_S, abs=1e-3)
     pairs = read_pairs(tmp_path / "pairs.csv")
     want = T_rig_base * pairs.T_base_flange * T_flange_target
@@ -116,14 +115,13 @@ def test_covariances_go_along_in_the_axes_they_were_measured_in(run: Path, tmp_p
         write_poses(tmp_path / name, with_them)
     known = {"offset_s": -LEAD_S, "joints": run / "joints.csv", "arm": "ur10"}
     for setup, name in ((Setup.EYE_TO_HAND, "poses.csv"), (Setup.EYE_IN_HAND, "moved.csv")):
-        job = JoinJob(measured=tmp_path / name, out=tmp_path / "pairs.csv", kind="pairs", setup=setup, **known)  # type: ignore[arg-type]
-        join(job)
+        join(tmp_path / name, out=tmp_path / "pairs.csv", kind="pairs", setup=setup, **known)
         got = read_pairs(tmp_path / "pairs.csv").camera_covariance
         assert got is not None and len(got) == m
         assert np.abs(got / (C + S) - 1.0).max() < 1e-9
     alike = [replace(p, covariance=C[0] + S, systematic_covariance=S) for p in read_poses(run / "poses.csv")]
     write_poses(tmp_path / "alike.csv", alike)
-    join(JoinJob(measured=tmp_path / "alike.csv", out=tmp_path / "p.csv", still=True, **known))  # type: ignore[arg-type]
+    join(tmp_path / "alike.csv", out=tmp_path / "p.csv", still=True, **known)
     header, first = [line.split(",") for line in (tmp_path / "p.csv").read_text().splitlines()[:2]]
     value = dict(zip(header, map(float, first), strict=True))
     k = round(C[0, 0, 1] / value["cov_x_y"])  # the mean is better by its number of rows, but for what repeats
@@ -132,14 +130,12 @@ def test_covariances_go_along_in_the_axes_they_were_measured_in(run: Path, tmp_p
 
 
 def test_an_offset_that_is_known_is_taken(run: Path, tmp_path: Path) -> None:
-    job = JoinJob(
-        measured=run / "poses.csv", out=tmp_path / "p.csv", joints=run / "joints.csv", arm="ur10", offset_s=-LEAD_S
-    )
-    done = join(job)
+    known = {"out": tmp_path / "p.csv", "joints": run / "joints.csv", "arm": "ur10"}
+    done = join(run / "poses.csv", offset_s=-LEAD_S, **known)
     assert (done.offset_s, done.offset_std_s, done.by) == (-LEAD_S, None, "time")
     check_points(tmp_path / "p.csv", 7e-4)
     with refuses(NotEnoughData, "one run"):
-        join(replace(job, offset_s=100.0))
+        join(run / "poses.csv", offset_s=100.0, **known)
 
 
 def test_wrong_calls_are_refused(run: Path, tmp_path: Path) -> None:
@@ -152,5 +148,5 @@ def test_wrong_calls_are_refused(run: Path, tmp_path: Path) -> None:
         {"joints": run / "joints.csv", "arm": "stanford-rrp"},
     ):
         with pytest.raises(UsageError):
-            join(JoinJob(measured=run / "points.csv", out=out, **wrong))  # type: ignore[arg-type]
+            join(run / "points.csv", out=out, **wrong)
     assert not out.exists()

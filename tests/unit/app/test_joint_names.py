@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from armsight.app.sources.joint_names import UNIVERSAL_ROBOTS, columns_of
+from armsight.app.sources.bags import UNIVERSAL_ROBOTS, columns_of
 from armsight.errors import Inconsistent
 from refusals import refuses
 

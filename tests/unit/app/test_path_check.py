@@ -42,15 +42,14 @@ CASES = {
 
 @pytest.mark.parametrize("keep_rotation", [False, True])
 @pytest.mark.parametrize("name", CASES)
-def test_a_check_says_what_play_does(name: str, keep_rotation: bool, tmp_path) -> None:
+def test_a_check_says_what_play_does(name: str, keep_rotation: bool) -> None:
     path = CASES[name]
     try:
         plan, why = plan_path(path, ARM, Limits(), Q, PlaySettings(speed_m_s=0.05, keep_rotation=keep_rotation)), ""
     except ArmsightError as error:
         plan, why = None, error.cause
-    page = tmp_path / "check.html"
-    told = checked(path, ARM, Limits(), speed_m_s=0.05, start=Q, keep_rotation=keep_rotation, out=page, name="p")
+    told = checked(path, ARM, Limits(), speed_m_s=0.05, start=Q, keep_rotation=keep_rotation, page_of="p")
     assert (told.ok, told.refused) == (plan is not None, why)
     assert (plan is None) == (name in ("a jump", "out of reach"))
     assert plan is None or told.play_s == pytest.approx(plan.time_s)
-    assert ("can be run" if told.ok else "cannot be run") in page.read_text()
+    assert ("can be run" if told.ok else "cannot be run") in told.content

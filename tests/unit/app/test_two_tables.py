@@ -1,15 +1,13 @@
 """Commands that read what was measured and what the robot says: units and columns of each table by themselves."""
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 
 import armsight
-from armsight.app.join import join
-from armsight.app.requests.files import JoinJob
 from armsight.app.requests.shared import TwoTableFlags
 from armsight.errors import BadFile, UsageError
+from armsight.ops.files import join
 from refusals import refuses
 
 
@@ -32,19 +30,17 @@ def test_each_table_has_units_and_columns_of_its_own(tmp_path):
     )
     told = []
     flags = TwoTableFlags(columns="measured:t_s,xyz", units="measured:mm;robot:deg")
-    job = JoinJob(
-        measured=measured, joints=joints, arm="ur10", out=tmp_path / "points.csv", table=flags.made(told.append)
-    )
-    join(job)
-    with job.out.open() as file:
+    known = {"joints": joints, "arm": "ur10", "out": tmp_path / "points.csv"}
+    join(measured, **known, table=flags.made(told.append))
+    with known["out"].open() as file:
         rows = list(csv.DictReader(file))
     got = np.array([[float(row[name]) for name in ("x_m", "y_m", "z_m")] for row in rows])
     readings = np.array([[float(row[f"q{k}"]) for k in range(1, 7)] for row in rows])
     assert len(rows) > 300
     assert np.abs(arm.fk(readings)[:, :3, 3] - got).max() < 2e-4
-    both = replace(job, table=TwoTableFlags(columns="t_s,xyz", units="mm").made(told.append))
+    both = TwoTableFlags(columns="t_s,xyz", units="mm").made(told.append)
     with refuses(BadFile, "7 columns"):
-        join(both)
+        join(measured, **known, table=both)
 
 
 def test_a_table_that_is_not_there_is_refused():

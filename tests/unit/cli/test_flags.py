@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from armsight.app.requests import calibrate_cameras, calibrate_robot, files, identify, measure, motion, verify
+from armsight.app.requests import calibrate_cameras, calibrate_robot, identify, measure, motion, verify
 from armsight.app.requests.shared import Table
 from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
@@ -20,7 +20,6 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import Asked
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, known_hints, marks
-from armsight.measure.correspondence import PatchSettings
 from armsight.optics import Plate
 from armsight.store.interpret import TableFormat
 from armsight.units import DEG, MM
@@ -117,7 +116,7 @@ def test_the_help_tells_meaning_unit_and_default_and_the_first_text_of_a_flag_of
 
 REQUESTS = [
     kind
-    for module in (batch, calibrate_cameras, calibrate_robot, files, identify, measure, motion, verify)
+    for module in (batch, calibrate_cameras, calibrate_robot, identify, measure, motion, verify)
     for kind in vars(module).values()
     if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
 ]
@@ -141,8 +140,6 @@ def test_defaults_are_those_of_what_is_asked() -> None:
         (calibrate_cameras.MirrorsJob, "index"): Plate(thickness_m=1e-3).index,
         (calibrate_robot.ArmJob, "tolerance_m"): Tolerance().length_m,
         (calibrate_robot.ArmJob, "tolerance_rad"): Tolerance().angle_rad,
-        (files.PicksJob, "pick_std_px"): PatchSettings().pick_std_px,
-        (files.PicksJob, "patch_px"): 2 * PatchSettings().half_px + 1,
     }
     for (kind, name), value in same.items():
         assert default(kind, name) == value, name

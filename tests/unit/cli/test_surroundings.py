@@ -44,7 +44,7 @@ import armsight.app.kinematics as kinematics
 def fail(*_):
     raise ZeroDivisionError("odd \\udcff")
 
-kinematics.write_poses_of_joints = fail
+kinematics.read_values = fail
 from armsight.cli import main
 main()
 """

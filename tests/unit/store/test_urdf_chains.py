@@ -9,10 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from armsight.app.arm_files import arm_file, arm_source, load_arm
-from armsight.app.kinematics import read_values, write_poses_of_joints
+from armsight.app.kinematics import read_values
 from armsight.cli.commands import app
 from armsight.errors import BadFile, UsageError
 from armsight.kinematics import fk
+from armsight.ops import kinematics
 from armsight.store.urdf import arm_from_urdf
 from refusals import names_it, refuses
 
@@ -132,7 +133,7 @@ def test_a_log_needs_no_column_of_a_joint_that_mimics(tmp_path: Path, names: tup
     np.testing.assert_allclose(found[:, 0, 3] + 1j * found[:, 1, 3], places, atol=1e-9)
     np.testing.assert_allclose(np.exp(1j * turns[:, 3]), found[:, 0, 0] + 1j * found[:, 1, 0], atol=1e-9)
 
-    write_poses_of_joints(str(tmp_path / "arm.urdf"), tmp_path / "q.csv", tmp_path / "poses.csv")
+    kinematics.fk(tmp_path / "arm.urdf", tmp_path / "q.csv", tmp_path / "poses.csv")
     words = ["verify", "--measured", tmp_path / "poses.csv", "--joints", tmp_path / "q.csv", "-o", tmp_path / "v"]
     done = CliRunner().invoke(app, [str(word) for word in (*words, "--arm", tmp_path / "arm.urdf")])
     assert done.exit_code == 0, done.output

@@ -1,23 +1,24 @@
-"""Two results in; whether they agree, what moved by how much, and a report out."""
+"""Two results in: whether they agree, what moved by how much, and a report of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from armsight.app.compare.calibrations import (
     Compared,
     Effect,
+    Judgement,
     compare_arms,
     compare_cameras,
     compare_handeyes,
     compare_rigs,
+    judged,
+    judged_singly,
 )
-from armsight.app.compare.parameters import Judgement, judged, judged_singly
 from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
-from armsight.app.requests.files import CompareJob
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.file_names import ARM, COMPARE, HANDEYE, POSES, REPORT, RIG, VERIFY
@@ -26,6 +27,7 @@ from armsight.records.result_parts import Difference
 from armsight.records.verdict import MEANING, Verdict
 from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.report.html import page_unit
+from armsight.shown import Shown, Table, digits
 from armsight.store import write_text
 from armsight.store.arm_file import ARM_FORMAT
 from armsight.store.atomic import write_json
@@ -82,32 +84,88 @@ class CompareOutput(Output):
     ] = None
     notes: Annotated[list[str], Doc("What to know.")]
     report: Annotated[str | None, Doc("The report; with -o.")] = None
+    course: Course | None
 
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         level, headline, todo = LEVELS[self.agree]
         return Verdict(level=level, headline=headline, reasons=[self.verdict], next=[todo])
 
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        rows = []
+        for one in self.parameters:
+            unit, factor = displayed(one.unit)
+            std = None if one.std is None else one.std / factor
+            sigmas = "-" if one.sigmas is None else f"{one.sigmas:+.1f}"
+            shown = (digits(one.a / factor, 6), digits(one.difference / factor), digits(std, 2))
+            rows.append([_name(one), *shown, sigmas, unit])
+        yield self.verdict
+        yield Table(f"B less A, {self.kind}", ["", "A", "B less A", "+-", "sigma", "unit"], rows)
+        for effect in self.effects:
+            unit, factor = displayed(effect.unit)
+            yield f"  {effect.name}: {digits(effect.value / factor)} {unit}".rstrip()
+        for text in self.notes:
+            yield f"Note: {text}"
+        if self.report is not None:
+            yield f"Results: {Path(self.report).parent}; open {self.report}"
 
-def compare(job: CompareJob) -> CompareOutput:
-    """Compare two results of one kind; write the report where a folder is given; return what --json gives.
+    def write(self, folder: Path) -> None:
+        """Write compare.json and report.html."""
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / COMPARE, self.to_dict())
+        write_text(folder / REPORT, compare_report(self._run()))
+
+    def _run(self) -> CompareRun:
+        rows = []
+        for one in self.parameters:
+            unit, factor = displayed(one.unit)
+            rows.append(replace(one, name=_name(one)).in_unit(page_unit(unit), factor))
+        return CompareRun(
+            kind=self.kind,
+            a=self.a,
+            b=self.b,
+            verdict=self.verdict_,
+            p=self.p,
+            rows=rows,
+            effects=[(one.name, _shown(one.value, one.unit)) for one in self.effects],
+            notes=self.notes,
+            course=self.course,
+        )
+
+
+def _name(one: Difference) -> str:
+    """Return a number's name without its unit."""
+    return one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
+
+
+@dataclass(frozen=True, slots=True)
+class GivenResult:
+    """A result's file or folder, and what it is called."""
+
+    path: Path
+    name: str
+
+
+def compared(a: GivenResult, b: GivenResult, distance_m: float | None, out: Path | None) -> CompareOutput:
+    """Compare two results of one kind.
 
     Raises UsageError for a path that holds no result, Inconsistent for two kinds or two things, DataRefused.
     """
-    (kind, a), (other, b) = _result(job.a), _result(job.b)
+    (kind, first), (other, second) = _result(a.path), _result(b.path)
     if kind != other:
         raise Inconsistent(
-            f"{job.a} is a result of kind {kind} and {job.b} of kind {other}",
+            f"{a.name} is a result of kind {kind} and {b.name} of kind {other}",
             consequence="Nothing was compared",
             cure="Give two results of one kind",
         )
-    tracks = compare_tracks(a, b) if kind == "measure" else None
-    found = tracks.compared if tracks is not None else _compared(kind, a, b, job.distance_m)
+    tracks = compare_tracks(first, second) if kind == "measure" else None
+    found = tracks.compared if tracks is not None else _compared(kind, first, second, distance_m)
     judgement = _judgement(kind, found, tracks)
-    done = CompareOutput(
+    return CompareOutput(
         kind=kind,
-        a=str(job.a),
-        b=str(job.b),
+        a=a.name,
+        b=b.name,
         agree=judgement.agree,
         verdict=_warned_verdict(found, judgement, tracks),
         p=judgement.p,
@@ -117,13 +175,9 @@ def compare(job: CompareJob) -> CompareOutput:
         same_rig=None if tracks is None else tracks.shared.rig,
         same_target=None if tracks is None else tracks.shared.target,
         notes=list(found.notes),
-        report=None if job.out is None else str(job.out / REPORT),
+        report=None if out is None else str(out / REPORT),
+        course=None if tracks is None else Course(t_s=tracks.t_s, values=tracks.values, std=tracks.std),
     )
-    if job.out is not None:
-        job.out.mkdir(parents=True, exist_ok=True)
-        write_json(job.out / COMPARE, done.to_dict())
-        write_text(job.out / REPORT, compare_report(_run(done, tracks)))
-    return done
 
 
 def _result(path: Path) -> tuple[str, Path]:
@@ -210,22 +264,3 @@ def _shown(value: float, unit: str) -> str:
     shown, factor = displayed(unit)
     text = f"{value / factor:.3g}" if abs(value) > NOTHING else "0"
     return f"{text} {shown}".strip()
-
-
-def _run(done: CompareOutput, tracks: Tracks | None) -> CompareRun:
-    rows = []
-    for one in done.parameters:
-        unit, factor = displayed(one.unit)
-        name = one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
-        rows.append(replace(one, name=name).in_unit(page_unit(unit), factor))
-    return CompareRun(
-        kind=done.kind,
-        a=done.a,
-        b=done.b,
-        verdict=done.verdict_,
-        p=done.p,
-        rows=rows,
-        effects=[(one.name, _shown(one.value, one.unit)) for one in done.effects],
-        notes=done.notes,
-        course=None if tracks is None else Course(t_s=tracks.t_s, values=tracks.values, std=tracks.std),
-    )

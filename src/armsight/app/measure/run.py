@@ -18,11 +18,16 @@ from armsight.app.measure.free_output import measure_free
 from armsight.app.measure.outputs import Outputs, made_with
 from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
-from armsight.app.measure.zoom import with_zoom, zoom_facts, zoomed_rig
 from armsight.app.requests.measure import MeasureJob
 from armsight.app.sources.bags import origin_ns
-from armsight.app.sources.frame_times import frame_times
-from armsight.app.sources.frames import complex_pairs, is_recording, open_pairs, open_source, recordings_in
+from armsight.app.sources.frames import (
+    complex_pairs,
+    frame_times,
+    is_recording,
+    open_pairs,
+    open_source,
+    recordings_in,
+)
 from armsight.drivers import (
     CameraSettings,
     PairSettings,
@@ -39,19 +44,22 @@ from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.poses.setup import SLACK_PX, rig_slack_px
-from armsight.measure.results import MeasureOutput
+from armsight.measure.results import MeasureOutput, ZoomAt
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
 from armsight.measure.verdict import grounds_of
-from armsight.optics import Rig, RigKind
+from armsight.optics import SIDES, Rig, RigKind, ZoomState, at_zoom
 from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
-from armsight.store import World, parse_board, read_target, read_world
+from armsight.store import World, parse_board, read_target, read_world, read_zoom_rig
 from armsight.store.atomic import write_json
 
 Pair = tuple[Frame, Frame]
 
 SWAPPED_ENOUGH = 3
 """Pairs at the start of a run that look exchanged before it is refused: one may do so by a reflection."""
+
+Zoomed = dict[str, ZoomState]
+"""The state of each camera that zooms, by left and right."""
 
 MEASURING = "measuring"
 TIMINGS = ("auto", "pairs", "free")
@@ -78,19 +86,19 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
     DataRefused or DeviceFailed, Cancelled.
     """
-    target, (rig, zoomed) = target_of(job.target), zoomed_rig(job.rig, job.zoom)
+    target, (rig, zoomed) = target_of(job.target), _zoomed_rig(job.rig, job.zoom)
     world = read_world(job.world) if job.world else None
     settings, slack_px = _settings(job, target), rig_slack_px(rig) if zoomed else SLACK_PX
     if _free(job, rig):
         if job.bits is not None:
             raise UsageError("--bits is for frames in pairs, and these cameras run free", cure="Give --timing pairs")
         setup = Setup(rig=rig, target=target, settings=settings, slack_px=slack_px)
-        return with_zoom(measure_free(job, setup, world, progress or Silent()), zoomed, job.out)
+        return _with_zoom(measure_free(job, setup, world, progress or Silent()), zoomed, job.out)
     times = frame_times(job.left or job.image, job.times, job.fps)
     pairs, overlaid = _pairs(job, rig, target, times.times_s)
     setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid, slack_px=slack_px)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
-    facts += ([("place of the rig", str(job.world))] if job.world else []) + zoom_facts(zoomed)
+    facts += ([("place of the rig", str(job.world))] if job.world else []) + _zoom_facts(zoomed)
     facts += [("time of the frames", times.source)] if times.source and not job.stills else []
     zero_ns = origin_ns(job.left or job.image)
     facts += [("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}")] if zero_ns is not None else []
@@ -105,7 +113,7 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
         about=About(facts=facts, assumed_fps=fps, stills=job.stills, recordings=recorded),
         stills=job.stills,
     )
-    return with_zoom(summary, zoomed, job.out)
+    return _with_zoom(summary, zoomed, job.out)
 
 
 def run(
@@ -319,3 +327,42 @@ def _total(total: int | None, limit: int | None) -> int:
 
 def _generator(pairs: PairSource) -> Generator[Pair, None, None]:
     yield from pairs
+
+
+def _zoomed_rig(path: Path, zoom: tuple[float | None, float | None]) -> tuple[Rig, Zoomed]:
+    """Return the rig in a file at these zooms. Raises as store.read_rig."""
+    found = at_zoom(read_zoom_rig(path), zoom)
+    states = zip(SIDES, found.states, strict=True)
+    return found.rig, {side: state for side, state in states if state is not None}
+
+
+def _zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
+    """Return the lines that a report says of the lenses."""
+    return [
+        (
+            f"zoom, {side}",
+            f"{state.zoom:g}, {'between settings' if state.interpolated else 'as calibrated'}: focal length "
+            f"{state.camera.intrinsics[0]:.2f} +- {state.covariance.std()['fx']:.2g} px",
+        )
+        for side, state in zoomed.items()
+    ]
+
+
+def _with_zoom(summary: MeasureOutput, zoomed: Zoomed, out: Path) -> MeasureOutput:
+    """Return the figures of a run with those of its zoom lenses, and write them; as they are where there are none."""
+    if not zoomed:
+        return summary
+    cameras = {
+        side: ZoomAt(
+            zoom=state.zoom,
+            interpolated=state.interpolated,
+            fx_px=float(state.camera.intrinsics[0]),
+            fx_std_px=state.covariance.std()["fx"],
+            fx_interpolation_px=state.interpolation["fx"],
+            pupil_m=state.pupil_m,
+        )
+        for side, state in zoomed.items()
+    }
+    extended = replace(summary, zoom=cameras)
+    write_json(out / MEASURE, extended.to_dict())
+    return extended

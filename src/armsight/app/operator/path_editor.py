@@ -193,16 +193,17 @@ def check_path(asked: PlayRequest, robot: RobotCell, editor: PathEditor) -> Path
     arm = robot.session.arm
     if arm is None:
         raise NotEnoughData("the robot's arm is not known", consequence="Its path is not checked")
-    return checked(
+    found = checked(
         editor.require(),
         arm,
         robot.limits,
         speed_m_s=asked.speed_m_s,
         start=robot.joints(),
         keep_rotation=asked.keep_rotation,
-        out=asked.folder / "path-check.html",
-        name=FILE,
+        page_of=FILE,
     )
+    found.write(asked.folder / "path-check.html")
+    return found
 
 
 def play(

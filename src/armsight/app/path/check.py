@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import load_arm
-from armsight.app.kinematics import reading_values
-from armsight.app.play.play_job import tipped
 from armsight.control.guard import Limits
 from armsight.control.paths import PathIssue, check_path
 from armsight.control.paths.check import SLOWED
@@ -21,17 +18,19 @@ from armsight.errors import ArmsightError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
-from armsight.records.output import Output, output
+from armsight.records.output import output
 from armsight.report.path_report import path_report
-from armsight.store.atomic import write_text
-from armsight.store.limits_file import read_limits
-from armsight.store.path_file import read_path
+from armsight.shown import Shown
+from armsight.store.outputs import TextOutput
+
+SHOWN = 20
+"""Issues that a terminal tells."""
 
 Array = NDArray[np.float64]
 
 
 @output
-class PathCheckOutput(Output):
+class PathCheckOutput(TextOutput):
     """armsight path check."""
 
     arm: Annotated[str, Doc("The arm's name.")]
@@ -48,29 +47,21 @@ class PathCheckOutput(Output):
     issues: Annotated[tuple[PathIssue, ...], Doc("All trouble, row by row.")]
     start_q: Annotated[list[float] | None, Doc("Readings at the first row, rad or m; null where not reached.")]
 
+    @property
+    def exit_code(self) -> int:
+        """With which a command ends."""
+        return 0 if self.ok else 3
 
-def check(
-    source: Path,
-    arm: str,
-    *,
-    tip: Path | None = None,
-    limits: Path | None = None,
-    parent: str = "world",
-    speed_m_s: float | None = None,
-    start: str | None = None,
-    out: Path | None = None,
-) -> PathCheckOutput:
-    """Tell what is wrong with a path for an arm; out: a page with the picture of it.
-
-    tip: tip.yaml, in flange axes; None: the arm's tool. parent: the frame of the path, world or base. speed_m_s: where
-    the path leaves it open. start: readings where the arm stands, as 0,-1.2,0.4 or a joints.csv. Raises BadFile,
-    UsageError, NotEnoughData.
-    """
-    path = read_path(source, parent=parent)
-    model = tipped(load_arm(arm), tip)
-    kept = Limits() if limits is None else read_limits(limits)
-    first = None if start is None else reading_values(model, start)
-    return checked(path, model, kept, speed_m_s=speed_m_s, start=first, out=out, name=source.name)
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        for issue in self.issues[:SHOWN]:
+            yield f"  {issue.text}"
+        if len(self.issues) > SHOWN:
+            yield f"  ... and {len(self.issues) - SHOWN} more"
+        verdict = "can run the path" if self.ok else f"cannot run the path as it is ({self.refused})"
+        if self.ok and self.issues:
+            verdict += ", slower than asked where that is told"
+        yield f"{self.arm} {verdict}: {self.n_reached} of {self.n} rows reached, {self.duration_s:.2f} s"
 
 
 def checked(
@@ -81,12 +72,12 @@ def checked(
     speed_m_s: float | None = None,
     start: Array | None = None,
     keep_rotation: bool = False,
-    out: Path | None = None,
-    name: str,
+    page_of: str | None = None,
 ) -> PathCheckOutput:
-    """Tell what is wrong with a path of this name for an arm that stands at start (n,), as check does.
+    """Tell what is wrong with a path for an arm that stands at start (n,); page_of: its name, where a page shows it.
 
-    Whether it can be run is what play's own plan says, from start, or from the path's first row where that is None.
+    speed_m_s: where the path leaves it open. Whether it can be run is what play's own plan says, from start, or from
+    the path's first row where that is None. Raises UsageError, NotEnoughData.
     """
     if keep_rotation and start is not None:
         path = _turned_as(path, arm, start)
@@ -98,8 +89,7 @@ def checked(
     plan, refused = _planned(path, arm, limits, stand, settings)
     if plan is not None:
         found = replace(found, issues=tuple(issue for issue in found.issues if issue.trouble in SLOWED))
-    if out is not None:
-        write_text(out, path_report(path, arm, limits, found, name=name, refused=refused))
+    page = "" if page_of is None else path_report(path, arm, limits, found, name=page_of, refused=refused)
     return PathCheckOutput(
         arm=arm.name,
         ok=plan is not None,
@@ -112,6 +102,7 @@ def checked(
         troubles=dict(Counter(issue.trouble.value for issue in found.issues)),
         issues=found.issues,
         start_q=found.q[0].tolist() if len(found.q) else None,
+        content=page,
     )
 
 

@@ -1,27 +1,26 @@
-"""A path.csv from two pictures of a scene at rest and what a person picked in one of them."""
+"""A path from two pictures of a scene at rest and what a person picked in one of them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.requests.files import PicksJob
-from armsight.control.paths.along import along_edges, path_through_points
-from armsight.drivers.images import read_image
+from armsight.control.paths.along import path_through_points
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
 from armsight.fields import Doc
-from armsight.measure.correspondence import Correspondence, StereoViews, find_in_other_view
-from armsight.records import Progress
+from armsight.measure.correspondence import Correspondence, PatchSettings, StereoViews, find_in_other_view
+from armsight.records import Progress, TaughtPath
 from armsight.records.output import Output, output
 from armsight.records.result_parts import PointStd
+from armsight.shown import Shown
 from armsight.store.path_file import write_path
-from armsight.store.picks_file import read_picks
-from armsight.store.rigs import read_rig
-from armsight.store.worlds import read_world
+from armsight.store.worlds import World
 
 Array = NDArray[np.float64]
 
@@ -65,76 +64,91 @@ class PathPicksOutput(Output):
     length_m: Annotated[float, Doc("Length of the path, m.")]
     points: Annotated[list[PickedPointOutput], Doc("The points of the path.")]
     refused: Annotated[list[RefusedPickOutput], Doc("Places left out with --skip.")]
+    taught: TaughtPath
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        for refused in self.refused:
+            yield f"  pick {refused.pick} left out: {refused.why}"
+        if self.frame == "rig":
+            yield "The path is in the rig's own axes: no arm can take it so. Give --world for one in world or base."
+        yield f"{self.n} points, {self.length_m:.4f} m, in {self.frame} axes: {self.file}"
+
+    def write(self, path: Path) -> None:
+        """Write path.csv."""
+        write_path(path, self.taught)
 
 
-def path_from_picks(job: PicksJob, progress: Progress) -> PathPicksOutput:
-    """Write the path through the places that were picked, in their order.
+Place = tuple[int, Array]
+"""A row of picks.csv, and a place of it or on its edge, px."""
+Found = list[tuple[int, Correspondence]]
+Refused = list[tuple[int, Array, DataRefused]]
 
-    Raises the first pick's own refusal, with how many there are, where one is not found and skip is not set;
-    NotEnoughData where fewer than two are; UsageError, BadFile, BadImage, Inconsistent.
+
+def find_places(
+    places: Sequence[Place], views: StereoViews, side: str, settings: PatchSettings, skip: bool, progress: Progress
+) -> tuple[Found, Refused]:
+    """Return the places of one view that were found in the other one, and those that were not, with the reason.
+
+    Raises the first refusal, with how many there are, where skip is not set; NotEnoughData where fewer than two are
+    found.
     """
-    settings = job.settings  # refused before anything is read
-    views = StereoViews(rig=read_rig(job.rig), left=read_image(job.left), right=read_image(job.right))
-    picks = read_picks(job.picks)
-    parent, T = _frame(job)
-    axis = _axis(job, views, T)
-    uv, rows = along_edges(picks.uv_px, picks.edges, job.step_px)
-    found: list[tuple[int, Correspondence]] = []
-    refused: list[tuple[int, Array, DataRefused]] = []
-    for number, (px, row) in enumerate(zip(uv, rows, strict=True)):
+    found, refused = [], []
+    for number, (row, px) in enumerate(places):
         if progress.cancelled():
             raise Cancelled("stopped", consequence="No path is written")
         try:
-            found.append((int(row), find_in_other_view(views, job.side, px, settings)))
+            found.append((row, find_in_other_view(views, side, px, settings)))
         except DataRefused as error:
-            refused.append((int(row), px, error))
-        progress.update(number + 1, len(uv))
-    if refused and (len(found) < 2 or not job.skip):
-        raise _refusal(refused, len(uv))
+            refused.append((row, px, error))
+        progress.update(number + 1, len(places))
+    if refused and (len(found) < 2 or not skip):
+        raise _refusal(refused, len(places))
     if len(found) < 2:
         raise NotEnoughData(
-            f"{len(found)} of {len(uv)} places are found", consequence="They make no path", cure="Pick others"
+            f"{len(found)} of {len(places)} places are found", consequence="They make no path", cure="Pick others"
         )
-    path = path_through_points(T.apply(np.array([one.xyz_m for _, one in found])), axis, parent=parent)
-    write_path(job.out, path)
+    return found, refused
+
+
+def path_of_places(
+    found: Found, refused: Refused, n_picks: int, stand: World, axis: Array, out: Path | None
+) -> PathPicksOutput:
+    """Return the path through places, in their order; stand: the rig's; axis: the tool's z in the path's frame."""
+    T = stand.T_parent_rig
+    path = path_through_points(T.apply(np.array([one.xyz_m for _, one in found])), axis, parent=stand.parent)
     R = T.rotation.as_matrix()
     return PathPicksOutput(
-        file=str(job.out),
-        frame=parent,
+        file=str(out),
+        frame=stand.parent,
         n=len(path),
-        n_picks=len(picks.uv_px),
+        n_picks=n_picks,
         length_m=float(path.length_m[-1]),
         points=[_point(row, one, xyz, R) for (row, one), xyz in zip(found, path.xyz_m, strict=True)],
         refused=[
             RefusedPickOutput(pick=row, u_px=px[0], v_px=px[1], kind=type(error).__name__, why=error.cause)
             for row, px, error in refused
         ],
+        taught=path,
     )
 
 
-def _frame(job: PicksJob) -> tuple[str, RigidTransform]:
-    if job.world is None:
-        return "rig", RigidTransform.identity()
-    world = read_world(job.world)
-    return world.parent, world.T_parent_rig
-
-
-def _axis(job: PicksJob, views: StereoViews, T: RigidTransform) -> Array:
-    """Return the tool's z in the path's frame."""
-    if job.tool_axis is None:
-        if job.side not in ("left", "right"):
-            raise UsageError(f"the view {job.side!r} is neither left nor right")
-        return np.asarray((T * views.rig.T_rig_camera(job.side)).rotation.as_matrix()[:, 2])
+def axis_of(text: str | None, views: StereoViews, side: str, T: RigidTransform) -> Array:
+    """Return the tool's z in the path's frame: as written, or the optical axis of a view. Raises UsageError."""
+    if text is None:
+        if side not in ("left", "right"):
+            raise UsageError(f"the view {side!r} is neither left nor right")
+        return np.asarray((T * views.rig.T_rig_camera(side)).rotation.as_matrix()[:, 2])
     try:
-        axis = np.array([float(part) for part in job.tool_axis.split(",")])
+        axis = np.array([float(part) for part in text.split(",")])
     except ValueError:
         axis = np.empty(0)
     if axis.shape != (3,) or not math.isfinite(float(np.sum(axis))):
-        raise UsageError(f"{job.tool_axis[:40]!r} is no axis", cure="Give three numbers, for instance 0,0,-1")
+        raise UsageError(f"{text[:40]!r} is no axis", cure="Give three numbers, for instance 0,0,-1")
     return axis
 
 
-def _refusal(refused: list[tuple[int, Array, DataRefused]], total: int) -> DataRefused:
+def _refusal(refused: Refused, total: int) -> DataRefused:
     """Return the first refusal, told for all."""
     first = refused[0][2]
     causes = "; ".join(f"pick {k}: {error.cause}" for k, _, error in refused[:TOLD])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.measure.run import target_of
@@ -54,10 +54,12 @@ def check(job: PlayJob) -> None:
 
 def tipped(arm: Arm, tip: Path | None) -> Arm:
     """Return the arm with its tool's frame moved to the tip of a tip.yaml, in flange axes. Raises BadFile."""
-    if tip is None:
-        return arm
-    T = RigidTransform.from_components(read_tip(tip).tip_m, arm.T_flange_tool.rotation)
-    return replace(arm, T_flange_tool=T)
+    return arm if tip is None else with_tip(arm, read_tip(tip).tip_m)
+
+
+def with_tip(arm: Arm, tip_m: NDArray[np.float64]) -> Arm:
+    """Return the arm with its tool's frame moved to tip_m (3,), in flange axes."""
+    return replace(arm, T_flange_tool=RigidTransform.from_components(tip_m, arm.T_flange_tool.rotation))
 
 
 def tipped_guard(guard: Guard, tip: Path | None) -> Guard:

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from armsight.app.requests import calibrate_cameras as calibrate_cameras
     from armsight.app.requests import calibrate_cell as calibrate_cell
     from armsight.app.requests import calibrate_robot as calibrate_robot
-    from armsight.app.requests import files as files
     from armsight.app.requests import identify as identify
     from armsight.app.requests import measure as measure
     from armsight.app.requests import motion as motion

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -17,11 +18,13 @@ import cv2
 import numpy as np
 
 from armsight import drivers
+from armsight._files import real_path
 from armsight.app.sources.bags import BagFrames
 from armsight.clock import Clock
 from armsight.drivers import (
     AS_THEY_ARE,
     AUTOMATIC,
+    FPS,
     CameraSettings,
     FrameSource,
     ImageReading,
@@ -36,14 +39,17 @@ from armsight.drivers import (
     ended_early,
     frame_period_s,
     is_video,
+    list_images,
 )
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame
+from armsight.store import read_times
 from armsight.store.bags import is_bag
 from armsight.store.recording import Recording
 
+TIMES = "times.csv"
 SOURCE = re.compile(r"(.+\.mcap)(?::([\w-]+))?", re.IGNORECASE | re.DOTALL)
 """REC.mcap or REC.mcap:CAMERA."""
 
@@ -328,3 +334,35 @@ def _require_both(frame: Frame, left: tuple[int, int], right: tuple[int, int]) -
         consequence="The image cannot be taken for its two views",
         cure="Give the rig that was calibrated with this camera at this resolution",
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameTimes:
+    """times_s: of each image, or none. assumed_fps: frames a second where nothing tells. told: in a few words."""
+
+    times_s: list[float] | None = None
+    assumed_fps: float | None = None
+    source: str = ""
+
+
+def frame_times(source: str | None, given: Path | None, fps: float | None) -> FrameTimes:
+    """Return the times of a source's frames; given: the table that the person named, fps: the rate.
+
+    Without either, a folder's images have the times of a times.csv in the folder, or of one beside it with as many
+    rows as there are images; else their rate is assumed. Sources that bring their own times keep them. Raises BadFile.
+    """
+    if given is not None:
+        return FrameTimes(times_s=read_times(given).tolist(), source=str(given))
+    if fps is not None:
+        return FrameTimes(source=f"{fps:g} frames a second, as given")
+    folder = None if source is None else Path(source)
+    if folder is None or not folder.is_dir():
+        return FrameTimes()
+    if (folder / TIMES).is_file():
+        return FrameTimes(times_s=read_times(folder / TIMES).tolist(), source=str(folder / TIMES))
+    beside = real_path(folder).parent / TIMES
+    if beside.is_file():
+        times_s = read_times(beside).tolist()
+        if len(times_s) == len(list_images(str(folder))):
+            return FrameTimes(times_s=times_s, source=str(beside))
+    return FrameTimes(assumed_fps=FPS, source=f"assumed, {FPS:g} frames a second")

@@ -13,7 +13,6 @@ from armsight.app.operator.path_editor import JOB_NAME, TOOLS, PathEditor, PlayR
 from armsight.app.operator.teach_controller import TeachController
 from armsight.app.path.check import PathCheckOutput
 from armsight.app.play.play_path import PlayOutput
-from armsight.app.requests.files import SmoothJob
 from armsight.app.requests.motion import PlayJob
 from armsight.console import texts
 from armsight.console.layout import (
@@ -35,6 +34,8 @@ from armsight.console.routes import page_name
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.console.work import Working, jog_card
+from armsight.console.visitors import page_name
+from armsight.defaults import SMOOTHING_M
 from armsight.errors import ArmsightError
 from armsight.records import TaughtPath
 from armsight.units import MM
@@ -43,7 +44,7 @@ SLOW_S = 0.5
 """Time between two drawings of the tracks."""
 FIGURE = 2.0
 """Of a tool for paths, mm or deg, where the command has no default of its own."""
-FIGURES = {"smooth": SmoothJob.bound_m / MM}
+FIGURES = {"smooth": SMOOTHING_M / MM}
 LISTED = 100
 """Rows of a path that a page lists."""
 

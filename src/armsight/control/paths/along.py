@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
+from armsight.defaults import PATH_GAP_M, PATH_GAP_RAD
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.units import DEG
@@ -196,8 +197,6 @@ def path_through_points(xyz_m: Array, tool_axis: Array, *, parent: str) -> Taugh
     return TaughtPath.of_poses(RigidTransform.from_components(xyz_m, turns), parent=parent)
 
 
-GAP_M = 1e-3
-GAP_RAD = 5.0 * DEG
 LEAST_RAD = 5.0 * DEG
 """Between the tool's axis and the path's direction; below it the plane of both is not known."""
 MOST_TILT_RAD = 80.0 * DEG
@@ -278,7 +277,9 @@ def reversed_path(path: TaughtPath) -> TaughtPath:
     )
 
 
-def joined(first: TaughtPath, second: TaughtPath, *, gap_m: float = GAP_M, gap_rad: float = GAP_RAD) -> TaughtPath:
+def joined(
+    first: TaughtPath, second: TaughtPath, *, gap_m: float = PATH_GAP_M, gap_rad: float = PATH_GAP_RAD
+) -> TaughtPath:
     """Return both paths one after the other, without times.
 
     Where the ends are at one position the second's first row is left out, and its tag and speed go to the row before

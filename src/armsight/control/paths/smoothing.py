@@ -14,6 +14,7 @@ from scipy.interpolate import make_splprep
 from scipy.spatial.transform import Rotation
 
 from armsight.control.paths.along import corners, moving, poses_at, positions_at, positive, with_poses
+from armsight.defaults import SMOOTHING_M, SMOOTHING_RAD
 from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.records import TaughtPath
 from armsight.units import DEG
@@ -135,7 +136,6 @@ def _tags(path: TaughtPath, s: Array, lengths: Array) -> tuple[str, ...]:
     return tuple(tags)
 
 
-BOUND_M, BOUND_RAD = 5e-4, 1.0 * DEG
 LEAST_ROWS = 9
 """A stretch between corners of fewer rows holds no noise that could be told from its shape."""
 ROUNDS = 6
@@ -147,7 +147,11 @@ MAD = 0.6745
 
 
 def smoothed(
-    path: TaughtPath, *, bound_m: float = BOUND_M, bound_rad: float = BOUND_RAD, keep: Sequence[int] | None = None
+    path: TaughtPath,
+    *,
+    bound_m: float = SMOOTHING_M,
+    bound_rad: float = SMOOTHING_RAD,
+    keep: Sequence[int] | None = None,
 ) -> TaughtPath:
     """Return the path smoothed between its corners (the rows keep; `corners` where None), row for row.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.defaults import PICK_STD_PX
+from armsight.defaults import PATCH_PX, PICK_STD_PX
 from armsight.errors import Ambiguous, DataRefused, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.correspondence.refine import Patch, Refined, StereoViews, correlation, refined
 from armsight.optics import triangulate
@@ -39,7 +39,7 @@ class PatchSettings:
     calibration.
     """
 
-    half_px: int = 7
+    half_px: int = PATCH_PX // 2
     near_m: float | None = None
     far_m: float | None = None
     pick_std_px: float = PICK_STD_PX
