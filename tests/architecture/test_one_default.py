@@ -30,7 +30,6 @@ from armsight.cli.command import Command
 from armsight.cli.commands import app
 from armsight.cli.flags import OneFlag, Parts
 from armsight.control.joint_sweep import Pace
-from armsight.control.paths import along, smoothing
 from armsight.control.play import PlaySettings
 from armsight.control.servo import ServoSettings
 from armsight.control.session.operator_session import FIRST_OVERRIDE

@@ -208,7 +208,8 @@ def extra_noise(residual: Array, measurement: Array, n_parameters: int) -> Array
 def fit_model(model: Model, guess: Array, free: Collection[str], settled: float = 1e-10) -> ModelFit:
     """Return the free parameters by maximum likelihood, gross errors held down, the unexplained noise estimated.
 
-    settled: share of the cost by which the last step lowers it; more for what is only to be ranked. Parameters that the data leave open stay where they are and are named in the fit. Raises NotConverged.
+    settled: share of the cost by which the last step lowers it; more for what is only to be ranked. Parameters that the
+    data leave open stay where they are and are named in the fit. Raises NotConverged.
     """
     rows = model.rows
     loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, rows))), block=rows)

@@ -34,7 +34,6 @@ from armsight.console.routes import page_name
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.console.work import Working, jog_card
-from armsight.console.visitors import page_name
 from armsight.defaults import SMOOTHING_M
 from armsight.errors import ArmsightError
 from armsight.records import TaughtPath
