@@ -143,7 +143,7 @@ HEADINGS = {
     "armsight_lab.api.batch": "Many runs",
     "armsight_lab.api.design": "Rigs planned",
     "armsight.api.light": "Noise, zoom, mirrors",
-    "armsight.api.hand_eye": "Hand-eye",
+    "armsight.ops.calibrate_hand_eye": "Hand-eye",
     "armsight.ops.calibrate_robot": "Tool tip",
     "armsight.ops.calibrate_cameras": "Targets, timing",
     "armsight.calibrate.light_target": "A target's result",

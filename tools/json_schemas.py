@@ -47,7 +47,7 @@ from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.cameras import StereoCalibration
 from armsight.calibrate.cell import CellCalibration
-from armsight.calibrate.handeye import HandEye
+from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.timing import TimingCalibration
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
@@ -83,7 +83,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-target": TargetResult,
     "calibrate-timing": TimingCalibration,
     "calibrate-cell": CellCalibration,
-    "calibrate-handeye": HandEye,
+    "calibrate-handeye": HandEyeResult,
     "calibrate-tooltip": ToolTipResult,
     "calibrate-pivot": PivotCalibration,
     "calibrate-arm": ArmOutput,

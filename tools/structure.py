@@ -45,6 +45,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "api/motion.py:teach": FLAGS,
         "cli/serve.py:serve": FLAGS,
         "cli/verify.py:verify": FLAGS,
+        "ops/calibrate_*": FLAGS,
     },
     "arguments": {
         "api/*": FLAGS,

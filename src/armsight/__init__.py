@@ -46,10 +46,6 @@ if TYPE_CHECKING:
     from armsight.api.files import read_world as read_world
     from armsight.api.files import write_joints as write_joints
     from armsight.api.files import write_table as write_table
-    from armsight.api.hand_eye import HandEyeResult as HandEyeResult
-    from armsight.api.hand_eye import calibrate_hand_eye as calibrate_hand_eye
-    from armsight.api.hand_eye import calibrate_hand_eye_from_images as calibrate_hand_eye_from_images
-    from armsight.api.hand_eye import calibrate_hand_eye_from_streams as calibrate_hand_eye_from_streams
     from armsight.api.identify import ArmIdentification as ArmIdentification
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
@@ -104,6 +100,7 @@ if TYPE_CHECKING:
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
+    from armsight.calibrate.handeye import HandEyeResult as HandEyeResult
     from armsight.calibrate.light_target import TargetResult as TargetResult
     from armsight.calibrate.timing import TimingResult as TimingResult
     from armsight.calibrate.tooltip_result import ToolTipResult as ToolTipResult
@@ -137,6 +134,7 @@ if TYPE_CHECKING:
     from armsight.measure.settings import SpotSettings as SpotSettings
     from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
     from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
+    from armsight.ops.calibrate_hand_eye import calibrate_hand_eye as calibrate_hand_eye
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
     from armsight.optics import Camera as Camera
@@ -195,16 +193,12 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_zoom_rig",
         "check_mirrors",
     ),
-    "armsight.api.hand_eye": (
-        "HandEyeResult",
-        "calibrate_hand_eye",
-        "calibrate_hand_eye_from_images",
-        "calibrate_hand_eye_from_streams",
-    ),
+    "armsight.ops.calibrate_hand_eye": ("calibrate_hand_eye",),
     "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
     "armsight.ops.calibrate_cameras": ("calibrate_target", "calibrate_timing"),
     "armsight.calibrate.light_target": ("TargetResult",),
     "armsight.calibrate.timing": ("TimingResult",),
+    "armsight.calibrate.handeye": ("HandEyeResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
     "armsight.api.robots": (
         "ArmResult",
@@ -304,6 +298,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
 
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}
 
+_EARLIER = dict.fromkeys(
+    ("calibrate_hand_eye_from_images", "calibrate_hand_eye_from_streams"), "armsight.ops.earlier_names"
+)
+"""Names of earlier versions, which warn and say what to use."""
+
 
 _EXTRAS = {"armsight_lab": "lab"}
 """Distributions of their own, by the extra that brings each."""
@@ -355,17 +354,18 @@ if not TYPE_CHECKING:  # type checkers know the names above, and refuse all othe
     __all__ = sorted(_PLACES)
 
     def __getattr__(name: str) -> Any:
-        if name not in _PLACES:
+        place = _PLACES.get(name) or _EARLIER.get(name)
+        if place is None:
             raise AttributeError(f"module 'armsight' has no attribute {name!r}")
         try:
-            module = import_module(_PLACES[name])
+            module = import_module(place)
         except ModuleNotFoundError as error:
             if error.name not in _EXTRAS:
                 raise
             return _NotInstalled(name, _EXTRAS[error.name])
         value = getattr(module, name, None)
         if value is None:  # a module of the face, such as armsight.paths
-            value = import_module(f"{_PLACES[name]}.{name}")
+            value = import_module(f"{place}.{name}")
         globals()[name] = value
         return value
 

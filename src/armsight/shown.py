@@ -50,6 +50,14 @@ def point_rows(xyz_m: Iterable[float], std_m: Iterable[float]) -> list[list[str]
     return [[axis, digits(value / MM, 6), digits(deviation / MM, 2)] for axis, value, deviation in named]
 
 
+def pose_rows(
+    xyz_m: Iterable[float], rotvec_rad: Iterable[float], std_m: Iterable[float], std_rad: Iterable[float]
+) -> list[list[str]]:
+    """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
+    rows = [[f"{axis}, mm", *rest] for axis, *rest in point_rows(xyz_m, std_m)]
+    return rows + rotation_rows(rotvec_rad, std_rad)
+
+
 def rotation_rows(rotvec_rad: Iterable[float], std_rad: Iterable[float]) -> list[list[str]]:
     """Return the rows of a rotation vector: component and standard deviation in degrees."""
     named = zip("xyz", rotvec_rad, std_rad, strict=True)

@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import (
     Basis,
-    HandEye,
     HandEyeOptions,
+    HandEyeResult,
     PosePairs,
     Setup,
     calibrate_eye_in_hand,
@@ -67,7 +67,7 @@ def cell(
     return pairs(shaken(rng, robot, 0.0, robot_rad), shaken(rng, seen, sigma * 0.3 * MM, sigma * 0.05 * DEG))
 
 
-def off(result: HandEye) -> np.ndarray:
+def off(result: HandEyeResult) -> np.ndarray:
     """Errors (12,) of both poses, translation then rotation vector, in the parent's axes."""
     out = []
     for got, true in ((result.T_parent_camera, X), (result.T_parent_target, Z)):
@@ -75,7 +75,10 @@ def off(result: HandEye) -> np.ndarray:
     return np.concatenate(out)
 
 
-CALIBRATE: dict[bool, Callable[[PosePairs], HandEye]] = {False: calibrate_eye_in_hand, True: calibrate_eye_to_hand}
+CALIBRATE: dict[bool, Callable[[PosePairs], HandEyeResult]] = {
+    False: calibrate_eye_in_hand,
+    True: calibrate_eye_to_hand,
+}
 
 
 @pytest.mark.parametrize("to_hand", [False, True])
@@ -221,7 +224,7 @@ def test_the_next_poses_pay() -> None:
     rng = np.random.default_rng(11)
     given = cell(11, 8, tilt=0.15)
     result = calibrate_eye_in_hand(given)
-    before = max(result.std()[name] for name in ("x_m", "y_m", "z_m"))
+    before = max(result.std[name] for name in ("x_m", "y_m", "z_m"))
     proposals = propose(result, 4)
     assert before > proposals[0].expected_std_m > proposals[-1].expected_std_m
     robot = RigidTransform.from_matrix(np.stack([p.T_base_flange.as_matrix() for p in proposals]))
@@ -233,7 +236,7 @@ def test_the_next_poses_pay() -> None:
         RigidTransform.concatenate([given.T_camera_target, camera]),
     )
     after = calibrate_eye_in_hand(more)
-    assert max(after.std()[name] for name in ("x_m", "y_m", "z_m")) < 0.75 * before
+    assert max(after.std[name] for name in ("x_m", "y_m", "z_m")) < 0.75 * before
     with refuses(Inconsistent, "reach"):
         propose(result, 1, reachable=lambda pose: False)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -29,6 +30,8 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
         return {names()[name]: one for name, one in done.flags().items()}
 
     def run(face: CommandUI, **given: Any) -> None:
+        from armsight.report.pages import page_path
+
         asked = {name: given[word] for name, word in names().items() if word in given}
         result = done.run(asked, face.progress(done.working) if done.working else None)
         for one in result.summary():
@@ -36,7 +39,8 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
                 face.say(one)
             else:
                 face.table(*one)
-        face.say(f"Result: {asked[OUT]}")
+        page = page_path(Path(asked[OUT]), result)
+        face.say(f"Result: {asked[OUT]}" + ("" if page is None else f"; open {page}"))
         face.result(result)
 
     text = (call.__doc__ or "").partition("\n    Parameters\n")[0]

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from armsight import shown
 from armsight.cli.command_ui import CommandUI, own_command
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.shown import REJECTED_SHOWN, digits, point_rows, rotation_rows
+from armsight.shown import REJECTED_SHOWN, digits
 from armsight.units import DEG, MM, MS, displayed_name
 
 if TYPE_CHECKING:
@@ -60,8 +61,8 @@ REASONS = {
 
 def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
-    rows = [[f"{axis}, mm", *rest] for axis, *rest in point_rows(pose.translation.tolist(), std.translation_m)]
-    return rows + rotation_rows(pose.rotation.as_rotvec().tolist(), std.rotation_rad)
+    rotation = pose.rotation.as_rotvec()
+    return shown.pose_rows(pose.translation.tolist(), rotation.tolist(), std.translation_m, std.rotation_rad)
 
 
 def parameter(name: str, *values: float) -> list[str]:

@@ -37,16 +37,24 @@ class Input:
 
     read: 'module:function' of (name, value, given, undo), loaded late; it returns the object of a path or of what
     Python hands over. undo: an ExitStack, for what lasts as long as the action. kind: what the command line takes.
-    hashed: its file's hash goes into what is written.
+    hashed: its file's hash goes into what is written; files:
+    'module:function' of what is given, which lists its files where it is not one itself.
     """
 
     read: str
     kind: type = Path
     hashed: bool = False
+    files: str = ""
 
     def object_of(self, name: str, value: Any, given: Given, undo: contextlib.ExitStack) -> Any:
         """Return the object. Raises UsageError, DataRefused."""
         return loaded(self.read)()(name, value, given, undo)
+
+    def hashed_files(self, value: Any) -> list[Path]:
+        """Return the files whose hashes go into what is written; none for an object."""
+        if not (self.hashed and isinstance(value, str | PathLike)):
+            return []
+        return list(loaded(self.files)()(fspath(value))) if self.files else [Path(fspath(value))]
 
 
 @dataclass(frozen=True)
@@ -95,15 +103,19 @@ class Action:
             result = self.function(**taken)
         out = given.get(OUT)
         if out is not None:
-            from armsight.store.saving import write_result
-
-            write_result(Path(out), result, self._files(given))
+            self._write(Path(out), result, given)
         return result
 
-    def _files(self, given: Given) -> list[Path]:
-        """Return the files whose hashes go into the result, in the order of the parameters."""
-        paths = [given.get(name) for name, one in self.inputs.items() if one.hashed]
-        return [Path(fspath(one)) for one in paths if isinstance(one, str | PathLike)]
+    def _write(self, out: Path, result: Output, given: Given) -> None:
+        """Write the result's file, and its page beside it."""
+        from armsight.report.pages import page_of, page_path
+        from armsight.store import write_text
+        from armsight.store.saving import write_result
+
+        files = [file for name, one in self.inputs.items() for file in one.hashed_files(given.get(name))]
+        write_result(out, result, files)
+        if (page := page_path(out, result)) is not None:
+            write_text(page, page_of(result, files))
 
 
 def action(command: str, *, working: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
@@ -16,7 +17,7 @@ from armsight.kinematics import Arm
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
-from armsight.store.handeye_file import write_tip
+from armsight.store.handeye_file import write_handeye, write_tip
 from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
@@ -54,6 +55,7 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     TaughtPath: {".csv": write_path},
     World: dict.fromkeys(YAML, write_world),
     Limits: dict.fromkeys(YAML, write_limits),
+    HandEyeResult: dict.fromkeys(YAML, write_handeye),
     PivotCalibration: dict.fromkeys(YAML, write_pivot),
     TargetResult: dict.fromkeys(YAML, write_lights),
     TimingResult: dict.fromkeys(YAML, write_timed_rig),
