@@ -136,7 +136,7 @@ def public_names() -> dict[str, tuple[str, ...]]:
 
 HEADINGS = {
     "armsight.api.pose": "Spots and poses",
-    "armsight.api.cell": "Calibrating a whole cell",
+    "armsight.ops.calibrate_cell": "Calibrating a whole cell",
     "armsight.api.tracks": "Tracks",
     "armsight.api.cameras": "Cameras and rigs",
     "armsight.api.runs": "Measure, record, verify, compare, join",

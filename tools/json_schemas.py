@@ -46,7 +46,7 @@ from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.cameras import StereoCalibration
-from armsight.calibrate.cell import CellCalibration
+from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.timing import TimingCalibration
@@ -82,7 +82,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-mirrors-check": MirrorCheckOutput,
     "calibrate-target": TargetResult,
     "calibrate-timing": TimingCalibration,
-    "calibrate-cell": CellCalibration,
+    "calibrate-cell": CellResult,
     "calibrate-handeye": HandEyeResult,
     "calibrate-tooltip": ToolTipResult,
     "calibrate-pivot": PivotCalibration,

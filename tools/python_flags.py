@@ -84,7 +84,6 @@ ANYWHERE: Mapping[str, str] = {
 
 OTHERWISE: Mapping[tuple[str, str], str] = {
     ("verify", "--plan"): "`plan_verification`",
-    ("calibrate cell", "--prior"): "`armsight.calibrate.cell.CellOptions(priors)`",
     ("verify", "--side"): "`plan_verification(side_m)`",
     ("verify", "--speed"): "`plan_verification(speed_m_s)`",
     ("verify", "--live"): "`supervise`",

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from armsight.api.cameras import calibrate_camera as calibrate_camera
     from armsight.api.cameras import calibrate_mirrors as calibrate_mirrors
     from armsight.api.cameras import calibrate_stereo as calibrate_stereo
-    from armsight.api.cell import CellResult as CellResult
-    from armsight.api.cell import calibrate_cell as calibrate_cell
     from armsight.api.convert import convert as convert
     from armsight.api.convert import cut_recording as cut_recording
     from armsight.api.convert import export_recording as export_recording
@@ -100,6 +98,7 @@ if TYPE_CHECKING:
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
+    from armsight.calibrate.cell import CellResult as CellResult
     from armsight.calibrate.handeye import HandEyeResult as HandEyeResult
     from armsight.calibrate.light_target import TargetResult as TargetResult
     from armsight.calibrate.timing import TimingResult as TimingResult
@@ -134,6 +133,7 @@ if TYPE_CHECKING:
     from armsight.measure.settings import SpotSettings as SpotSettings
     from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
     from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
+    from armsight.ops.calibrate_cell import calibrate_cell as calibrate_cell
     from armsight.ops.calibrate_hand_eye import calibrate_hand_eye as calibrate_hand_eye
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
@@ -185,7 +185,6 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight_lab.api.design": ("design",),
     "armsight_lab.api.batch": ("BatchResult", "batch"),
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
-    "armsight.api.cell": ("CellResult", "calibrate_cell"),
     "armsight.api.light": (
         "NoiseResult",
         "ZoomRigResult",
@@ -193,11 +192,13 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_zoom_rig",
         "check_mirrors",
     ),
+    "armsight.ops.calibrate_cell": ("calibrate_cell",),
     "armsight.ops.calibrate_hand_eye": ("calibrate_hand_eye",),
     "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
     "armsight.ops.calibrate_cameras": ("calibrate_target", "calibrate_timing"),
     "armsight.calibrate.light_target": ("TargetResult",),
     "armsight.calibrate.timing": ("TimingResult",),
+    "armsight.calibrate.cell": ("CellResult",),
     "armsight.calibrate.handeye": ("HandEyeResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
     "armsight.api.robots": (

@@ -44,7 +44,7 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
         face.result(result)
 
     text = (call.__doc__ or "").partition("\n    Parameters\n")[0]
-    add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **more))
+    add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, keeps=done.keeps, **more))
 
 
 def _word(name: str, hint: Any) -> str:

@@ -1,4 +1,4 @@
-"""armsight calibrate handeye, tooltip, pivot, arm and robot-world."""
+"""armsight calibrate handeye, cell, tooltip, pivot, arm and robot-world."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from armsight.cli.command import calibrate, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure, parameter, pose_rows
 from armsight.fields import Doc
+from armsight.file_names import CELL
+from armsight.ops.calibrate_cell import calibrate_cell
 from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
 from armsight.ops.calibrate_robot import calibrate_pivot, calibrate_tool_tip
 from armsight.units import MM
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 
 add_action(calibrate, calibrate_hand_eye, filed="calibrate handeye", judged=True)
+add_action(calibrate, calibrate_cell, own=CELL, filed="calibrate cell", judged=True)
 add_action(calibrate, calibrate_tool_tip, filed="calibrate tooltip", judged=True)
 add_action(calibrate, calibrate_pivot, filed="calibrate pivot", judged=True)
 

@@ -11,7 +11,7 @@ from armsight import shown
 from armsight.cli.command_ui import CommandUI, own_command
 from armsight.columns import POSITION, ROTATION_VECTOR
 from armsight.shown import REJECTED_SHOWN, digits
-from armsight.units import DEG, MM, MS, displayed_name
+from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from armsight.records.result_parts import PoseStd, RejectedFile
 
 figure = digits
+parameter = shown.parameter_row
 
 REASONS = {
     "no_spot": "no spot in a view: the lights must be on, and brighter than what is round them",
@@ -63,12 +64,6 @@ def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
     rotation = pose.rotation.as_rotvec()
     return shown.pose_rows(pose.translation.tolist(), rotation.tolist(), std.translation_m, std.rotation_rad)
-
-
-def parameter(name: str, *values: float) -> list[str]:
-    """Return the row of a parameter such as j2.theta_rad: its name with the unit people read, and values in it."""
-    stem, unit, factor = displayed_name(name)
-    return [f"{stem}, {unit}" if unit else stem, *(figure(value / factor, 4) for value in values)]
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, wraps
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
+from armsight._files import real_path
+from armsight.errors import UsageError
 from armsight.fields import Doc, Flags, known_hints, loaded, marks
 
 if TYPE_CHECKING:
@@ -42,7 +44,7 @@ class Input:
     """
 
     read: str
-    kind: type = Path
+    kind: Any = Path
     hashed: bool = False
     files: str = ""
 
@@ -52,18 +54,23 @@ class Input:
 
     def hashed_files(self, value: Any) -> list[Path]:
         """Return the files whose hashes go into what is written; none for an object."""
-        if not (self.hashed and isinstance(value, str | PathLike)):
+        if not self.hashed:
             return []
-        return list(loaded(self.files)()(fspath(value))) if self.files else [Path(fspath(value))]
+        paths = [fspath(one) for one in _each(value) if isinstance(one, str | PathLike)]
+        return [Path(one) for path in paths for one in (loaded(self.files)()(path) if self.files else [path])]
 
 
 @dataclass(frozen=True)
 class Action:
-    """What a function does for people: command: its words on the command line; working: what its progress says."""
+    """What a function does for people: command: its words on the command line; working: what its progress says.
+
+    keeps: the files that it writes into a folder `out`; none of them is an input.
+    """
 
     command: str
     function: Callable[..., Output]
     working: str
+    keeps: tuple[str, ...] = ()
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
@@ -91,6 +98,7 @@ class Action:
 
     def run(self, given: Given, progress: Progress | None = None) -> Output:
         """Read what is given as files, do the work, and write the result where `out` says. Raises ArmsightError."""
+        self._require_kept(given)
         with contextlib.ExitStack() as undo:
             taken = {
                 name: self.inputs[name].object_of(name, value, given, undo)
@@ -106,6 +114,18 @@ class Action:
             self._write(Path(out), result, given)
         return result
 
+    def _require_kept(self, given: Given) -> None:
+        """Raise UsageError where what is to be read would be written over."""
+        read = [one for name in self.inputs for one in _each(given.get(name)) if isinstance(one, str | PathLike)]
+        paths = {real_path(Path(fspath(one))) for one in read}
+        for name in self.keeps if given.get(OUT) is not None else ():
+            if real_path(file := Path(given[OUT]) / name) in paths:
+                raise UsageError(
+                    f"{file} is to be read, and would be written over",
+                    consequence="Nothing is written",
+                    cure="Give another folder with -o",
+                )
+
     def _write(self, out: Path, result: Output, given: Given) -> None:
         """Write the result's file, and its page beside it."""
         from armsight.report.pages import page_of, page_path
@@ -115,14 +135,20 @@ class Action:
         files = [file for name, one in self.inputs.items() for file in one.hashed_files(given.get(name))]
         write_result(out, result, files)
         if (page := page_path(out, result)) is not None:
-            write_text(page, page_of(result, files))
+            write_text(page, page_of(result, files, given))
 
 
-def action(command: str, *, working: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
+def _each(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+def action(
+    command: str, *, working: str = "", keeps: tuple[str, ...] = ()
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Make a function an action; it stays a function of Python, which checks what it is given and writes `out`."""
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
-        made = Action(command=command, function=function, working=working)  # type: ignore[arg-type]  # it returns a result
+        made = Action(command=command, function=function, working=working, keeps=keeps)  # type: ignore[arg-type]  # it returns a result
 
         @wraps(function)
         def run(*args: P.args, **given: P.kwargs) -> R:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations
 from os import PathLike, fspath
 from pathlib import Path
@@ -151,13 +152,8 @@ def see_boards(
             cure=count_again(board),
         )
     progress.update(0, 0, "solving")
-    return BoardsAtPoses(
-        views=views,
-        T_base_flange=poses,
-        again=lambda other: read_robot_poses(robot, other, images=met),
-        unseen=unseen,
-        pictures=pictures,
-    )
+    again = partial(read_robot_poses, robot, images=met)
+    return BoardsAtPoses(views=views, T_base_flange=poses, again=again, unseen=unseen, pictures=pictures)
 
 
 def _require_named(images: Sequence[str], robot: Mapping[str, RigidTransform], file: Path) -> None:
