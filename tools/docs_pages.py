@@ -147,6 +147,8 @@ HEADINGS = {
     "armsight.ops.calibrate_robot": "Tool tip",
     "armsight.ops.calibrate_cameras": "Targets, timing",
     "armsight.calibrate.light_target": "A target's result",
+    "armsight.calibrate.cell": "A cell's result",
+    "armsight.calibrate.handeye": "A hand-eye result",
     "armsight.calibrate.timing": "A timing's result",
     "armsight.calibrate.tooltip_result": "A tool tip's result",
     "armsight.api.robots": "Arms calibrated, rigs placed",
