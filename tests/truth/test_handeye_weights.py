@@ -102,8 +102,8 @@ def test_a_wrong_pair_is_left_out_and_far_good_ones_are_not() -> None:
     spoilt = FarViews(
         X=world.X, Z=world.Z, robot=world.robot, camera=RigidTransform.from_matrix(M), covariance=world.covariance
     )
-    assert [one.name for one in calibrated(spoilt, world.covariance).rejected] == ["row 6"]
-    assert calibrated(world, world.covariance).rejected == ()
+    assert [one.name for one in calibrated(spoilt, world.covariance).rejected_pairs] == ["row 6"]
+    assert calibrated(world, world.covariance).rejected_pairs == ()
 
 
 def test_eye_to_hand_and_recordings_are_weighed_as_well() -> None:
