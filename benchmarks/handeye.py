@@ -261,7 +261,7 @@ def refusals(trials: int, good: int) -> None:
                 recognised += not wrong
                 said[f"{type(error).__name__}: {error.cause[:46]} ..."] += 1
             else:
-                exact = {one.name for one in result.rejected} == wrong
+                exact = {one.name for one in result.rejected_pairs} == wrong
                 recognised += bool(wrong) and exact
                 said["left out exactly these rows" if exact and wrong else "accepted"] += 1
         rows.append([kind, trials, 100.0 * recognised / trials, said.most_common(1)[0][0]])
@@ -269,7 +269,7 @@ def refusals(trials: int, good: int) -> None:
     for trial in range(good):
         try:
             result = calibrate_eye_in_hand(spoilt("good", trial)[0])
-            alarms += bool(result.rejected) or bool(result.scale and result.scale.wrong)
+            alarms += bool(result.rejected_pairs) or bool(result.scale and result.scale.wrong)
         except ArmsightError:
             alarms += 1
     rows.append(["good: false alarms", good, 100.0 * alarms / good, "row left out, scale doubted or refused"])
@@ -314,7 +314,7 @@ def weights(trials: int) -> None:
                 moved.append(np.linalg.norm(off[0]) / MM)
                 turned.append(np.linalg.norm(off[1]) / DEG)
                 inside.append(np.abs(np.concatenate(off)) < 1.96 * np.sqrt(np.diag(result.covariance.matrix)))
-                out += len(result.rejected)
+                out += len(result.rejected_pairs)
             share = 100.0 * np.mean(inside, axis=0)
             rms = [float(np.sqrt(np.mean(np.square(x)))) for x in (moved, turned)]
             text = f"covariances {name}" if weighed else "not given: all alike"

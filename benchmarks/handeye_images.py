@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import bench
-from armsight.calibrate.handeye import Basis, HandEye, Setup, calibrate_eye_in_hand, calibrate_from_views
+from armsight.calibrate.handeye import Basis, HandEyeResult, Setup, calibrate_eye_in_hand, calibrate_from_views
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.pairs import pose
 from armsight.errors import ArmsightError
@@ -31,7 +31,7 @@ from armsight.units import MM
 scenes = bench.test_scene("handeye_scenes")
 
 
-def corners_mm(from_poses: HandEye, s: Any, *, free_camera: bool) -> float:
+def corners_mm(from_poses: HandEyeResult, s: Any, *, free_camera: bool) -> float:
     """Return the error of the bundle adjustment; infinite where its camera sees nothing any more."""
     model = ImageModel.of(from_poses, poses_of_views(s.views, scenes.CAMERA, scenes.BOARD))
     try:

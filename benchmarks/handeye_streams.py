@@ -36,7 +36,7 @@ def main() -> None:
             refused += 1
             continue
         for one, out in ((found, with_drift), (alone, without)):
-            out.append(scene.error(one.T_parent_camera) / list(one.std().values()))
+            out.append(scene.error(one.T_parent_camera) / list(one.std.values()))
         true = predicted(found)
         ratio.append(found.loo_rms_m / true)
         alone_ratio.append(alone.loo_rms_m / predicted(alone))

@@ -136,7 +136,7 @@ def public_names() -> dict[str, tuple[str, ...]]:
 
 HEADINGS = {
     "armsight.api.pose": "Spots and poses",
-    "armsight.api.cell": "Calibrating a whole cell",
+    "armsight.ops.calibrate_cell": "Calibrating a whole cell",
     "armsight.api.tracks": "Tracks",
     "armsight.api.cameras": "Cameras and rigs",
     "armsight.api.runs": "Measure, record, verify",
@@ -145,11 +145,13 @@ HEADINGS = {
     "armsight_lab.api.batch": "Many runs",
     "armsight_lab.api.design": "Rigs planned",
     "armsight.api.light": "Noise, zoom, mirrors",
-    "armsight.api.hand_eye": "Hand-eye",
+    "armsight.ops.calibrate_hand_eye": "Hand-eye",
     "armsight.ops.calibrate_robot": "Tool tip",
     "armsight.ops.kinematics": "Arms drawn and written",
     "armsight.ops.calibrate_cameras": "Targets, timing",
     "armsight.calibrate.light_target": "A target's result",
+    "armsight.calibrate.cell": "A cell's result",
+    "armsight.calibrate.handeye": "A hand-eye result",
     "armsight.calibrate.timing": "A timing's result",
     "armsight.calibrate.tooltip_result": "A tool tip's result",
     "armsight.api.robots": "Arms calibrated, rigs placed",

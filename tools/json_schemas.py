@@ -46,8 +46,8 @@ from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
 from armsight.calibrate.cameras import StereoCalibration
-from armsight.calibrate.cell import CellCalibration
-from armsight.calibrate.handeye import HandEye
+from armsight.calibrate.cell import CellResult
+from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.timing import TimingCalibration
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
@@ -82,8 +82,8 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-mirrors-check": MirrorCheckOutput,
     "calibrate-target": TargetResult,
     "calibrate-timing": TimingCalibration,
-    "calibrate-cell": CellCalibration,
-    "calibrate-handeye": HandEye,
+    "calibrate-cell": CellResult,
+    "calibrate-handeye": HandEyeResult,
     "calibrate-tooltip": ToolTipResult,
     "calibrate-pivot": PivotCalibration,
     "calibrate-arm": ArmOutput,

@@ -32,12 +32,6 @@ FUNCTIONS: Mapping[str, tuple[str, ...]] = {
     "simulate": ("write_simulation", "simulate"),
     "record": ("record", "repair_recording"),
     "calibrate camera": ("calibrate_camera", "CameraResult.save", "calibrate_noise"),
-    "calibrate handeye": (
-        "calibrate_hand_eye",
-        "calibrate_hand_eye_from_images",
-        "calibrate_hand_eye_from_streams",
-        "HandEyeResult.propose",
-    ),
     "calibrate arm": ("calibrate_arm", "ArmResult.propose"),
     "calibrate mirrors": ("calibrate_mirrors", "check_mirrors"),
     "convert camera": ("convert", "read_camera"),
@@ -90,7 +84,6 @@ ANYWHERE: Mapping[str, str] = {
 
 OTHERWISE: Mapping[tuple[str, str], str] = {
     ("verify", "--plan"): "`plan_verification`",
-    ("calibrate cell", "--prior"): "`armsight.calibrate.cell.CellOptions(priors)`",
     ("verify", "--side"): "`plan_verification(side_m)`",
     ("verify", "--speed"): "`plan_verification(speed_m_s)`",
     ("verify", "--live"): "`supervise`",
@@ -107,9 +100,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("calibrate stereo", "--left"): "`calibrate_stereo(left_images)`",
     ("calibrate stereo", "--right"): "`calibrate_stereo(right_images)`",
     ("calibrate stereo", "--lens"): "`calibrate_stereo(options=BoardOptions(lens=..., right_lens=...))`",
-    ("calibrate handeye", "--pairs"): "`calibrate_hand_eye(T_base_flange, T_camera_target)` of `read_table(path)`",
-    ("calibrate handeye", "--robot"): "`calibrate_hand_eye_from_images(T_base_flange)`",
-    ("calibrate handeye", "--propose"): "`HandEyeResult.propose(n)`",
     ("calibrate arm", "--model"): "`calibrate_arm(nominal)`",
     ("calibrate arm", "--points"): "`calibrate_arm(q, xyz_m)` of `read_table(path)`",
     ("calibrate arm", "--propose"): "`ArmResult.propose(n)`",

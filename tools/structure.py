@@ -46,6 +46,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/serve.py:serve": FLAGS,
         "cli/verify.py:verify": FLAGS,
         "ops/paths.py:export": FLAGS,
+        "ops/calibrate_*": FLAGS,
     },
     "arguments": {
         "api/*": FLAGS,

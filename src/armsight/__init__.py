@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from armsight.api.cameras import calibrate_camera as calibrate_camera
     from armsight.api.cameras import calibrate_mirrors as calibrate_mirrors
     from armsight.api.cameras import calibrate_stereo as calibrate_stereo
-    from armsight.api.cell import CellResult as CellResult
-    from armsight.api.cell import calibrate_cell as calibrate_cell
     from armsight.api.convert import convert as convert
     from armsight.api.convert import cut_recording as cut_recording
     from armsight.api.convert import export_recording as export_recording
@@ -43,10 +41,6 @@ if TYPE_CHECKING:
     from armsight.api.files import read_world as read_world
     from armsight.api.files import write_joints as write_joints
     from armsight.api.files import write_table as write_table
-    from armsight.api.hand_eye import HandEyeResult as HandEyeResult
-    from armsight.api.hand_eye import calibrate_hand_eye as calibrate_hand_eye
-    from armsight.api.hand_eye import calibrate_hand_eye_from_images as calibrate_hand_eye_from_images
-    from armsight.api.hand_eye import calibrate_hand_eye_from_streams as calibrate_hand_eye_from_streams
     from armsight.api.identify import ArmIdentification as ArmIdentification
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
@@ -99,6 +93,8 @@ if TYPE_CHECKING:
     from armsight.api.watch import supervise as supervise
     from armsight.app.join import JoinResult as JoinResult
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
+    from armsight.calibrate.cell import CellResult as CellResult
+    from armsight.calibrate.handeye import HandEyeResult as HandEyeResult
     from armsight.calibrate.light_target import TargetResult as TargetResult
     from armsight.calibrate.timing import TimingResult as TimingResult
     from armsight.calibrate.tooltip_result import ToolTipResult as ToolTipResult
@@ -133,6 +129,8 @@ if TYPE_CHECKING:
     from armsight.ops import paths as paths
     from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
     from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
+    from armsight.ops.calibrate_cell import calibrate_cell as calibrate_cell
+    from armsight.ops.calibrate_hand_eye import calibrate_hand_eye as calibrate_hand_eye
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
     from armsight.ops.files import compare as compare
@@ -184,7 +182,6 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight_lab.api.design": ("design",),
     "armsight_lab.api.batch": ("BatchResult", "batch"),
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
-    "armsight.api.cell": ("CellResult", "calibrate_cell"),
     "armsight.api.light": (
         "NoiseResult",
         "ZoomRigResult",
@@ -192,12 +189,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_zoom_rig",
         "check_mirrors",
     ),
-    "armsight.api.hand_eye": (
-        "HandEyeResult",
-        "calibrate_hand_eye",
-        "calibrate_hand_eye_from_images",
-        "calibrate_hand_eye_from_streams",
-    ),
+    "armsight.ops.calibrate_cell": ("calibrate_cell",),
+    "armsight.ops.calibrate_hand_eye": ("calibrate_hand_eye",),
     "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
     "armsight.app.join": ("JoinResult",),
     "armsight.ops.files": ("compare", "join"),
@@ -205,6 +198,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.ops.calibrate_cameras": ("calibrate_target", "calibrate_timing"),
     "armsight.calibrate.light_target": ("TargetResult",),
     "armsight.calibrate.timing": ("TimingResult",),
+    "armsight.calibrate.cell": ("CellResult",),
+    "armsight.calibrate.handeye": ("HandEyeResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
     "armsight.api.robots": (
         "ArmResult",
@@ -302,6 +297,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
 
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}
 
+_EARLIER = dict.fromkeys(
+    ("calibrate_hand_eye_from_images", "calibrate_hand_eye_from_streams"), "armsight.ops.earlier_names"
+)
+"""Names of earlier versions, which warn and say what to use."""
+
 
 _EXTRAS = {"armsight_lab": "lab"}
 """Distributions of their own, by the extra that brings each."""
@@ -353,17 +353,18 @@ if not TYPE_CHECKING:  # type checkers know the names above, and refuse all othe
     __all__ = sorted(_PLACES)
 
     def __getattr__(name: str) -> Any:
-        if name not in _PLACES:
+        place = _PLACES.get(name) or _EARLIER.get(name)
+        if place is None:
             raise AttributeError(f"module 'armsight' has no attribute {name!r}")
         try:
-            module = import_module(_PLACES[name])
+            module = import_module(place)
         except ModuleNotFoundError as error:
             if error.name not in _EXTRAS:
                 raise
             return _NotInstalled(name, _EXTRAS[error.name])
         value = getattr(module, name, None)
         if value is None:  # a module of the face, such as armsight.paths
-            value = import_module(f"{_PLACES[name]}.{name}")
+            value = import_module(f"{place}.{name}")
         globals()[name] = value
         return value
 

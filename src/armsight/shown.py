@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from armsight.units import DEG, DIGITS, MM, NOTHING
+from armsight.units import DEG, DIGITS, MM, NOTHING, displayed_name
 
 REJECTED_SHOWN = 8
 """Lines of what was left out; the report and JSON have all."""
@@ -48,6 +48,20 @@ def point_rows(xyz_m: Iterable[float], std_m: Iterable[float]) -> list[list[str]
     """Return the rows of a point: axis, position and standard deviation in mm."""
     named = zip("xyz", xyz_m, std_m, strict=True)
     return [[axis, digits(value / MM, 6), digits(deviation / MM, 2)] for axis, value, deviation in named]
+
+
+def parameter_row(name: str, *values: float) -> list[str]:
+    """Return the row of a parameter such as j2.theta_rad: its name with the unit people read, and values in it."""
+    stem, unit, factor = displayed_name(name)
+    return [f"{stem}, {unit}" if unit else stem, *(digits(value / factor, 4) for value in values)]
+
+
+def pose_rows(
+    xyz_m: Iterable[float], rotvec_rad: Iterable[float], std_m: Iterable[float], std_rad: Iterable[float]
+) -> list[list[str]]:
+    """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
+    rows = [[f"{axis}, mm", *rest] for axis, *rest in point_rows(xyz_m, std_m)]
+    return rows + rotation_rows(rotvec_rad, std_rad)
 
 
 def rotation_rows(rotvec_rad: Iterable[float], std_rad: Iterable[float]) -> list[list[str]]:

@@ -194,7 +194,7 @@ TRIED = {
         ),
         f"{HANDEYE} --pairs pairs.csv",
     ),
-    ("app/calibrate/euler_orders.py", "Give --euler {}"): (
+    ("app/calibrate/handeye.py", "Give --euler {}"): (
         (PAIRS, in_angles("angles.csv"), f"{HANDEYE} --pairs angles.csv --euler xyz"),
         f"{HANDEYE} --pairs angles.csv --euler zyx",
     ),

@@ -12,12 +12,9 @@ from cures_of_arms import START, plan
 from cures_of_cameras import MEASURE, RECORD, SIDES
 from cures_of_runs import FIND
 
-from armsight.app.calibrate.cell import _check as check_cell
-from armsight.app.calibrate.cell import _require_inside
-from armsight.app.calibrate.cell_priors import read_priors
+from armsight.app.calibrate.cell import _require_inside, read_priors, require_sources
 from armsight.app.calibrate.timing import _require_both
 from armsight.app.measure.run import _settings_of_one
-from armsight.app.requests.calibrate_cell import CellJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.calibrate.cell.assignment import name_lights
 from armsight.calibrate.cell.calibrate import _require_motion
@@ -76,13 +73,15 @@ UNLIKE = [[0.0, 0.04, 0.0], [0.033, 0.0, 0.0], [-0.03, 0.003, 0.0]]
 SIZES = ((640, 480), (640, 480))
 
 
-def cell(**more):
-    names = {"left_spots": Path("waved-left.csv"), "right_spots": Path("waved-right.csv"), "size": (320, 240)}
-    files = {"robot_log": Path("motion.csv"), "target": Path("lit.yaml"), "model": "ur10", "out": Path("c")}
-    return lambda: check_cell(CellJob(**{**files, **names, **more}))
+TABLES = (Path("waved-left.csv"), Path("waved-right.csv"))
 
 
-FRAMES = {"left_spots": None, "right_spots": None, "size": None}
+def cell(frames=(None, None), spots=TABLES, size=(320, 240)):
+    return lambda: require_sources(frames, spots, size)
+
+
+def filmed(left, right):
+    return cell((left, right), (None, None), None)
 
 
 def inside(size):
@@ -148,14 +147,14 @@ def in_view():
 
 TRIED = {
     ("app/calibrate/cell.py", "Give --left and --right, or --left-spots"): (
-        cell(right_spots=None),
-        lambda: [cell()(), cell(**FRAMES, left="left", right="right")()],
+        cell(spots=(TABLES[0], None)),
+        lambda: [cell()(), filmed("left", "right")()],
     ),
     ("app/calibrate/cell.py", "Record first, while"): (
-        cell(**FRAMES, left="camera:0", right="camera:1"),
-        ("record --left left --right right -o cell.mcap", cell(**FRAMES, left="cell.mcap", right="cell.mcap")),
+        filmed("camera:0", "camera:1"),
+        ("record --left left --right right -o cell.mcap", filmed("cell.mcap", "cell.mcap")),
     ),
-    ("app/calibrate/cell.py", "Add --size 1280x720"): (cell(size=None), cell(size=(1280, 720))),
+    ("app/calibrate/cell.py", "Add --size 1280x720"): (cell(size=None), cell()),
     (
         "app/calibrate/cell.py",
         "Give the size of the images in which the spots were found: --size, or --right-size of the right one",
@@ -184,11 +183,11 @@ TRIED = {
         plan(after=Path("left")),
         lambda: _following(CellPlanJob(model="ur10", start=START, out=Path("m.csv"), after=Path("cell"))),
     ),
-    ("app/calibrate/cell_priors.py", "Give the world.yaml that"): (
+    ("app/calibrate/cell.py", "Give the world.yaml that"): (
         lambda: read_priors([Path("cell/world.yaml")], SIZES),
         (FIND, lambda: read_priors([Path("w.yaml")], SIZES)),
     ),
-    ("app/calibrate/cell_priors.py", "Give {}; a calibrated arm"): (
+    ("app/calibrate/cell.py", "Give {}; a calibrated arm"): (
         lambda: read_priors([Path("cell/arm.yaml")], SIZES),
         (FIND, lambda: read_priors([Path("w.yaml")], SIZES)),
     ),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.cell import CellCalibration, CellOptions, calibrate_cell
+from armsight.calibrate.cell import CellOptions, CellResult, calibrate_cell
 from armsight.errors import DataRefused, Degenerate, Inconsistent, NotEnoughData
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
@@ -25,7 +25,7 @@ SECONDS, SEED = 40.0, 1
 EXACT_PX = 1e-3
 
 
-def calibrated(world: CellWorld) -> CellCalibration:
+def calibrated(world: CellWorld) -> CellResult:
     tracks = [
         SpotTrack(
             t_s=track.t_s,
@@ -47,12 +47,12 @@ def calibrated(world: CellWorld) -> CellCalibration:
 
 
 @pytest.fixture(scope="module")
-def good() -> tuple[CellWorld, CellCalibration]:
+def good() -> tuple[CellWorld, CellResult]:
     world = make_cell(SEED, seconds=SECONDS)
     return world, calibrated(world)
 
 
-def test_the_tip_is_where_both_cameras_see_it_within_what_is_claimed(good: tuple[CellWorld, CellCalibration]) -> None:
+def test_the_tip_is_where_both_cameras_see_it_within_what_is_claimed(good: tuple[CellWorld, CellResult]) -> None:
     world, found = good
     truth, q = world.truth, world.truth.samples
     T = truth.flange(q)
@@ -70,7 +70,7 @@ def test_the_tip_is_where_both_cameras_see_it_within_what_is_claimed(good: tuple
     assert size.max() < 2e-3
 
 
-def test_the_tip_is_where_the_joints_say_within_what_is_claimed(good: tuple[CellWorld, CellCalibration]) -> None:
+def test_the_tip_is_where_the_joints_say_within_what_is_claimed(good: tuple[CellWorld, CellResult]) -> None:
     world, found = good
     q = world.truth.samples
     T = np.asarray(found.arm.fk(q))
@@ -78,7 +78,7 @@ def test_the_tip_is_where_the_joints_say_within_what_is_claimed(good: tuple[Cell
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 2.8 * found.tip.commanded_m
 
 
-def test_parameters_are_off_as_far_as_is_claimed(good: tuple[CellWorld, CellCalibration]) -> None:
+def test_parameters_are_off_as_far_as_is_claimed(good: tuple[CellWorld, CellResult]) -> None:
     world, found = good
     learned = {one.name: one for one in found.learned}
     z = []
@@ -91,7 +91,7 @@ def test_parameters_are_off_as_far_as_is_claimed(good: tuple[CellWorld, CellCali
     assert 0.4 < np.sqrt(np.mean(np.square(z))) < 2.0
 
 
-def test_the_left_camera_is_the_rigs_axes(good: tuple[CellWorld, CellCalibration]) -> None:
+def test_the_left_camera_is_the_rigs_axes(good: tuple[CellWorld, CellResult]) -> None:
     world, found = good
     true = world.truth.left.T_base_camera
     std = found.std
@@ -119,7 +119,7 @@ FAULTS: dict[str, tuple[type[DataRefused], tuple[str, ...]]] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_is_refused_and_the_recording_without_it_is_the_cure(
-    good: tuple[CellWorld, CellCalibration], fault: str
+    good: tuple[CellWorld, CellResult], fault: str
 ) -> None:
     kind, says = FAULTS[fault]
     world = make_cell(SEED, seconds=SECONDS, fault=fault)
@@ -140,7 +140,7 @@ def test_a_fault_is_refused_and_the_recording_without_it_is_the_cure(
 
 
 def test_a_target_whose_file_says_another_size_is_refused_and_its_size_as_built_is_the_cure(
-    good: tuple[CellWorld, CellCalibration],
+    good: tuple[CellWorld, CellResult],
 ) -> None:
     world, found = good
     grown = {name: tuple(1.03 * x for x in place) for name, place in world.target.items()}

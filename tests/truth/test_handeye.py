@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import (
     Basis,
-    HandEye,
     HandEyeOptions,
+    HandEyeResult,
     PosePairs,
     Setup,
     calibrate_eye_in_hand,
@@ -67,7 +67,7 @@ def cell(
     return pairs(shaken(rng, robot, 0.0, robot_rad), shaken(rng, seen, sigma * 0.3 * MM, sigma * 0.05 * DEG))
 
 
-def off(result: HandEye) -> np.ndarray:
+def off(result: HandEyeResult) -> np.ndarray:
     """Errors (12,) of both poses, translation then rotation vector, in the parent's axes."""
     out = []
     for got, true in ((result.T_parent_camera, X), (result.T_parent_target, Z)):
@@ -75,7 +75,10 @@ def off(result: HandEye) -> np.ndarray:
     return np.concatenate(out)
 
 
-CALIBRATE: dict[bool, Callable[[PosePairs], HandEye]] = {False: calibrate_eye_in_hand, True: calibrate_eye_to_hand}
+CALIBRATE: dict[bool, Callable[[PosePairs], HandEyeResult]] = {
+    False: calibrate_eye_in_hand,
+    True: calibrate_eye_to_hand,
+}
 
 
 @pytest.mark.parametrize("to_hand", [False, True])
@@ -85,7 +88,7 @@ def test_the_truth_is_found_within_the_claimed_deviations(to_hand: bool) -> None
         result = CALIBRATE[to_hand](cell(seed, to_hand=to_hand))
         z.append(off(result) / np.sqrt(np.diag(result.covariance.matrix)))
         noise.append((result.noise.translation_m.size, result.noise.camera_rad.size))
-        assert result.rejected == ()
+        assert result.rejected_pairs == ()
         assert not (result.scale and result.scale.wrong)
     # standard deviations are widened by 2 % at 20 poses; the rms of 40 normals scatters by 11 %
     assert np.sqrt((np.array(z) ** 2).mean()) == pytest.approx(0.98, abs=0.12)
@@ -194,8 +197,8 @@ def test_gross_errors_are_named_and_left_out() -> None:
         M[i, :3, :3] = Rotation.from_rotvec([0, turn * DEG, 0]).as_matrix() @ M[i, :3, :3]
         M[i, 0, 3] += move
     result = calibrate_eye_in_hand(pairs(good.T_base_flange, RigidTransform.from_matrix(M)))
-    assert [one.name for one in result.rejected] == ["row 3", "row 7", "row 12"]
-    move_mm = float({one.name: one.why for one in result.rejected}["row 7"].split()[2])
+    assert [one.name for one in result.rejected_pairs] == ["row 3", "row 7", "row 12"]
+    move_mm = float({one.name: one.why for one in result.rejected_pairs}["row 7"].split()[2])
     assert move_mm == pytest.approx(50, abs=2)
     assert np.abs(off(result) / np.sqrt(np.diag(result.covariance.matrix))).max() < 5
     bad = RigidTransform.from_matrix(np.where(np.arange(15)[:, None, None] % 2, M, M[::-1]))
@@ -213,7 +216,7 @@ def test_copies_add_nothing() -> None:
     )
     once, thrice = calibrate_eye_in_hand(good), calibrate_eye_in_hand(copied)
     assert thrice.n_used == 12
-    assert {one.name: one.why for one in thrice.rejected}["row 13"] == "repeats row 4"
+    assert {one.name: one.why for one in thrice.rejected_pairs}["row 13"] == "repeats row 4"
     assert np.allclose(once.covariance.matrix, thrice.covariance.matrix, rtol=1e-9)
 
 
@@ -221,7 +224,7 @@ def test_the_next_poses_pay() -> None:
     rng = np.random.default_rng(11)
     given = cell(11, 8, tilt=0.15)
     result = calibrate_eye_in_hand(given)
-    before = max(result.std()[name] for name in ("x_m", "y_m", "z_m"))
+    before = max(result.std[name] for name in ("x_m", "y_m", "z_m"))
     proposals = propose(result, 4)
     assert before > proposals[0].expected_std_m > proposals[-1].expected_std_m
     robot = RigidTransform.from_matrix(np.stack([p.T_base_flange.as_matrix() for p in proposals]))
@@ -233,7 +236,7 @@ def test_the_next_poses_pay() -> None:
         RigidTransform.concatenate([given.T_camera_target, camera]),
     )
     after = calibrate_eye_in_hand(more)
-    assert max(after.std()[name] for name in ("x_m", "y_m", "z_m")) < 0.75 * before
+    assert max(after.std[name] for name in ("x_m", "y_m", "z_m")) < 0.75 * before
     with refuses(Inconsistent, "reach"):
         propose(result, 1, reachable=lambda pose: False)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.handeye import HandEye, PosePairs, calibrate_eye_in_hand
+from armsight.calibrate.handeye import HandEyeResult, PosePairs, calibrate_eye_in_hand
 from armsight.errors import Inconsistent
 from refusals import refuses
 
@@ -12,7 +12,7 @@ X = RigidTransform.from_components([0.03, 0.05, 0.1], Rotation.from_rotvec([0.1,
 Z = RigidTransform.from_components([0.6, 0.1, 0.0], Rotation.from_rotvec([3.0, 0.1, 0.0]))
 
 
-def calibrated(seed: int, places: int, readings: int, sigma: tuple[float, float] = (2e-4, 5e-4)) -> HandEye:
+def calibrated(seed: int, places: int, readings: int, sigma: tuple[float, float] = (2e-4, 5e-4)) -> HandEyeResult:
     """The robot errs by 0.2 mm and 0.5 mrad (sigma) a place, each image by a tenth of it."""
     return calibrate_eye_in_hand(recorded(seed, places, readings, sigma))
 

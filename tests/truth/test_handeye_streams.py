@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, PosePairs, calibrate_eye_in_hand, pairs_of_streams
+from armsight.calibrate.handeye import HandEyeResult, PosePairs, calibrate_eye_in_hand, pairs_of_streams
 from armsight.errors import Inconsistent
 from refusals import refuses
 
@@ -20,7 +20,7 @@ SEEDS = range(8)
 
 
 @pytest.fixture(scope="module")
-def found() -> list[HandEye]:
+def found() -> list[HandEyeResult]:
     out = []
     for seed in SEEDS:
         made = streams(seed)
@@ -28,14 +28,14 @@ def found() -> list[HandEye]:
     return out
 
 
-def test_the_deviations_claimed_hold(found: list[HandEye]) -> None:
+def test_the_deviations_claimed_hold(found: list[HandEyeResult]) -> None:
     """48 parameters: 95 % are held by 1.96 deviations; below 40 with a chance of 0.1 %, were they independent."""
     z = np.array([error(one.T_parent_camera) / list(one.std().values()) for one in found])
     assert (np.abs(z) < 1.96).sum() >= 40
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
 
 
-def test_a_drift_is_told_and_counted(found: list[HandEye]) -> None:
+def test_a_drift_is_told_and_counted(found: list[HandEyeResult]) -> None:
     drift = np.array([streams(seed).drift_s for seed in SEEDS])
     worth = np.array([one.correlation.n_effective for one in found if one.correlation is not None])
     assert len(worth) == len(found)
@@ -45,12 +45,12 @@ def test_a_drift_is_told_and_counted(found: list[HandEye]) -> None:
     assert "independent ones" in slow.verdict and any("record longer" in one for one in slow.concerns)
 
 
-def test_poses_taken_one_by_one_are_claimed_as_before(found: list[HandEye]) -> None:
+def test_poses_taken_one_by_one_are_claimed_as_before(found: list[HandEyeResult]) -> None:
     from dataclasses import replace
 
     alone = calibrate_eye_in_hand(replace(found[0].pairs, t_s=None))
     assert alone.correlation is None and "independent" not in alone.verdict
-    assert alone.std()["x_m"] < found[0].std()["x_m"]
+    assert alone.std["x_m"] < found[0].std["x_m"]
 
 
 @pytest.mark.parametrize("seed", [0, 5])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, PosePairs, calibrate_eye_in_hand, calibrate_eye_to_hand
+from armsight.calibrate.handeye import HandEyeResult, PosePairs, calibrate_eye_in_hand, calibrate_eye_to_hand
 from armsight.errors import Inconsistent
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -25,7 +25,7 @@ def as_given(covariance: np.ndarray) -> np.ndarray:
     return covariance
 
 
-def calibrated(world: FarViews, covariance: np.ndarray | None, t_s: np.ndarray | None = None) -> HandEye:
+def calibrated(world: FarViews, covariance: np.ndarray | None, t_s: np.ndarray | None = None) -> HandEyeResult:
     pairs = PosePairs(
         T_base_flange=world.robot,
         T_camera_target=world.camera,
@@ -36,7 +36,7 @@ def calibrated(world: FarViews, covariance: np.ndarray | None, t_s: np.ndarray |
     return calibrate_eye_in_hand(pairs)
 
 
-def off(result: HandEye, X: RigidTransform, Z: RigidTransform) -> np.ndarray:
+def off(result: HandEyeResult, X: RigidTransform, Z: RigidTransform) -> np.ndarray:
     out = []
     for got, true in ((result.T_parent_camera, X), (result.T_parent_target, Z)):
         out += [got.translation - true.translation, (got.rotation * true.rotation.inv()).as_rotvec()]
@@ -69,7 +69,7 @@ def test_covariances_too_small_or_large_altogether_are_found_out(share: float) -
     given, scaled = calibrated(world, world.covariance), calibrated(world, share * world.covariance)
     assert given.covariance_factor is not None and scaled.covariance_factor is not None
     assert scaled.covariance_factor * share == pytest.approx(given.covariance_factor, rel=0.3)
-    assert scaled.std()["x_m"] == pytest.approx(given.std()["x_m"], rel=0.15)
+    assert scaled.std["x_m"] == pytest.approx(given.std["x_m"], rel=0.15)
 
 
 def test_a_few_pairs_that_claim_too_much_do_not_take_over() -> None:
@@ -102,8 +102,8 @@ def test_a_wrong_pair_is_left_out_and_far_good_ones_are_not() -> None:
     spoilt = FarViews(
         X=world.X, Z=world.Z, robot=world.robot, camera=RigidTransform.from_matrix(M), covariance=world.covariance
     )
-    assert [one.name for one in calibrated(spoilt, world.covariance).rejected] == ["row 6"]
-    assert calibrated(world, world.covariance).rejected == ()
+    assert [one.name for one in calibrated(spoilt, world.covariance).rejected_pairs] == ["row 6"]
+    assert calibrated(world, world.covariance).rejected_pairs == ()
 
 
 def test_eye_to_hand_and_recordings_are_weighed_as_well() -> None:

@@ -6,6 +6,7 @@ import functools
 import re
 from collections.abc import Callable
 from keyword import iskeyword
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -35,6 +36,8 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
         return {names()[name]: one for name, one in done.flags().items()}
 
     def run(face: CommandUI, **given: Any) -> None:
+        from armsight.report.pages import page_path
+
         asked = {name: given[word] for name, word in names().items() if word in given}
         result = done.run(asked, face.progress(done.working) if done.working else None)
         for one in result.summary():
@@ -42,14 +45,15 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
                 face.say(one)
             else:
                 face.table(*one)
+        page = page_path(Path(asked[OUT]), result)
         if not hasattr(result, "write"):  # else its summary says what is told of files
-            face.say(f"Result: {asked[OUT]}")
+            face.say(f"Result: {asked[OUT]}" + ("" if page is None else f"; open {page}"))
         face.result(result)
         if result.exit_code:
             raise typer.Exit(result.exit_code)
 
     text = SECTION.split(call.__doc__ or "")[0]
-    add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **more))
+    add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, keeps=done.keeps, **more))
 
 
 def _word(name: str, hint: Any) -> str:

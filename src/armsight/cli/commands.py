@@ -13,7 +13,6 @@ from armsight.app.requests.simulate import Room
 from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
     calibrate_cameras,
-    calibrate_cell,
     calibrate_robot,
     convert,
     files,
@@ -49,7 +48,6 @@ from armsight.ops import paths
 __all__ = [
     "app",
     "calibrate_cameras",
-    "calibrate_cell",
     "calibrate_robot",
     "convert",
     "files",

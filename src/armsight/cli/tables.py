@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from armsight import shown
 from armsight.cli.command_ui import CommandUI, own_command
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.shown import REJECTED_SHOWN, digits, point_rows, rotation_rows
-from armsight.units import DEG, MM, MS, displayed_name
+from armsight.shown import REJECTED_SHOWN, digits
+from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from armsight.records.result_parts import PoseStd, RejectedFile
 
 figure = digits
+parameter = shown.parameter_row
 
 REASONS = {
     "no_spot": "no spot in a view: the lights must be on, and brighter than what is round them",
@@ -60,14 +62,8 @@ REASONS = {
 
 def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
-    rows = [[f"{axis}, mm", *rest] for axis, *rest in point_rows(pose.translation.tolist(), std.translation_m)]
-    return rows + rotation_rows(pose.rotation.as_rotvec().tolist(), std.rotation_rad)
-
-
-def parameter(name: str, *values: float) -> list[str]:
-    """Return the row of a parameter such as j2.theta_rad: its name with the unit people read, and values in it."""
-    stem, unit, factor = displayed_name(name)
-    return [f"{stem}, {unit}" if unit else stem, *(figure(value / factor, 4) for value in values)]
+    rotation = pose.rotation.as_rotvec()
+    return shown.pose_rows(pose.translation.tolist(), rotation.tolist(), std.translation_m, std.rotation_rad)
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:

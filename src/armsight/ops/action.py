@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, wraps
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
+from armsight._files import real_path
+from armsight.errors import UsageError
 from armsight.fields import Doc, Flags, known_hints, loaded, marks
 
 if TYPE_CHECKING:
@@ -37,29 +39,40 @@ class Input:
 
     read: 'module:function' of (name, value, given, undo), loaded late; it returns the object of a path or of what
     Python hands over. undo: an ExitStack, for what lasts as long as the action. kind: what the command line takes.
-    hashed: its file's hash goes into what is written.
+    hashed: its file's hash goes into what is written; files:
+    'module:function' of what is given, which lists its files where it is not one itself.
     """
 
     read: str
-    kind: type = Path
+    kind: Any = Path
     hashed: bool = False
+    files: str = ""
 
     def object_of(self, name: str, value: Any, given: Given, undo: contextlib.ExitStack) -> Any:
         """Return the object. Raises UsageError, DataRefused."""
         return loaded(self.read)()(name, value, given, undo)
+
+    def hashed_files(self, value: Any) -> list[Path]:
+        """Return the files whose hashes go into what is written; none for an object."""
+        if not self.hashed:
+            return []
+        paths = [fspath(one) for one in _each(value) if isinstance(one, str | PathLike)]
+        return [Path(one) for path in paths for one in (loaded(self.files)()(path) if self.files else [path])]
 
 
 @dataclass(frozen=True)
 class Action:
     """What a function does for people: command: its words on the command line; working: what its progress says.
 
-    gives: the attribute of the result that Python gets; '' for all of it.
+    gives: the attribute of the result that Python gets; '' for all of it. keeps: the files that it writes into a folder
+    `out`; none of them is an input.
     """
 
     command: str
     function: Callable[..., Output]
-    working: str
-    gives: str
+    working: str = ""
+    gives: str = ""
+    keeps: tuple[str, ...] = ()
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
@@ -87,6 +100,7 @@ class Action:
 
     def run(self, given: Given, progress: Progress | None = None) -> Output:
         """Read what is given as files, do the work, and write the result where `out` says. Raises ArmsightError."""
+        self._require_kept(given)
         with contextlib.ExitStack() as undo:
             taken = {
                 name: self.inputs[name].object_of(name, value, given, undo)
@@ -99,22 +113,45 @@ class Action:
             result = self.function(**taken)
         out = given.get(OUT)
         if out is not None:
-            from armsight.store.saving import write_result
-
-            write_result(Path(out), result, self._files(given))
+            self._write(Path(out), result, given)
         return result
 
-    def _files(self, given: Given) -> list[Path]:
-        """Return the files whose hashes go into the result, in the order of the parameters."""
-        paths = [given.get(name) for name, one in self.inputs.items() if one.hashed]
-        return [Path(fspath(one)) for one in paths if isinstance(one, str | PathLike)]
+    def _require_kept(self, given: Given) -> None:
+        """Raise UsageError where what is to be read would be written over."""
+        read = [one for name in self.inputs for one in _each(given.get(name)) if isinstance(one, str | PathLike)]
+        paths = {real_path(Path(fspath(one))) for one in read}
+        for name in self.keeps if given.get(OUT) is not None else ():
+            if real_path(file := Path(given[OUT]) / name) in paths:
+                raise UsageError(
+                    f"{file} is to be read, and would be written over",
+                    consequence="Nothing is written",
+                    cure="Give another folder with -o",
+                )
+
+    def _write(self, out: Path, result: Output, given: Given) -> None:
+        """Write the result's file, and its page beside it."""
+        from armsight.report.pages import page_of, page_path
+        from armsight.store import write_text
+        from armsight.store.saving import write_result
+
+        files = [file for name, one in self.inputs.items() for file in one.hashed_files(given.get(name))]
+        write_result(out, result, files)
+        if (page := page_path(out, result)) is not None:
+            write_text(page, page_of(result, files, given))
 
 
-def action(command: str, *, working: str = "", gives: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Make a function an action; it stays a function of Python, which checks what it is given and writes `out`."""
+def _each(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+def action(command: str, **more: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Make a function an action; it stays a function of Python, which checks what it is given and writes `out`.
+
+    more: of Action.
+    """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
-        made = Action(command=command, function=function, working=working, gives=gives)  # type: ignore[arg-type]  # it returns a result
+        made = Action(command=command, function=function, **more)  # type: ignore[arg-type]  # it returns a result
 
         @wraps(function)
         def run(*args: P.args, **given: P.kwargs) -> R:

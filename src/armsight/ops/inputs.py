@@ -187,5 +187,10 @@ def spots(name: str, value: Any, given: Given, undo: ExitStack) -> SpotTrack:
     return read_spot_track(undo.enter_context(Folder()).file(name, value))
 
 
+def table(name: str, value: Any, given: Given, undo: ExitStack) -> Path:
+    """Return the file of a table; of columns, or of (t_s, T), one that goes again. Raises UsageError, Inconsistent."""
+    return undo.enter_context(Folder()).file(name, value)
+
+
 def _path(value: Any) -> Path | None:
     return Path(fspath(value)) if isinstance(value, str | PathLike) else None

@@ -8,10 +8,9 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.cell import CellCalibration
+from armsight.calibrate.cell import CellResult
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT
 from armsight.calibrate.cell.result import UNLEARNED_BITS, Learned
-from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.report.figures import (
     BLUE,
@@ -49,15 +48,13 @@ BASE_M = 0.15
 PYRAMID_M = 0.12
 
 
-def cell_report(
-    done: CellCalibration, nominal: Arm, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
-) -> str:
+def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None) -> str:
     """Return the page as HTML text that needs no other file.
 
-    nominal: the arm as it was given. inputs: (what, which) lines for the end of the page.
+    inputs: (what, which) lines for the end of the page.
     """
     page = Page(
-        title=f"Calibration of a cell with {nominal.name}",
+        title=f"Calibration of a cell with {done.nominal.name}",
         subtitle=f"{done.duration_s:.0f} s of motion, {done.n_frames} frames, {done.n_spots} spots",
         verdict=done.verdict_,
         cards=_cards(done),
@@ -83,7 +80,7 @@ def cell_report(
     page.add(
         "The arm before and after",
         "As its file says, what was found, and by how much: a change below two standard deviations is none.",
-        _arm_table(done, nominal),
+        _arm_table(done),
     )
     page.add(
         "What decided what",
@@ -95,7 +92,7 @@ def cell_report(
     return page.html(created=created or datetime.now())
 
 
-def _add_parameters(page: Page, done: CellCalibration, inputs: Sequence[tuple[str, str]]) -> None:
+def _add_parameters(page: Page, done: CellResult, inputs: Sequence[tuple[str, str]]) -> None:
     """Add what speaks for the result, what nobody can tell, all parameters, and what went in."""
     page.add("Checks", "", _checks(done))
     page.add("What no recording can tell", "How it was fixed.", bullets(done.gauges))
@@ -116,7 +113,7 @@ def _add_parameters(page: Page, done: CellCalibration, inputs: Sequence[tuple[st
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
 
 
-def _cards(done: CellCalibration) -> list[Card]:
+def _cards(done: CellResult) -> list[Card]:
     tip, rig = done.tip, done.parts.rig
     return [
         Card(
@@ -148,11 +145,11 @@ def _cards(done: CellCalibration) -> list[Card]:
     ]
 
 
-def _ratio(done: CellCalibration) -> str:
+def _ratio(done: CellResult) -> str:
     return f"{done.scale.ratio:.4f} ± {done.scale.std:.4f}"
 
 
-def tip_figure(done: CellCalibration) -> Figure:
+def tip_figure(done: CellResult) -> Figure:
     """Return the tip's places in base axes, coloured by their deviations, with cameras and base."""
     data: list[Plot] = []
     for name, covariance, shown in (
@@ -173,7 +170,7 @@ def tip_figure(done: CellCalibration) -> Figure:
     return Figure(data=data, layout=layout(scene=scene_axes("base")), height_px=560)
 
 
-def residual_figure(done: CellCalibration) -> Figure:
+def residual_figure(done: CellResult) -> Figure:
     """Return each camera's RMS residual by seconds of the motion."""
     t, of_side = _seconds(done), _by_second(done)
     data: list[Plot] = [
@@ -191,14 +188,14 @@ def residual_figure(done: CellCalibration) -> Figure:
     return Figure(data=data, layout=layout(xaxis=axis("robot's time, s"), yaxis=high), height_px=320)
 
 
-def _seconds(done: CellCalibration) -> Array:
+def _seconds(done: CellResult) -> Array:
     """Return the robot's time (b,) of each stretch."""
     found, model = done.solved.fit, done.solved.model
     t = model.times_s(found.x, found.spots)
     return np.asarray(np.bincount(found.block, weights=t) / np.bincount(found.block))
 
 
-def _by_second(done: CellCalibration) -> tuple[Array, Array]:
+def _by_second(done: CellResult) -> tuple[Array, Array]:
     """Return the RMS residual of each camera in px in each stretch; NaN where it saw nothing."""
     found = done.solved.fit
     spread = np.sqrt(np.trace(found.spots.covariance_px2, axis1=1, axis2=2) / 2.0)
@@ -213,7 +210,7 @@ def _by_second(done: CellCalibration) -> tuple[Array, Array]:
     return out[0], out[1]
 
 
-def information_figure(done: CellCalibration) -> Figure:
+def information_figure(done: CellResult) -> Figure:
     """Return the share of what is known about each part of the cell that stems from each second."""
     t, data = _seconds(done), []
     for k, (name, shares) in enumerate(information_shares(done).items(), start=1):
@@ -239,7 +236,7 @@ def information_figure(done: CellCalibration) -> Figure:
     return Figure(data=data, layout=shape, height_px=520)
 
 
-def information_shares(done: CellCalibration) -> dict[str, Array]:
+def information_shares(done: CellResult) -> dict[str, Array]:
     """Return by part of the cell which share (b,) of what the recording tells of it stems from each stretch.
 
     The trace of the part's covariance times a stretch's information about it: never negative, as both are not.
@@ -263,8 +260,8 @@ def information_shares(done: CellCalibration) -> dict[str, Array]:
     return out
 
 
-def _arm_table(done: CellCalibration, nominal: Arm) -> str:
-    joints = {joint.name: joint for joint in nominal.joints}
+def _arm_table(done: CellResult) -> str:
+    joints = {joint.name: joint for joint in done.nominal.joints}
     rows = []
     for one in done.learned:
         joint, _, key = one.name.rpartition(".")
@@ -278,7 +275,7 @@ def _arm_table(done: CellCalibration, nominal: Arm) -> str:
     return table(["parameter", "file", "found", "change", "±", "unit"], rows, numbers=(1, 2, 3, 4))
 
 
-def _checks(done: CellCalibration) -> str:
+def _checks(done: CellResult) -> str:
     rows = [
         ["target's size, arm's lengths over its file", _ratio(done), "1 within three deviations"],
         [
@@ -297,7 +294,7 @@ def _checks(done: CellCalibration) -> str:
     return table(["check", "found", "meaning"], rows)
 
 
-def _learned_table(done: CellCalibration) -> str:
+def _learned_table(done: CellResult) -> str:
     return table(
         ["parameter", "value", "±", "known before, ±", "bits"], [*map(_row, done.learned)], numbers=(1, 2, 3, 4)
     )
@@ -314,7 +311,7 @@ def _row(one: Learned) -> list[str]:
     return [words, shown, std, before, "–" if one.bits is None else f"{one.bits:.1f}"]
 
 
-def correlation_figure(done: CellCalibration) -> Figure:
+def correlation_figure(done: CellResult) -> Figure:
     """Return the correlations of the parameters that hang together most, as coloured squares."""
     at = done.solved.fit.places
     C = done.covariance[np.ix_(at, at)]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, ImageComparison, Part
+from armsight.calibrate.handeye import HandEyeResult, ImageComparison, Part
 from armsight.columns import POSITION, ROTATION_VECTOR
 from armsight.report.boards import add_boards
 from armsight.report.figures import (
@@ -29,7 +29,6 @@ from armsight.report.figures import (
     subplot,
 )
 from armsight.report.html import Card, Page, bullets, page_unit, table
-from armsight.report.run import BoardViews
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 Array = NDArray[np.float64]
@@ -40,15 +39,14 @@ AXIS_SHARE = 0.06
 
 
 def handeye_report(
-    result: HandEye,
+    result: HandEyeResult,
     *,
     inputs: Sequence[tuple[str, str]] = (),
-    boards: BoardViews | None = None,
     created: datetime | None = None,
 ) -> str:
     """Return the page as HTML text that needs no other file.
 
-    inputs: (what, which) lines for the end of the page. boards: where images were the input.
+    inputs: (what, which) lines for the end of the page.
     """
     page = Page(
         title="Hand-eye calibration",
@@ -71,8 +69,8 @@ def handeye_report(
         f"In the base's axes: flange, camera and target as the calibration sees them. {_axes_note()}",
         page.plot(scene_figure(result)),
     )
-    if boards is not None:
-        add_boards(page, boards)
+    if result.boards is not None:
+        add_boards(page, result.boards)
     page.add(
         "Residuals",
         "Measured target against the fit, and against the prediction from the other poses, at the target. "
@@ -85,7 +83,7 @@ def handeye_report(
     return page.html(created=created or datetime.now())
 
 
-def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str]]) -> None:
+def _add_background(page: Page, result: HandEyeResult, inputs: Sequence[tuple[str, str]]) -> None:
     """Add whose noise it is, what was left out, and what went in."""
     page.add("Whose noise it is", "Standard deviations of one component of one pose.", _noise(result))
     if result.rejected_pairs:
@@ -94,8 +92,8 @@ def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
 
 
-def _cards(result: HandEye) -> list[Card]:
-    std = result.std()
+def _cards(result: HandEyeResult) -> list[Card]:
+    std = result.std
     position_m = max(std[name] for name in POSITION)
     turn_rad = max(std[name] for name in ROTATION_VECTOR)
     cards = [
@@ -125,14 +123,13 @@ def _cards(result: HandEye) -> list[Card]:
     return cards
 
 
-def _poses(result: HandEye) -> list[str]:
+def _poses(result: HandEyeResult) -> list[str]:
     out = []
     poses = (
-        (f"T_{result.camera_parent}_camera", result.T_parent_camera, "camera"),
-        (f"T_{result.target_parent}_target", result.T_parent_target, "target"),
+        (f"T_{result.camera_parent}_camera", result.T_parent_camera, result.std),
+        (f"T_{result.target_parent}_target", result.T_parent_target, result.target_std),
     )
-    for name, pose, who in poses:
-        std = result.std(who)
+    for name, pose, std in poses:
         values = [*(pose.translation / MM), *(pose.rotation.as_rotvec() / DEG)]
         rows = []
         for (key, deviation), value in zip(std.items(), values, strict=True):
@@ -163,7 +160,7 @@ def _comparison(comparison: ImageComparison) -> str:
     return table(names, rows, numbers=(1, 2, 3, 4))
 
 
-def _noise(result: HandEye) -> str:
+def _noise(result: HandEyeResult) -> str:
     noise = result.noise
 
     def row(name: str, part: Part, factor: float, unit: str) -> list[str]:
@@ -181,7 +178,7 @@ def _noise(result: HandEye) -> str:
     return table(["noise", "value", "±", "unit"], rows, numbers=(1, 2))
 
 
-def scene_figure(result: HandEye) -> Figure:
+def scene_figure(result: HandEyeResult) -> Figure:
     """Return flanges, cameras and targets in the base's axes."""
     flange = result.pairs.T_base_flange
     if result.camera_parent == "flange":
@@ -198,7 +195,7 @@ def scene_figure(result: HandEye) -> Figure:
     return Figure(data=data, layout=layout(scene=scene), height_px=560)
 
 
-def residual_figure(result: HandEye) -> Figure:
+def residual_figure(result: HandEyeResult) -> Figure:
     """Return each pose's residual and left-out error, position above, orientation below."""
     names = short_names(result.pairs.names)
     at = np.arange(1.0, len(names) + 1.0)
@@ -225,7 +222,7 @@ def residual_figure(result: HandEye) -> Figure:
     return Figure(data=data, layout=shape, height_px=560)
 
 
-def turning_figure(result: HandEye) -> Figure:
+def turning_figure(result: HandEyeResult) -> Figure:
     """Return the turns of the hand as points, with the principal axes at two root mean squares."""
     rotation_excitation = result.rotation_excitation
     w = rotation_excitation.rotvecs_rad / DEG

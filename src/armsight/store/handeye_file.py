@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, ImageComparison, LeftOutErrors, PosePairs, Setup
+from armsight.calibrate.handeye import HandEyeResult, ImageComparison, LeftOutErrors, PosePairs, Setup
 from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
@@ -34,6 +34,7 @@ from armsight.store.codec import (
 from armsight.store.covariances import CAMERA_COVARIANCE, UNCORRELATED, above_diagonal, covariances, has_correlations
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
 from armsight.store.lost import without_lost
+from armsight.store.rigs import write_camera
 from armsight.store.schema import Origin, read_document, write_document
 from armsight.store.tables import Table, cells, parse_table
 
@@ -215,8 +216,15 @@ def _by_number(path: Path, files: Sequence[str], images: Sequence[str], format_:
     return [named_by.get(number, name) for number, name in zip(ours, files, strict=True)]
 
 
-def write_handeye(path: Path, result: HandEye, *, inputs: Sequence[Path] = ()) -> None:
-    """Write handeye.yaml with the hashes of the files it was made from."""
+def freed_camera_path(out: Path) -> Path:
+    """Return where the freed camera goes beside a handeye.yaml."""
+    return out.with_suffix(".camera.yaml")
+
+
+def write_handeye(path: Path, result: HandEyeResult, *, inputs: Sequence[Path] = ()) -> None:
+    """Write handeye.yaml with the hashes of what it was made from, and beside it the camera that was freed and kept."""
+    if result.camera is not None:
+        write_camera(freed_camera_path(path), result.camera, rms_px=result.reprojection_rms_px, inputs=inputs)
     content = {
         "setup": str(result.setup),
         **{name: pose_mapping(pose) for name, pose in named_poses(result).items()},
@@ -255,7 +263,7 @@ def write_handeye_poses(
     write_document(path, HANDEYE_FORMAT, content, ())
 
 
-def named_poses(result: HandEye) -> dict[str, RigidTransform]:
+def named_poses(result: HandEyeResult) -> dict[str, RigidTransform]:
     """Return the two poses under the names that their setup gives them."""
     return {
         f"T_{result.camera_parent}_camera": result.T_parent_camera,

@@ -7,16 +7,20 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from armsight.calibrate.cell import CellResult
+from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
+from armsight.file_names import ARM, CELL, RIG, TARGET, WORLD
 from armsight.kinematics import Arm
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
-from armsight.store.handeye_file import write_tip
+from armsight.store.atomic import write_json
+from armsight.store.handeye_file import write_handeye, write_tip
 from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
@@ -46,6 +50,17 @@ def write_timed_rig(path: Path, result: TimingResult, *, inputs: Sequence[Path] 
     write_rig(path, result.rig, inputs=inputs)
 
 
+def write_cell(folder: Path, result: CellResult, *, inputs: Sequence[Path] = ()) -> None:
+    """Write rig.yaml, world.yaml, target.yaml, arm.yaml and cell.json into a folder."""
+    parts = result.parts
+    world = World(parent="base", T_parent_rig=parts.T_base_rig, covariance=parts.base_covariance)
+    write_rig(folder / RIG, parts.rig, inputs=inputs)
+    write_world(folder / WORLD, world, inputs=inputs)
+    write_target(folder / TARGET, parts.target, inputs=inputs)
+    write_arm(folder / ARM, parts.arm, inputs=inputs)
+    write_json(folder / CELL, result.to_dict())
+
+
 WRITERS: Mapping[type, Mapping[str, Writer]] = {
     Camera: dict.fromkeys(YAML, write_camera),
     Rig: dict.fromkeys(YAML, write_rig),
@@ -54,6 +69,8 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     TaughtPath: {".csv": write_path},
     World: dict.fromkeys(YAML, write_world),
     Limits: dict.fromkeys(YAML, write_limits),
+    CellResult: {"": write_cell},
+    HandEyeResult: dict.fromkeys(YAML, write_handeye),
     PivotCalibration: dict.fromkeys(YAML, write_pivot),
     TargetResult: dict.fromkeys(YAML, write_lights),
     TimingResult: dict.fromkeys(YAML, write_timed_rig),

@@ -224,6 +224,8 @@ WRONG: dict[str, dict[str, Any]] = {
     "ArmLike": {"a number": 3, "an array": np.eye(3), "nowhere": "no-such-arm"},
     "Source": {"a number": 3, "a dict": {}, "nowhere": "no-such-folder", "floats": [np.ones((4, 4))]},
     "TableLike": {"ragged": {"a": [1.0], "b": [1.0, 2.0]}, "a set": {1.0}, "nowhere": "no-such-file.csv", "none": {}},
+    **{name: {"ragged": {"a": [1.0], "b": [1.0, 2.0]}, "a set": {1.0}} for name in ("TableFile", "PairsFile")},
+    **{key: {"a text": "1", "share": 1.5, "a row": [1]} for key in ("Workers", "Bits")},
     "PoseLike": {"a number": 3, "scaled": 2.0 * np.eye(4), "nowhere": "no-such-file.yaml"},
     "Poses": {"a number": 3, "scaled": 2.0 * np.eye(4)},
     "PathText": {"a number": 3, "a list": [1]},
@@ -286,14 +288,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "join": (armsight.join, {"measured": ARM.fk(SPREAD)}),
     "doctor": (armsight.doctor, {"depths_m": [1.0]}),
     "reproduce": (armsight.reproduce, {"paper": "korayem2018", "out": AWAY}),
-    "calibrate_hand_eye_from_images": (
-        armsight.calibrate_hand_eye_from_images,
-        {"images": [LEFT], "T_base_flange": FLANGE[:1], "camera": CAMERA, "board": BOARD},
-    ),
-    "calibrate_hand_eye_from_streams": (
-        armsight.calibrate_hand_eye_from_streams,
-        {"robot_stream": (np.arange(12.0), FLANGE), "camera_stream": (np.arange(12.0), SEEN)},
-    ),
+    "calibrate_hand_eye": (armsight.calibrate_hand_eye, {"T_base_flange": FLANGE, "T_camera_target": SEEN}),
     "calibrate_pivot": (armsight.calibrate_pivot, PAIR),
     "calibrate_target": (armsight.calibrate_target, {"rig": RIG, "left": [LEFT], "right": [RIGHT]}),
     "calibrate_timing": (armsight.calibrate_timing, PAIR),
@@ -636,16 +631,6 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         armsight.calibrate_camera,
         {"images": IMAGES, "board": BOARDS, "options": OPTIONS, "detector": choice("auto"), "bits": BITS},
     ),
-    "calibrate_hand_eye": (
-        armsight.calibrate_hand_eye,
-        {
-            "T_base_flange": poses(FLANGE),
-            "T_camera_target": poses(SEEN),
-            "setup": choice("eye-in-hand"),
-            "names": NAMES,
-            "camera_covariance": array(np.tile(1e-8 * np.eye(6), (len(SEEN), 1, 1)), more={"one": np.eye(6)}),
-        },
-    ),
     "calibrate_mirrors": (
         armsight.calibrate_mirrors,
         {"images": IMAGES, "board": BOARDS, "thickness_m": number(0.003, negative=-0.003), "options": OPTIONS},
@@ -771,6 +756,14 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     **{name: by_annotation(call, good) for name, (call, good) in JOBS.items()},
 }
 """By public name: what is called, and each of its parameters."""
+
+TABLE["calibrate_hand_eye"][1].update(
+    T_base_flange=poses(FLANGE),
+    T_camera_target=poses(SEEN),
+    setup=choice("eye-in-hand"),
+    names=NAMES,
+    camera_covariance=array(np.tile(1e-8 * np.eye(6), (len(SEEN), 1, 1)), more={"one": np.eye(6)}),
+)
 
 MADE_BY_US = (
     *("ArmIdentification", "ArmResult", "CameraResult", "HandEyeResult", "PoseEstimate", "PoseTrack", "RigResult"),

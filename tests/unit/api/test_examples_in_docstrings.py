@@ -19,7 +19,6 @@ NEEDS_MORE = {
             "calibrate_stereo",
             "calibrate_mirrors",
             "check_mirrors",
-            "calibrate_hand_eye_from_images",
         ),
         "needs many images of a board: tests/unit/api/test_main_jobs.py and the guides have them",
     ),

@@ -14,14 +14,19 @@ import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
+import armsight as face
+from armsight.calibrate.handeye import PosePairs
 from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.cli.actions import add_action
 from armsight.cli.command import Group
 from armsight.columns import POSE7
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
+from armsight.ops.calibrate_cell import calibrate_cell
+from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
 from armsight.ops.calibrate_robot import calibrate_tool_tip
+from armsight.store.handeye_file import write_pairs
 from refusals import refuses
 
 TIP = np.array([0.0, 0.0, 0.2])
@@ -123,3 +128,54 @@ def test_a_flag_reaches_its_parameter(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert done.exit_code == 3 and "4 of 1.5 and 3" in done.output
     with pytest.raises(Inconsistent, match=r"5 of 0.5 and 4"):
         measure("three", hidden=4)
+
+
+@pytest.fixture
+def pairs(tmp_path: Path) -> tuple[RigidTransform, RigidTransform, Path]:
+    """Poses of flange and target in camera axes, and a pairs.csv of them."""
+    rng = np.random.default_rng(3)
+    flange, noise = (
+        RigidTransform.from_components(
+            rng.normal(0.0, size, (12, 3)), Rotation.from_rotvec(rng.normal(0.0, turn, (12, 3)))
+        )
+        for size, turn in ((0.2, 0.5), (2e-4, 2e-4))
+    )
+    X = RigidTransform.from_translation([0.0, 0.05, 0.1])
+    seen = noise * (flange * X).inv() * RigidTransform.from_translation([0.5, 0.0, 0.0])
+    write_pairs(tmp_path / "pairs.csv", PosePairs.of(list(flange), list(seen), [str(i) for i in range(12)]))
+    return flange, seen, tmp_path / "pairs.csv"
+
+
+def test_a_hand_eye_calibration_is_the_same_from_poses_a_table_and_the_command_line(
+    pairs: tuple[RigidTransform, RigidTransform, Path], tmp_path: Path, armsight: Any
+) -> None:
+    flange, seen, table = pairs
+    out = tmp_path / "python.yaml"
+    of_poses, of_table = calibrate_hand_eye(flange, seen), calibrate_hand_eye(pairs=table, out=out, propose=1)
+    done = armsight("calibrate", "handeye", "--pairs", table, "-o", tmp_path / "command.yaml", "--propose", "1")
+    assert of_poses.T_flange_camera == pytest.approx(of_table.T_flange_camera, abs=1e-9)
+    assert done.json == json.loads(of_table.to_json())
+    assert yaml.safe_load(out.read_text())["inputs"][0]["path"] == table.as_posix()
+    assert out.with_suffix(".report.html").is_file() and len(of_table.plot().data[0].y) == 12
+    with refuses(Inconsistent, "T_base_camera", "eye-in-hand"):
+        _ = of_table.T_base_camera
+    for wrong in ({}, {"pairs": table, "robot_stream": table}, {"images": "photos"}, {"robot_stream": table}):
+        with pytest.raises(UsageError):
+            calibrate_hand_eye(**wrong)
+
+
+def test_names_of_earlier_versions_warn_and_do_the_same(pairs: tuple[RigidTransform, RigidTransform, Path]) -> None:
+    flange, seen, _ = pairs
+    t_s = np.arange(12.0)
+    with pytest.warns(DeprecationWarning), pytest.raises(ArmsightError):  # too short for streams
+        face.calibrate_hand_eye_from_streams((t_s, flange), (t_s, seen))
+    with pytest.warns(DeprecationWarning), pytest.raises(ArmsightError):
+        face.calibrate_hand_eye_from_images("no-such-folder", flange, "camera.yaml", "checkerboard:9x6:0.02")
+    with pytest.warns(DeprecationWarning):
+        assert calibrate_hand_eye(flange, seen).detail.n_used == 12
+
+
+def test_results_are_not_written_over_what_they_are_made_of(tmp_path: Path) -> None:
+    (tmp_path / "target.yaml").write_text("")
+    with refuses(UsageError, "target.yaml"):
+        calibrate_cell(tmp_path / "log.csv", tmp_path / "target.yaml", "ur10", out=tmp_path)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
-from armsight.app.calibrate.cell_priors import read_priors
+from armsight.app.calibrate.cell import read_priors
 from armsight.app.kinematics import reading_values
 from armsight.app.measure.run import target_of
 from armsight.calibrate.cell.knowledge import Knowledge, TargetShape, with_priors

@@ -182,14 +182,14 @@ def _kinds() -> list[tuple[str, type[Output]]]:
     from armsight.app.identify.results import IdentifyOutput
     from armsight.calibrate.arm.world import WorldCalibration
     from armsight.calibrate.cameras import StereoCalibration
-    from armsight.calibrate.handeye import HandEye
+    from armsight.calibrate.handeye import HandEyeResult
     from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
     from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
 
     return [
         ("calibrate arm", ArmOutput),
         ("calibrate camera", CameraOutput),
-        ("calibrate handeye", HandEye),
+        ("calibrate handeye", HandEyeResult),
         ("calibrate mirrors", MirrorsOutput),
         ("calibrate pivot", PivotCalibration),
         ("calibrate robot-world", WorldCalibration),

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.handeye import HandEye
+from armsight.calibrate.handeye import HandEyeResult
 from armsight.optics import SIDES, Camera
 from armsight.records import BoardView, Frame, Target
 from armsight.report.run import BoardPicture, BoardViews
@@ -84,7 +84,7 @@ def rig_boards(done: StereoCalibration, board: Target, pictures: BoardPictures) 
 
 
 def hand_boards(
-    result: HandEye, views: Sequence[BoardView], camera: Camera, board: Target, pictures: BoardPictures
+    result: HandEyeResult, views: Sequence[BoardView], camera: Camera, board: Target, pictures: BoardPictures
 ) -> BoardViews:
     """Return the boards of a hand-eye calibration in the base's axes, each with the camera as it stood for it.
 

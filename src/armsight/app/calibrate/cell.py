@@ -1,69 +1,68 @@
-"""One recording of a moving arm in; its cell out: rig.yaml with timing, world.yaml, target.yaml, arm.yaml, a report."""
+"""One recording of a moving arm, and what earlier calibrations say of its cell, as the calibration takes them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from os import PathLike, fspath
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight._files import real_path
-from armsight.app.arm_files import arm_file, load_arm
-from armsight.app.calibrate.cell_priors import read_priors
 from armsight.app.calibrate.spots_of_frames import SpotSearch, spots_of_frames
-from armsight.app.requests.calibrate_cell import CellJob
 from armsight.app.requests.shared import point_of
 from armsight.app.sources.frames import is_recording, recording_path
-from armsight.calibrate.cell import ArmTolerance, CellCalibration, CellOptions, calibrate_cell
+from armsight.calibrate.cell import CellPriors, CellResult
+from armsight.calibrate.handeye import Setup
 from armsight.drivers import is_live
-from armsight.errors import Inconsistent, UsageError
-from armsight.file_names import ARM, CELL, CELL_CALIBRATED, REPORT, RIG, TARGET, WORLD
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
-from armsight.optics import SIDES
-from armsight.records import Frame, Motion, Progress, Silent, SpotTrack
-from armsight.report.cell_report import cell_report
-from armsight.store import World, read_spot_track, read_target, write_json, write_rig, write_target, write_text
-from armsight.store.arm_file import write_arm
-from armsight.store.handeye_file import read_tip
+from armsight.ops.action import Given
+from armsight.ops.given import as_arm
+from armsight.optics import RIGHT_POSE, SIDES
+from armsight.records import Frame, Motion, NamedCovariance, Progress, SpotTrack, checked_array, require_count
+from armsight.store import read_rig, read_spot_track, read_world
+from armsight.store.foreign.format_detection import kind_of
+from armsight.store.handeye_file import read_handeye, read_tip
+from armsight.store.interpret import TableFormat
 from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints
-from armsight.store.worlds import write_world
 
 Array = NDArray[np.float64]
 Size = tuple[int, int]
 
 OFF_CENTRE = 0.1
 """Of the image's size: webcams' lenses are within 0.05 of its middle; 1280x720 taken for 1920x1080 is 0.16 off."""
+READ = "armsight/rig, armsight/world, armsight/handeye"
 
 
-def run_calibrate_cell(job: CellJob, progress: Progress | None = None) -> CellCalibration:
-    """Calibrate a cell, write its files into the folder out, and return the figures as --json gives them.
+def given_arm(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
+    """Return an arm, that of a file, or the one known by that name. Raises UsageError, BadFile."""
+    return as_arm(name, value)
 
-    Nothing is written before all is known. Raises UsageError, BadFile, DataRefused with what speaks against the
-    recording, Cancelled.
+
+def given_tip(name: str, value: Any, given: Given, undo: ExitStack) -> Array | None:
+    """Return the tip (3,) in target axes, m, of X,Y,Z, a tip.yaml or numbers; None of an empty text.
+
+    Raises UsageError, BadFile, Inconsistent.
     """
-    _check(job)
-    arm = load_arm(job.model)
-    target = read_target(job.target)
-    tip = _tip_m(job.tool)
-    joints = _joints(job, arm)
-    tracks, sizes = _tracks(job, progress or Silent())
-    _require_two(tracks)
-    options = CellOptions(
-        tip_m=tip,
-        tolerance=ArmTolerance(length_m=job.tolerance_m, zero_rad=job.tolerance_rad, angle_rad=job.tolerance_rad),
-        compliance=job.compliance,
-        priors=read_priors(job.prior or (), sizes),
-    )
-    done = calibrate_cell(arm, joints, tracks, target, sizes=sizes, options=options, progress=progress)
-    if job.size is not None:
-        _require_centred(done)
-    _write(job, done)
-    return done
+    if not isinstance(value, str | PathLike):
+        return checked_array(name, value, (3,))
+    text = fspath(value)
+    if not text:
+        return None
+    return read_tip(Path(text)).tip_m if text.lower().endswith((".yaml", ".yml")) else np.array(point_of(text))
 
 
-def _require_centred(done: CellCalibration) -> None:
+def given_files(name: str, value: Any, given: Given, undo: ExitStack) -> list[Path]:
+    """Return paths."""
+    return [Path(fspath(one)) for one in value]
+
+
+def require_centred(done: CellResult) -> None:
     """Raise Inconsistent where a lens's middle is far from that of the images whose size was typed."""
     for side in SIDES:
         camera = done.rig.camera(side)
@@ -79,32 +78,14 @@ def _require_centred(done: CellCalibration) -> None:
             )
 
 
-def _write(job: CellJob, done: CellCalibration) -> None:
-    parts, out = done.parts, job.out
-    given = (job.robot_log, job.target, job.left_spots, job.right_spots, *(job.prior or ()))
-    inputs = [path for path in given if path is not None]
-    files = [("arm", job.model), ("target", str(job.target)), ("robot's log", str(job.robot_log))]
-    files += [
-        (f"{side} camera", str(given))
-        for side, given in zip(SIDES, (job.left or job.left_spots, job.right or job.right_spots), strict=True)
-    ]
-    page = cell_report(done, load_arm(job.model), inputs=files)
-    write_rig(out / RIG, parts.rig, inputs=inputs)
-    world = World(
-        parent="base",
-        T_parent_rig=parts.T_base_rig,
-        covariance=parts.base_covariance,
-    )
-    write_world(out / WORLD, world, inputs=inputs)
-    write_target(out / TARGET, parts.target, inputs=inputs)
-    write_arm(out / ARM, parts.arm, inputs=inputs)
-    write_text(out / REPORT, page)
-    write_json(out / CELL, done.to_dict())
+def require_size(name: str, value: Any) -> None:
+    """Raise UsageError, Inconsistent for what is no size of images (w, h) px, nor None."""
+    for pixels in [] if value is None else checked_array(name, value, (2,)).tolist():
+        require_count(name, int(pixels) if pixels == int(pixels) else pixels, least=1)
 
 
-def _check(job: CellJob) -> None:
-    """Raise UsageError for frames that are none, live ones, and files that would be written over."""
-    frames, tables = (job.left, job.right), (job.left_spots, job.right_spots)
+def require_sources(frames: Sequence[Any], tables: Sequence[Any], size: Size | None) -> None:
+    """Raise UsageError for frames that are none, or live ones."""
     if not (all(frames) and not any(tables)) and not (all(tables) and not any(frames)):
         raise UsageError(
             "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
@@ -116,59 +97,39 @@ def _check(job: CellJob) -> None:
             cure="Record first, while the robot moves and logs its joints: armsight record --left ... --right ... "
             "-o cell.mcap; then give --left cell.mcap --right cell.mcap",
         )
-    if all(tables) and job.size is None:
+    if all(tables) and size is None:
         raise UsageError(
             "tables of spots do not tell how large the images are",
             consequence="Nothing is calibrated",
             cure="Add --size 1280x720, and --right-size where the right camera's is another",
         )
-    tip = Path(job.tool) if _is_file(job.tool) else None
-    given = (arm_file(job.model), job.target, job.robot_log, *tables, *(job.prior or ()), tip)
-    read = {real_path(path) for path in given if path is not None}
-    for name in CELL_CALIBRATED:
-        if real_path(job.out / name) in read:
-            raise UsageError(
-                f"{job.out / name} is to be read, and would be written over",
-                consequence="Nothing is written",
-                cure="Give another folder with -o",
-            )
 
 
-def _is_file(text: str) -> bool:
-    return text.lower().endswith((".yaml", ".yml"))
-
-
-def _tip_m(text: str) -> Array | None:
-    """Return the tip (3,) in target axes of 'X,Y,Z' or a tip.yaml, None where none is named."""
-    if not text:
-        return None
-    return read_tip(Path(text)).tip_m if _is_file(text) else np.array(point_of(text))
-
-
-def _joints(job: CellJob, arm: Arm) -> Motion:
+def joints_of(log: Path, arm: Arm, format_: TableFormat) -> Motion:
     """Return the log; of a recording the readings of its robot."""
-    if not is_recording(str(job.robot_log)):
-        return read_joints(job.robot_log, job.table.of_arm(arm), measured=True)
-    with Recording(recording_path(str(job.robot_log))) as recording:
+    if not is_recording(str(log)):
+        return read_joints(log, format_.of_arm(arm), measured=True)
+    with Recording(recording_path(str(log))) as recording:
         readings = list(recording.joints())
     return Motion(t_s=np.array([one.t_s for one in readings]), q=np.array([one.q for one in readings]))
 
 
-def _tracks(job: CellJob, progress: Progress) -> tuple[tuple[SpotTrack, SpotTrack], tuple[Size, Size]]:
-    """Return the spots of both cameras, and the sizes of their images."""
-    if job.left_spots is not None and job.right_spots is not None and job.size is not None:
-        sizes = (job.size, job.right_size or job.size)
-        left, right = read_spot_track(job.left_spots), read_spot_track(job.right_spots)
-        for track, path, size in ((left, job.left_spots, sizes[0]), (right, job.right_spots, sizes[1])):
-            _require_inside(track, path, size)
-        return (left, right), sizes
-    search = SpotSearch(
-        threshold=job.threshold, inverted=job.inverted, fps=job.fps, limit=job.limit, origin_of=job.left
-    )
+def spots_of_tables(paths: tuple[Path, Path], sizes: tuple[Size, Size]) -> tuple[SpotTrack, SpotTrack]:
+    """Return the spots of both cameras, whose images are of these sizes (w, h) px. Raises Inconsistent, BadFile."""
+    left, right = read_spot_track(paths[0]), read_spot_track(paths[1])
+    for track, path, size in ((left, paths[0], sizes[0]), (right, paths[1], sizes[1])):
+        _require_inside(track, path, size)
+    return left, right
+
+
+def spots_and_sizes(
+    search: SpotSearch, sources: tuple[str, str], progress: Progress
+) -> tuple[tuple[SpotTrack, SpotTrack], tuple[Size, Size]]:
+    """Return the spots in frames of both cameras, and the sizes of their images. Raises UsageError, Inconsistent."""
     tracks, found = [], []
-    for side, text in zip(SIDES, (job.left, job.right), strict=True):
+    for side, text in zip(SIDES, sources, strict=True):
         seen: list[Size] = []
-        tracks.append(spots_of_frames(search, side, text or "", progress, _one_size(seen)))
+        tracks.append(spots_of_frames(search, side, text, progress, _one_size(seen)))
         if not seen:
             raise UsageError(f"{text} holds no frames", cure="Give the frames of the recording")
         found.append(seen[0])
@@ -192,7 +153,7 @@ def _one_size(seen: list[Size]) -> Callable[[Frame], None]:
     return check
 
 
-def _require_two(tracks: tuple[SpotTrack, SpotTrack]) -> None:
+def require_two(tracks: tuple[SpotTrack, SpotTrack]) -> None:
     """Raise Inconsistent where both cameras are one."""
     left, right = tracks
     if left.uv_px.shape == right.uv_px.shape and len(left.uv_px) and (left.uv_px == right.uv_px).all():
@@ -212,3 +173,74 @@ def _require_inside(track: SpotTrack, path: Path, size: Size) -> None:
             consequence="No cell is calibrated",
             cure="Give the size of the images in which the spots were found: --size, or --right-size of the right one",
         )
+
+
+def read_priors(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> CellPriors | None:
+    """Return what files say of a cell whose images are of these sizes (w, h) px; None for no file.
+
+    Raises UsageError for another kind of file, NotEnoughData for one without a covariance, Inconsistent for cameras of
+    another size.
+    """
+    known = CellPriors()
+    for path in paths:
+        kind = kind_of(path)
+        if kind == "armsight/rig":
+            known = _of_rig(known, path, sizes)
+        elif kind == "armsight/world":
+            world = read_world(path)
+            if world.parent != "base":
+                raise Inconsistent(
+                    f"{path}: says where the rig stands in the world, not to the base",
+                    cure="Give the world.yaml that `armsight calibrate robot-world` or `calibrate cell` wrote",
+                )
+            known = replace(known, base_pose=(world.T_parent_rig, _told(world.covariance, path)))
+        elif kind == "armsight/handeye":
+            hand = read_handeye(path)
+            if hand.setup is not Setup.EYE_TO_HAND:
+                raise Inconsistent(
+                    f"{path}: the camera is on the hand there, and here it stands",
+                    cure="Leave it out, or give an eye-to-hand calibration of the left camera",
+                )
+            covariance = _told(hand.covariance, path)
+            names = covariance.names[:6]
+            pose = NamedCovariance(names=names, matrix=covariance.block(names))
+            known = replace(known, base_pose=(hand.T_parent_camera, pose))
+        else:
+            raise UsageError(
+                f"{path}: a {kind or 'file of no known kind'} tells nothing here",
+                cure=f"Give {READ}; a calibrated arm as --model, a measured target as --target",
+            )
+    return known if paths else None
+
+
+def _of_rig(known: CellPriors, path: Path, sizes: Sequence[tuple[int, int]]) -> CellPriors:
+    rig = read_rig(path)
+    covariance = _told(rig.covariance, path)
+    lenses = []
+    for side, size in zip(SIDES, sizes, strict=True):
+        camera = rig.camera(side)
+        if (camera.width, camera.height) != tuple(size):
+            raise Inconsistent(
+                f"{path}: the {side} camera has {camera.width}x{camera.height} px, the recording {size[0]}x{size[1]}",
+                consequence="Its lens is not that of these images",
+                cure="Give the rig.yaml of these cameras in this mode",
+            )
+        names = tuple(name for name in covariance.names if name.startswith(f"{side}.") and name not in RIGHT_POSE)
+        short = tuple(name.partition(".")[2] for name in names)
+        lenses.append((camera, NamedCovariance(names=short, matrix=covariance.block(names))) if names else None)
+    pose = (
+        (rig.T_rig_left.inv() * rig.T_rig_right, NamedCovariance(names=RIGHT_POSE, matrix=covariance.block(RIGHT_POSE)))
+        if set(RIGHT_POSE) <= set(covariance.names)
+        else None
+    )
+    return replace(known, lenses=(lenses[0], lenses[1]), right_pose=pose)
+
+
+def _told(covariance: NamedCovariance | None, path: Path) -> NamedCovariance:
+    if covariance is None:
+        raise NotEnoughData(
+            f"{path} brings no covariance",
+            consequence="How much it is to count beside the recording is not known",
+            cure="Calibrate with a current version, or leave it out",
+        )
+    return covariance

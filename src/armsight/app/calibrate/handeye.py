@@ -1,10 +1,15 @@
-"""Pose pairs, images or streams in, where the camera is on the arm out; poses of a pivoting tool in, its tip out."""
+"""Hand-eye calibrations from files: tables of pairs, images of a board, streams of poses on clocks of their own."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import permutations
+from os import PathLike, fspath
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -12,102 +17,148 @@ from scipy.spatial.transform import RigidTransform
 from armsight._files import real_path
 from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
-from armsight.app.calibrate.cameras import report_path
-from armsight.app.calibrate.euler_orders import ViewsOfHand, calibrated_pairs, solve_pose_pairs
-from armsight.app.requests.calibrate_robot import HandEyeJob
 from armsight.calibrate.handeye import (
-    HandEye,
+    HandEyeResult,
+    PosePairs,
     RejectedPair,
     Setup,
+    calibrate_eye_in_hand,
+    calibrate_eye_to_hand,
+    calibrate_from_views,
     pairs_of_streams,
-    propose,
 )
 from armsight.calibrate.handeye.board_turns import turned_views
+from armsight.calibrate.handeye.consensus import RIGHT, consensus
+from armsight.calibrate.handeye.image_model import poses_of_views
 from armsight.drivers import ImageReading, list_images, open_source
-from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.ops.action import Given
+from armsight.ops.arrays import as_poses
+from armsight.ops.inputs import table
 from armsight.optics import Camera
-from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, Target
+from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Target, real_array, require_kind, require_texts
 from armsight.records.measured import covariances_of
-from armsight.report.handeye_report import handeye_report
-from armsight.report.run import BoardViews
-from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
+from armsight.store import parse_board, read_camera, read_poses
 from armsight.store.covariances import uncorrelated_note
-from armsight.store.handeye_file import (
-    read_robot_poses,
-    write_handeye,
-)
+from armsight.store.handeye_file import freed_camera_path, read_pairs, read_robot_poses
 from armsight.store.interpret import TableFormat
+from armsight.store.targets import board_text
+
+SAME = 1e-9
+"""Rotation matrices that differ by less are of one reading."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Solved:
-    """A hand-eye calibration and what stands beside it: the files read, the images seen, the camera that was freed."""
+def given_camera(name: str, value: Any, given: Given, undo: ExitStack) -> Camera:
+    """Return a camera, or that of a camera.yaml, over which the freed one must not be written.
 
-    result: HandEye
-    inputs: Sequence[Path]
-    boards: BoardViews | None = None
-    freed: Camera | None = None
-
-
-def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> HandEye:
-    """Calibrate, write handeye.yaml and its report; return the figures as --json gives them.
-
-    Raises UsageError for a call with none or several kinds of input, DataRefused for data that cannot carry the answer,
-    Cancelled.
+    Raises BadFile, UsageError.
     """
-    solved = solve_handeye(job, progress)
-    proposed = propose(solved.result, job.propose) if job.propose else None
-    camera_file = _write_camera(freed_camera_path(job.out), solved)
-    write_handeye(job.out, solved.result, inputs=solved.inputs)
-    files = [("file", item.name) for item in solved.inputs[:20]]
-    write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
-    return replace(solved.result, camera_file=camera_file, proposals=proposed)
-
-
-def solve_handeye(job: HandEyeJob, progress: Progress | None = None) -> Solved:
-    """Calibrate from what the job names, and write nothing. Raises as calibrate_handeye."""
-    progress = progress or Silent()
-    kinds = [job.pairs is not None, bool(job.images), job.robot_stream is not None]
-    if sum(kinds) != 1:
+    out, read = given.get("out"), [given.get("camera"), given.get("robot")]
+    files = {real_path(Path(fspath(one))) for one in read if isinstance(one, str | PathLike)}
+    if given.get("free_camera") and out is not None and real_path(freed_camera_path(Path(out))) in files:
         raise UsageError(
-            "give --pairs, or --images (with --camera, --board and --robot), or --robot-stream with --camera-stream"
+            f"{freed_camera_path(Path(out))} is to be read, and the freed camera would be written over it",
+            consequence="Nothing is written",
+            cure="Give another name with -o",
         )
-    if job.pairs is not None:
-        return Solved(result=calibrated_pairs(job.pairs, _of_setup(job), job.setup), inputs=[job.pairs])
-    if job.images:
-        _check_names(job)
-        return _from_images(job, progress)
-    return _from_streams(job)
+    if isinstance(value, str | PathLike):
+        return read_camera(Path(fspath(value)))
+    require_kind(name, value, Camera, cure="Give a record or a file")
+    return value  # type: ignore[no-any-return]  # a Camera
 
 
-def freed_camera_path(out: Path) -> Path:
-    """Return where the freed camera goes beside a handeye.yaml."""
-    return out.with_suffix(".camera.yaml")
+def given_board(name: str, value: Any, given: Given, undo: ExitStack) -> Target:
+    """Return a board, or that of a text or file. Raises UsageError, BadFile."""
+    require_kind(name, value, Target, str, PathLike)
+    return value if isinstance(value, Target) else parse_board(fspath(value))
 
 
-def _write_camera(path: Path, solved: Solved) -> str | None:
-    """Write the camera that was freed and kept, beside the result that belongs to it; return its path."""
-    if solved.freed is None:
-        return None
-    write_camera(path, solved.freed, rms_px=solved.result.reprojection_rms_px, inputs=solved.inputs)
-    return str(path)
+def given_pairs(name: str, value: Any, given: Given, undo: ExitStack) -> PosePairs | Path:
+    """Return pairs, or the file of a table of them; of columns by name one that goes again. Raises UsageError."""
+    return value if isinstance(value, PosePairs) else table(name, value, given, undo)
 
 
-def _of_setup(job: HandEyeJob) -> TableFormat:
-    """Return what is said of tables, with where the camera is: some programs save other poses for each."""
-    return replace(job.table, on_hand=job.setup is Setup.EYE_IN_HAND)
+def pairs_of(
+    T_base_flange: Any, T_camera_target: Any, names: Sequence[str] | None, camera_covariance: Any
+) -> PosePairs:
+    """Return the pairs of poses (n, 4, 4). Raises Inconsistent, UsageError."""
+    robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
+    rows = require_texts("names", names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
+    covariance = None if camera_covariance is None else real_array("camera_covariance", camera_covariance)
+    return PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows, camera_covariance=covariance)
 
 
-def _robot_poses(job: HandEyeJob) -> dict[str, RigidTransform]:
-    """Return T_base_flange by the image's name."""
-    if job.robot is None:
-        raise UsageError("--images needs --robot robot_poses.csv")
-    return read_robot_poses(job.robot, job.table, images=[path.name for path in list_images(job.images)])
+def from_pairs(pairs: PosePairs | Path, setup: Setup, format_: TableFormat) -> HandEyeResult:
+    """Return the calibration from pairs, or a pairs.csv.
+
+    Raises as calibrate_eye_in_hand; Inconsistent with the order of Euler angles that fits where one does.
+    """
+    calibrate = calibrate_eye_in_hand if setup is Setup.EYE_IN_HAND else calibrate_eye_to_hand
+    if isinstance(pairs, PosePairs):
+        return calibrate(pairs)
+    format_ = replace(format_, on_hand=setup is Setup.EYE_IN_HAND)  # some programs save other poses for each
+    try:
+        return calibrate(read_pairs(pairs, format_))
+    except Inconsistent as error:
+        raise _with_order(error, lambda other: read_pairs(pairs, other), setup, format_) from error
 
 
-def _require_named(images: set[str], robot: Mapping[str, RigidTransform], file: Path) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardsAtPoses:
+    """Views of a board, each at a pose of the robot by its image's name; again: reads these in another format.
+
+    unseen: (name, why) of images and poses that make no pair. pictures: of the images, for the report.
+    """
+
+    views: Sequence[BoardView]
+    T_base_flange: Mapping[str, RigidTransform]
+    again: Callable[[TableFormat], Mapping[str, RigidTransform]]
+    unseen: Sequence[tuple[str, str]]
+    pictures: BoardPictures
+
+
+def see_boards(
+    images: str,
+    board: Target,
+    robot: Path,
+    format_: TableFormat,
+    reading: ImageReading,
+    progress: Progress,
+    workers: int | None = None,
+) -> BoardsAtPoses:
+    """Return the board in the images that a robot_poses.csv names. Raises Inconsistent, NotEnoughData, Cancelled."""
+    met = [path.name for path in list_images(images)]
+    poses = read_robot_poses(robot, format_, images=met)
+    _require_named(met, poses, robot)
+    pictures, text = BoardPictures(), board_text(board)
+    reading, every = replace(reading, only=frozenset(poses)), list[tuple[str, Seen]]()
+    with open_source(images, reading=reading) as source:
+        for name, seen in in_parallel(
+            lambda frame: (Path(frame.source).name, see_board(frame, board, pictures=pictures)), source, workers=workers
+        ):
+            every.append((name, seen))
+            progress.update(len(every), source.total or 0, "finding the board")
+            if progress.cancelled():
+                raise Cancelled(f"stopped after {len(every)} images", consequence="Nothing was written")
+    require_counts([seen for _, seen in every], board, text)
+    unseen = [(name, f"no row of {robot.name} names this image") for name in sorted(set(met) - set(poses))]
+    unseen += [(name, seen.why) for name, seen in every if isinstance(seen, NotSeen)]
+    unseen += [(name, "there is no such image") for name in poses if name not in met]
+    views = [seen for _, seen in every if isinstance(seen, BoardView)]
+    if not views:
+        raise NotEnoughData(
+            f"the board {text} was found in none of the images; {unseen[0][0]}: {unseen[0][1]}",
+            consequence="Nothing was calibrated",
+            cure=count_again(board),
+        )
+    progress.update(0, 0, "solving")
+    again = partial(read_robot_poses, robot, images=met)
+    return BoardsAtPoses(views=views, T_base_flange=poses, again=again, unseen=unseen, pictures=pictures)
+
+
+def _require_named(images: Sequence[str], robot: Mapping[str, RigidTransform], file: Path) -> None:
     """Raise Inconsistent where no image has a robot pose."""
-    if not images & set(robot):
+    if not set(images) & set(robot):
         raise Inconsistent(
             f"none of the images is named in {file}, which begins with {next(iter(robot), 'nothing')!r}",
             consequence="No image has a robot pose",
@@ -115,74 +166,30 @@ def _require_named(images: set[str], robot: Mapping[str, RigidTransform], file: 
         )
 
 
-def _check_names(job: HandEyeJob) -> None:
-    """Raise UsageError where the freed camera would be written over a file that is to be read."""
-    freed = freed_camera_path(job.out)
-    if job.free_camera and real_path(freed) in {
-        real_path(path) for path in (job.camera, job.robot) if path is not None
-    }:
-        raise UsageError(
-            f"{freed} is to be read, and the freed camera would be written over it",
-            consequence="Nothing is written",
-            cure="Give another name with -o",
-        )
+def from_boards(
+    seen: BoardsAtPoses, camera: Camera, board: Target, setup: Setup, format_: TableFormat, *, free_camera: bool = False
+) -> HandEyeResult:
+    """Return the calibration from images of a board. Raises as calibrate_from_views, and as from_pairs."""
+    names = [Path(view.source).name for view in seen.views]
+    poses = [seen.T_base_flange[name] for name in names]
+    views, n_turned = turned_views(seen.views, poses, camera, board, setup)
+    try:
+        done = calibrate_from_views(views, poses, camera, board, setup, free_camera=free_camera)
+    except Inconsistent as error:
+        at = poses_of_views(views, camera, board).T_camera_target
+        targets = [at[i] for i in range(len(names))]
 
+        def read(other: TableFormat) -> PosePairs:
+            found = seen.again(other)
+            return PosePairs.of([found[name] for name in names], targets)
 
-def _from_images(job: HandEyeJob, progress: Progress) -> Solved:
-    if job.camera is None or job.robot is None or not job.board:
-        raise UsageError("--images needs --camera camera.yaml, --board BOARD and --robot robot_poses.csv")
-    board, camera, robot = parse_board(job.board), read_camera(job.camera), _robot_poses(job)
-    views: list[BoardView] = []
-    met = {path.name for path in list_images(job.images)}
-    _require_named(met, robot, job.robot)
-    unseen = [(name, f"no row of {job.robot.name} names this image") for name in sorted(met - set(robot))]
-    reading = ImageReading(bits=job.bits, strict=job.strict, only=frozenset(robot))
-    every: list[Seen] = []
-    pictures = BoardPictures()
-    with open_source(job.images, reading=reading) as source:
-        for frame, seen in in_parallel(
-            lambda frame: (frame, see_board(frame, board, pictures=pictures)), source, workers=job.workers
-        ):
-            name = Path(frame.source).name
-            every.append(seen)
-            if isinstance(seen, NotSeen):
-                unseen.append((name, seen.why))
-            else:
-                views.append(seen)
-            progress.update(len(every), source.total or 0, "finding the board")
-            if progress.cancelled():
-                raise Cancelled(f"stopped after {len(every)} images", consequence="Nothing was written")
-    require_counts(every, board, job.board)
-    unseen += [(name, "there is no such image") for name in robot if name not in met]
-    if not views:
-        raise NotEnoughData(
-            f"the board {job.board} was found in none of the images; {unseen[0][0]}: {unseen[0][1]}",
-            consequence="Nothing was calibrated",
-            cure=count_again(board),
-        )
-    progress.update(0, 0, "solving")
-    solved = _solved(job, views, camera, board, robot, pictures)
-    missed = tuple(RejectedPair(row=None, name=name, why=why) for name, why in unseen)
-    return replace(solved, result=replace(solved.result, unseen=missed))
-
-
-def _solved(
-    job: HandEyeJob,
-    views: list[BoardView],
-    camera: Camera,
-    board: Target,
-    robot: Mapping[str, RigidTransform],
-    pictures: BoardPictures,
-) -> Solved:
-    """Return the calibration from the board's views."""
-    views, n_turned = turned_views(views, [robot[Path(view.source).name] for view in views], camera, board, job.setup)
-    hand = ViewsOfHand(views=views, camera=camera, board=board, setup=job.setup, free_camera=job.free_camera)
-    done = hand.calibrated(robot, job.table, lambda other: _robot_poses(replace(job, table=other)))
-    return Solved(
-        result=replace(done.result, advice=(*_of_turned(n_turned, views, board), *done.result.advice)),
-        inputs=[path for path in (job.camera, job.robot) if path is not None] + list(list_images(job.images)),
-        boards=hand_boards(done.result, views, done.camera, board, pictures),
-        freed=None if done.camera is camera else done.camera,
+        raise _with_order(error, read, setup, format_) from error
+    return replace(
+        done.result,
+        advice=(*_of_turned(n_turned, views, board), *done.result.advice),
+        unseen=tuple(RejectedPair(row=None, name=name, why=why) for name, why in seen.unseen),
+        camera=None if done.camera is camera else done.camera,
+        boards=hand_boards(done.result, views, done.camera, board, seen.pictures),
     )
 
 
@@ -196,20 +203,64 @@ def _of_turned(n_turned: int, views: Sequence[BoardView], board: Target) -> list
     ]
 
 
-def _from_streams(job: HandEyeJob) -> Solved:
-    if job.robot_stream is None or job.camera_stream is None:
-        raise UsageError("--robot-stream needs --camera-stream, both as poses.csv")
+def from_streams(
+    robot: Path, camera: Path, setup: Setup, format_: TableFormat, clocks_within_s: float | None = None
+) -> HandEyeResult:
+    """Return the calibration from poses.csv of flange and target on clocks of their own. Raises as from_pairs."""
     times, poses, covariances = [], [], []
-    for path, format_ in ((job.robot_stream, job.table), (job.camera_stream, job.table.of_camera)):
-        read = [p for p in read_poses(path, format_=format_, stream=True) if p.status is PoseStatus.OK]
+    for path, its in ((robot, format_), (camera, format_.of_camera)):
+        read = [p for p in read_poses(path, format_=its, stream=True) if p.status is PoseStatus.OK]
         if len(read) < 2:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))
         poses.append(RigidTransform.from_matrix(np.stack([p.pose.as_matrix() for p in read if p.pose is not None])))
         covariances.append(covariances_of(read))
     pairs, offset = pairs_of_streams(
-        times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s, camera_covariance=covariances[1]
+        times[0], poses[0], times[1], poses[1], within_s=clocks_within_s, camera_covariance=covariances[1]
     )
-    pairs = replace(pairs, unweighed=uncorrelated_note(job.camera_stream, covariances[1]))
-    result = replace(solve_pose_pairs(pairs, job.setup), offset=offset)
-    return Solved(result=result, inputs=[job.robot_stream, job.camera_stream])
+    pairs = replace(pairs, unweighed=uncorrelated_note(camera, covariances[1]))
+    return replace(from_pairs(pairs, setup, format_), offset=offset)
+
+
+def _with_order(
+    error: Inconsistent, read: Callable[[TableFormat], PosePairs], setup: Setup, format_: TableFormat
+) -> Inconsistent:
+    """Return the refusal of poses, with the order of Euler angles that makes them agree where one does.
+
+    read: gives the pairs of the same file in another format. Tables without Euler angles are the same in every order.
+    """
+    tried: list[np.ndarray] = []
+    fits = []
+    given = read(replace(format_, notify=lambda text: None)).T_base_flange.rotation.as_matrix()
+    for order in orders():
+        try:
+            pairs = read(replace(format_, euler=order, notify=lambda text: None))
+        except ArmsightError:  # out of the range of this order, or columns that it does not have
+            continue
+        R = pairs.T_base_flange.rotation.as_matrix()
+        if any(np.abs(R - other).max() < SAME for other in tried):
+            continue
+        tried.append(R)
+        found = consensus(pairs.arrays(setup))
+        if found.share < RIGHT:
+            fits.append((found.score, order, bool(np.abs(R - given).max() < SAME)))
+    if len(tried) < 2 or not fits:
+        return error
+    _, order, as_given = min(fits)
+    if as_given:  # what is wrong is not the order
+        return error
+    stated = f" read as {format_.order}" if format_.order else ""
+    return Inconsistent(
+        f"the robot's Euler angles{stated} contradict the camera's poses; read as {order} they agree",
+        consequence="Read as they are, they are other rotations; no calibration is given",
+        cure=f"Give --euler {order}",
+    )
+
+
+def orders() -> Iterator[str]:
+    """Yield the twelve orders of Euler angles, each about axes that stand and about axes carried along."""
+    for kind in ("", "-fixed"):
+        for axes in permutations("xyz"):
+            yield "".join(axes) + kind
+        for first, second in permutations("xyz", 2):
+            yield first + second + first + kind

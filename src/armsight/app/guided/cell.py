@@ -15,19 +15,18 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.cell import run_calibrate_cell
 from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWatch, ReadJoints
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import DetectionSettings
 from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
-from armsight.app.requests.calibrate_cell import CellJob
-from armsight.calibrate.cell import CellCalibration
+from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import Setup
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.file_names import ARM, HANDEYE, REPORT, RIG, TARGET, WORLD
 from armsight.kinematics import Arm
+from armsight.ops.calibrate_cell import calibrate_cell
 from armsight.optics import SIDES
 from armsight.records import Progress
 from armsight.store.handeye_file import write_handeye_poses
@@ -209,7 +208,7 @@ class CellStep:
         return self.recorder.folder / LOG if self.recorder is not None and self.watch.readings else None
 
     def run(self, progress: Progress) -> StepResult:
-        """Calibrate; the files are written beside the recording. Raises as run_calibrate_cell."""
+        """Calibrate; the files are written beside the recording. Raises as calibrate_cell."""
         recorder = self.require_recorder()
         if self.watch.seconds < LEAST_S:
             raise NotEnoughData(
@@ -230,18 +229,19 @@ class CellStep:
                 consequence="Nothing was calibrated",
                 cure="Bring the controller's log (t_s,q1,... in rad) into the cell's folder, and name it",
             )
-        job = CellJob(
+        done = calibrate_cell(
             robot_log=log,
             target=self._needed("target"),
-            model=str(self._needed("arm")),
+            model=self._needed("arm"),
             out=recorder.folder,
             left=str(recorder.folder / FRAMES),
             right=str(recorder.folder / FRAMES),
-            tool="" if tip is None else str(tip),
+            tip=tip,
             threshold=look.threshold,
             inverted=look.inverted,
+            progress=progress,
         )
-        return _verdict(run_calibrate_cell(job, progress), recorder.folder)
+        return _verdict(done, recorder.folder)
 
     def _needed(self, key: str) -> Path:
         file = self.file_of(key)
@@ -262,7 +262,7 @@ class CellStep:
         return ""
 
 
-def _verdict(done: CellCalibration, folder: Path) -> StepResult:
+def _verdict(done: CellResult, folder: Path) -> StepResult:
     """Write where cameras and target are on the robot as the hand-eye calibration says it, and return the verdict."""
     write_handeye_poses(folder / HANDEYE, Setup.EYE_TO_HAND, done.T_base_rig, done.T_flange_target)
     lists = [("What was learned", tuple(_learned(done)))]
@@ -291,7 +291,7 @@ def used_files(T_world_base: RigidTransform) -> dict[str, str]:
     return used
 
 
-def _rows(done: CellCalibration) -> Iterator[tuple[str, str]]:
+def _rows(done: CellResult) -> Iterator[tuple[str, str]]:
     tip, scale = done.tip, done.scale
     for name, typical, worst in (
         ("tip, as both cameras measure it", tip.measured_m, tip.measured_worst_m),
@@ -309,7 +309,7 @@ PARTS = {"left.": "left camera", "right.": "right camera", "light:": "lights", "
 """What a parameter belongs to, by how its name begins."""
 
 
-def _learned(done: CellCalibration) -> Iterator[str]:
+def _learned(done: CellResult) -> Iterator[str]:
     """Yield for each part of the cell how much was learned of it."""
     for start, part in PARTS.items():
         own = [one for one in done.learned if one.name.startswith(start)]
@@ -323,6 +323,6 @@ def _learned(done: CellCalibration) -> Iterator[str]:
         yield f"{part}: {len(own)} figures{known}" + (f"; nothing new of {', '.join(nothing)}" if nothing else "")
 
 
-def _held(done: CellCalibration) -> Iterator[str]:
+def _held(done: CellResult) -> Iterator[str]:
     if done.fixed:
         yield f"Held as in the arm's file: {', '.join(done.fixed)}"

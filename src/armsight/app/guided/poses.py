@@ -13,11 +13,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.arm_files import load_arm
 from armsight.app.calibrate.arm import run_calibrate_arm
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.calibrate.handeye import calibrate_handeye
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.app.operator.robot_cell import flange_pose
-from armsight.app.requests.calibrate_robot import ArmJob, HandEyeJob
+from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.calibrate.tooltip_result import TURNED_RAD
 from armsight.clock import Clock, SystemClock
@@ -25,6 +24,7 @@ from armsight.columns import POSE7
 from armsight.defaults import LOOK_S
 from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.kinematics import Arm
+from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
 from armsight.ops.calibrate_robot import calibrate_tool_tip
 from armsight.records import JointReading, PoseStatus, Progress, TargetPose
 from armsight.store import write_poses
@@ -232,7 +232,7 @@ class HandEyeStep(PoseSamples):
         covariance = np.array([pose.covariance for pose in self._poses])
         known = bool((np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all())
         write_pairs(pairs, PosePairs.of(T_base_flange, seen, names, covariance if known else None))
-        done = calibrate_handeye(HandEyeJob(pairs=pairs, out=self.out, setup=self.setup), progress)
+        done = calibrate_hand_eye(pairs=pairs, out=self.out, setup=self.setup, progress=progress)
         rows = (
             ("pairs used", f"{done.n_used} of {done.n_pairs}"),
             (

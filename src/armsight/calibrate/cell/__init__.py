@@ -2,6 +2,6 @@
 
 from armsight.calibrate.cell.calibrate import CellOptions, calibrate_cell
 from armsight.calibrate.cell.knowledge import ArmTolerance, CellPriors
-from armsight.calibrate.cell.result import CellCalibration
+from armsight.calibrate.cell.result import CellResult
 
-__all__ = ["ArmTolerance", "CellCalibration", "CellOptions", "CellPriors", "calibrate_cell"]
+__all__ = ["ArmTolerance", "CellOptions", "CellPriors", "CellResult", "calibrate_cell"]

@@ -17,7 +17,7 @@ from armsight.calibrate.cell.parts import CellParts, parts_of
 from armsight.calibrate.cell.result import (
     NOTED_SCALE,
     UNLEARNED_BITS,
-    CellCalibration,
+    CellResult,
     Learned,
     ScaleCheck,
     StrayingArm,
@@ -70,7 +70,7 @@ def calibrate_cell(
     sizes: Sequence[tuple[int, int]],
     options: CellOptions | None = None,
     progress: Progress | None = None,
-) -> CellCalibration:
+) -> CellResult:
     """Return the cell's calibration from the arm's log and the spots of two cameras, left and right, by their clocks.
 
     arm: its nominal model. tracks: spots without names. sizes: of the images (w, h) px. Raises NotEnoughData,
@@ -94,10 +94,10 @@ def calibrate_cell(
     if alarming(first) and not (first.cause is Cause.ELASTIC and compliance is False):
         raise refusal(solved.doubts)
     _require_lit(solved, tracks)
-    return _result(solved, target, tip, sum(map(len, tracks)), stiff=compliance is False)
+    return _result(arm, solved, target, tip, sum(map(len, tracks)), stiff=compliance is False)
 
 
-def _result(solved: Solved, target: Target, tip: Array, n_frames: int, *, stiff: bool) -> CellCalibration:
+def _result(nominal: Arm, solved: Solved, target: Target, tip: Array, n_frames: int, *, stiff: bool) -> CellResult:
     """Return what is told of a fit."""
     model, found = solved.model, solved.fit
     arm = model.recording.arm
@@ -110,7 +110,8 @@ def _result(solved: Solved, target: Target, tip: Array, n_frames: int, *, stiff:
     if found.wander is not None:  # what the joints say is off by as much as the arm strays from them
         commanded = commanded + slopes.strayed_m(found.wander.columns, found.wander.std)
     residual, learned = _rms(found), _learned(solved, covariance)
-    return CellCalibration(
+    return CellResult(
+        nominal=nominal,
         parts=parts,
         solved=solved,
         covariance=covariance,

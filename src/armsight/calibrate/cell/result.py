@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -19,6 +20,8 @@ from armsight.records import Target
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
 from armsight.records.verdict import MEANING, Verdict
+from armsight.shown import Shown, Table, digits, parameter_row, pose_rows
+from armsight.units import MM
 
 Array = NDArray[np.float64]
 
@@ -69,14 +72,15 @@ class StrayingArm(Output):
 
 
 @output
-class CellCalibration(Output):
+class CellResult(Output):
     """armsight calibrate cell.
 
     parts: rig, place, target and arm as files hold them. covariance (P, P) of solved.model.names. doubts: what speaks
     against one model, none of it alarming. samples (k, n), tip_measured, tip_commanded (k, 3, 3): covariances of the
-    tip in base axes at joint positions over the volume; tip_places_m (k, 3).
+    tip in base axes at joint positions over the volume; tip_places_m (k, 3). nominal: the arm as it was given.
     """
 
+    nominal: Arm
     parts: CellParts
     solved: Solved
     covariance: Array
@@ -155,6 +159,36 @@ class CellCalibration(Output):
             return Verdict(level="care", headline="Weak", reasons=[known], next=[*self.advice[:1]] or [todo])
         todo = "Use rig.yaml, world.yaml, target.yaml and arm.yaml; measure a place you know before you trust it."
         return Verdict(level="good", headline="Good", reasons=[known], next=[*self.advice[:1]] or [todo])
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield how well the tip is known, where the rig stands, what changed in the arm, and what it rests on."""
+        tip, T, std = self.tip, self.T_base_rig, self.std
+        rows = [
+            ["as both cameras measure it", digits(tip.measured_m / MM, 2), digits(tip.measured_worst_m / MM, 2)],
+            ["as the arm's joints say", digits(tip.commanded_m / MM, 2), digits(tip.commanded_worst_m / MM, 2)],
+            ["added by the noise of one pair", digits(tip.noise_m / MM, 2), ""],
+        ]
+        yield Table("The tip in base axes, +- mm", ["", "typical", "worst"], rows)
+        rows = pose_rows(T.translation, T.rotation.as_rotvec(), std.translation_m, std.rotation_rad)
+        yield Table("T_base_rig", ["", "value", "+-"], rows)
+        rows = [
+            parameter_row(one.name, one.value, one.std)
+            for one in self.learned
+            if one.name in self.solved.model.arm.geometry or one.name.endswith(".sag")
+        ]
+        yield Table("Changes of the arm", ["", "by", "+-"], rows)
+        yield self.verdict
+        yield (
+            f"{self.n_frames} frames, {self.n_spots} spots, {self.n_left_out} of no light; residual "
+            f"{digits(self.residual_px.left)} and {digits(self.residual_px.right)} px RMS, in stretches left out "
+            f"{digits(self.left_out_px.left)} and {digits(self.left_out_px.right)} px"
+        )
+        yield (
+            f"Size of the target by the arm's lengths over its file's: {self.scale.ratio:.4f} +- {self.scale.std:.4f}; "
+            f"the {self.scale.set_by} sets the scale"
+        )
+        yield from self.notes
+        yield from (f"- {text}" for text in self.advice)
 
     @property
     def _known(self) -> str:

@@ -11,14 +11,14 @@ from armsight.calibrate.handeye.images import ImageHandEye, calibrate_from_views
 from armsight.calibrate.handeye.noise import Noise, Part
 from armsight.calibrate.handeye.pairs import PosePairs, Setup
 from armsight.calibrate.handeye.propose import propose
-from armsight.calibrate.handeye.result import HandEye, Proposal, RejectedPair, Scale
+from armsight.calibrate.handeye.result import HandEyeResult, Proposal, RejectedPair, Scale
 from armsight.calibrate.handeye.solution import Solution, solve_pairs, warm_up
 from armsight.calibrate.handeye.stream_pairing import TimeOffset, pairs_of_streams, time_offset
 
 __all__ = [
     "Basis",
-    "HandEye",
     "HandEyeOptions",
+    "HandEyeResult",
     "ImageComparison",
     "ImageHandEye",
     "LeftOutErrors",

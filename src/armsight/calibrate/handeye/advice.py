@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armsight.calibrate.handeye.result import FEW_PAIRS, HandEye
+from armsight.calibrate.handeye.result import FEW_PAIRS, HandEyeResult
 from armsight.units import DEG, MM
 
 CLAIM_OFF = 1.5
@@ -16,18 +16,18 @@ WEAK_TURN_RAD = 8.0 * DEG
 """Below this second turn (root mean square) more tilt is the cheapest gain: errors shrink in proportion to it."""
 
 
-def advise(result: HandEye, pitch_m: float | None) -> HandEye:
+def advise(result: HandEyeResult, pitch_m: float | None) -> HandEyeResult:
     """Return the result with its advice, most urgent first."""
     concerns = (*_scale(result, pitch_m), *_outliers(result), *_poses(result), *_drift(result))
     advice = (*concerns, *_copies(result), *_weights(result), result.noise.explanation() + ".")
     return replace(result, concerns=concerns, advice=advice)
 
 
-def _drift(result: HandEye) -> list[str]:
+def _drift(result: HandEyeResult) -> list[str]:
     return [] if result.correlation is None else list(result.correlation.warnings(result.n_used))
 
 
-def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
+def _scale(result: HandEyeResult, pitch_m: float | None) -> list[str]:
     scale = result.scale
     if scale is None or not scale.wrong:
         return []
@@ -41,7 +41,7 @@ def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
     return [text + ". Measure the target with a calliper over many squares, correct the pitch, and run again."]
 
 
-def _outliers(result: HandEye) -> list[str]:
+def _outliers(result: HandEyeResult) -> list[str]:
     wrong = [one.name for one in result.rejected_pairs if one.why.startswith("off by")]
     if not wrong:
         return []
@@ -52,12 +52,12 @@ def _outliers(result: HandEye) -> list[str]:
     ]
 
 
-def _copies(result: HandEye) -> list[str]:
+def _copies(result: HandEyeResult) -> list[str]:
     copies = sum(not one.why.startswith("off by") for one in result.rejected_pairs)
     return [f"{copies} rows repeat others and were left out: copies add no knowledge."] if copies else []
 
 
-def _weights(result: HandEye) -> list[str]:
+def _weights(result: HandEyeResult) -> list[str]:
     told = [f"{result.pairs.unweighed}."] if result.pairs.unweighed else []
     if result.covariance_factor is not None:
         factor = float(np.sqrt(result.covariance_factor))
@@ -68,7 +68,7 @@ def _weights(result: HandEye) -> list[str]:
     return told
 
 
-def _poses(result: HandEye) -> list[str]:
+def _poses(result: HandEyeResult) -> list[str]:
     out = []
     behind = result.pairs.T_camera_target.translation[result.used, 2] < 0.0
     if np.mean(behind) > 0.5:

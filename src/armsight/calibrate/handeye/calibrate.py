@@ -24,7 +24,7 @@ from armsight.calibrate.handeye.pairs import (
     require_turning,
 )
 from armsight.calibrate.handeye.premises import require_one_mount
-from armsight.calibrate.handeye.result import NAMES, HandEye, RejectedPair, Scale
+from armsight.calibrate.handeye.result import NAMES, HandEyeResult, RejectedPair, Scale
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Degenerate, Inconsistent
 from armsight.fitting.groups import means, repeats
@@ -65,7 +65,7 @@ class HandEyeOptions:
     target_pitch_m: float | None = None
 
 
-def calibrate_eye_in_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEye:
+def calibrate_eye_in_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEyeResult:
     """Return T_flange_camera and T_base_target from T_base_flange * T_flange_camera * T_camera_target = T_base_target.
 
     Raises Degenerate for too little turning, Inconsistent for wrong units, inverted or wrongly paired poses and
@@ -74,7 +74,7 @@ def calibrate_eye_in_hand(pairs: PosePairs, options: HandEyeOptions | None = Non
     return _calibrate(pairs, Setup.EYE_IN_HAND, options or HandEyeOptions())
 
 
-def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEye:
+def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEyeResult:
     """Return T_base_camera and T_flange_target from T_base_camera * T_camera_target = T_base_flange * T_flange_target.
 
     Raises as calibrate_eye_in_hand.
@@ -106,7 +106,7 @@ def _places(T_base_flange: RigidTransform) -> NDArray[np.intp]:
     return repeats(np.column_stack([R / np.sqrt(2.0), t]), SAME_PLACE)
 
 
-def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEye:
+def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEyeResult:
     require_metres(pairs)
     place = np.arange(len(pairs)) if pairs.t_s is not None else _places(pairs.T_base_flange)
     repeated = {row: why for row, _, why in pairs.duplicates()}
@@ -123,7 +123,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     errors = found.copy()
     errors[rows] = left_out
     widen = uncertain.std / np.sqrt(np.diag(solution.C))
-    finished = HandEye(
+    finished = HandEyeResult(
         setup=setup,
         T_parent_camera=pose(solution.R_X, solution.t_x),
         T_parent_target=pose(solution.R_Z, solution.t_z),
@@ -166,7 +166,7 @@ def _noise(solution: Solution, rows: NDArray[np.intp], n: int) -> Array | None:
     return noise
 
 
-def _of_a_recording(found: HandEye, t_s: Array, noise: Array | None) -> HandEye:
+def _of_a_recording(found: HandEyeResult, t_s: Array, noise: Array | None) -> HandEyeResult:
     """Return the calibration with the errors' drift in it: weighed, claimed and left out by it.
 
     noise (n, 6, 6): of each pair up to a factor; None where all are alike.

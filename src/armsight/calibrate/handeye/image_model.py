@@ -18,7 +18,7 @@ from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.handeye.known_noise import Restricted, left_out, linearise, restricted_variances, whitener
 from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup, components
-from armsight.calibrate.handeye.result import NAMES, HandEye
+from armsight.calibrate.handeye.result import NAMES, HandEyeResult
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
 from armsight.optics import Camera
@@ -43,7 +43,7 @@ class ImageModel:
     start: Poses
 
     @classmethod
-    def of(cls, result: HandEye, seen: ViewPoses) -> ImageModel:
+    def of(cls, result: HandEyeResult, seen: ViewPoses) -> ImageModel:
         """Return the model of a result from the poses seen."""
         RX, tX = components(result.T_parent_camera)
         RZ, tZ = components(result.T_parent_target)

@@ -22,7 +22,7 @@ from armsight.calibrate.handeye.image_model import ImageModel, ViewPoses, camera
 from armsight.calibrate.handeye.known_noise import Restricted
 from armsight.calibrate.handeye.noise import noise_beside
 from armsight.calibrate.handeye.pairs import Array, PosePairs, Poses, Setup, pose
-from armsight.calibrate.handeye.result import NAMES, HandEye
+from armsight.calibrate.handeye.result import NAMES, HandEyeResult
 from armsight.calibrate.handeye.solution import residuals, solve_pairs
 from armsight.errors import DataRefused, Inconsistent
 from armsight.fitting import Fit
@@ -34,9 +34,9 @@ from armsight.records import BoardView, NamedCovariance, Target
 class ImageHandEye:
     """The result; the camera: as given, or as fitted along where that was kept; and the result from the poses."""
 
-    result: HandEye
+    result: HandEyeResult
     camera: Camera
-    from_poses: HandEye
+    from_poses: HandEyeResult
 
 
 def calibrate_from_views(
@@ -82,7 +82,7 @@ def calibrate_from_views(
     return ImageHandEye(result=advise(refined, board.pitch_m or None), camera=moved, from_poses=by_poses)
 
 
-def _adjusted(by_poses: HandEye, images: ImageSet, comparison: ImageComparison) -> tuple[HandEye, Camera]:
+def _adjusted(by_poses: HandEyeResult, images: ImageSet, comparison: ImageComparison) -> tuple[HandEyeResult, Camera]:
     """Return the result from all corners, and the camera, freed where that was proved better."""
     free_camera = comparison.kept is Basis.CORNERS_AND_CAMERA
     model = ImageModel.of(by_poses, images.seen)
@@ -101,7 +101,9 @@ def _adjusted(by_poses: HandEye, images: ImageSet, comparison: ImageComparison) 
     return replace(refined, left_out=left_out), moved
 
 
-def _refined(result: HandEye, seen: ViewPoses, model: ImageModel, restricted: Restricted, fit: Fit) -> HandEye:
+def _refined(
+    result: HandEyeResult, seen: ViewPoses, model: ImageModel, restricted: Restricted, fit: Fit
+) -> HandEyeResult:
     """Return the result with the reprojection's answer in place of the pose fit's."""
     at = poses_of(fit)
     corners = np.einsum("nii->i", seen.covariance[result.used]) / result.n_used
@@ -134,7 +136,7 @@ class ImageSet:
     seen: ViewPoses
 
 
-def cross_validate_images(result: HandEye, images: ImageSet, *, free_camera: bool) -> ImageComparison:
+def cross_validate_images(result: HandEyeResult, images: ImageSet, *, free_camera: bool) -> ImageComparison:
     """Return which calibration the images prove, by errors at the used images, each left out with its fold.
 
     All that looks at the images is done again without those of a fold: the fit to the poses with its noises, the noises
@@ -158,7 +160,7 @@ def cross_validate_images(result: HandEye, images: ImageSet, *, free_camera: boo
     return compare({basis: ImageErrors.of(rows) for basis, rows in errors.items()})
 
 
-def _fitted(basis: Basis, result: HandEye, images: ImageSet, rest: NDArray[np.bool_]) -> tuple[Poses, Camera]:
+def _fitted(basis: Basis, result: HandEyeResult, images: ImageSet, rest: NDArray[np.bool_]) -> tuple[Poses, Camera]:
     """Return X and Z from the images of rest (n,), and the camera: as given, or freed with them."""
     arrays = result.pairs.arrays(result.setup)
     by_poses = solve_pairs(arrays, result.setup, keep=rest, known=result.pairs.camera_covariance)
@@ -171,7 +173,7 @@ def _fitted(basis: Basis, result: HandEye, images: ImageSet, rest: NDArray[np.bo
     return poses_of(fit), camera_of(fit, images.camera) if free else images.camera
 
 
-def _missed(at: Poses, camera: Camera, result: HandEye, images: ImageSet, i: int) -> Array:
+def _missed(at: Poses, camera: Camera, result: HandEyeResult, images: ImageSet, i: int) -> Array:
     """Return the errors (8,) of image i, in the order of ImageErrors.
 
     The board is seen with the calibration's own camera: a freed camera is judged by where it then puts the board for

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.handeye.result import HandEye
+from armsight.calibrate.handeye.result import HandEyeResult
 from armsight.calibrate.tooltip_premises import two_settings
 from armsight.errors import Inconsistent
 from armsight.units import DEG, MM
 
 
-def require_one_mount(found: HandEye, place: NDArray[np.intp]) -> None:
+def require_one_mount(found: HandEyeResult, place: NDArray[np.intp]) -> None:
     """Raise Inconsistent where the pairs, in their order, fall into two parts with a camera and a target each.
 
     place (n,): at which pose of the robot each was taken; what follows at the same one counts once, by its

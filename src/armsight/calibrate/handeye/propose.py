@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup, components
-from armsight.calibrate.handeye.result import HandEye, Proposal
+from armsight.calibrate.handeye.result import HandEyeResult, Proposal
 from armsight.errors import Inconsistent
 from armsight.units import DEG
 
@@ -25,7 +25,9 @@ MARGIN = 0.15
 LEAST_BOX_M = 0.05
 
 
-def propose(result: HandEye, n: int, reachable: Callable[[RigidTransform], bool] | None = None) -> tuple[Proposal, ...]:
+def propose(
+    result: HandEyeResult, n: int, reachable: Callable[[RigidTransform], bool] | None = None
+) -> tuple[Proposal, ...]:
     """Return the n next poses that lower the uncertainty of the camera's place most, one after the other (greedy).
 
     reachable: tells whether the robot can go to T_base_flange; without it the box of the poses so far, a little wider,
@@ -60,7 +62,7 @@ def propose(result: HandEye, n: int, reachable: Callable[[RigidTransform], bool]
 
 
 def _candidates(
-    result: HandEye, reachable: Callable[[RigidTransform], bool] | None
+    result: HandEyeResult, reachable: Callable[[RigidTransform], bool] | None
 ) -> tuple[RigidTransform, RigidTransform]:
     """Return stacks of T_base_flange and T_camera_target."""
     rng = np.random.default_rng(PROPOSAL_SEED)
@@ -102,7 +104,7 @@ def _arrays(setup: Setup, flange: RigidTransform, camera: RigidTransform) -> Arr
     return (*components(F), *components(camera))
 
 
-def _whitened(result: HandEye, arrays: Arrays) -> Array:
+def _whitened(result: HandEyeResult, arrays: Arrays) -> Array:
     """Return (m, 6, 12): the whitened derivatives of the poses that would be seen."""
     n = len(arrays[0])
     e, J, lever = np.empty((n, 6)), np.empty((n, 6, 12)), np.empty(n)

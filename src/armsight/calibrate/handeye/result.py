@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +16,18 @@ from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, RotationExcitation, Setup
 from armsight.calibrate.handeye.stream_pairing import TimeOffset
 from armsight.columns import POSE6, POSITION, ROTATION_VECTOR
+from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.fitting.quantiles import t_ppf
-from armsight.records import NamedCovariance, frozen_array
-from armsight.records.output import Output, figure, output
+from armsight.geometry import euler_rad, xyz_quat
+from armsight.optics import Camera
+from armsight.records import NamedCovariance, frozen_array, require_count
+from armsight.records.by_value import Saveable
+from armsight.records.output import Output, Row, figure, output, with_std
 from armsight.records.result_parts import PoseStd
 from armsight.records.verdict import MEANING, Verdict
-from armsight.units import DEG, MM
+from armsight.shown import REJECTED_SHOWN, Bars, Shown, Table, digits, pose_rows
+from armsight.units import DEG, MM, displayed_name
 
 Vector3 = tuple[float, float, float]
 
@@ -71,7 +78,7 @@ class RejectedPair(Output):
 
 
 @output
-class HandEye(Output):
+class HandEyeResult(Output, Saveable):
     """armsight calibrate handeye: where the camera and the target are, and how far to believe it.
 
     EYE_IN_HAND: T_parent_camera is T_flange_camera and T_parent_target is T_base_target. EYE_TO_HAND: they are
@@ -81,7 +88,8 @@ class HandEye(Output):
     T_camera_target against the fit to all used pairs, and against the fit to the others; camera axes, m and rad.
     correlation: of the errors in time, where the poses are of one recording; left_out is then against what is further
     away in time. comparison: of images, what the result rests on and by which errors. unseen: images and robot poses
-    that made no pair. offset: between the clocks of two streams.
+    that made no pair. offset: between the clocks of two streams. camera: the one that was freed and kept, None where
+    none was. boards: what the report shows of images (report.run.BoardViews).
     """
 
     setup: Annotated[Setup, Doc("eye-in-hand or eye-to-hand.")]
@@ -114,6 +122,8 @@ class HandEye(Output):
     ] = None
     unseen: tuple[RejectedPair, ...] = ()
     offset: TimeOffset | None = None
+    camera: Camera | None = None
+    boards: Any = None
     camera_file: Annotated[str | None, Doc("The freed camera that the result belongs to, where it was kept.")] = None
     proposals: Annotated[tuple[Proposal, ...] | None, Doc("Further poses, with --propose.")] = None
 
@@ -132,29 +142,58 @@ class HandEye(Output):
         """The frame that carries the target."""
         return "base" if self.setup is Setup.EYE_IN_HAND else "flange"
 
-    @figure("The camera; eye-in-hand only.", optional=True)
-    def T_flange_camera(self) -> RigidTransform | None:
+    @figure("The camera; eye-in-hand only.", key="T_flange_camera", optional=True)
+    def camera_on_flange(self) -> RigidTransform | None:
         return self.T_parent_camera if self.setup is Setup.EYE_IN_HAND else None
 
-    @figure("The target; eye-in-hand only.", optional=True)
-    def T_base_target(self) -> RigidTransform | None:
+    @figure("The target; eye-in-hand only.", key="T_base_target", optional=True)
+    def target_in_base(self) -> RigidTransform | None:
         return self.T_parent_target if self.setup is Setup.EYE_IN_HAND else None
 
-    @figure("The camera; eye-to-hand only.", optional=True)
-    def T_base_camera(self) -> RigidTransform | None:
+    @figure("The camera; eye-to-hand only.", key="T_base_camera", optional=True)
+    def camera_in_base(self) -> RigidTransform | None:
         return self.T_parent_camera if self.setup is Setup.EYE_TO_HAND else None
 
-    @figure("The target; eye-to-hand only.", optional=True)
-    def T_flange_target(self) -> RigidTransform | None:
+    @figure("The target; eye-to-hand only.", key="T_flange_target", optional=True)
+    def target_on_flange(self) -> RigidTransform | None:
         return self.T_parent_target if self.setup is Setup.EYE_TO_HAND else None
+
+    @property
+    def T_flange_camera(self) -> Array:
+        """Pose of the camera on the flange (4, 4). Raises Inconsistent for a camera that is not on the arm."""
+        return self._of_setup(Setup.EYE_IN_HAND, "T_flange_camera")
+
+    @property
+    def T_base_target(self) -> Array:
+        """Pose of the target in the base (4, 4). Raises Inconsistent for a target that is on the arm."""
+        return self._of_setup(Setup.EYE_IN_HAND, "T_base_target")
+
+    @property
+    def T_base_camera(self) -> Array:
+        """Pose of the camera in the base (4, 4). Raises Inconsistent for a camera that is on the arm."""
+        return self._of_setup(Setup.EYE_TO_HAND, "T_base_camera")
+
+    @property
+    def T_flange_target(self) -> Array:
+        """Pose of the target on the flange (4, 4). Raises Inconsistent for a target that is not on the arm."""
+        return self._of_setup(Setup.EYE_TO_HAND, "T_flange_target")
+
+    def _of_setup(self, setup: Setup, name: str) -> Array:
+        if self.setup is not setup:
+            raise Inconsistent(
+                f"{name} belongs to {setup}, and this calibration is {self.setup}",
+                cure="Give setup='eye-to-hand' for a camera beside the arm, 'eye-in-hand' for one on it",
+            )
+        camera = name.endswith("camera")
+        return np.asarray((self.T_parent_camera if camera else self.T_parent_target).as_matrix())
 
     @figure("Standard deviations of the camera's pose, in axes of flange or base.", key="std")
     def std_camera(self) -> PoseStd:
-        return PoseStd(**self.std("camera"))
+        return PoseStd(**self.std)
 
     @figure("Standard deviations of the target's pose, in axes of base or flange.")
     def std_target(self) -> PoseStd:
-        return PoseStd(**self.std("target"))
+        return PoseStd(**self.target_std)
 
     @figure("Pairs, images and robot poses given.")
     def n_pairs(self) -> int:
@@ -172,8 +211,8 @@ class HandEye(Output):
     def correlation_time_s(self) -> float | None:
         return None if self.correlation is None else self.correlation.time_s
 
-    @figure("What was left out.")
-    def rejected(self) -> tuple[RejectedPair, ...]:
+    @figure("What was left out.", key="rejected")
+    def every_rejected(self) -> tuple[RejectedPair, ...]:
         return (*self.rejected_pairs, *self.unseen)
 
     @figure("Residual of T_camera_target's position, RMS, m.")
@@ -207,7 +246,7 @@ class HandEye(Output):
 
     @figure("Whether the result can be trusted, in words.")
     def verdict(self) -> str:
-        std = self.std()
+        std = self.std
         position = 1.96 * max(std[name] for name in POSITION) / MM
         turn = 1.96 * max(std[name] for name in ROTATION_VECTOR) / DEG
         worth = "" if self.n_effective is None else f", worth {self.n_effective:.0f} independent ones"
@@ -240,10 +279,99 @@ class HandEye(Output):
         """Student's factor on the standard deviations for the noise being estimated."""
         return float(t_ppf(0.975, self.dof) / t_ppf(0.975, np.inf))
 
-    def std(self, who: str = "camera") -> dict[str, float]:
-        """Return the standard deviations of the 'camera' or the 'target' pose by name."""
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the camera's pose: x_m, y_m, z_m, rx_rad, ry_rad, rz_rad."""
+        return self._std_of("camera")
+
+    @property
+    def target_std(self) -> dict[str, float]:
+        """The same of the target's pose."""
+        return self._std_of("target")
+
+    def _std_of(self, who: str) -> dict[str, float]:
         std = self.covariance.std()
         return {name: std[f"{who}.{name}"] for name in POSE6}
+
+    @property
+    def rejected(self) -> tuple[tuple[str, str], ...]:
+        """(row, why) of the pairs that were left out."""
+        return tuple((one.name, one.why) for one in self.rejected_pairs)
+
+    @property
+    def left_out_rms_m(self) -> float:
+        """Error of the target's place in pairs that were left out of the fit, RMS, m."""
+        return self.loo_rms_m
+
+    @property
+    def left_out_rms_rad(self) -> float:
+        """Error of its rotation in pairs left out, RMS, rad."""
+        return self.loo_rms_rad
+
+    @property
+    def detail(self) -> HandEyeResult:
+        """The result itself; of earlier versions, which had it beside."""
+        warnings.warn("detail is the result itself; use that", DeprecationWarning, stacklevel=2)
+        return self
+
+    def propose(self, n: int, reachable: Callable[[RigidTransform], bool] | None = None) -> tuple[Proposal, ...]:
+        """Return the n next poses to drive to: T_base_flange, and the standard deviation to expect after it.
+
+        reachable: tells whether the robot can go to a T_base_flange. Raises Inconsistent where no pose is left.
+        """
+        from armsight.calibrate.handeye.propose import propose
+
+        require_count("n", n, least=1)
+        return propose(self, n, reachable)
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        where = f"T_{self.camera_parent}_camera"
+        return f"Hand-eye ({self.setup}): {where} from {self.n_used} of {len(self.pairs)} pairs"
+
+    def rows(self) -> list[Row]:
+        """Return the camera's pose with standard deviations, residuals and the verdict."""
+        T = self.T_parent_camera
+        values = [*T.translation.tolist(), *euler_rad(T.rotation).tolist()]
+        rows = []
+        for (name, std), value in zip(self.std.items(), values, strict=True):
+            stem, unit, size = displayed_name(name)
+            rows.append((stem, with_std(value, std, unit, scale=1.0 / size)))
+        return [
+            *rows,
+            ("left-out error", f"{1e3 * self.loo_rms_m:.3g} mm, {np.rad2deg(self.loo_rms_rad):.3g} deg RMS"),
+            *((f"rejected {name}", why) for name, why in self.rejected[:5]),
+            ("verdict", self.verdict),
+            *(("advice", text) for text in self.advice),
+        ]
+
+    def _shown(self) -> tuple[str, Sequence[Row]]:
+        return self.title, self.rows()
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield both poses, how far to believe them, what to do, what was left out and what is proposed."""
+        for name, pose, std in (
+            (f"T_{self.camera_parent}_camera", self.T_parent_camera, self.std_camera),
+            (f"T_{self.target_parent}_target", self.T_parent_target, self.std_target),
+        ):
+            rows = pose_rows(pose.translation, pose.rotation.as_rotvec(), std.translation_m, std.rotation_rad)
+            yield Table(name, ["", "value", "+-"], rows)
+        yield self.verdict
+        if self.comparison is not None:
+            yield self.comparison.why
+        if self.camera_file is not None:
+            yield f"The result belongs to the freed camera: {self.camera_file}"
+        yield from (f"- {text}" for text in self.advice)
+        yield from (f"  left out: {item.name}: {item.why}" for item in self.every_rejected[:REJECTED_SHOWN])
+        for proposed in self.proposals or ():
+            xyz, quat = (", ".join(f"{v:.4f}" for v in values) for values in xyz_quat(proposed.T_base_flange))
+            yield f"  propose T_base_flange ({xyz}) m, ({quat}): then {digits(proposed.expected_std_m / MM, 2)} mm"
+
+    def bars(self) -> Bars:
+        """Return each pair's error of place, mm."""
+        values = np.linalg.norm(self.residuals[:, :3], axis=1) / MM
+        return Bars(self.title, list(self.pairs.names), values.tolist(), "row", "error, mm")
 
 
 def _rms(vectors: Array) -> float:

@@ -1,0 +1,49 @@
+"""Which page tells of a result of an action, and where it goes beside the result's file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from armsight.calibrate.cell import CellResult
+from armsight.calibrate.handeye import HandEyeResult
+from armsight.file_names import REPORT
+from armsight.report.cell_report import cell_report
+from armsight.report.handeye_report import handeye_report
+
+FILES_SHOWN = 20
+"""Files of what went in that a page lists; the result's own file has all, with their hashes."""
+Given = Mapping[str, object]
+
+
+def _hand_eye(result: HandEyeResult, files: Sequence[Path], given: Given) -> str:
+    return handeye_report(result, inputs=[("file", item.name) for item in files[:FILES_SHOWN]])
+
+
+def _cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
+    named = (
+        ("arm", "model"),
+        ("target", "target"),
+        ("robot's log", "robot_log"),
+        *((f"{side} camera", name) for side in ("left", "right") for name in (side, f"{side}_spots")),
+    )
+    told = [(what, given.get(name)) for what, name in named]
+    return cell_report(result, inputs=[(what, str(one)) for what, one in told if isinstance(one, str | PathLike)])
+
+
+PAGES: Mapping[type, Callable[[Any, Sequence[Path], Given], str]] = {HandEyeResult: _hand_eye, CellResult: _cell}
+"""By class of result: the page, from the result, the files that went in, and what the action was called with."""
+
+
+def page_path(out: Path, result: object) -> Path | None:
+    """Return where a result's page goes, None where it has none: into the folder, or beside a file, rig.report.html."""
+    if type(result) not in PAGES:
+        return None
+    return out / REPORT if isinstance(result, CellResult) else out.with_suffix(".report.html")
+
+
+def page_of(result: object, files: Sequence[Path], given: Given) -> str:
+    """Return the page of a result as HTML text that needs no other file."""
+    return PAGES[type(result)](result, files, given)
