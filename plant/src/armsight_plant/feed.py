@@ -9,11 +9,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from armsight.errors import ArmsightError, UsageError
-from armsight_plant.alarms import AlarmBook
 from armsight_plant.options import PlantOptions
 from armsight_plant.process import PlantProcess
-from armsight_plant.requests import Note, Request
-from armsight_plant.state import PlantState, conditions
+from armsight_plant.state import AlarmBook, Note, PlantState, Request, conditions
 
 FEED_S = 0.02
 """How often the newest state is handed on."""

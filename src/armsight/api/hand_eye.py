@@ -31,7 +31,7 @@ from armsight.ops.checks import speaks_python
 from armsight.ops.given import Given, PathText, Source, TableLike
 from armsight.optics import Camera
 from armsight.records import Progress, Target, one_of, real_array, require_count, require_texts
-from armsight.report.plots import error_figure
+from armsight.report.figures import error_figure
 from armsight.store.handeye_file import write_handeye
 from armsight.store.interpret import TableFormat
 from armsight.store.saving import YAML, file_to_write

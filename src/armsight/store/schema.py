@@ -84,7 +84,7 @@ SECOND_CAMERA = ("M2", "K2", "cameraMatrix2", "M1", "K1", "cameraMatrix1")
 
 
 def _format_cure(content: Mapping[str, Any], format_: str) -> str:
-    from armsight.store.foreign.format_detection import kind_of_mapping  # the foreign readers use this module
+    from armsight.store.foreign.storage import kind_of_mapping  # the foreign readers use this module
 
     kind = kind_of_mapping(content)
     name = format_.removeprefix("armsight/")

@@ -15,7 +15,7 @@ from armsight.errors import DeviceFailed
 from armsight_plant.feed import Feed, _FeedThread, addresses, published
 from armsight_plant.options import FoxgloveOptions, MqttOptions, OpcUaOptions, PlantOptions
 from armsight_plant.process import STATE_BYTES, PlantProcess
-from armsight_plant.requests import LONGEST, Acknowledge, Note, decode, encode
+from armsight_plant.state import LONGEST, Acknowledge, Note, decode, encode
 from loading import module_of
 
 states = module_of(Path(__file__).with_name("plant_states.py"))

@@ -20,7 +20,7 @@ from armsight.store.tokens import read_tokens
 from armsight_plant.feed import Feed
 from armsight_plant.opcua.publisher import NAMESPACE, OpcUaPublisher
 from armsight_plant.options import OpcUaOptions
-from armsight_plant.requests import Acknowledge, Note
+from armsight_plant.state import Acknowledge, Note
 from loading import module_of
 
 states = module_of(Path(__file__).with_name("plant_states.py"))

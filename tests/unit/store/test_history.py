@@ -22,11 +22,10 @@ import histories
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
 from armsight_lab.history import database, queries
 from armsight_lab.history.adding import file_entry
-from armsight_lab.history.database import reading, writing
+from armsight_lab.history.database import HEAD, VERSION_TABLE, reading, writing
 from armsight_lab.history.entry import cell_name, entry_of, read_json, write_entry
 from armsight_lab.history.place import Place, place_of, require_packages
 from armsight_lab.history.queries import Filter
-from armsight_lab.history.tables import HEAD, VERSION_TABLE
 from refusals import refuses
 
 POSTGRES = sorted(Path("/usr/lib/postgresql").glob("*/bin"))

@@ -19,7 +19,7 @@ from armsight.optics import Camera, Rig, RigKind
 from armsight.records import Target
 from armsight.store import parse_board, read_rig, read_world
 from armsight.units import DEG, MM
-from armsight_lab.design.planned_handeye import RobotNoise
+from armsight_lab.design.planned_calibrations import RobotNoise
 from armsight_lab.design.request import Box, DesignJob
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from armsight.geometry import xyz_quat
 from armsight.records import Progress
 from armsight.store import board_text, rig_mapping, target_mapping
 from armsight_lab.batch.cluster import Workers
-from armsight_lab.batch.job_results import JobResult, read_job_result
 from armsight_lab.batch.jobs import Job
+from armsight_lab.batch.results import JobResult, read_job_result
 from armsight_lab.batch.run import run_batch
 from armsight_lab.design.expected_poses import look
 from armsight_lab.design.plan import Plan

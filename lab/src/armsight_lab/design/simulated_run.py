@@ -23,7 +23,7 @@ from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import BoardView, PoseStatus, Spots, Target, TargetPose
 from armsight.store import parse_board, rig_from_mapping, target_from_mapping
 from armsight_lab.batch.jobs import Ended, Job
-from armsight_lab.design.planned_handeye import RobotNoise
+from armsight_lab.design.planned_calibrations import RobotNoise
 
 Array = NDArray[np.float64]
 Rows = Sequence[Sequence[float]]

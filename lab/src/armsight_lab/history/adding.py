@@ -19,7 +19,6 @@ from armsight.store.arm_file import ARM_FORMAT, arm_from_mapping
 from armsight.store.rigs import RIG_FORMAT, read_rig
 from armsight.store.yamls import read_yaml
 from armsight_lab.history import queries
-from armsight_lab.history.arms import other_arm
 from armsight_lab.history.database import writing
 from armsight_lab.history.entry import (
     FORMAT,
@@ -29,12 +28,15 @@ from armsight_lab.history.entry import (
     cell_name,
     deviation,
     entry_of,
+    moment,
     number,
+    other_arm,
     read_json,
+    utc,
+    whole_moment,
 )
+from armsight_lab.history.figures import Parameters, of_arm, parameters_of, point_named, pose_named
 from armsight_lab.history.filing import Made, entry_of_result, hash_of
-from armsight_lab.history.moments import moment, utc, whole_moment
-from armsight_lab.history.parameters import Parameters, of_arm, parameters_of, point_named, pose_named
 from armsight_lab.history.place import Place, place_of
 from armsight_lab.history.request import AddJob
 

@@ -12,8 +12,8 @@ from sqlalchemy import Connection, Select, Table, func, insert, select
 from armsight.columns import POSE6_STD, POSE7
 from armsight.fields import Doc
 from armsight.records.output import output
+from armsight_lab.history.database import figures, inputs, parameters, poses, runs
 from armsight_lab.history.entry import Entry, InputFile, Quantity, RunHead, StoredPose
-from armsight_lab.history.tables import figures, inputs, parameters, poses, runs
 
 MANY = 500
 """Runs asked for at once: databases bound the number of values in a question."""

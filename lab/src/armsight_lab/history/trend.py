@@ -17,8 +17,8 @@ from armsight.store.atomic import write_json, write_text
 from armsight.units import displayed, displayed_name
 from armsight_lab.history.database import reading
 from armsight_lab.history.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged_together, limits_for
+from armsight_lab.history.entry import day_of, optional_moment
 from armsight_lab.history.looking import known_cell, known_command
-from armsight_lab.history.moments import day_of, optional_moment
 from armsight_lab.history.place import place_of
 from armsight_lab.history.queries import Filter
 from armsight_lab.history.report import Charted, TrendPage, trend_report

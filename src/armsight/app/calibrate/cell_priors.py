@@ -12,7 +12,7 @@ from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.optics import RIGHT_POSE, SIDES
 from armsight.records import NamedCovariance
 from armsight.store import read_rig, read_world
-from armsight.store.foreign.format_detection import kind_of
+from armsight.store.foreign.storage import kind_of
 from armsight.store.handeye_file import read_handeye
 
 READ = "armsight/rig, armsight/world, armsight/handeye"

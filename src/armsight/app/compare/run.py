@@ -29,7 +29,7 @@ from armsight.report.html import page_unit
 from armsight.store import write_text
 from armsight.store.arm_file import ARM_FORMAT
 from armsight.store.atomic import write_json
-from armsight.store.foreign.format_detection import kind_of_mapping
+from armsight.store.foreign.storage import kind_of_mapping
 from armsight.store.handeye_file import HANDEYE_FORMAT
 from armsight.store.rigs import RIG_FORMAT
 from armsight.store.yamls import read_yaml

@@ -19,8 +19,8 @@ from armsight.records import Progress
 from armsight.records.output import Output, output
 from armsight.records.result_parts import PointStd
 from armsight.store.path_file import write_path
-from armsight.store.picks_file import read_picks
 from armsight.store.rigs import read_rig
+from armsight.store.spots_csv import read_picks
 from armsight.store.worlds import read_world
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from armsight.records import Frame, JointReading, PoseStatus, Spots, Target, Tar
 from armsight.store.recording import record_reader, schemas
 from armsight.store.recording.images import decode
 from armsight.store.recording.mcapfile import MAGIC
-from armsight.store.recording.protobuf import NS
+from armsight.store.recording.schemas import NS
 from armsight.store.recording.writer import FORMAT, METADATA
 from armsight.store.rigs import rig_from_mapping
 from armsight.store.targets import target_from_mapping
