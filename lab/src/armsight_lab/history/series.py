@@ -30,6 +30,7 @@ GROUPS: Mapping[str, str] = {
     "world": rf"world\.({POSES})",
 }
 ALL = "all"
+YEAR_DAYS = 365.25
 ENTRY = re.compile(r"joint(\d+)\.(theta_rad|d_m)$")
 
 
