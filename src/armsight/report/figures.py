@@ -19,7 +19,6 @@ from armsight.units import MM
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
-    from numpy.typing import NDArray
 
 
 Array = NDArray[np.float64]

@@ -207,7 +207,7 @@ class Recording:
 
     def joints(self) -> Iterator[JointReading]:
         """Yield the joint readings. Raises NotEnoughData where there are none, BadFile."""
-        return self._records("/robot/joints", schemas.JOINTS, _joints)
+        return self._records("/robot/joints", schemas.JOINT_READING, _joints)
 
     def spots(self, camera: str) -> Iterator[SpotsSeen]:
         """Yield a camera's spots. Raises NotEnoughData where there are none, BadFile."""

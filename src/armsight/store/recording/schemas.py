@@ -16,7 +16,6 @@ import numpy as np
 
 from armsight.geometry import xyz_quat
 from armsight.records import JointReading, PoseStatus, TargetPose
-from armsight.store.recording import schemas
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 """Wire types."""
@@ -159,7 +158,7 @@ LOG = "foxglove.Log"
 TARGET_POSE = "armsight.TargetPose"
 SPOTS = "armsight.Spots"
 POINTS = "armsight.Points"
-JOINTS = "armsight.JointReading"
+JOINT_READING = "armsight.JointReading"
 COMMAND = "armsight.Command"
 EXPOSURE = "armsight.Exposure"
 
@@ -237,7 +236,7 @@ _MESSAGES: Mapping[str, Json] = {
     POINTS: _object(
         t_s=_NUMBER, names=_list(_STRING), xyz_m=_list(_list(_NUMBER)), covariance_m2=_list(_list(_list(_NUMBER)))
     ),
-    JOINTS: _object(t_s=_NUMBER, sequence=_INTEGER, source=_STRING, q=_list(_NUMBER)),
+    JOINT_READING: _object(t_s=_NUMBER, sequence=_INTEGER, source=_STRING, q=_list(_NUMBER)),
     COMMAND: _object(t_s=_NUMBER, kind=_STRING, values=_object()),
     EXPOSURE: _object(t_s=_NUMBER, exposure_s=_NUMBER),
 }
@@ -266,7 +265,7 @@ LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
 
 MEASURED, SHOWN, JOINTS, EVENTS = "/target/measured", "/target/pose", "/robot/joints", "/events"
 """Channels."""
-SCHEMA_OF = {MEASURED: schemas.TARGET_POSE, SHOWN: schemas.POSE, JOINTS: schemas.JOINTS, EVENTS: schemas.LOG}
+SCHEMA_OF = {MEASURED: TARGET_POSE, SHOWN: POSE, JOINTS: JOINT_READING, EVENTS: LOG}
 
 
 def pose_contents(pose: TargetPose, t_ns: int) -> dict[str, dict[str, Any]]:
