@@ -12,7 +12,7 @@ from armsight.errors import BadFile
 from armsight.records.tracks import SpotTrack
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import LARGEST
-from armsight.store.tables import MAX_BYTES, Table, cells, number, parse_table, word
+from armsight.store.tables import MAX_BYTES, Table, parse_table
 
 REQUIRED = ("t_s", "u_px", "v_px")
 DEVIATIONS = ("su_px", "sv_px")
@@ -54,16 +54,6 @@ def parse_spot_track(data: bytes, where: str) -> SpotTrack:
         uv_px=table.stacked(("u_px", "v_px")),
         covariance_px2=std[:, :, None] ** 2 * np.eye(2),
     )
-
-
-def write_spot_track_text(track: SpotTrack) -> str:
-    """Return the spots as the text of such a table."""
-    std = np.sqrt(np.diagonal(track.covariance_px2, axis1=1, axis2=2))
-    rows = (
-        f"{number(track.t_s[k])},{cells(uv)},{cells(s)},{word(name)}"
-        for k, uv, s, name in zip(track.frame, track.uv_px, std, track.names, strict=True)
-    )
-    return "\n".join([",".join((*REQUIRED, *DEVIATIONS, "spot")), *rows]) + "\n"
 
 
 def _require_sizes(table: Table) -> None:
