@@ -222,10 +222,15 @@ def bars(x: Array, heights: Array, width: float, colour: str, **more: Any) -> Pl
     return {"type": "scatter", "x": xs, "y": ys, **shape, **hover, **more}
 
 
+def trace(mode: str, name: str, *xyz: Any, **more: Any) -> Plot:
+    """Return the trace of points, in the plane or in space, one sequence a coordinate; more: of plotly's keys."""
+    kind = "scatter" if len(xyz) == 2 else "scatter3d"
+    return {"type": kind, "mode": mode, "name": name, **dict(zip("xyz", xyz, strict=False)), **more}
+
+
 def points_in_space(name: str, xyz: Array, marker: Plot, mode: str = "markers") -> Plot:
     """Return the trace of points (n, 3), in the units of the axes."""
-    x, y, z = xyz.T
-    return {"type": "scatter3d", "mode": mode, "name": name, "x": x, "y": y, "z": z, "marker": marker}
+    return trace(mode, name, *xyz.T, marker=marker)
 
 
 def cloud_figure(xyz_m: Array, sigma_m: Array, measured_m: Array) -> Figure:

@@ -10,7 +10,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
+from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned, trace
 from armsight.report.html import Card, Page, add_recordings, bullets, page_unit, table, text
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import DEG, MM, displayed, figure_of, with_deviation
@@ -127,8 +127,7 @@ def live_course(series: LiveSeries, summary: VerifyLiveOutput) -> Figure:
 
 def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> Plot:
     line = {"color": colour, "width": 1.5, "dash": dash}
-    shape = {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": line}
-    return {**shape, "showlegend": k == 1, **subplot(k)}
+    return trace("lines", name, x, y, line=line, showlegend=k == 1, **subplot(k))
 
 
 ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."

@@ -9,7 +9,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
+from armsight.report.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    Figure,
+    Plot,
+    axis,
+    layout,
+    subplot,
+    thinned,
+    trace,
+)
 from armsight.report.html import Card, Page, bullets, in_degrees, page_unit, table
 from armsight.units import displayed, displayed_name, figure_of, with_deviation
 from armsight_lab.history.drift import SMALLEST_STEP
@@ -146,18 +160,13 @@ def _figure(row: TrendFigure, one: Judgement) -> Figure:
 
 def _runs(course: Course, name: str, at: NDArray[np.intp], colour: str, y: Array, scale: float) -> Plot:
     error = {"error_y": {"type": "data", "array": course.std[at] / scale, "color": colour, "thickness": 1, "width": 0}}
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "x": [course.created[i] for i in at],
-        "y": y[at],
+    more = {
         "marker": {"size": 6, "color": colour},
         "text": [f"run {course.runs[i]}" for i in at],
         "hovertemplate": "%{text}: %{y:.4g}<extra></extra>",
         **(error if np.isfinite(course.std[at]).any() else {}),
-        **subplot(1),
     }
+    return trace("markers", name, [course.created[i] for i in at], y[at], **more, **subplot(1))
 
 
 def _line(
@@ -174,7 +183,7 @@ def _line(
         {"text": list(text), "hovertemplate": "%{text}: %{y:.2f}<extra></extra>"} if text else {"hoverinfo": "skip"}
     )
     style = {"color": colour, "width": 1.3, "dash": dash}
-    return {"type": "scatter", "mode": "lines", "name": name, "x": list(x), "y": y, "line": style, **hover, **on}
+    return trace("lines", name, list(x), y, line=style, **hover, **on)
 
 
 def _method(apart_years: float, every_days: float) -> list[str]:
