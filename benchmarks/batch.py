@@ -219,8 +219,7 @@ def overhead(n: int, in_groups: bool) -> None:
 
 def table(n: int) -> None:
     """Print what the table of n jobs with the figures of a measurement costs."""
-    from armsight_lab.batch.job_results import JobResult, rows_of, write_job_result
-    from armsight_lab.batch.result_table import write_result_table
+    from armsight_lab.batch.results import JobResult, rows_of, write_job_result, write_result_table
 
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)

@@ -35,7 +35,7 @@ from armsight.kinematics.kernels.chain import many_poses, many_poses_jacobians
 from armsight.kinematics.kernels.closed import solve_closed_many
 from armsight.kinematics.kernels.numeric import solve_many
 from armsight.optics import Camera, parallel_rig, triangulate
-from armsight.store.urdf_writer import urdf_text
+from armsight.store.urdf import urdf_text
 from bench import interleaved_ms, machine, table
 
 WARM_RAD = 0.1

@@ -32,6 +32,9 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
 from armsight.app.requests.plant import PlantFlags
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # mosquitto.py
+
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
 from armsight.app.robot.opening import arm_model
 from armsight.app.robot.recorder import RecordingLog
@@ -42,12 +45,12 @@ from armsight.store.recording import Recording
 from armsight.store.tokens import add_token
 from armsight.verify.supervision import Compared, Level, Limits, Seen
 from armsight_plant.certificates import make_pair
-from armsight_plant.feed import FEED_S, Feed
-from armsight_plant.mosquitto import PASSWORD, USER, Broker, missing
 from armsight_plant.opcua.publisher import NAMESPACE
 from armsight_plant.options import PlantOptions
 from armsight_plant.process import PlantProcess
+from armsight_plant.publishing import FEED_S, Feed
 from armsight_plant.state import PlantState, RobotSeen
+from mosquitto import PASSWORD, USER, Broker, missing
 
 CLIENTS = 10
 CYCLE_S = 0.004

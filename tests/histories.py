@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from armsight.kinematics import preset
 from armsight.records import NamedCovariance
-from armsight_lab.history.entry import Entry, Quantity
+from armsight_lab.history.entry import Entry, Quantity, utc
+from armsight_lab.history.figures import parameters_of
 from armsight_lab.history.filing import Made, entry_of_result
-from armsight_lab.history.moments import utc
-from armsight_lab.history.parameters import parameters_of
 
 START = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 DEG = np.pi / 180.0

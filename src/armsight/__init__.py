@@ -342,7 +342,7 @@ def _save(record: object, path: str | PathLike[str]) -> Path:
 
 
 def _plot(record: object) -> object:
-    from armsight.report.plots import plot
+    from armsight.report.figures import plot
 
     return plot(record)
 

@@ -36,7 +36,7 @@ PLANTED = {
     "a world sees what runs armsight on it": ("armsight_sim/twins/planted.py", "import armsight_sim.reproduce.run"),
     "server imports what plants use by name": ("server/planted.py", "import armsight_plant.options"),
     "what plants use serves pages": ("armsight_plant/opcua/planted.py", "import armsight.server"),
-    "a publisher sees what feeds it": ("armsight_plant/opcua/planted.py", "import armsight_plant.feed"),
+    "a publisher sees what feeds it": ("armsight_plant/opcua/planted.py", "import armsight_plant.publishing"),
     "app imports the simulation by name": ("app/planted.py", "import armsight_sim.cells"),
     "drivers see testing": ("drivers/planted.py", "import armsight.testing"),
     "maths opens files": ("fitting/planted.py", "import pathlib"),

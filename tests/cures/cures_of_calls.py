@@ -35,7 +35,7 @@ from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, check_options
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import write_arm
-from armsight.store.urdf_writer import urdf_text
+from armsight.store.urdf import urdf_text
 from armsight_lab.api.design import _mount, _size
 from armsight_lab.batch.cluster import Workers
 from armsight_lab.cell_plan.run import _extent
@@ -120,7 +120,7 @@ TRIED = {
         lambda: load_scenario("webcam-cell"),
     ),
     ("kinematics/arm.py", "Check compliance"): (lambda: soft(5.0).sagged(AT), lambda: soft(1e-5).sagged(AT)),
-    ("store/urdf_writer.py", "armsight convert arm FILE"): (
+    ("store/urdf.py", "armsight convert arm FILE"): (
         lambda: urdf_text(soft(1e-5)),
         (lambda: write_arm(Path("soft.yaml"), soft(1e-5)), "convert arm soft.yaml -o arm.urdf"),
     ),

@@ -75,8 +75,8 @@ IN_TESTS = {
     **{
         (f"store/{module}.py", words): f"{REPORTS}test_urdfs.py::test_what_is_refused_is_read_once_its_cure_is_followed"
         for module, words in (
-            ("urdf_limits", "Write radians"),
-            ("urdf_limits", "Write metres"),
+            ("urdf_tree", "Write radians"),
+            ("urdf_tree", "Write metres"),
             ("urdf_elements", "Write radians"),
             ("urdf", "Write metres here"),
         )

@@ -17,8 +17,7 @@ from armsight.kinematics.derivatives import moved
 from armsight.kinematics.dynamics import inverse_dynamics, track_load
 from armsight.kinematics.presets import PRESETS
 from armsight.records import Motion
-from armsight.store.urdf import arm_from_urdf
-from armsight.store.urdf_writer import urdf_text
+from armsight.store.urdf import arm_from_urdf, urdf_text
 from refusals import refuses
 
 CLOSED = ("korayem6r", "puma761", "ur10", "ur5e", "irb120")

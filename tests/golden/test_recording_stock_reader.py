@@ -136,7 +136,7 @@ def test_the_schemas_are_what_protobuf_says_they_are() -> None:
     descriptor_pb2 = pytest.importorskip("google.protobuf.descriptor_pb2")
     from google.protobuf import descriptor_pool, message_factory
 
-    from armsight.store.recording.protobuf import compressed_image_head, descriptor_set, raw_image_head
+    from armsight.store.recording.schemas import compressed_image_head, descriptor_set, raw_image_head
 
     heads = {
         "RawImage": raw_image_head(1_500_000_000, "left", (2, 3), "mono8") + b"abcdef",

@@ -33,10 +33,9 @@ from armsight.store.interpret import other_files
 from armsight.store.recording import record_reader
 from armsight.store.recording.images import decode
 from armsight.store.recording.mcapfile import CHUNK_HEAD, MAGIC, McapFile
-from armsight.store.recording.protobuf import fields
 from armsight.store.recording.reader import Recording
 from armsight.store.recording.repair import repair
-from armsight.store.recording.schemas import COMPRESSED_IMAGE, LOG, RAW_IMAGE
+from armsight.store.recording.schemas import COMPRESSED_IMAGE, LOG, RAW_IMAGE, fields
 from armsight.store.tokens import read_tokens
 from armsight.store.urdf import arm_from_urdf, read_urdf
 from armsight.store.yamls import parse_yaml, parse_yaml_documents

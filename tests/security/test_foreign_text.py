@@ -43,8 +43,7 @@ from armsight.store import tables
 from armsight.store.arm_file import read_arm
 from armsight.store.tables import bare, parse_table, word
 from armsight.store.tracks import SpotsWriter, write_poses
-from armsight.store.urdf import arm_from_urdf
-from armsight.store.urdf_writer import urdf_text
+from armsight.store.urdf import arm_from_urdf, urdf_text
 
 MARKUP = [
     "</script><script>alert(1)</script>",

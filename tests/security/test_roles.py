@@ -41,8 +41,7 @@ from armsight.errors import UsageError
 from armsight.kinematics import preset
 from armsight.server import stop_line as lines
 from armsight.server.application import create_app
-from armsight.server.auth import Authenticator
-from armsight.server.browser_sessions import BrowserSessions
+from armsight.server.auth import Authenticator, BrowserSessions
 from armsight.server.connections import LINE, Connections
 from armsight.server.gate import LOGOUT, Gate
 from armsight.server.messages import Session

@@ -17,10 +17,10 @@ from websockets.sync.client import ClientConnection, connect
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceLost
 from armsight.server import stop_line
+from armsight.server.application import WATCHERS_PER_ADDRESS
 from armsight.server.auth import FAILURES, Authenticator, Denied
 from armsight.server.connections import PER_ADDRESS, UNKNOWN_PER_ADDRESS
 from armsight.server.messages import VIOLATIONS
-from armsight.server.sockets import WATCHERS_PER_ADDRESS
 
 WAIT_S = 30.0
 

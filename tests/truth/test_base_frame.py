@@ -25,8 +25,7 @@ from armsight.kinematics import Arm, fk, in_convention, moved, parameter_jacobia
 from armsight.records import TaughtPath
 from armsight.store import World
 from armsight.store.arm_file import arm_mapping, read_arm, write_arm
-from armsight.store.urdf import arm_from_urdf
-from armsight.store.urdf_writer import urdf_text
+from armsight.store.urdf import arm_from_urdf, urdf_text
 from armsight_sim.twins.base import twin_arm
 from shouldered_arm import BASE, base_flange, base_tool, drawn, placed, shouldered_urdf
 

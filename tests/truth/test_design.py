@@ -21,7 +21,7 @@ from armsight_lab.design.plan import plan_of
 from armsight_lab.design.records import DesignSimulation
 from armsight_lab.design.request import DesignJob
 from armsight_lab.design.simulate import _compared, foretold_at, spec_of
-from armsight_lab.design.simulated_run import Errors, simulate_run
+from armsight_lab.design.simulated_run import simulate_run
 from armsight_lab.design.volume import Foretold, foretell
 
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
@@ -50,7 +50,7 @@ def simulated(found: Foretold, folder: Path, runs: int = RUNS) -> DesignSimulati
     places = measured[np.linspace(0, len(measured) - 1, PLACES).round().astype(int)]
     spec = spec_of(found, places)
     jobs = [Job(name=f"run-{k}", command="design", arguments={"seed": 5, "run": k}) for k in range(runs)]
-    errors = [Errors.of(simulate_run(spec, one, folder).figures["errors"]) for one in jobs]
+    errors = [simulate_run(spec, one, folder).figures["errors"] for one in jobs]
     return _compared(found, places, errors, runs)
 
 
@@ -68,14 +68,8 @@ def test_claims_that_are_half_of_the_truth_are_seen(job: DesignJob, tmp_path: Pa
     found, true = foretell(replace(plan, spot_px=0.05)), foretell(plan)
     measured = np.flatnonzero(found.measured)[:: len(found.measured) // PLACES]
     spec = spec_of(true, measured)
-    errors = [
-        Errors.of(
-            simulate_run(spec, Job(name="x", command="design", arguments={"seed": 5, "run": k}), tmp_path).figures[
-                "errors"
-            ]
-        )
-        for k in range(5)
-    ]
+    jobs = [Job(name="x", command="design", arguments={"seed": 5, "run": k}) for k in range(5)]
+    errors = [simulate_run(spec, one, tmp_path).figures["errors"] for one in jobs]
     done = _compared(found, measured, errors, 5)
     assert done.ratio_orientation > 1.6
 

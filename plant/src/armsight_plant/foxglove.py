@@ -9,21 +9,20 @@ import foxglove
 from armsight._version import __version__
 from armsight.errors import DeviceFailed
 from armsight.store.atomic import json_text
-from armsight.store.recording.contents import (
+from armsight.store.recording.schemas import (
     EVENTS,
     JOINTS,
     MEASURED,
+    NS,
     SCHEMA_OF,
     SHOWN,
     event_content,
     joints_content,
     pose_contents,
+    schema_of,
 )
-from armsight.store.recording.protobuf import NS
-from armsight.store.recording.schemas import schema_of
 from armsight_plant.options import ENDS, FoxgloveOptions
-from armsight_plant.requests import Tell
-from armsight_plant.state import PlantState
+from armsight_plant.state import PlantState, Tell
 from armsight_plant.values import IN_TOLERANCE, told
 
 BACKLOG = 64

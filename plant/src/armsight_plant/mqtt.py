@@ -18,8 +18,7 @@ from paho.mqtt.properties import Properties
 from armsight._version import __version__
 from armsight_plant.certificates import tls_context
 from armsight_plant.options import MqttOptions
-from armsight_plant.requests import Note, Tell
-from armsight_plant.state import PlantState, Quality
+from armsight_plant.state import Note, PlantState, Quality, Tell
 from armsight_plant.values import IN_TOLERANCE, Given, Told, alarm_values, told
 
 FORMAT = "armsight/plant"

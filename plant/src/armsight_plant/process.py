@@ -21,8 +21,7 @@ from armsight.errors import ArmsightError, DeviceFailed
 from armsight.priority import BEHIND, give_way
 from armsight_plant.certificates import missing
 from armsight_plant.options import ENDS, PlantOptions
-from armsight_plant.requests import Request, Tell, decode, encode
-from armsight_plant.state import PlantState
+from armsight_plant.state import PlantState, Request, Tell, decode, encode
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from armsight._version import __version__
 from armsight.geometry import quat_of_matrix
 from armsight.verify.supervision import Level, Seen
-from armsight_plant.alarms import NAMES
-from armsight_plant.state import PlantState, Quality, RobotSeen, trust
+from armsight_plant.state import NAMES, PlantState, Quality, RobotSeen, trust
 
 Given = bool | int | float | str | list[float] | None
 

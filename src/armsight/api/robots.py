@@ -31,7 +31,7 @@ from armsight.ops.checks import speaks_python
 from armsight.ops.given import ArmLike, as_arm
 from armsight.optics import Rig
 from armsight.records import checked_array, require_count, require_kind, require_texts
-from armsight.report.plots import error_figure
+from armsight.report.figures import error_figure
 from armsight.store import World, write_world
 from armsight.store.saving import YAML, file_to_write
 

@@ -280,7 +280,7 @@ def _texts(value: Any) -> tuple[str, ...]:
 
 def _replacing(out: Path, names: tuple[str, ...], overwrite: bool, work: Callable[[], None]) -> None:
     """Do the work with earlier results aside; bring them back where it failed."""
-    from armsight.store.earlier_results import EarlierResults, refuse_earlier
+    from armsight.store.outputs import EarlierResults, refuse_earlier
 
     if not overwrite:
         refuse_earlier(out, names)

@@ -323,7 +323,7 @@ def from_picks(
     from armsight.control.paths.along import along_edges
     from armsight.measure.correspondence import PatchSettings, StereoViews
     from armsight.records import Silent
-    from armsight.store.picks_file import read_picks
+    from armsight.store.spots_csv import read_picks
     from armsight.store.worlds import World, read_world
 
     settings = PatchSettings(half_px=patch_px // 2, near_m=near_m, far_m=far_m, pick_std_px=pick_std_px)

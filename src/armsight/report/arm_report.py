@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
-from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
+from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout, trace
 from armsight.report.html import Card, Page, bullets, page_unit, table
 from armsight.units import MM, displayed_name, figure_of, with_deviation
 
@@ -89,7 +89,7 @@ def error_figure(result: ArmCalibration) -> Figure:
     """Return the errors of all rows before and after."""
     rows = np.arange(1, len(result.error_m) + 1)
     traces = [
-        {"type": "scatter", "mode": "markers", "name": name, "x": rows, "y": errors / MM, "marker": {"color": colour}}
+        trace("markers", name, rows, errors / MM, marker={"color": colour})
         for name, errors, colour in (("nominal", result.before_m, GREY), ("corrected", result.error_m, BLUE))
     ]
     log = {"type": "log", "dtick": "D2", "tickformat": "~g"} if result.before_m.min() > 0.0 else {}

@@ -102,18 +102,18 @@ def arm_figure(arm: Arm, q: Array) -> Figure:
     """Return the picture of the arm along q (m, n), m >= 1; a track's postures are thinned and faint."""
     shown = spread(q, MAX_POSTURES) if len(q) > MAX_POSTURES else np.arange(len(q))
     postures = [link_frames(arm, q[row]) for row in shown]
-    data: list[Plot] = [_line(_skeleton(arm, frames), GREY, 3, "posture", opacity=0.35) for frames in postures[1:]]
+    data: list[Plot] = [line_mm(_skeleton(arm, frames), GREY, 3, "posture", opacity=0.35) for frames in postures[1:]]
     frames = postures[0]
     bones = _skeleton(arm, frames)
     size = max(float(np.ptp(bones, axis=0).max()), 1e-3)
-    data += [_line(np.array([z0, z1]), GREY, 2, "axis") for z0, z1 in _axes(frames, 0.5 * ARROW * size)]
-    data.append(_line(bones, INK, 9, text(arm.name), mode="lines+markers", marker={"size": 4, "color": ORANGE}))
+    data += [line_mm(np.array([z0, z1]), GREY, 2, "axis") for z0, z1 in _axes(frames, 0.5 * ARROW * size)]
+    data.append(line_mm(bones, INK, 9, text(arm.name), mode="lines+markers", marker={"size": 4, "color": ORANGE}))
     for T, name in ((frames[0], "base"), (frames[-1], "tool")):
         for k, colour in enumerate((RED, GREEN, BLUE)):
             tip = T[:3, 3] + ARROW * size * T[:3, k]
-            data.append(_line(np.array([T[:3, 3], tip]), colour, 5, f"{name} {'xyz'[k]}"))
+            data.append(line_mm(np.array([T[:3, 3], tip]), colour, 5, f"{name} {'xyz'[k]}"))
     if len(postures) > 1:
-        data.append(_line(np.array([T[-1][:3, 3] for T in postures]), BLUE, 4, "tool's way"))
+        data.append(line_mm(np.array([T[-1][:3, 3] for T in postures]), BLUE, 4, "tool's way"))
     scene: Plot = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
     scene["aspectmode"] = "data"
     return Figure(
@@ -143,7 +143,8 @@ def _axes(frames: Array, half: float) -> list[tuple[Array, Array]]:
     return [(T[:3, 3] - half * T[:3, 2], T[:3, 3] + half * T[:3, 2]) for T in frames[:-2]]
 
 
-def _line(points_m: Array, colour: str, width: int, name: str, **more: Any) -> Plot:
+def line_mm(points_m: Array, colour: str, width: int, name: str, **more: Any) -> Plot:
+    """Return a line through points (n, 3), m, in a scene in mm."""
     x, y, z = (points_m / MM).T
     return {
         "type": "scatter3d",

@@ -7,11 +7,11 @@ from datetime import datetime
 import numpy as np
 
 from armsight.calibrate.cameras.preconditions import image_share
-from armsight.report.boards import add_boards
 from armsight.report.figures import BLUE, ORANGE, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, bullets, table, text
 from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, residual_figure
 from armsight.report.run import CalibrationRun, CameraFit
+from armsight.report.scene import add_boards
 from armsight.units import MM, figure_of, with_deviation
 
 LONG_TABLE = 12

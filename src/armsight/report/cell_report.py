@@ -25,6 +25,7 @@ from armsight.report.figures import (
     layout,
     points_in_space,
     subplot,
+    trace,
 )
 from armsight.report.html import Card, Page, bullets, page_unit, table, text
 from armsight.report.scene import camera_line, line, scene_axes
@@ -174,14 +175,7 @@ def residual_figure(done: CellResult) -> Figure:
     """Return each camera's RMS residual by seconds of the motion."""
     t, of_side = _seconds(done), _by_second(done)
     data: list[Plot] = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": side,
-            "x": t,
-            "y": rms,
-            "line": {"color": colour, "width": 1.5},
-        }
+        trace("lines", side, t, rms, line={"color": colour, "width": 1.5})
         for side, rms, colour in zip(SIDES, of_side, (BLUE, ORANGE), strict=True)
     ]
     high = axis("residual, px", rangemode="tozero")
@@ -214,19 +208,9 @@ def information_figure(done: CellResult) -> Figure:
     """Return the share of what is known about each part of the cell that stems from each second."""
     t, data = _seconds(done), []
     for k, (name, shares) in enumerate(information_shares(done).items(), start=1):
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": name,
-                "x": t,
-                "y": 100.0 * shares,
-                "line": {"color": (BLUE, ORANGE, GREEN, RED, INK)[k - 1], "width": 1.2},
-                "fill": "tozeroy",
-                "showlegend": True,
-                **subplot(k),
-            }
-        )
+        line_ = {"color": (BLUE, ORANGE, GREEN, RED, INK)[k - 1], "width": 1.2}
+        filled = {"line": line_, "fill": "tozeroy", "showlegend": True}
+        data.append(trace("lines", name, t, 100.0 * shares, **filled, **subplot(k)))
     rows = len(data)
     shape = layout(grid={"rows": rows, "columns": 1, "pattern": "independent", "ygap": 0.25})
     for k in range(1, rows + 1):

@@ -1,17 +1,25 @@
-"""Figures as plotly.js reads them, built as plain data; and how ten thousand points become a thousand."""
+"""Figures as plotly.js reads them, as plain data; ten thousand points as a thousand; views in space; results' plots."""
 
 from __future__ import annotations
 
 import html
+import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from armsight.shown import Bars
+from armsight.units import MM
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
 
 Array = NDArray[np.float64]
 
@@ -214,10 +222,15 @@ def bars(x: Array, heights: Array, width: float, colour: str, **more: Any) -> Pl
     return {"type": "scatter", "x": xs, "y": ys, **shape, **hover, **more}
 
 
+def trace(mode: str, name: str, *xyz: Any, **more: Any) -> Plot:
+    """Return the trace of points, in the plane or in space, one sequence a coordinate; more: of plotly's keys."""
+    kind = "scatter" if len(xyz) == 2 else "scatter3d"
+    return {"type": kind, "mode": mode, "name": name, **dict(zip("xyz", xyz, strict=False)), **more}
+
+
 def points_in_space(name: str, xyz: Array, marker: Plot, mode: str = "markers") -> Plot:
     """Return the trace of points (n, 3), in the units of the axes."""
-    x, y, z = xyz.T
-    return {"type": "scatter3d", "mode": mode, "name": name, "x": x, "y": y, "z": z, "marker": marker}
+    return trace(mode, name, *xyz.T, marker=marker)
 
 
 def cloud_figure(xyz_m: Array, sigma_m: Array, measured_m: Array) -> Figure:
@@ -228,3 +241,108 @@ def cloud_figure(xyz_m: Array, sigma_m: Array, measured_m: Array) -> Figure:
     measured = points_in_space("measured", seen, {"size": 2, "color": INK})
     scene = {"aspectmode": "data", **{f"{a}axis": {"title": {"text": f"{a}, mm"}} for a in "xyz"}}
     return Figure(data=[cloud, measured], layout=layout(scene=scene), height_px=520)
+
+
+TAN = math.tan(math.radians(22.5))
+"""Half the height of plotly's view over the distance of the eye."""
+BOTTOM, TOP, SIDE = -0.78, 0.94, 1.3
+"""Where the box of the data may end in the view, in halves of its height: the axes' names stand below and beside it."""
+LIMITS = ((-SIDE, SIDE), (BOTTOM, TOP))
+PAD = 0.04
+"""Room about the data, as a share of its longest side."""
+DEFAULT_EYE, DEFAULT_UP = {"x": 1.25, "y": 1.25, "z": 1.25}, {"x": 0.0, "y": 0.0, "z": 1.0}
+"""Where plotly's camera stands, and what is up for it, where nothing is said."""
+DEFAULTS = (("eye", DEFAULT_EYE), ("up", DEFAULT_UP))
+
+
+def fitted_scene(scene: Plot, data: Sequence[Plot]) -> Plot:
+    """Return a scene to scale whose axes end where the data does, as large as its view at first takes it.
+
+    plotly's own "data" lets a long thin thing run out of the picture. Traces that only the legend names do not count:
+    the page goes back to it where one is called up. wide in it tells narrow pages how far to step back. Without data
+    the scene is unchanged.
+    """
+    shown = [trace for trace in data if trace.get("visible") != "legendonly"]
+    traces = [trace for trace in shown if trace.get("type") == "scatter3d"]
+    none = np.empty(0)
+    columns = [np.concatenate([none, *(np.asarray(trace[name], float).ravel() for trace in traces)]) for name in "xyz"]
+    known = [values[np.isfinite(values)] for values in columns]
+    if not all(values.size for values in known):
+        return dict(scene)
+    low, high = (np.array([end(values) for values in known]) for end in (np.min, np.max))
+    pad = PAD * float(np.max(high - low)) or 1.0
+    low, high = low - pad, high + pad
+    camera = scene.get("camera", {})
+    eye, up = (np.array([{**zero, **camera.get(name, {})}[k] for k in "xyz"]) for name, zero in DEFAULTS)
+    size, center, wide = _fitted((high - low) / np.max(high - low), eye, up)
+    axes = {
+        f"{name}axis": {**scene.get(f"{name}axis", {}), "range": [float(low[k]), float(high[k])]}
+        for k, name in enumerate("xyz")
+    }
+    placed = {"eye": _named(eye + center), "up": _named(up), "center": _named(center)}
+    return {
+        **scene,
+        **axes,
+        "aspectmode": "manual",
+        "aspectratio": _named(size),
+        "camera": {**camera, **placed},
+        "wide": wide,
+    }
+
+
+def _fitted(shape: Array, eye: Array, up: Array) -> tuple[Array, Array, float]:
+    """Return the size (3,) of a box of that shape (3,) that fills the view, what the eye looks at (3,), and how far the
+    box reaches to the sides, in halves of the view's height."""
+    distance = float(np.linalg.norm(eye))
+    ahead = -eye / distance
+    right = np.cross(ahead, up)
+    right /= np.linalg.norm(right)
+    above = np.cross(right, ahead)
+    corners = 0.5 * shape * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # (8, 3)
+    least, most = 0.0, 1.3 * distance / float(np.linalg.norm(shape))  # the box stays before the eye
+    center, wide = np.zeros(3), SIDE
+    for _ in range(30):
+        scale = 0.5 * (least + most)
+        reach = TAN * (distance + scale * corners @ ahead)  # half the view's height at each corner
+        # the eye's shift (along right, above) that puts the corners at both ends equally far inside the view's ends
+        ends = [(scale * corners @ axis, reach) for axis in (right, above)]
+        shift = [_balance(at, reach, *limits) for (at, reach), limits in zip(ends, LIMITS, strict=True)]
+        if all(room >= 0.0 for _, room in shift):
+            least, center = scale, shift[0][0] * right + shift[1][0] * above
+            wide = float(np.max(np.abs((ends[0][0] - shift[0][0]) / reach)))
+        else:
+            most = scale
+    return least * shape, center, wide
+
+
+def _balance(at: Array, reach: Array, low: float, high: float) -> tuple[float, float]:
+    """Return the shift s with low reach <= at - s <= high reach at all corners, and how much room it leaves."""
+    upper, lower = float(np.min(at - low * reach)), float(np.max(at - high * reach))
+    return 0.5 * (upper + lower), upper - lower
+
+
+def _named(vector: Array) -> dict[str, float]:
+    return dict(zip("xyz", vector.tolist(), strict=True))
+
+
+def plot(record: Any) -> go.Figure:
+    """Return a plotly figure of a result. Raises TypeError for one that has nothing to plot."""
+    made = getattr(record, "bars", None)
+    if made is None:
+        raise TypeError(f"{type(record).__name__} has nothing to plot")
+    return drawn(made())
+
+
+def drawn(bars: Bars) -> go.Figure:
+    """Return bars as a plotly figure."""
+    import plotly.graph_objects as go
+
+    figure = go.Figure(go.Bar(x=list(bars.names), y=list(bars.values)))
+    figure.update_layout(title=bars.title, xaxis_title=bars.x, yaxis_title=bars.y)
+    return figure
+
+
+def error_figure(title: str, error_m: NDArray[Any], names: Sequence[str] = ()) -> go.Figure:
+    """Return a plotly figure of errors (n,) in mm by row; names: of the rows."""
+    rows = list(names) or [str(row) for row in range(len(error_m))]
+    return drawn(Bars(title, rows, (error_m / MM).tolist(), "row", "error, mm"))

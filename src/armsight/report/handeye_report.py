@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEyeResult, ImageComparison, Part
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.report.boards import add_boards
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -29,6 +28,7 @@ from armsight.report.figures import (
     subplot,
 )
 from armsight.report.html import Card, Page, bullets, page_unit, table
+from armsight.report.scene import add_boards
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 Array = NDArray[np.float64]

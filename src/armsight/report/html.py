@@ -15,8 +15,7 @@ from importlib import resources
 
 from armsight._version import __version__
 from armsight.records.verdict import Verdict
-from armsight.report.figures import Figure, Plot, json_text
-from armsight.report.space import fitted_scene
+from armsight.report.figures import Figure, Plot, fitted_scene, json_text
 
 PANEL_PX = 300
 """Width of a panel beside others from which on its numbers stand clear of each other."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from armsight.kinematics import Arm
 from armsight.kinematics.target import start_values
 from armsight.records import TaughtPath
 from armsight.records.verdict import Verdict
-from armsight.report.arm_view import arm_figure
+from armsight.report.arm_view import arm_figure, line_mm
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, thinned
 from armsight.report.html import Card, Page, table, text
 from armsight.units import MM, figure_of
@@ -174,7 +173,7 @@ def _path_traces(xyz: Array, issues: Sequence[PathIssue]) -> list[Plot]:
     issues_of: dict[int, list[PathIssue]] = {}
     for issue in issues:
         issues_of.setdefault(issue.row, []).append(issue)
-    data = [_line3d(xyz, GREEN, "no trouble", 6)]
+    data = [line_mm(xyz, GREEN, 6, "no trouble")]
     for kind in COLOURS:
         rows = sorted(row for row, there in issues_of.items() if _first_kind(there) is kind)
         if rows:
@@ -187,12 +186,6 @@ def _first_kind(issues: Sequence[PathIssue]) -> PathTrouble:
     return next(kind for kind in COLOURS if kind in kinds)
 
 
-def _line3d(xyz_m: Array, colour: str, name: str, width: int, **more: Any) -> Plot:
-    x, y, z = (xyz_m / MM).T
-    line = {"color": colour, "width": width}
-    return {"type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "line": line, "name": name, **more}
-
-
 def _trouble(
     xyz: Array, rows: Sequence[int], kind: PathTrouble, issues_of: Mapping[int, Sequence[PathIssue]]
 ) -> list[Plot]:
@@ -202,9 +195,9 @@ def _trouble(
     ways = np.concatenate([np.concatenate([xyz[[max(row - 1, 0), row]], gap]) for row in rows])
     points = xyz[list(rows)]
     texts = ["<br>".join(text(issue.text) for issue in issues_of[row]) for row in rows]
-    marks = _line3d(points, colour, word, 1, mode="markers", marker={"size": 3, "color": colour})
+    marks = line_mm(points, colour, 1, word, mode="markers", marker={"size": 3, "color": colour})
     return [
-        _line3d(ways, colour, word, 9, legendgroup=word, hoverinfo="skip"),
+        line_mm(ways, colour, 9, word, legendgroup=word, hoverinfo="skip"),
         {**marks, "text": texts, "hoverinfo": "text", "legendgroup": word, "showlegend": False},
     ]
 
@@ -218,7 +211,7 @@ def _names(xyz: Array, runs: Sequence[Sequence[PathIssue]]) -> Plot:
         if np.linalg.norm(xyz[list(named)] - xyz[row], axis=1).min() > apart:
             named[row] = f"row {row}"
     rows = sorted(named)
-    trace = _line3d(xyz[rows], INK, "rows", 1, mode="text", hoverinfo="skip", showlegend=False)
+    trace = line_mm(xyz[rows], INK, 1, "rows", mode="text", hoverinfo="skip", showlegend=False)
     return {**trace, "text": [named[row] for row in rows], "textposition": "top center"}
 
 
@@ -230,7 +223,7 @@ def _box(box: Box, colour: str, T_world_base: Array) -> Plot:
     for a, b in ((1, 5), (3, 7), (2, 6)):
         edges += [np.full((1, 3), np.nan), corners[[a, b]]]
     points = box.lower_m + np.concatenate(edges) * (box.upper_m - box.lower_m)
-    return _line3d(points @ T_world_base[:3, :3].T + T_world_base[:3, 3], colour, text(box.name), 3, hoverinfo="name")
+    return line_mm(points @ T_world_base[:3, :3].T + T_world_base[:3, 3], colour, 3, text(box.name), hoverinfo="name")
 
 
 def _joints(path: TaughtPath, arm: Arm, limits: Limits, found: PathCheck) -> list[Figure]:

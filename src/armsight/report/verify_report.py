@@ -12,7 +12,21 @@ from numpy.typing import NDArray
 from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
-from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, Plot, axis, bars, layout, spread, subplot, thinned
+from armsight.report.figures import (
+    BLUE,
+    GREY,
+    ORANGE,
+    RED,
+    Figure,
+    Plot,
+    axis,
+    bars,
+    layout,
+    spread,
+    subplot,
+    thinned,
+    trace,
+)
 from armsight.report.html import Card, Page, bullets, page_unit, table, text
 from armsight.units import DEG, MM, MS, displayed, displayed_name, figure_of, pair_of, with_deviation
 from armsight.verify import Verification
@@ -279,17 +293,11 @@ def course(result: Verification) -> Figure:
     data: list[Plot] = []
     for k in range(result.task.shape[1]):
         turn = k >= 3
+        name, colour = f"{'r' if turn else ''}{'xyz'[k % 3]}", (BLUE, ORANGE, GREY)[k % 3]
+        y = result.task[shown, k] / (DEG if turn else MM)
+        style = {"line": {"color": colour, "width": 1.5}, "marker": {"color": colour, "size": 4}}
         data.append(
-            {
-                "type": "scatter",
-                "mode": "lines" if at is not None else "markers",
-                "name": f"{'r' if turn else ''}{'xyz'[k % 3]}",
-                "x": x[shown],
-                "y": result.task[shown, k] / (DEG if turn else MM),
-                "line": {"color": (BLUE, ORANGE, GREY)[k % 3], "width": 1.5},
-                "marker": {"color": (BLUE, ORANGE, GREY)[k % 3], "size": 4},
-                **subplot(2 if turn else 1),
-            }
+            trace("markers" if at is None else "lines", name, x[shown], y, **style, **subplot(2 if turn else 1))
         )
     title = "t, s" if at is not None else "row"
     if result.task.shape[1] == 3:
@@ -319,15 +327,7 @@ def arrows(result: Verification, arm: Arm) -> Figure:
     scale = ARROW_SHARE * max(float(np.ptp(at, axis=0).max()), 1e-3) / longest
     ends = np.stack([at, at + scale * error, np.full_like(at, np.nan)], axis=1).reshape(-1, 3) / MM
     figure = arm_figure(replace(bare_arm(arm), T_flange_tool=result.mounts.tools[0]), q[result.kept[:1]])
-    line = {
-        "type": "scatter3d",
-        "mode": "lines",
-        "name": f"error, {scale:.0f} times",
-        "x": ends[:, 0],
-        "y": ends[:, 1],
-        "z": ends[:, 2],
-        "line": {"color": RED, "width": 3},
-    }
+    line = trace("lines", f"error, {scale:.0f} times", *ends.T, line={"color": RED, "width": 3})
     return Figure(data=[*figure.data, line], layout=figure.layout, height_px=figure.height_px)
 
 
@@ -354,17 +354,8 @@ def over_joints(result: Verification, arm: Arm) -> Figure:
         )
         up = [low + 0.1, low + 1 / lines - 0.04]
         more[f"yaxis{name}"] = axis("" if column else "mm", domain=up, anchor=f"x{name}")
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": text(joint.name),
-                "x": q[result.kept[rows], i] / unit,
-                "y": size[rows] / MM,
-                "marker": {"color": BLUE, "size": 3},
-                **subplot(k),
-            }
-        )
+        x, marker = q[result.kept[rows], i] / unit, {"color": BLUE, "size": 3}
+        data.append(trace("markers", text(joint.name), x, size[rows] / MM, marker=marker, **subplot(k)))
     return Figure(data=data, layout=layout(showlegend=False, **more), height_px=260 * lines)
 
 

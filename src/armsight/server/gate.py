@@ -10,8 +10,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
-from armsight.server.auth import Authenticator, Denied, Visitor, caller_of, cookie_name, is_secure
-from armsight.server.browser_sessions import DAY_S
+from armsight.server.auth import DAY_S, Authenticator, Denied, Visitor, caller_of, cookie_name, is_secure
 from armsight.server.limited import known_as
 
 IDENTITY = "armsight.identity"

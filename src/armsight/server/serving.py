@@ -22,8 +22,7 @@ from armsight.control.session.service import Service
 from armsight.errors import Cancelled
 from armsight.priority import SERVES, give_way
 from armsight.server.application import create_app
-from armsight.server.auth import Authenticator
-from armsight.server.browser_sessions import BrowserSessions
+from armsight.server.auth import Authenticator, BrowserSessions
 from armsight.server.connections import Connections
 from armsight.server.gate import Gate
 from armsight.server.stop_line import stop_line

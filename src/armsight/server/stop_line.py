@@ -31,8 +31,7 @@ from armsight.control.session.loop_host import LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, UsageError
 from armsight.priority import listen_first
-from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
-from armsight.server.browser_sessions import BrowserSessions
+from armsight.server.auth import Authenticator, BrowserSessions, Denied, Identity, address_of, caller_of
 from armsight.server.connections import LINE, Connections
 from armsight.server.limited import age_of, known_as
 from armsight.server.messages import Session

@@ -55,52 +55,19 @@ if TYPE_CHECKING:
     from armsight.store.zoom import read_zoom_camera as read_zoom_camera
     from armsight.store.zoom import write_zoom_camera as write_zoom_camera
 
-_PLACES = {
-    "json_text": "atomic",
-    "sha256": "atomic",
-    "write_bytes": "atomic",
-    "write_json": "atomic",
-    "write_text": "atomic",
-    "CameraFile": "rigs",
-    "add_noise": "rigs",
-    "read_camera": "rigs",
-    "read_camera_file": "rigs",
-    "read_rig": "rigs",
-    "read_zoom_rig": "rigs",
-    "rig_from_mapping": "rigs",
-    "rig_mapping": "rigs",
-    "write_camera": "rigs",
-    "write_rig": "rigs",
-    "read_spot_track": "spots_csv",
-    "Table": "tables",
-    "read_table": "tables",
-    "BOARD_FORMS": "targets",
-    "board_text": "targets",
-    "parse_board": "targets",
-    "read_target": "targets",
-    "target_from_mapping": "targets",
-    "target_mapping": "targets",
-    "write_target": "targets",
-    "MovingPosesWriter": "tracks",
-    "PointsWriter": "tracks",
-    "PosesWriter": "tracks",
-    "SpotsWriter": "tracks",
-    "read_joints": "tracks",
-    "read_poses": "tracks",
-    "read_times": "tracks",
-    "read_tum": "tracks",
-    "restate_points": "tracks",
-    "write_joints": "tracks",
-    "write_poses": "tracks",
-    "write_tum": "tracks",
-    "World": "worlds",
-    "read_world": "worlds",
-    "write_world": "worlds",
-    "ZoomCameraFile": "zoom",
-    "is_zoom_camera": "zoom",
-    "read_zoom_camera": "zoom",
-    "write_zoom_camera": "zoom",
+_NAMES = {
+    "atomic": "json_text sha256 write_bytes write_json write_text",
+    "rigs": "CameraFile add_noise read_camera read_camera_file read_rig read_zoom_rig rig_from_mapping rig_mapping "
+    "write_camera write_rig",
+    "spots_csv": "read_spot_track",
+    "tables": "Table read_table",
+    "targets": "BOARD_FORMS board_text parse_board read_target target_from_mapping target_mapping write_target",
+    "tracks": "MovingPosesWriter PointsWriter PosesWriter SpotsWriter read_joints read_poses read_times read_tum "
+    "restate_points write_joints write_poses write_tum",
+    "worlds": "World read_world write_world",
+    "zoom": "ZoomCameraFile is_zoom_camera read_zoom_camera write_zoom_camera",
 }
+_PLACES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
     __all__ = sorted(_PLACES)

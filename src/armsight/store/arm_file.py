@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -22,16 +21,12 @@ from armsight.store.codec import (
     PoseModel,
     covariance_mapping,
     mapping,
-    named,
     pose_mapping,
     record_of,
     structure,
-    validated,
 )
 from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees, looks_like_mm
-from armsight.store.schema import Origin, read_document, write_document
-
-ARM_FORMAT = "armsight/arm"
+from armsight.store.schema import Kind, Origin
 
 
 class JointModel(structure(Joint)):  # type: ignore[misc]  # made of the record's fields
@@ -108,36 +103,33 @@ class ArmModel(Origin):
     down_in_base: list[Finite] | None = Field(default=None, min_length=3, max_length=3)
 
 
-def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
-    """Return the arm that arm.yaml's structure describes; BadFile, with where and the key, where it cannot be."""
-    model = validated(ArmModel, content, where)
-    with named(where):
-        poses = {
-            key: pose.pose()
-            for key in ("T_world_base", "T_base_frame0", "T_flange_tool")
-            if (pose := getattr(model, key)) is not None
-        }
-        joints = tuple(map(record_of, model.joints))
-        for joint in joints:
-            _check_units(joint)
-        arm = Arm(
-            name=model.name,
-            joints=joints,
-            convention=model.convention,  # type: ignore[arg-type]  # the record turns the word into its enum
-            source=model.source,
-            covariance=_covariance(model),
-            couplings=tuple(
-                Coupling(joint=joint.name, by=by, share=share)
-                for joint in model.joints
-                for by, share in (joint.coupled or {}).items()
-            ),
-            tool_points=tuple(map(record_of, model.tool_points)),
-            down_in_base=None if model.down_in_base is None else np.array(model.down_in_base),
-            base_link=model.base_link,
-            tool_link=model.tool_link,
-            **poses,
-        )
-        return _in_metres(arm)
+def _arm(model: ArmModel) -> Arm:
+    poses = {
+        key: pose.pose()
+        for key in ("T_world_base", "T_base_frame0", "T_flange_tool")
+        if (pose := getattr(model, key)) is not None
+    }
+    joints = tuple(map(record_of, model.joints))
+    for joint in joints:
+        _check_units(joint)
+    arm = Arm(
+        name=model.name,
+        joints=joints,
+        convention=model.convention,  # type: ignore[arg-type]  # the record turns the word into its enum
+        source=model.source,
+        covariance=_covariance(model),
+        couplings=tuple(
+            Coupling(joint=joint.name, by=by, share=share)
+            for joint in model.joints
+            for by, share in (joint.coupled or {}).items()
+        ),
+        tool_points=tuple(map(record_of, model.tool_points)),
+        down_in_base=None if model.down_in_base is None else np.array(model.down_in_base),
+        base_link=model.base_link,
+        tool_link=model.tool_link,
+        **poses,
+    )
+    return _in_metres(arm)
 
 
 def _covariance(model: ArmModel) -> NamedCovariance | None:
@@ -192,11 +184,5 @@ def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Co
     return content | ({"coupled": coupled} if coupled else {}) | ({"std": own} if own else {})
 
 
-def read_arm(path: Path) -> Arm:
-    """Return the arm in an arm.yaml; BadFile where it is none."""
-    return arm_from_mapping(read_document(path, ARM_FORMAT), str(path))
-
-
-def write_arm(path: Path, arm: Arm, *, inputs: Sequence[Path] = ()) -> None:
-    """Write arm.yaml, with full precision and the hashes of what it was made from."""
-    write_document(path, ARM_FORMAT, arm_mapping(arm), inputs)
+ARM_YAML: Kind[Arm] = Kind(name="arm", model=ArmModel, record=_arm, content=arm_mapping)
+arm_from_mapping, read_arm, write_arm = ARM_YAML.parse, ARM_YAML.read, ARM_YAML.write

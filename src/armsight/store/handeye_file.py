@@ -29,17 +29,13 @@ from armsight.store.codec import (
     named,
     pose_mapping,
     structure,
-    validated,
 )
 from armsight.store.covariances import CAMERA_COVARIANCE, UNCORRELATED, above_diagonal, covariances, has_correlations
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
 from armsight.store.lost import without_lost
 from armsight.store.rigs import write_camera
-from armsight.store.schema import Origin, read_document, write_document
+from armsight.store.schema import Kind, Origin, write_document
 from armsight.store.tables import Table, cells, parse_table
-
-HANDEYE_FORMAT = "armsight/handeye"
-TIP_FORMAT = "armsight/tip"
 
 CELLS = (*POSITION, *QUATERNION)
 PAIR_COLUMNS = tuple(f"{who}_{cell}" for who in ("base_flange", "camera_target") for cell in CELLS)
@@ -225,7 +221,11 @@ def write_handeye(path: Path, result: HandEyeResult, *, inputs: Sequence[Path] =
     """Write handeye.yaml with the hashes of what it was made from, and beside it the camera that was freed and kept."""
     if result.camera is not None:
         write_camera(freed_camera_path(path), result.camera, rms_px=result.reprojection_rms_px, inputs=inputs)
-    content = {
+    HANDEYE_YAML.write(path, result, inputs=inputs)
+
+
+def _handeye_content(result: HandEyeResult) -> dict[str, Any]:
+    return {
         "setup": str(result.setup),
         **{name: pose_mapping(pose) for name, pose in named_poses(result).items()},
         "covariance": covariance_mapping(result.covariance),
@@ -237,7 +237,6 @@ def write_handeye(path: Path, result: HandEyeResult, *, inputs: Sequence[Path] =
         **({} if result.comparison is None else {"crossval": _crossval(result.comparison)}),
         "verdict": result.verdict,
     }
-    write_document(path, HANDEYE_FORMAT, content, inputs)
 
 
 def _crossval(comparison: ImageComparison) -> dict[str, object]:
@@ -260,7 +259,7 @@ def write_handeye_poses(
         f"T_{target}_target": pose_mapping(T_parent_target),
         "verdict": "known, not calibrated",
     }
-    write_document(path, HANDEYE_FORMAT, content, ())
+    write_document(path, HANDEYE_YAML.format, content, ())
 
 
 def named_poses(result: HandEyeResult) -> dict[str, RigidTransform]:
@@ -271,9 +270,7 @@ def named_poses(result: HandEyeResult) -> dict[str, RigidTransform]:
     }
 
 
-def read_handeye(path: Path) -> HandEyeFile:
-    """Return what a handeye.yaml says; BadFile where it is none, or names the poses of the other setup."""
-    model = validated(HandEyeModel, read_document(path, HANDEYE_FORMAT), str(path))
+def _handeye(model: HandEyeModel) -> HandEyeFile:
     setup = Setup(model.setup)
     inside = setup is Setup.EYE_IN_HAND
     camera, target = (
@@ -281,41 +278,41 @@ def read_handeye(path: Path) -> HandEyeFile:
     )
     if camera is None or target is None:
         wanted = "T_flange_camera and T_base_target" if inside else "T_base_camera and T_flange_target"
-        raise BadFile(f"{path}: {setup} needs {wanted}", consequence="The file is not used", cure="Calibrate it again")
-    with named(str(path)):
-        return HandEyeFile(
-            setup=setup,
-            T_parent_camera=camera.pose(),
-            T_parent_target=target.pose(),
-            covariance=model.covariance.covariance() if model.covariance else None,
-        )
+        raise BadFile(f"{setup} needs {wanted}", consequence="The file is not used", cure="Calibrate it again")
+    return HandEyeFile(
+        setup=setup,
+        T_parent_camera=camera.pose(),
+        T_parent_target=target.pose(),
+        covariance=model.covariance.covariance() if model.covariance else None,
+    )
 
 
-def write_tip(path: Path, result: ToolTipResult, *, inputs: Sequence[Path] = ()) -> None:
-    """Write tip.yaml with the hashes of the files it was made from."""
-    content: dict[str, Any] = {
+HANDEYE_YAML: Kind[HandEyeFile] = Kind(name="handeye", model=HandEyeModel, record=_handeye, content=_handeye_content)
+"""Of a HandEyeResult in, which tells more than is read."""
+read_handeye = HANDEYE_YAML.read
+
+
+def _tip_content(result: ToolTipResult) -> dict[str, Any]:
+    return {
         "tip_m": result.tip_m.tolist(),
         "point_m": result.point_m.tolist(),
         "covariance": covariance_mapping(result.covariance),
         "residual_rms_m": result.residual_rms_m,
         "n_used": result.n_used,
+        "loo_rms_m": result.loo_rms_m,
+        "n_effective": result.n_effective,
+        "correlation_time_s": None if result.correlation is None else result.correlation.time_s,
     }
-    if result.loo_rms_m is not None:
-        content["loo_rms_m"] = result.loo_rms_m
-    if result.n_effective is not None:
-        content["n_effective"] = result.n_effective
-    if result.correlation is not None:
-        content["correlation_time_s"] = result.correlation.time_s
-    write_document(path, TIP_FORMAT, content, inputs)
 
 
-def read_tip(path: Path) -> TipFile:
-    """Return what a tip.yaml says; BadFile where it is none."""
-    model = validated(TipModel, read_document(path, TIP_FORMAT), str(path))
-    with named(str(path)):
-        return TipFile(
-            tip_m=np.array(model.tip_m), covariance=model.covariance.covariance() if model.covariance else None
-        )
+def _tip(model: TipModel) -> TipFile:
+    covariance = model.covariance.covariance() if model.covariance else None
+    return TipFile(tip_m=np.array(model.tip_m), covariance=covariance)
+
+
+TIP_YAML: Kind[TipFile] = Kind(name="tip", model=TipModel, record=_tip, content=_tip_content)
+"""Of a ToolTipResult in, which tells more than is read."""
+read_tip, write_tip = TIP_YAML.read, TIP_YAML.write
 
 
 def _poses(table: Table, prefix: str) -> list[RigidTransform]:

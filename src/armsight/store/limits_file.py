@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 from armsight.control.guard import Limits
 from armsight.errors import Inconsistent
-from armsight.store.codec import mapping, named, record_of, structure, validated
-from armsight.store.schema import Origin, read_document, write_document
-
-LIMITS_FORMAT = "armsight/limits"
-
+from armsight.store.codec import mapping, named, record_of, structure
+from armsight.store.schema import Kind, Origin, read_document
 
 Limit = structure(Limits)
 
@@ -28,10 +25,7 @@ def limits_from_mapping(content: Mapping[str, Any], where: str = "limits") -> Li
     """Return the limits that limits.yaml's structure describes; BadFile, with the key, where they cannot be."""
     with named(where):
         _check_values(content)
-    model = validated(LimitsModel, content, where)
-    with named(where):
-        limits: Limits = record_of(model)
-        return limits
+    return LIMITS_YAML.parse(content, where)
 
 
 def _check_values(content: Any, key: str = "") -> None:
@@ -54,11 +48,10 @@ def limits_mapping(limits: Limits) -> dict[str, Any]:
     return content if limits.joints else {key: value for key, value in content.items() if key != "joints"}
 
 
+LIMITS_YAML: Kind[Limits] = Kind(name="limits", model=LimitsModel, record=record_of, content=limits_mapping)
+write_limits = LIMITS_YAML.write
+
+
 def read_limits(path: Path) -> Limits:
     """Return what a limits.yaml says; BadFile where it is none."""
-    return limits_from_mapping(read_document(path, LIMITS_FORMAT), str(path))
-
-
-def write_limits(path: Path, limits: Limits, *, inputs: Sequence[Path] = ()) -> None:
-    """Write limits.yaml with the hashes of the files it was made from."""
-    write_document(path, LIMITS_FORMAT, limits_mapping(limits), inputs)
+    return limits_from_mapping(read_document(path, LIMITS_YAML.format), str(path))

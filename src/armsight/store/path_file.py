@@ -1,4 +1,4 @@
-"""path.csv: a path of the tool's tip."""
+"""path.csv: a path of the tool's tip; and plan.csv, which has its columns: the motions of an ISO 9283 test."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.columns import POSITION, QUATERNION
+from armsight.columns import POSE7, POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.store.atomic import read_bytes, write_text
 from armsight.store.codec import named
 from armsight.store.tables import MAX_BYTES, cells, number, parse_table, word
+from armsight.verify.iso9283 import TestPlan
 
 COLUMNS = ("index", "t_s", *POSITION, *QUATERNION, "speed_m_s", "tag")
 SWITCHES = (WELD_ON, WELD_OFF)
@@ -91,3 +92,21 @@ def parse_path(data: bytes, where: str, *, parent: str = "world") -> TaughtPath:
         )
     except Inconsistent as error:
         raise BadFile(f"{where}: {error.cause}", consequence=error.consequence, cure=error.cure) from None
+
+
+PLAN_COLUMNS = ("index", *POSE7, "speed_m_s", "tag", "pose", "repeats")
+
+
+def write_test_plan(path: Path, plan: TestPlan) -> None:
+    """Write plan.csv in one step: one row per commanded pose, in world, in the order of the motions.
+
+    tag: the motion's name; pose: P1 to P5, empty on the way; repeats: how often the whole motion is made. Raises
+    DeviceFailed where the disk refuses.
+    """
+    n = plan.motions[0].q.shape[1]
+    rows = [",".join([*PLAN_COLUMNS, *(f"q{i + 1}" for i in range(n))])]
+    for motion in plan.motions:
+        for name, xyz, q in zip(motion.names, motion.xyz_m, motion.q, strict=True):
+            numbers = cells(np.concatenate([xyz, plan.quat_xyzw, [plan.speed_m_s]]))
+            rows.append(f"{len(rows) - 1},{numbers},{motion.test},{name},{motion.repeats},{cells(q)}")
+    write_text(path, "\n".join(rows) + "\n")

@@ -17,22 +17,21 @@ from armsight.store.codec import (
     Strict,
     covariance_mapping,
     mapping,
-    named,
     pose_mapping,
     record_of,
     structure,
-    validated,
 )
-from armsight.store.schema import Origin, read_document, write_document
-from armsight.store.sensor_keys import NoiseKey, TimingKey, timing_mapping
+from armsight.store.schema import Kind, Origin, read_document, write_document
 from armsight.store.yamls import read_yaml
 from armsight.store.zoom import (
-    CAMERA_FORMAT,
     IntrinsicsModel,
     MountedZoomModel,
+    NoiseKey,
+    TimingKey,
     intrinsics_mapping,
     is_zoom_camera,
     settings_mapping,
+    timing_mapping,
 )
 
 
@@ -48,8 +47,6 @@ def add_noise(path: Path, noise: Mapping[str, NoiseModel], *, inputs: Sequence[P
     origin = {name: content.pop(name, None) for name in ("format", "version", *Origin.model_fields)}
     write_document(path, str(origin["format"]), content, inputs, earlier=origin["inputs"] or ())
 
-
-RIG_FORMAT = "armsight/rig"
 
 SMALLEST_BASELINE_M = 1e-4
 """Two cameras nearer than this see no depth at any distance a rig is used at: a wrong file, not a rig."""
@@ -111,26 +108,23 @@ class CameraFile:
     timing: CameraTiming | None = None
 
 
-def rig_from_mapping(content: Mapping[str, Any], where: str = "rig") -> Rig:
-    """Return the rig that rig.yaml's structure describes; BadFile, with where and the key, where it cannot be."""
-    model = validated(RigModel, content, where)
+def _rig(model: RigModel) -> Rig:
     left, right = model.cameras.left, model.cameras.right
-    with named(where):
-        rig = Rig(
-            kind=RigKind(model.kind),
-            left=left.camera(),
-            right=right.camera(),
-            T_rig_left=left.T_rig_camera.pose(),
-            T_rig_right=right.T_rig_camera.pose(),
-            covariance=model.covariance.covariance() if model.covariance else None,
-            rms_px=model.rms_px,
-            noise=(_noise(left), _noise(right)),
-            timing=(_timing(left), _timing(right)),
-            zoom=(_zoom(left), _zoom(right)),
-        )
+    rig = Rig(
+        kind=RigKind(model.kind),
+        left=left.camera(),
+        right=right.camera(),
+        T_rig_left=left.T_rig_camera.pose(),
+        T_rig_right=right.T_rig_camera.pose(),
+        covariance=model.covariance.covariance() if model.covariance else None,
+        rms_px=model.rms_px,
+        noise=(_noise(left), _noise(right)),
+        timing=(_timing(left), _timing(right)),
+        zoom=(_zoom(left), _zoom(right)),
+    )
     if not rig.baseline_m >= SMALLEST_BASELINE_M:
         raise BadFile(
-            f"{where}: both cameras stand at the same place",
+            "both cameras stand at the same place",
             consequence="Such a rig sees no depth",
             cure="Check T_rig_camera of both cameras: xyz_m is in metres",
         )
@@ -162,6 +156,12 @@ def camera_mapping(camera: Camera) -> dict[str, Any]:
     return {"width": camera.width, "height": camera.height, **intrinsics_mapping(camera), **plate}
 
 
+RIG_YAML: Kind[Rig] = Kind(name="rig", model=RigModel, record=_rig, content=rig_mapping)
+rig_from_mapping, write_rig = RIG_YAML.parse, RIG_YAML.write
+read_zoom_rig = RIG_YAML.read
+"""Of a rig with all zoom settings it has."""
+
+
 def read_rig(path: Path, zoom: tuple[float | None, float | None] = (None, None)) -> Rig:
     """Return the rig in a rig.yaml, at these zooms of the left and right camera where they have zoom lenses.
 
@@ -170,34 +170,39 @@ def read_rig(path: Path, zoom: tuple[float | None, float | None] = (None, None))
     return at_zoom(read_zoom_rig(path), zoom).rig
 
 
-def read_zoom_rig(path: Path) -> Rig:
-    """Return the rig in a rig.yaml with all zoom settings it has; BadFile where it is none."""
-    return rig_from_mapping(read_document(path, RIG_FORMAT), str(path))
+def _camera(model: CameraModel) -> CameraFile:
+    return CameraFile(
+        camera=model.camera(),
+        covariance=model.covariance.covariance() if model.covariance else None,
+        rms_px=model.rms_px,
+        noise=_noise(model),
+        timing=_timing(model),
+    )
 
 
-def write_rig(path: Path, rig: Rig, *, inputs: Sequence[Path] = ()) -> None:
-    """Write rig.yaml with the hashes of the files it was made from."""
-    write_document(path, RIG_FORMAT, rig_mapping(rig), inputs)
+def _camera_content(file: CameraFile) -> dict[str, Any]:
+    return {
+        **camera_mapping(file.camera),
+        "rms_px": file.rms_px,
+        "covariance": covariance_mapping(file.covariance) if file.covariance else None,
+        "noise": mapping(file.noise) if file.noise else None,
+        "timing": timing_mapping(file.timing) if file.timing else None,
+    }
+
+
+CAMERA_YAML: Kind[CameraFile] = Kind(name="camera", model=CameraModel, record=_camera, content=_camera_content)
 
 
 def read_camera_file(path: Path) -> CameraFile:
     """Return all that a camera.yaml says; BadFile where it is none, or holds the settings of a zoom lens."""
-    content = read_document(path, CAMERA_FORMAT)
+    content = read_document(path, CAMERA_YAML.format)
     if is_zoom_camera(content):
         raise BadFile(
             f"{path}: holds the settings of a zoom lens, and one camera is wanted",
             consequence="It is open which of them is meant",
             cure="Make the file of one setting: armsight convert camera FILE --zoom VALUE -o fixed.yaml",
         )
-    model = validated(CameraModel, content, str(path))
-    with named(str(path)):
-        return CameraFile(
-            camera=model.camera(),
-            covariance=model.covariance.covariance() if model.covariance else None,
-            rms_px=model.rms_px,
-            noise=_noise(model),
-            timing=_timing(model),
-        )
+    return CAMERA_YAML.parse(content, str(path))
 
 
 def _noise(model: CameraModel | RigCameraModel) -> NoiseModel | None:
@@ -230,11 +235,5 @@ def write_camera(
     inputs: Sequence[Path] = (),
 ) -> None:
     """Write camera.yaml with the hashes of the files it was made from."""
-    content = {
-        **camera_mapping(camera),
-        "rms_px": rms_px,
-        "covariance": covariance_mapping(covariance) if covariance else None,
-        "noise": mapping(noise) if noise else None,
-        **({} if timing is None else {"timing": timing_mapping(timing)}),
-    }
-    write_document(path, CAMERA_FORMAT, content, inputs)
+    file = CameraFile(camera=camera, covariance=covariance, rms_px=rms_px, noise=noise, timing=timing)
+    CAMERA_YAML.write(path, file, inputs=inputs)

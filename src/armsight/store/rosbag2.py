@@ -21,10 +21,10 @@ from armsight.optics import Camera, Rig
 from armsight.records import Frame, PoseStatus
 from armsight.store.atomic import disk_errors
 from armsight.store.bags import require_rosbags
-from armsight.store.foreign.rectification import rectification
+from armsight.store.foreign.numbers import rectification
 from armsight.store.foreign.ros import ROS_MODEL
-from armsight.store.recording.protobuf import NS
 from armsight.store.recording.reader import Recording
+from armsight.store.recording.schemas import NS
 from armsight.store.rigs import rig_from_mapping
 from armsight.store.yamls import parse_yaml
 

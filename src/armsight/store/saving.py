@@ -26,7 +26,7 @@ from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
 from armsight.store.targets import write_target
 from armsight.store.tracks import write_poses
-from armsight.store.urdf_writer import write_urdf
+from armsight.store.urdf import write_urdf
 from armsight.store.worlds import World, write_world
 
 Writer = Callable[[Path, Any], object]

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from pydantic import Field
 
 from armsight._version import __version__
 from armsight.errors import BadFile
 from armsight.store.atomic import plain, sha256, write_text
-from armsight.store.codec import Strict
+from armsight.store.codec import Strict, named, validated
 from armsight.store.yamls import dump_yaml, read_yaml
+
+Record = TypeVar("Record")
 
 
 class InputFile(Strict):
@@ -79,12 +82,45 @@ def read_document(path: Path, format_: str) -> dict[str, Any]:
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind(Generic[Record]):
+    """A kind of YAML file of ours, `format: armsight/NAME`: the keys it may have, and how record and file differ.
+
+    record: of a model that holds the file's keys. content: the keys that a record is written with, without format,
+    version and origin; those that are None are left out.
+    """
+
+    name: str
+    model: type[Origin]
+    record: Callable[[Any], Record]
+    content: Callable[[Any], Mapping[str, Any]]
+
+    @property
+    def format(self) -> str:
+        """What the files say they are."""
+        return f"armsight/{self.name}"
+
+    def parse(self, content: Mapping[str, Any], where: str = "") -> Record:
+        """Return what a file's structure describes; BadFile, with where and the key, where it cannot be."""
+        model = validated(self.model, content, where or self.name)
+        with named(where or self.name):
+            return self.record(model)
+
+    def read(self, path: Path) -> Record:
+        """Return what a file says; BadFile where it is none of this kind."""
+        return self.parse(read_document(path, self.format), str(path))
+
+    def write(self, path: Path, record: object, *, inputs: Sequence[Path] = ()) -> None:
+        """Write a file with the hashes of the files it was made from; see write_document."""
+        write_document(path, self.format, self.content(record), inputs)
+
+
 SECOND_CAMERA = ("M2", "K2", "cameraMatrix2", "M1", "K1", "cameraMatrix1")
 """Keys of OpenCV's files of two cameras."""
 
 
 def _format_cure(content: Mapping[str, Any], format_: str) -> str:
-    from armsight.store.foreign.format_detection import kind_of_mapping  # the foreign readers use this module
+    from armsight.store.foreign.storage import kind_of_mapping  # the foreign readers use this module
 
     kind = kind_of_mapping(content)
     name = format_.removeprefix("armsight/")

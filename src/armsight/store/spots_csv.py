@@ -1,7 +1,8 @@
-"""The spots of one camera over time: t_s,u_px,v_px[,su_px,sv_px][,spot], one row for each spot of each frame."""
+"""Pixels: of one camera over time (t_s,u_px,v_px[,su_px,sv_px][,spot]), or as a person picked them (picks.csv)."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from armsight.errors import BadFile
 from armsight.records.tracks import SpotTrack
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import LARGEST
-from armsight.store.tables import MAX_BYTES, Table, cells, number, parse_table, word
+from armsight.store.tables import MAX_BYTES, Table, parse_table
 
 REQUIRED = ("t_s", "u_px", "v_px")
 DEVIATIONS = ("su_px", "sv_px")
@@ -53,16 +54,6 @@ def parse_spot_track(data: bytes, where: str) -> SpotTrack:
         uv_px=table.stacked(("u_px", "v_px")),
         covariance_px2=std[:, :, None] ** 2 * np.eye(2),
     )
-
-
-def write_spot_track_text(track: SpotTrack) -> str:
-    """Return the spots as the text of such a table."""
-    std = np.sqrt(np.diagonal(track.covariance_px2, axis1=1, axis2=2))
-    rows = (
-        f"{number(track.t_s[k])},{cells(uv)},{cells(s)},{word(name)}"
-        for k, uv, s, name in zip(track.frame, track.uv_px, std, track.names, strict=True)
-    )
-    return "\n".join([",".join((*REQUIRED, *DEVIATIONS, "spot")), *rows]) + "\n"
 
 
 def _require_sizes(table: Table) -> None:
@@ -107,3 +98,39 @@ def _require_once(table: Table, frame: NDArray[np.intp], names: tuple[str, ...])
                 cure="Give each light of a frame once; frames that follow each other need different times",
             )
         seen.add((k, name))
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Picks:
+    """Pixels uv_px (n, 2) in their order; edges (n,): the name of the edge that each is a corner of, empty for none."""
+
+    uv_px: Array
+    edges: tuple[str, ...]
+
+
+def read_picks(path: Path) -> Picks:
+    """Return the picks of a file; see parse_picks."""
+    return parse_picks(read_bytes(path, limit=MAX_BYTES), str(path))
+
+
+def parse_picks(data: bytes, where: str) -> Picks:
+    """Return the picks in the bytes of a table u_px,v_px[,edge].
+
+    Rows of one edge follow each other. Raises BadFile that names file, line and column; NotEnoughData without a row.
+    """
+    table = parse_table(data, where, ("u_px", "v_px"), optional=("edge",), text=("edge",))
+    edges = table.text.get("edge", ("",) * len(table))
+    ended: set[str] = set()
+    for row, edge in enumerate(edges):
+        if edge and edge in ended:
+            raise BadFile(
+                f"{table.location(row)}, column edge: {edge[:40]!r} ended further up",
+                consequence="The picks are not used",
+                cure="Let the rows of an edge follow each other",
+            )
+        if row + 1 < len(edges) and edges[row + 1] != edge:
+            ended.add(edge)
+    return Picks(uv_px=table.stacked(("u_px", "v_px")), edges=edges)

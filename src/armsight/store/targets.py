@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, create_model
 
 from armsight.errors import BadFile, UsageError
 from armsight.records import Colour, NamedCovariance, Target, TargetKind, board_target, spot_target, unmeasured_target
@@ -21,17 +21,13 @@ from armsight.store.codec import (
     Vector3,
     covariance_mapping,
     mapping,
-    named,
     record_of,
     structure,
-    validated,
 )
-from armsight.store.schema import Origin, read_document, write_document
+from armsight.store.schema import Kind, Origin, read_document, write_document
 from armsight.store.yamls import read_yaml
 
 Array = NDArray[np.float64]
-
-TARGET_FORMAT = "armsight/target"
 
 MAX_BOARD = 200
 """Rows or columns: no printed board that a camera resolves has more."""
@@ -73,57 +69,31 @@ class LitModel(Origin):
     colour: Literal["red", "green", "blue"] | ColourModel | None = None  # type: ignore[valid-type]  # of the record
 
 
-class SquaresModel(Origin):
-    """A checkerboard; columns and rows count inner corners."""
-
-    format: Literal["armsight/target"] = "armsight/target"
-    kind: Literal["checkerboard"]
-    columns: Side
-    rows: Side
-    square_m: Positive
-
-
-class CharucoModel(Origin):
-    """A ChArUco board; columns and rows count squares."""
-
-    format: Literal["armsight/target"] = "armsight/target"
-    kind: Literal["charuco"]
-    columns: Side
-    rows: Side
-    square_m: Positive
-    marker_m: Positive
-    dictionary: str
+CIRCLES = {"pitch_m": (Positive, ...), "diameter_m": (Positive | None, None)}
+BOARD_KEYS: Mapping[str, Mapping[str, Any]] = {
+    "checkerboard": {"square_m": (Positive, ...)},
+    "charuco": {"square_m": (Positive, ...), "marker_m": (Positive, ...), "dictionary": (str, ...)},
+    "aprilgrid": {
+        "tag_m": (Positive, ...),
+        "spacing": (Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1.0)], ...),
+    },
+    "circles": CIRCLES,
+    "acircles": CIRCLES,
+}
+"""What a board's file holds beside columns and rows: inner corners of a checkerboard, squares of a ChArUco board, tags
+of an AprilGrid, whose spacing is the gap between them over their side, circles of a grid, straight or staggered."""
 
 
-class AprilGridModel(Origin):
-    """Kalibr's AprilGrid; columns and rows count tags, spacing is the gap between them over their side."""
-
-    format: Literal["armsight/target"] = "armsight/target"
-    kind: Literal["aprilgrid"]
-    columns: Side
-    rows: Side
-    tag_m: Positive
-    spacing: Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1.0)]
+def _board_model(kind: str) -> type[Origin]:
+    size = {"columns": (Side, ...), "rows": (Side, ...)}
+    form = {"format": (Literal["armsight/target"], "armsight/target"), "kind": (str, ...)}
+    held: dict[str, Any] = {**form, **size, **BOARD_KEYS[kind]}
+    return create_model(kind, __base__=Origin, **held)
 
 
-class CirclesModel(Origin):
-    """A grid of circles, straight or staggered."""
-
-    format: Literal["armsight/target"] = "armsight/target"
-    kind: Literal["circles", "acircles"]
-    columns: Side
-    rows: Side
-    pitch_m: Positive
-    diameter_m: Positive | None = None
-
-
-_MODELS: Mapping[str, type[LitModel | SquaresModel | CharucoModel | AprilGridModel | CirclesModel]] = {
+_MODELS: Mapping[str, type[Origin]] = {
     "spots": LitModel,
-    "checkerboard": SquaresModel,
-    "charuco": CharucoModel,
-    "aprilgrid": AprilGridModel,
-    "circles": CirclesModel,
-    "acircles": CirclesModel,
+    **{kind: _board_model(kind) for kind in BOARD_KEYS},
 }
 
 
@@ -138,26 +108,22 @@ def target_from_mapping(content: Mapping[str, Any], where: str = "target") -> Ta
             consequence="The file is not used",
             cure=f"Choose one of {', '.join(_MODELS)}",
         )
-    model = validated(_MODELS[kind], content, where)
-    with named(where):
-        if isinstance(model, LitModel):
-            return _lit(model, where)
-        if isinstance(model, SquaresModel):
-            return board_target(TargetKind.CHECKERBOARD, model.columns, model.rows, model.square_m)
-        if isinstance(model, CharucoModel):
-            _check_marker(model.square_m, model.marker_m, where)
-            return board_target(
-                TargetKind.CHARUCO,
-                model.columns,
-                model.rows,
-                model.square_m,
-                marker_m=model.marker_m,
-                dictionary=model.dictionary,
-            )
-        if isinstance(model, AprilGridModel):
-            return aprilgrid(model.columns, model.rows, model.tag_m, model.spacing)
-        board = board_target(TargetKind(model.kind), model.columns, model.rows, model.pitch_m)
-        return replace(board, diameter_m=model.diameter_m)
+    return replace(TARGET_YAML, model=_MODELS[kind]).parse(content, where)
+
+
+def _target(model: Any) -> Target:
+    if isinstance(model, LitModel):
+        return _lit(model)
+    kind = TargetKind(model.kind)
+    if kind is TargetKind.APRILGRID:
+        return aprilgrid(model.columns, model.rows, model.tag_m, model.spacing)
+    if kind is TargetKind.CHARUCO:
+        _check_marker(model.square_m, model.marker_m)
+        printed = {"marker_m": model.marker_m, "dictionary": model.dictionary}
+        return board_target(kind, model.columns, model.rows, model.square_m, **printed)
+    if kind is TargetKind.CHECKERBOARD:
+        return board_target(kind, model.columns, model.rows, model.square_m)
+    return replace(board_target(kind, model.columns, model.rows, model.pitch_m), diameter_m=model.diameter_m)
 
 
 def aprilgrid(columns: int, rows: int, tag_m: float, spacing: float) -> Target:
@@ -186,45 +152,45 @@ def _of_kalibr(content: Mapping[str, Any], where: str) -> Mapping[str, Any]:
     return {"kind": "aprilgrid", **named_, **other}
 
 
-def _lit(model: LitModel, where: str) -> Target:
+def _lit(model: LitModel) -> Target:
     colour = (
         COLOURS[model.colour] if isinstance(model.colour, str) else record_of(model.colour) if model.colour else None
     )
     if (model.spots_m is None) == (model.labels is None):
         raise BadFile(
-            f"{where}: a target of kind spots needs exactly one of spots_m and labels",
+            "a target of kind spots needs exactly one of spots_m and labels",
             consequence="The file is not used",
             cure="Give spots_m: {A: [x, y, z], ...} in metres, or labels: [A, B, C] for three lights whose positions "
             "nobody has measured",
         )
     if model.std_m is not None and (model.spots_m is None or set(model.std_m) != set(model.spots_m)):
         raise BadFile(
-            f"{where}: std_m names {', '.join(model.std_m)}, not the spots of spots_m",
+            f"std_m names {', '.join(model.std_m)}, not the spots of spots_m",
             consequence="The file is not used",
             cure="Give std_m: {A: [sx, sy, sz], ...} in metres for every spot of spots_m, or leave it out",
         )
     if model.spots_m is not None:
         spots = {name: (xyz[0], xyz[1], xyz[2]) for name, xyz in model.spots_m.items()}
         if len(set(spots.values())) != len(spots):
-            raise BadFile(f"{where}: two spots of spots_m stand at the same place", consequence="The file is not used")
+            raise BadFile("two spots of spots_m stand at the same place", consequence="The file is not used")
         target = spot_target(spots, diameter_m=model.diameter_m, colour=colour)
-        return replace(target, covariance=_covariance(model, target, where))
+        return replace(target, covariance=_covariance(model, target))
     if model.covariance is not None:
         raise BadFile(
-            f"{where}: a covariance without spots_m says how well nothing is known",
+            "a covariance without spots_m says how well nothing is known",
             consequence="The file is not used",
             cure="Leave it out, or give spots_m",
         )
     if model.labels != ["A", "B", "C"]:
         raise BadFile(
-            f"{where}: labels are {model.labels}, not [A, B, C]",
+            f"labels are {model.labels}, not [A, B, C]",
             consequence="Without measured positions the target's frame cannot be made",
             cure="An unmeasured target has three lights: A left, B lower right, C upper right as the camera sees them",
         )
     return unmeasured_target(diameter_m=model.diameter_m, colour=colour)
 
 
-def _covariance(model: LitModel, target: Target, where: str) -> Array | None:
+def _covariance(model: LitModel, target: Target) -> Array | None:
     """Return (3 n, 3 n) in the target's order: of the key covariance, else of std_m; None where neither is there.
 
     A target measured by `armsight calibrate target` carries both: the positions depend on each other, so that the
@@ -236,26 +202,26 @@ def _covariance(model: LitModel, target: Target, where: str) -> Array | None:
             return None
         std = np.array([model.std_m[name] for name in target.names]).ravel()
         if (std < 0.0).any():
-            raise BadFile(f"{where}: a standard deviation of std_m is negative", consequence="The file is not used")
+            raise BadFile("a standard deviation of std_m is negative", consequence="The file is not used")
         return np.diag(std**2)
     covariance = model.covariance.covariance()
     if set(covariance.names) != set(names):
         raise BadFile(
-            f"{where}: covariance names {', '.join(covariance.names)[:120]}, not the spots' coordinates",
+            f"covariance names {', '.join(covariance.names)[:120]}, not the spots' coordinates",
             consequence="The file is not used",
             cure=f"Name its rows {', '.join(names[:4])}, ... , one for each coordinate, or leave it out",
         )
     matrix = covariance.block(names)
     least, most = np.linalg.eigvalsh(matrix)[[0, -1]]
     if least < -NEGATIVE * most:
-        raise BadFile(f"{where}: the covariance has a negative variance", consequence="The file is not used")
+        raise BadFile("the covariance has a negative variance", consequence="The file is not used")
     return matrix
 
 
-def _check_marker(square_m: float, marker_m: float, where: str) -> None:
+def _check_marker(square_m: float, marker_m: float) -> None:
     if not marker_m < square_m:
         raise BadFile(
-            f"{where}: markers of {marker_m} m do not fit into squares of {square_m} m",
+            f"markers of {marker_m} m do not fit into squares of {square_m} m",
             consequence="The board cannot be",
             cure="Write a square's side as square_m and a marker's, which is smaller, as marker_m, both in metres",
         )
@@ -290,11 +256,15 @@ def _colour_value(colour: Colour) -> str | dict[str, Any]:
     return next((name for name, known in COLOURS.items() if mapping(known) == content), content)
 
 
+TARGET_YAML: Kind[Target] = Kind(name="target", model=LitModel, record=_target, content=target_mapping)
+"""Of lights; target_from_mapping takes the model of the board that a file describes."""
+
+
 def read_target(path: Path) -> Target:
     """Return the target in a target.yaml, or in Kalibr's aprilgrid.yaml; BadFile where it is none."""
     content = read_yaml(path)
     if "target_type" not in content:  # Kalibr's has no format
-        content = read_document(path, TARGET_FORMAT)
+        content = read_document(path, TARGET_YAML.format)
     return target_from_mapping(content, str(path))
 
 
@@ -306,7 +276,7 @@ def write_target(
 
     The standard deviations are for people, where the target brings a covariance: that one counts when the file is read.
     """
-    write_document(path, TARGET_FORMAT, {**target_mapping(target), "std_m": std_m}, inputs)
+    write_document(path, TARGET_YAML.format, {**target_mapping(target), "std_m": std_m}, inputs)
 
 
 PARTS: Mapping[str, int] = {"checkerboard": 2, "circles": 2, "acircles": 2, "charuco": 4, "aprilgrid": 3}

@@ -1,17 +1,19 @@
-"""The settings of zoom lenses in camera.yaml and rig.yaml."""
+"""The keys of cameras in camera.yaml and rig.yaml: intrinsics, noise, timing, and the settings of zoom lenses."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from armsight.errors import BadFile
+from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, ZoomLens, ZoomSetting
-from armsight.records import CameraTiming, NoiseModel
+from armsight.records import CameraTiming, NamedCovariance, NoiseModel
+from armsight.records.timing import TIMING
 from armsight.store.codec import (
     Count,
     CovarianceModel,
@@ -19,14 +21,39 @@ from armsight.store.codec import (
     Strict,
     covariance_mapping,
     mapping,
-    named,
     record_of,
-    validated,
+    structure,
 )
-from armsight.store.schema import Origin, read_document, write_document
-from armsight.store.sensor_keys import NoiseKey, TimingKey, timing_mapping
+from armsight.store.schema import Kind, Origin, read_document, write_document
 
-CAMERA_FORMAT = "armsight/camera"
+
+class TimingKey(structure(CameraTiming)):  # type: ignore[misc]  # made of the record's fields
+    """A camera's timing; times in s. std: standard deviations, each by itself; covariance counts before it."""
+
+    record = CameraTiming
+    std: dict[str, Finite | None] | None = None
+
+    def timing(self) -> CameraTiming:
+        """Return the record; Inconsistent where no camera can be like this."""
+        timing: CameraTiming = record_of(self)
+        given = {name: value for name, value in (self.std or {}).items() if value is not None}
+        unknown = [name for name in self.std or () if name not in TIMING]
+        if unknown or any(value < 0.0 for value in given.values()):
+            raise Inconsistent(f"timing.std: of {', '.join(TIMING)}, none negative, not {self.std}")
+        if timing.covariance is not None or not given:
+            return timing
+        covariance = NamedCovariance(names=tuple(given), matrix=np.diag(np.square([*given.values()])))
+        return replace(timing, covariance=covariance)
+
+
+def timing_mapping(timing: CameraTiming) -> dict[str, Any]:
+    """Return a camera's timing as files hold it."""
+    content = mapping(timing)
+    return content if timing.covariance is None else content | {"std": timing.std}
+
+
+NoiseKey = structure(NoiseModel)
+
 
 NotNegative = Annotated[Finite, Field(ge=0.0)]
 
@@ -126,7 +153,7 @@ def is_zoom_camera(content: Mapping[str, Any]) -> bool:
 
 def read_zoom_camera(path: Path) -> ZoomCameraFile:
     """Return the settings of a zoom lens; BadFile where the file holds none."""
-    content = read_document(path, CAMERA_FORMAT)
+    content = read_document(path, ZOOM_YAML.format)
     if not is_zoom_camera(content):
         raise BadFile(
             f"{path}: holds a camera without zoom settings",
@@ -136,29 +163,33 @@ def read_zoom_camera(path: Path) -> ZoomCameraFile:
     return zoom_camera_from_mapping(content, str(path))
 
 
-def zoom_camera_from_mapping(content: Mapping[str, Any], where: str) -> ZoomCameraFile:
-    """Return what the structure of a zoom lens's camera.yaml says; BadFile, with where and the key, if it cannot be."""
-    model = validated(ZoomCameraModel, content, where)
-    with named(where):
-        return ZoomCameraFile(
-            lens=_lens(model.zoom, model.width, model.height),
-            noise=None if model.noise is None else record_of(model.noise),
-            timing=None if model.timing is None else model.timing.timing(),
-            inputs=[item.model_dump() for item in model.inputs],
-        )
+def _zoom_camera(model: ZoomCameraModel) -> ZoomCameraFile:
+    return ZoomCameraFile(
+        lens=_lens(model.zoom, model.width, model.height),
+        noise=None if model.noise is None else record_of(model.noise),
+        timing=None if model.timing is None else model.timing.timing(),
+        inputs=[item.model_dump() for item in model.inputs],
+    )
 
 
-def write_zoom_camera(path: Path, file: ZoomCameraFile, *, inputs: Sequence[Path] = ()) -> None:
-    """Write the camera.yaml of a zoom lens; inputs come behind those that the file held before."""
+def _content(file: ZoomCameraFile) -> dict[str, Any]:
     width, height = file.lens.size
-    content = {
+    return {
         "width": width,
         "height": height,
         "zoom": settings_mapping(file.lens),
         "noise": mapping(file.noise) if file.noise else None,
         "timing": timing_mapping(file.timing) if file.timing else None,
     }
-    write_document(path, CAMERA_FORMAT, content, inputs, earlier=file.inputs)
+
+
+ZOOM_YAML: Kind[ZoomCameraFile] = Kind(name="camera", model=ZoomCameraModel, record=_zoom_camera, content=_content)
+zoom_camera_from_mapping = ZOOM_YAML.parse
+
+
+def write_zoom_camera(path: Path, file: ZoomCameraFile, *, inputs: Sequence[Path] = ()) -> None:
+    """Write the camera.yaml of a zoom lens; inputs come behind those that the file held before."""
+    write_document(path, ZOOM_YAML.format, _content(file), inputs, earlier=file.inputs)
 
 
 def settings_mapping(lens: ZoomLens) -> list[dict[str, Any]]:

@@ -25,10 +25,8 @@ from armsight_lab.api.batch import _job, call
 from armsight_lab.batch import run as batch_run
 from armsight_lab.batch import work as batch_work
 from armsight_lab.batch.cluster import ONE_THREAD, Workers, connected
-from armsight_lab.batch.job_results import write_batch
 from armsight_lab.batch.jobs import Ended, Job, check_inputs, check_names, fingerprint
-from armsight_lab.batch.result_table import write_result_table
-from armsight_lab.batch.results import BatchOutput
+from armsight_lab.batch.results import BatchOutput, write_batch, write_result_table
 from armsight_lab.batch.run import run_batch
 from armsight_lab.batch.work import RUNNING, Place
 from refusals import refuses

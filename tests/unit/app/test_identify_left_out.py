@@ -19,8 +19,8 @@ from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import presets
 from armsight.records import JointReading
 from armsight.store.arm_file import read_arm
+from armsight.store.arm_points import read_sweeps
 from armsight.store.cell_file import CellFile
-from armsight.store.sweeps import read_sweeps
 from loading import module_of
 from refusals import names_it, refuses
 

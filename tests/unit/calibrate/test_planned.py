@@ -13,7 +13,7 @@ from armsight.optics.camera import Plate
 from armsight.optics.mirrors import Mirrors
 from armsight.records import BoardView
 from armsight.store import parse_board
-from armsight_lab.design.planned_cameras import planned_rig, planned_views
+from armsight_lab.design.planned_calibrations import planned_rig, planned_views
 from refusals import refuses
 
 CAMERA = Camera.pinhole(1280, 720, 950.0, 950.0, 639.5, 359.5)

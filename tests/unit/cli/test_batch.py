@@ -19,7 +19,6 @@ from armsight.app import compilation
 from armsight.errors import BadFile, DeviceFailed, NotEnoughData, UsageError
 from armsight_lab.batch import cluster as batch_cluster
 from armsight_lab.batch import run as batch_run
-from armsight_lab.batch import warm
 from armsight_lab.batch.cluster import Workers, connected
 from armsight_lab.batch.jobs import Job
 from armsight_lab.cli.batch_commands import NOBODY, OUTPUTS, checked_job, parameters, run_command
@@ -127,9 +126,9 @@ def test_every_command_of_a_batch_is_one_and_says_what_moves() -> None:
 
 
 def test_what_is_compiled_ahead_is_of_commands_groups_and_folders_that_there_are() -> None:
-    for command, (folder, groups) in warm.GROUPS.items():
+    for command, (folder, groups) in batch_cluster.GROUPS.items():
         assert command in OUTPUTS and set(groups) <= set(compilation.GROUPS), command
-        sources = (warm.PACKAGE / folder).rglob("*.py")
+        sources = (batch_cluster.PACKAGE / folder).rglob("*.py")
         assert any(re.search(r"^@(fast_|sum_|parallel_)?kernel", path.read_text(), re.MULTILINE) for path in sources)
 
 

@@ -16,7 +16,7 @@ from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_world
 from armsight.store.arm_file import read_arm
 from armsight.store.recording import RecordingWriter
-from armsight_lab.history.parameters import parameters_of
+from armsight_lab.history.figures import parameters_of
 
 Run = Callable[..., Any]
 WRITTEN = {"rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "report.html"}

@@ -20,9 +20,8 @@ from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.entry import Entry
-from armsight_lab.history.figures import figures_of
+from armsight_lab.history.figures import figures_of, parameters_of
 from armsight_lab.history.filing import Made, entry_of_result
-from armsight_lab.history.parameters import parameters_of
 from armsight_lab.history.place import place_of
 
 Run = Callable[..., object]

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.calibrate.handeye import PosePairs, calibrate_eye_to_hand
 from armsight.errors import Degenerate
 from armsight.geometry import pose_from_rotvec
-from armsight_lab.design.planned_handeye import PlannedHandEye, RobotNoise, planned_handeye, tool_slopes
+from armsight_lab.design.planned_calibrations import PlannedHandEye, RobotNoise, planned_handeye, tool_slopes
 from refusals import refuses
 
 X = pose_from_rotvec([1.2, -0.1, 0.5], [1.1, -1.3, 0.9])

@@ -9,8 +9,7 @@ import pytest
 
 from armsight.kinematics import fk, preset
 from armsight.kinematics.rigid import nearest_rigid
-from armsight.store.urdf import arm_from_urdf
-from armsight.store.urdf_writer import urdf_text
+from armsight.store.urdf import arm_from_urdf, urdf_text
 
 
 def test_what_an_arm_gives_way_goes_into_its_zeros_as_far_as_it_can():

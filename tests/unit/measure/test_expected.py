@@ -14,8 +14,7 @@ from armsight.records import NamedCovariance
 from armsight.records.noise import LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.target import spot_target
 from armsight.store import parse_board
-from armsight_lab.design.expected_poses import expected_poses, look
-from armsight_lab.design.expected_spots import centre_deviation
+from armsight_lab.design.expected_poses import centre_deviation, expected_poses, look
 
 CAMERA = Camera.pinhole(1280, 720, 950.0, 950.0, 639.5, 359.5)
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from armsight.errors import UsageError
-from armsight_plant.alarms import AlarmBook, Condition
+from armsight_plant.state import AlarmBook, Condition
 
 LATCHED, PASSING = (Condition(name=name, why="it is so") for name in ("stopped", "holding"))
 

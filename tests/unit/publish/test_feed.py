@@ -12,10 +12,10 @@ import pytest
 
 from armsight.control.guard import GuardState
 from armsight.errors import DeviceFailed
-from armsight_plant.feed import Feed, _FeedThread, addresses, published
 from armsight_plant.options import FoxgloveOptions, MqttOptions, OpcUaOptions, PlantOptions
 from armsight_plant.process import STATE_BYTES, PlantProcess
-from armsight_plant.requests import LONGEST, Acknowledge, Note, decode, encode
+from armsight_plant.publishing import Feed, _FeedThread, addresses, published
+from armsight_plant.state import LONGEST, Acknowledge, Note, decode, encode
 from loading import module_of
 
 states = module_of(Path(__file__).with_name("plant_states.py"))
@@ -78,7 +78,7 @@ def test_a_process_that_ended_is_started_anew(monkeypatch):
     log = Log()
     options = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0))
     begun = []
-    monkeypatch.setattr("armsight_plant.feed.AGAIN_S", 0.0)
+    monkeypatch.setattr("armsight_plant.publishing.AGAIN_S", 0.0)
     monkeypatch.setattr(PlantProcess, "restart", lambda self: begun.append(True))
     with published(options, lambda: replace(state(time.monotonic()), made_unix_s=time.time()), log) as ports:
         assert addresses(options, ports) == [f"Foxglove: ws://127.0.0.1:{ports['foxglove']}"]
@@ -100,7 +100,7 @@ def test_why_it_cannot_be_started_anew_is_told_once_and_that_it_can_again(monkey
         def restart(self):
             self.began = True
 
-    monkeypatch.setattr("armsight_plant.feed.AGAIN_S", -1.0)
+    monkeypatch.setattr("armsight_plant.publishing.AGAIN_S", -1.0)
     log, process = Log(), Process()
     thread = _FeedThread(process, state, log, 1.0)
     for _ in range(6):

@@ -14,9 +14,9 @@ from websockets.sync.client import connect
 from armsight.control.guard import GuardState
 from armsight.errors import DeviceFailed
 from armsight.store.recording import RecordingWriter
-from armsight_plant.feed import Feed
 from armsight_plant.foxglove import FoxglovePublisher
 from armsight_plant.options import FoxgloveOptions
+from armsight_plant.publishing import Feed
 from loading import module_of
 
 states = module_of(Path(__file__).with_name("plant_states.py"))

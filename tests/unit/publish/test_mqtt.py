@@ -14,12 +14,12 @@ import pytest
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from armsight_plant.mosquitto import PASSWORD, USER, Broker, missing
 from armsight_plant.mqtt import EXPIRES_S, MqttPublisher
 from armsight_plant.options import PlantOptions, mqtt_options
 from armsight_plant.process import PlantProcess
-from armsight_plant.requests import Note
+from armsight_plant.state import Note
 from loading import module_of
+from mosquitto import PASSWORD, USER, Broker, missing
 
 states = module_of(Path(__file__).with_name("plant_states.py"))
 state = states.state

@@ -17,10 +17,10 @@ from asyncua.ua.uaerrors import UaError
 from armsight.control.guard import GuardState
 from armsight.errors import DeviceFailed
 from armsight.store.tokens import read_tokens
-from armsight_plant.feed import Feed
 from armsight_plant.opcua.publisher import NAMESPACE, OpcUaPublisher
 from armsight_plant.options import OpcUaOptions
-from armsight_plant.requests import Acknowledge, Note
+from armsight_plant.publishing import Feed
+from armsight_plant.state import Acknowledge, Note
 from loading import module_of
 
 states = module_of(Path(__file__).with_name("plant_states.py"))

@@ -11,9 +11,8 @@ import pytest
 from armsight.control.guard import GuardState
 from armsight.drivers import RobotState
 from armsight.verify.supervision import Level, Limits
-from armsight_plant.alarms import NAMES
 from armsight_plant.mqtt import state_json
-from armsight_plant.state import Quality, conditions, trust
+from armsight_plant.state import NAMES, Quality, conditions, trust
 from armsight_plant.values import IN_TOLERANCE, VALUES, told
 from loading import module_of
 

@@ -11,10 +11,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.measure.series import Series, series_of
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.verdict import Verdict
-from armsight.report.boards import chosen_views
-from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
+from armsight.report.figures import MAX_PLOTTED, band, fitted_scene, json_text, spread, thinned
 from armsight.report.html import Page
-from armsight.report.space import fitted_scene
+from armsight.report.scene import chosen_views
 from armsight.report.track import NEIGHBOURS, PARABOLA, scatter_of
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 

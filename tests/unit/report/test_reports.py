@@ -35,12 +35,12 @@ from armsight.report import (
     measure_report,
 )
 from armsight.report.arm_view import arm_report
-from armsight.report.boards import add_boards
 from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Page
 from armsight.report.measure import ranges
 from armsight.report.run import BoardPicture, BoardViews
+from armsight.report.scene import add_boards
 from armsight.units import figure_of
 from refusals import names_it, refuses
 

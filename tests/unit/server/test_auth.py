@@ -9,8 +9,18 @@ import pytest
 from armsight.clock import ManualClock
 from armsight.control.session.channels import SESSION_BYTES, Newest
 from armsight.errors import BadFile, UsageError
-from armsight.server.auth import FAILURES, WINDOW_S, Authenticator, Caller, Denied, Identity, is_loopback
-from armsight.server.browser_sessions import DAY_S, MOST, BrowserSessions
+from armsight.server.auth import (
+    DAY_S,
+    FAILURES,
+    MOST,
+    WINDOW_S,
+    Authenticator,
+    BrowserSessions,
+    Caller,
+    Denied,
+    Identity,
+    is_loopback,
+)
 from armsight.server.web_server import ServeOptions, check_options
 from armsight.store.tokens import add_token, read_tokens
 from refusals import refuses

@@ -15,11 +15,11 @@ from websockets.sync.client import connect
 from armsight.drivers.remote import Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+from armsight.server.application import CROWDED, WATCHERS_PER_ADDRESS
 from armsight.server.connections import UNKNOWN_PER_ADDRESS
 from armsight.server.limited import QUIET
 from armsight.server.messages import VIOLATIONS
 from armsight.server.serving import background
-from armsight.server.sockets import CROWDED, WATCHERS_PER_ADDRESS
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token
 from refusals import refuses

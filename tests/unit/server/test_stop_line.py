@@ -16,8 +16,7 @@ from armsight.control.session.operator_session import FRESH_S, OperatorSession, 
 from armsight.control.session.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed
-from armsight.server.auth import COOKIE, Authenticator, Caller, Denied, Identity
-from armsight.server.browser_sessions import BrowserSessions
+from armsight.server.auth import COOKIE, Authenticator, BrowserSessions, Caller, Denied, Identity
 from armsight.server.limited import CONNECTION
 from armsight.server.messages import Session
 from armsight.server.stop_line import StopLine, stop_line

@@ -18,9 +18,9 @@ import numpy as np
 from armsight.console.robot_link import RobotLink
 from armsight.control.session.operator_session import OperatorSession
 from armsight.control.session.service import Service
+from armsight.server.application import Connection
 from armsight.server.auth import Caller, Identity
 from armsight.server.messages import Session, event_message
-from armsight.server.sockets import Connection
 from armsight.server.stop_line import StopLine
 
 TRANSCRIPT = Path(__file__).parents[2] / "golden" / "data" / "session.json"

@@ -14,8 +14,7 @@ from armsight.kinematics import Arm, fk, in_convention, moved, parameter_names, 
 from armsight.kinematics.presets import PRESETS
 from armsight.records import NamedCovariance
 from armsight.store.arm_file import arm_from_mapping, arm_mapping, read_arm, write_arm
-from armsight.store.urdf import arm_from_urdf, read_urdf
-from armsight.store.urdf_writer import urdf_text, write_urdf
+from armsight.store.urdf import arm_from_urdf, read_urdf, urdf_text, write_urdf
 from refusals import refuses
 
 ALL = sorted(PRESETS)

@@ -11,8 +11,7 @@ import pytest
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, in_convention, preset
 from armsight.store.arm_file import read_arm, write_arm
-from armsight.store.urdf import arm_from_urdf
-from armsight.store.urdf_writer import urdf_text
+from armsight.store.urdf import arm_from_urdf, urdf_text
 
 URDF = """<robot name="two">
 <link name="base"/>

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from armsight.errors import BadFile, DataRefused
-from armsight.store.arm_points import read_arm_points
+from armsight.store.arm_points import read_arm_points, read_sweep_joints, read_sweeps
 from armsight.store.handeye_file import read_pairs, read_robot_poses
 from armsight.store.interpret.raw import parse_text
 from armsight.store.path_file import read_path
 from armsight.store.spots_csv import read_spot_track
-from armsight.store.sweeps import read_sweep_joints, read_sweeps
 from armsight.store.tables import parse_table
 from armsight.store.tracks import read_joints, read_poses, read_times
 from armsight.store.verify_files import read_commanded, read_measured, read_reported_joints

@@ -14,14 +14,12 @@ from armsight.store.cell_file import CellFile
 from armsight.store.codec import validated
 from armsight.store.covariances import POINT_COVARIANCE
 from armsight.store.handeye_file import HandEyeModel, TipModel
+from armsight.store.interpret.names import ROLES
 from armsight.store.interpret.read import is_ours
-from armsight.store.interpret.roles import ROLES
-from armsight.store.iso9283_plan import PLAN_COLUMNS
 from armsight.store.limits_file import limits_from_mapping
-from armsight.store.path_file import parse_path
-from armsight.store.picks_file import parse_picks
+from armsight.store.path_file import PLAN_COLUMNS, parse_path
 from armsight.store.rigs import CameraModel, rig_from_mapping
-from armsight.store.spots_csv import parse_spot_track
+from armsight.store.spots_csv import parse_picks, parse_spot_track
 from armsight.store.tables import parse_table
 from armsight.store.targets import target_from_mapping
 from armsight.store.tokens import TokensModel

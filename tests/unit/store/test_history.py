@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import pwd
 import shutil
@@ -16,17 +17,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from sqlalchemy import text
+from sqlalchemy import select, text
 
 import histories
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
 from armsight_lab.history import database, queries
 from armsight_lab.history.adding import file_entry
-from armsight_lab.history.database import reading, writing
+from armsight_lab.history.database import HEAD, VERSION_TABLE, reading, writing
 from armsight_lab.history.entry import cell_name, entry_of, read_json, write_entry
 from armsight_lab.history.place import Place, place_of, require_packages
 from armsight_lab.history.queries import Filter
-from armsight_lab.history.tables import HEAD, VERSION_TABLE
 from refusals import refuses
 
 POSTGRES = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
@@ -124,7 +124,8 @@ class TestDatabase:
             assert by_name == {one.name: one for one in entry.parameters}
             figures = {one.name: one.value for one in queries.figures_of(connection, [run.id])[run.id]}
             assert figures == {"n": 60.0, "after.rms_m": 7e-5}
-            assert queries.result_of(connection, run.id) == entry.result
+            held = connection.execute(select(queries.runs.c.result).where(queries.runs.c.id == run.id)).scalar_one()
+            assert json.loads(held) == entry.result
 
     def test_poses_come_back_and_the_same_run_is_filed_once(self, place: Place):
         from scipy.spatial.transform import Rotation

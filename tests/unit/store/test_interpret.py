@@ -11,14 +11,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Ambiguous, ArmsightError, BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.store import read_joints, read_poses
-from armsight.store.arm_points import read_arm_points
+from armsight.store.arm_points import read_arm_points, read_sweeps
 from armsight.store.handeye_file import read_pairs, read_robot_poses
 from armsight.store.interpret import OURS, TableFormat, interpret
 from armsight.store.interpret.read import kind_of_table
 from armsight.store.interpret.rotations import ROBOT_FORMATS, euler_order
 from armsight.store.interpret.table_format import column_names
 from armsight.store.schema import write_document
-from armsight.store.sweeps import read_sweeps
 from armsight.store.verify_files import read_measured
 from armsight.store.yamls import read_yaml
 from refusals import refuses

@@ -8,7 +8,7 @@ from armsight.errors import Cancelled, DataRefused, UsageError
 from armsight.kinematics import Arm, Coupling, fk, preset
 from armsight.records import Silent
 from armsight.store import read_table
-from armsight.store.iso9283_plan import PLAN_COLUMNS, write_test_plan
+from armsight.store.path_file import PLAN_COLUMNS, write_test_plan
 from armsight.verify.iso9283 import PlanOptions, TestCube, plan_test
 from armsight.verify.iso9283.motions import PLANES, SIDES_M
 from refusals import refuses

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from armsight.errors import UsageError
-from armsight.fields import Bounds, Flag, known_hints, marks
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import ArmLike, Given, PathText, PoseLike, RigLike, TargetLike
 from armsight.records import Progress, Target, require_kind
@@ -74,7 +73,6 @@ def design(
     'calibration of the rig'
     """
     values = dict(locals())
-    _require_bounds(values)
     values |= {"volume": _box(volume), "size": _size(size), "mount": _mount(mount)}
     values.pop("progress")
     with Given(values.pop("out"), name="design") as given:
@@ -106,22 +104,6 @@ def _mount(mount: Sequence[float] | None) -> tuple[float, ...] | None:
             cure="Give (x, y, z) in m, or (x, y, z, rx, ry, rz) with degrees",
         )
     return tuple(values.tolist())
-
-
-def _require_bounds(values: Mapping[str, object]) -> None:
-    """Raise UsageError for a number that the command line would not take either."""
-    for name, hint in known_hints(DesignJob).items():
-        value = values.get(name)
-        if not isinstance(value, int | float):
-            continue
-        unit = next((flag.unit for flag in marks(hint, Flag) if flag.unit), 1.0)
-        for bounds in marks(hint, Bounds):
-            if not bounds.holds(value / unit):
-                ends = (("at least", bounds.least), ("at most", bounds.most))
-                cure = " and ".join(f"{what} {end * unit:g}" for what, end in ends if end is not None)
-                raise UsageError(
-                    f"{name} is {value:g}, which cannot be", consequence="It cannot be used", cure=f"Give {cure}"
-                )
 
 
 def _box(volume: Sequence[Sequence[float]]) -> Box:

@@ -86,8 +86,6 @@ def runs(
 
     Raises UsageError for a cell or command that is none, BadFile, DeviceFailed.
     """
-    if most < 1:
-        raise UsageError(f"most is {most}", cure="Give at least 1")
     return list_runs(ListJob(cell=cell, command=command, since=since, until=until, most=most, history=history))
 
 
@@ -121,8 +119,6 @@ def trend(
     many cell-years. out: a folder for the report. Raises UsageError, NotEnoughData, Inconsistent for two arms, BadFile,
     DeviceFailed.
     """
-    if not 0.01 <= false_alarms <= 1e9:
-        raise UsageError(f"false_alarms is {false_alarms:g}", cure="Give cell-years from 0.01 on, such as 100")
     named = [figure] if isinstance(figure, str) else figure
     if named is not None and not (isinstance(named, list | tuple) and all(isinstance(one, str) for one in named)):
         raise UsageError(f"figure is {figure!r}", cure="Give a name or a list of names, such as 'joint-zeros'")

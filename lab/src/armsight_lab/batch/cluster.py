@@ -6,22 +6,27 @@ import asyncio
 import contextlib
 import itertools
 import logging
+import os
 import platform
 import re
 import signal
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from armsight import errors
 from armsight.drivers.sources import CORES, cores
 from armsight.errors import DeviceFailed, UsageError
+from armsight.records import Progress
 
 if TYPE_CHECKING:
     from distributed import Client
+
 
 CONNECT_S = 15.0
 """Longest wait for a scheduler that should be there."""
@@ -246,3 +251,48 @@ def ignore_interrupts() -> None:
     """Leave Ctrl-C to others, in a process whose main thread this is."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+PACKAGE = Path(errors.__file__).parent
+CAMERAS = ("boards", "cameras")
+GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "measure": ("measure/poses", ("spots", "boards", "poses", "motion", "measure")),
+    "simulate": ("measure/poses", ("room", "simulator")),
+    "verify": ("kinematics", ("kinematics",)),
+    "identify": ("calibrate/identify", ("spots", "poses", "identify")),
+    "calibrate camera": ("calibrate/cameras", CAMERAS),
+    "calibrate stereo": ("calibrate/cameras", CAMERAS),
+    "calibrate mirrors": ("calibrate/cameras", CAMERAS),
+    "calibrate zoom-rig": ("calibrate/cameras", CAMERAS),
+    "calibrate target": ("calibrate/light_target", ("spots", "light target")),
+    "calibrate timing": ("measure/poses", ("spots", "poses", "motion")),
+    "calibrate cell": ("calibrate/cell", ("spots", "kinematics", "arm")),
+    "calibrate handeye": ("calibrate/handeye", ("boards", "hand-eye")),
+    "calibrate arm": ("kinematics", ("kinematics", "arm")),
+    "kinematics fk": ("kinematics", ("kinematics",)),
+}
+"""Command -> the folder whose kernels it needs, and what compiles them (app.compilation)."""
+
+
+def compile_for(commands: Collection[str], progress: Progress) -> None:
+    """Compile what the commands need where nothing of it is kept on this machine; at once where it is.
+
+    Raises Cancelled. What fails to compile here is tried again, and told, by the first job that needs it.
+    """
+    missing: dict[str, None] = {}
+    for command in sorted(commands):
+        folder, groups = GROUPS.get(command, ("kinematics", ("kinematics",)))
+        if not _kept(folder):
+            missing.update(dict.fromkeys(groups))
+    if missing:
+        from armsight.app.compilation import compile_all
+
+        compile_all(progress, tuple(missing))
+
+
+def _kept(folder: str) -> bool:
+    """Tell whether compiled kernels of a folder of the package are kept."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given:
+        return any(Path(given).rglob("*.nbi"))
+    return any((PACKAGE / folder).rglob("*.nbi"))

@@ -20,7 +20,7 @@ from armsight._version import __version__
 from armsight.errors import ArmsightError, DataRefused, UsageError
 from armsight.records.result_parts import Refusal
 from armsight.store.atomic import json_text, sha256
-from armsight_lab.batch.job_results import BATCH, RESULTS
+from armsight_lab.batch.results import BATCH, RESULTS
 
 LONGEST_NAME = 120
 """Letters of a job's name: folders' names may have 255 bytes, and a running job's has a few more."""

@@ -20,10 +20,17 @@ from armsight.errors import ArmsightError, Cancelled, DeviceFailed, UsageError
 from armsight.records import Progress, Silent
 from armsight.store.atomic import disk_errors
 from armsight_lab.batch.cluster import Workers, connected
-from armsight_lab.batch.job_results import BATCH, RESULT, RESULTS, rows_of, write_batch
 from armsight_lab.batch.jobs import Execute, Job, Status, check_inputs, check_names
-from armsight_lab.batch.result_table import write_result_table
-from armsight_lab.batch.results import BatchOutput, NotDone
+from armsight_lab.batch.results import (
+    BATCH,
+    RESULT,
+    RESULTS,
+    BatchOutput,
+    NotDone,
+    rows_of,
+    write_batch,
+    write_result_table,
+)
 from armsight_lab.batch.work import RUNNING, Finished, Place, run_group
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from typing import NamedTuple
 from armsight._version import __version__
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.store.atomic import disk_errors
-from armsight_lab.batch.job_results import JobResult, read_batch, read_job_result, write_job_result
 from armsight_lab.batch.jobs import FINAL, Ended, Execute, Job, Status, fingerprint
+from armsight_lab.batch.results import JobResult, read_batch, read_job_result, write_job_result
 from armsight_lab.history.place import without_password
 
 RUNNING = ".running"

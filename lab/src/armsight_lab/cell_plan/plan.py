@@ -29,9 +29,8 @@ from armsight_lab.cell_plan.information import (
     rests,
 )
 from armsight_lab.cell_plan.path import MotionBounds
-from armsight_lab.cell_plan.push import Pusher
 from armsight_lab.cell_plan.scene import Free, Roadmap, Scene, places, roadmap
-from armsight_lab.cell_plan.tour import LOOKED_HZ, Tour, by_worth, longest, tour
+from armsight_lab.cell_plan.tour import LOOKED_HZ, Pusher, Tour, by_worth, longest, tour
 
 Array = NDArray[np.float64]
 

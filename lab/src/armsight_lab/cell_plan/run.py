@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,14 @@ from armsight.control.guard import Limits, joint_bounds
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.file_names import ARM, RIG, TARGET, WORLD
-from armsight.geometry import pose_from_euler
 from armsight.kinematics import Arm, fk
 from armsight.optics import SIDES, LensKind, Rig, RigKind
-from armsight.records import Progress, Silent, Target
+from armsight.records import Motion, Progress, Silent, Target
 from armsight.records.output import Output, output
 from armsight.store import read_rig, read_world
 from armsight.store.limits_file import read_limits
 from armsight.store.tracks import write_joints
-from armsight.units import DEG, MM
+from armsight.units import MM
 from armsight_lab.cell_plan.cautious import cautious_motion
 from armsight_lab.cell_plan.information import blank_recording
 from armsight_lab.cell_plan.links import Links, Wall
@@ -37,6 +36,7 @@ from armsight_lab.cell_plan.path import MotionBounds
 from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, check_bounds, check_start, plan_motion
 from armsight_lab.cell_plan.request import CellPlanJob
 from armsight_lab.cell_plan.scene import Free, Scene
+from armsight_lab.design.plan import mounted
 from armsight_lab.design.request import Box
 
 Array = NDArray[np.float64]
@@ -45,6 +45,8 @@ EDGE_PX = 10.0
 """What lights keep from the images' edges, beside what the cameras may stand elsewhere."""
 JOINT_MARGIN = 0.01
 """Share of a joint's range that is kept from each of its ends."""
+DEVIATIONS = tuple(f"{who}_{when}_m" for when in ("before", "after", "least") for who in ("measured", "commanded"))
+"""Of the tip in an output: by the cameras and by the arm, before, after, and what no motion would take off."""
 
 
 @output
@@ -109,7 +111,7 @@ def run_cell_plan(job: CellPlanJob, progress: Progress | None = None) -> CellPla
             cure="Give --rig, --world, --target and --volume; or none of them, for small moves about --start",
         )
     target = _lights(job.target)
-    T_flange_target = arm.T_flange_tool if job.mount is None else _mounted(job.mount)
+    T_flange_target = arm.T_flange_tool if job.mount is None else mounted(job.mount)
     scene = scene_of(job, arm, bounds, limits, target, T_flange_target, links)
     scene = replace(scene, normal=_normal(scene, start))
     learned = None if job.after is None else _learned(job.after, scene, target)
@@ -117,7 +119,7 @@ def run_cell_plan(job: CellPlanJob, progress: Progress | None = None) -> CellPla
         scene, target, T_flange_target, settings, start=start, learned=learned, progress=progress or Silent()
     )
     write_joints(job.out, plan.motion)
-    return _output(job, plan)
+    return _planned(job, plan)
 
 
 def _following(job: CellPlanJob) -> CellPlanJob:
@@ -303,52 +305,33 @@ def _cautious(
     free = free_of(arm, limits, np.empty((0, 3)), job.clearance_m, links)
     motion = cautious_motion(arm, bounds, free, start, settings)
     write_joints(job.out, motion)
-    return CellPlanOutput(
-        file=str(job.out),
-        kind="cautious",
-        duration_s=float(motion.t_s[-1]),
-        n_rows=len(motion.t_s),
-        n_places=0,
-        moved=np.ptp(motion.q, axis=0).tolist(),
-        seen=None,
-        measured_before_m=None,
-        measured_after_m=None,
-        commanded_before_m=None,
-        commanded_after_m=None,
-        measured_least_m=None,
-        commanded_least_m=None,
-        kinds=[],
-        untold=[],
-        notes=[
-            "small moves about where the arm stands: they tell where the cameras are, and little of lenses and arm; "
-            "calibrate from them, then plan again with --rig, --world and --target as they were found"
-        ],
+    unknown = dict.fromkeys(("seen", *DEVIATIONS))
+    note = (
+        "small moves about where the arm stands: they tell where the cameras are, and little of lenses and arm; "
+        "calibrate from them, then plan again with --rig, --world and --target as they were found"
     )
+    moved = np.ptp(motion.q, axis=0).tolist()
+    told = {"n_places": 0, "moved": moved, "kinds": [], "untold": [], "notes": [note], **unknown}
+    return _output(job, "cautious", motion, told)
 
 
-def _output(job: CellPlanJob, plan: CellPlan) -> CellPlanOutput:
+def _planned(job: CellPlanJob, plan: CellPlan) -> CellPlanOutput:
+    told = {
+        "n_places": len(plan.places),
+        "moved": plan.moved.tolist(),
+        "seen": plan.seen,
+        **dict(zip(DEVIATIONS, (*plan.before_m, *plan.after_m, *plan.least_m), strict=True)),
+        "kinds": [CellPlanKind(name=name, before_m=a, after_m=b) for name, (a, b) in plan.kinds.items()],
+        "untold": list(plan.untold),
+        "notes": list(plan.notes),
+    }
+    return _output(job, "planned", plan.motion, told)
+
+
+def _output(job: CellPlanJob, kind: str, motion: Motion, told: dict[str, Any]) -> CellPlanOutput:
     return CellPlanOutput(
-        file=str(job.out),
-        kind="planned",
-        duration_s=float(plan.motion.t_s[-1]),
-        n_rows=len(plan.motion.t_s),
-        n_places=len(plan.places),
-        moved=plan.moved.tolist(),
-        seen=plan.seen,
-        measured_before_m=plan.before_m[0],
-        measured_after_m=plan.after_m[0],
-        commanded_before_m=plan.before_m[1],
-        commanded_after_m=plan.after_m[1],
-        measured_least_m=plan.least_m[0],
-        commanded_least_m=plan.least_m[1],
-        kinds=[CellPlanKind(name=name, before_m=a, after_m=b) for name, (a, b) in plan.kinds.items()],
-        untold=list(plan.untold),
-        notes=list(plan.notes),
+        file=str(job.out), kind=kind, duration_s=float(motion.t_s[-1]), n_rows=len(motion.t_s), **told
     )
-
-
-def _mounted(values: tuple[float, ...]) -> RigidTransform:
-    return pose_from_euler(values[:3], [DEG * value for value in values[3:] or (0.0, 0.0, 0.0)])
 
 
 def _lights(path: Path) -> Target:

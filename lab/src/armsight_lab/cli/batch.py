@@ -27,9 +27,8 @@ def batch(face: CommandUI, job: BatchJob) -> None:
     Writes a folder for each job and results.parquet, a row for each with all its figures. Exit code 3 where some were
     refused or are doubtful, 4 where some failed.
     """
-    from armsight_lab.batch.cluster import Workers
+    from armsight_lab.batch.cluster import Workers, compile_for
     from armsight_lab.batch.run import run_batch
-    from armsight_lab.batch.warm import compile_for
     from armsight_lab.cli.batch_commands import run_command
 
     workers = Workers(n=job.workers, scheduler=job.scheduler)

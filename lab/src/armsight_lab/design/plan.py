@@ -19,7 +19,7 @@ from armsight.optics import Camera, Rig, RigKind
 from armsight.records import Target
 from armsight.store import parse_board, read_rig, read_world
 from armsight.units import DEG, MM
-from armsight_lab.design.planned_handeye import RobotNoise
+from armsight_lab.design.planned_calibrations import RobotNoise
 from armsight_lab.design.request import Box, DesignJob
 
 Array = NDArray[np.float64]
@@ -322,13 +322,14 @@ def _arm(job: DesignJob, parent: str, T_frame_rig: RigidTransform) -> ArmPlan | 
     return ArmPlan(
         arm=arm,
         T_base_rig=T_base_rig,
-        T_flange_target=arm.T_flange_tool if job.mount is None else _mounted(job.mount),
+        T_flange_target=arm.T_flange_tool if job.mount is None else mounted(job.mount),
         poses=job.poses,
         noise=RobotNoise(position_m=job.arm_noise_m, orientation_rad=job.arm_turn_rad),
     )
 
 
-def _mounted(values: tuple[float, ...]) -> RigidTransform:
+def mounted(values: tuple[float, ...]) -> RigidTransform:
+    """Return T_flange_target of m and, where there are six values, degrees about x, y, z."""
     return pose_from_euler(values[:3], [DEG * value for value in values[3:] or (0.0, 0.0, 0.0)])
 
 

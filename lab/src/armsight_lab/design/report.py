@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
@@ -13,6 +11,7 @@ from armsight.report.figures import GREY, INK, Figure, Plot, axis, layout
 from armsight.report.html import Card, Page, bullets, table
 from armsight.units import DEG, MM, figure_of
 from armsight_lab.design.records import DesignChange, DesignOutput
+from armsight_lab.design.volume import Foretold
 
 Array = NDArray[np.float64]
 
@@ -23,28 +22,8 @@ EDGES_PX, WIDE_PX, TALLEST_PX = 60.0, 400.0, 460.0
 """Of a slice: margins, width within them in a page of two columns, and the greatest height."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DesignMap:
-    """m cells, their middles xyz_m (m, 3), z by y by x, and the counts along x, y, z; NaN: not measured, and why."""
-
-    xyz_m: Array
-    counts: tuple[int, int, int]
-    position_mm: Array
-    orientation_deg: Array
-    why: Sequence[str]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DesignRun:
-    """What the page tells."""
-
-    output: DesignOutput
-    view: DesignMap
-
-
-def design_report(run: DesignRun, *, created: datetime) -> str:
-    """Return the page as HTML text that needs no other file."""
-    done = run.output
+def design_report(done: DesignOutput, found: Foretold, *, created: datetime) -> str:
+    """Return the page as HTML text that needs no other file; found: the cells that done sums up."""
     page = Page(
         title="What a rig will measure",
         subtitle=f"baseline {figure_of(done.baseline_m / MM)} mm, focal length {figure_of(done.focal_px)} px; "
@@ -54,7 +33,7 @@ def design_report(run: DesignRun, *, created: datetime) -> str:
     )
     if done.advice:
         page.add("What to do, and what to know", "", bullets([_sentence(text) for text in done.advice]))
-    _add_map(page, run.view, run.view.position_mm, "position", "mm", done.frame)
+    _add_map(page, found, found.position_m / MM, "position", "mm")
     if done.changes:
         page.add(
             "What changes lead to",
@@ -78,7 +57,7 @@ def design_report(run: DesignRun, *, created: datetime) -> str:
         ]
         page.add("Where there is no pose", "", table(["why", "of the volume", "what is measured"], rows, numbers=(1,)))
     if done.orientation is not None:
-        _add_map(page, run.view, run.view.orientation_deg, "orientation", "°", done.frame)
+        _add_map(page, found, found.orientation_rad / DEG, "orientation", "°")
     if done.simulation is not None:
         page.add("Simulated", _simulated(done), _places(done))
     page.add("Taken for granted", "", bullets([_sentence(text) for text in done.assumptions]))
@@ -174,20 +153,21 @@ def _places(done: DesignOutput) -> str:
     return table(header, rows, numbers=(1, 2, 3, 4))
 
 
-def _add_map(page: Page, view: DesignMap, values: Array, what: str, unit: str, frame: str) -> None:
+def _add_map(page: Page, found: Foretold, values: Array, what: str, unit: str) -> None:
     """Add the slices of the volume across z, coloured by the deviation, from front to back."""
-    nx, ny, nz = view.counts
+    nx, ny, nz = found.cells.counts
     chosen = np.unique(np.linspace(0, nz - 1, min(nz, MOST_SLICES)).round().astype(int))
     steps = _steps(values)
     plots = []
     for k in chosen.tolist():
         part = slice(k * nx * ny, (k + 1) * nx * ny)
-        figure = _slice(view, part, values[part], steps, unit)
-        plots.append(f"<div><p>z = {view.xyz_m[part.start, 2]:.3g} m</p>{page.plot(figure)}</div>")
+        figure = _slice(found, part, values[part], steps, unit)
+        plots.append(f"<div><p>z = {found.cells.xyz_m[part.start, 2]:.3g} m</p>{page.plot(figure)}</div>")
     page.add(
         f"Deviation of the {what} over the volume, {unit}",
-        f"Slices of the volume from front to back, in the axes of the {frame}: x to the right, y down. Each cell has "
-        "the colour of the expected deviation (RMS) at its middle; grey: not measured. Point at a cell for its figure.",
+        f"Slices of the volume from front to back, in the axes of the {found.plan.frame}: x to the right, y down. Each "
+        "cell has the colour of the expected deviation (RMS) at its middle; grey: not measured. Point at a cell for "
+        "its figure.",
         _legend(steps, unit),
         f'<div class="pair">{"".join(plots)}</div>',
     )
@@ -216,11 +196,11 @@ def _legend(steps: Array, unit: str) -> str:
     return f'<p style="font-size:13px;line-height:1.9">{"".join(items)}</p>'
 
 
-def _slice(view: DesignMap, part: slice, values: Array, steps: Array, unit: str) -> Figure:
+def _slice(found: Foretold, part: slice, values: Array, steps: Array, unit: str) -> Figure:
     """Return one slice: cells as filled shapes, a trace for each colour."""
-    xyz = view.xyz_m[part]
+    xyz = found.cells.xyz_m[part]
     half = 0.5 * np.array([_pitch(xyz[:, 0]), _pitch(xyz[:, 1])])
-    why = view.why[part]
+    why = found.why[part]
     colour = np.clip(np.searchsorted(steps, values, side="right") - 1, 0, len(COLOURS) - 1)
     colour = np.where(np.isfinite(values), colour, -1)
     data: list[Plot] = []

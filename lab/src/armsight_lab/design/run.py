@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.pairing import baseline_std
+from armsight.columns import POSE6_STD, POSITION
 from armsight.records import Progress, Silent
 from armsight.store import write_text
 from armsight.store.atomic import write_json
 from armsight.store.tables import cells, number
-from armsight.units import DEG, MM
+from armsight.units import MM
 from armsight_lab.design.changes import VOLUME_SHARE, changes_of, reaches
 from armsight_lab.design.plan import Plan, plan_of
 from armsight_lab.design.records import (
@@ -26,27 +27,14 @@ from armsight_lab.design.records import (
     PointDeviation,
     Spread,
 )
-from armsight_lab.design.report import DesignMap, DesignRun, design_report
+from armsight_lab.design.report import design_report
 from armsight_lab.design.request import DesignJob
 from armsight_lab.design.volume import NOISE, RIG, Foretold, foretell, size_of
 
 Array = NDArray[np.float64]
 
 SUMMARY, REPORT, MAP = "design.json", "report.html", "map.csv"
-COLUMNS = (
-    "x_m",
-    "y_m",
-    "z_m",
-    "status",
-    "position_m",
-    "sx_m",
-    "sy_m",
-    "sz_m",
-    "orientation_rad",
-    "noise_m",
-    "rig_m",
-    "why",
-)
+COLUMNS = (*POSITION, "status", "position_m", *POSE6_STD[:3], "orientation_rad", "noise_m", "rig_m", "why")
 
 
 def run_design(job: DesignJob, progress: Progress | None = None) -> DesignOutput:
@@ -66,7 +54,7 @@ def run_design(job: DesignJob, progress: Progress | None = None) -> DesignOutput
     done = _output(job, plan, found, changes, simulation)
     job.out.mkdir(parents=True, exist_ok=True)
     write_text(job.out / MAP, _table(found))
-    write_text(job.out / REPORT, design_report(_run(done, found), created=datetime.now()))
+    write_text(job.out / REPORT, design_report(done, found, created=datetime.now()))
     write_json(job.out / SUMMARY, done.to_dict())
     return done
 
@@ -250,14 +238,3 @@ def _table(found: Foretold) -> str:
         values = values if found.measured[i] else "," * (len(COLUMNS) - 6)
         rows.append(f"{cells(xyz)},{status},{values},{found.why[i]}")
     return "\n".join(rows) + "\n"
-
-
-def _run(done: DesignOutput, found: Foretold) -> DesignRun:
-    view = DesignMap(
-        xyz_m=found.cells.xyz_m,
-        counts=found.cells.counts,
-        position_mm=found.position_m / MM,
-        orientation_deg=found.orientation_rad / DEG,
-        why=found.why,
-    )
-    return DesignRun(output=done, view=view)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,14 @@ from armsight.geometry import xyz_quat
 from armsight.records import Progress
 from armsight.store import board_text, rig_mapping, target_mapping
 from armsight_lab.batch.cluster import Workers
-from armsight_lab.batch.job_results import JobResult, read_job_result
 from armsight_lab.batch.jobs import Job
+from armsight_lab.batch.results import read_job_result
 from armsight_lab.batch.run import run_batch
 from armsight_lab.design.expected_poses import look
 from armsight_lab.design.plan import Plan
 from armsight_lab.design.records import DesignSimulation, SimulatedPlace
 from armsight_lab.design.request import DesignJob
-from armsight_lab.design.simulated_run import ArmSpec, Errors, Spec, simulate_run
+from armsight_lab.design.simulated_run import ArmSpec, Spec, simulate_run
 from armsight_lab.design.volume import NOISE, Foretold, moving, rigid_part, size_of, spot_noise
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def simulate_design(job: DesignJob, found: Foretold, progress: Progress) -> Desi
     execute = partial(simulate_run, spec_of(found, places))
     run_batch(jobs, out, execute, workers=Workers(n=job.workers), overwrite=out.exists(), progress=progress)
     results = [read_job_result(out / one.name) for one in jobs]
-    errors = [Errors.of(_rows_of(one)) for one in results if one is not None and one.result is not None]
+    errors = [one.result["errors"] for one in results if one is not None and one.result is not None]
     if len(errors) < LEAST_RUNS:
         why = next(
             (one.error.cause for one in results if one is not None and one.error is not None), "they were killed"
@@ -77,11 +77,6 @@ def simulate_design(job: DesignJob, found: Foretold, progress: Progress) -> Desi
             cure="Plan more pictures of the board, or a larger one",
         )
     return _compared(found, places, errors, job.simulate)
-
-
-def _rows_of(one: JobResult) -> list[list[float | None]]:
-    """Return the errors of a run that has some."""
-    return cast(list[list[float | None]], (one.result or {})["errors"])
 
 
 def spec_of(found: Foretold, places: NDArray[np.intp]) -> Spec:
@@ -148,11 +143,11 @@ def aligned_noise(noise: Array, places: Array) -> Array:
     return out
 
 
-def _compared(found: Foretold, places: NDArray[np.intp], errors: Sequence[Errors], n_runs: int) -> DesignSimulation:
-    """Return the figures."""
+def _compared(found: Foretold, places: NDArray[np.intp], errors: Sequence[Any], n_runs: int) -> DesignSimulation:
+    """Return the figures; errors: rows (k, 6) of each run, m and rad, null where there was no pose."""
     C = foretold_at(found, places)
     expected = np.stack([size_of(C[:, :3, :3]), size_of(C[:, 3:, 3:])])  # (2, k)
-    seen = np.array([one.values for one in errors], dtype=np.float64)  # (runs, k, 6), NaN where lost
+    seen = np.array(errors, dtype=np.float64)  # (runs, k, 6), NaN where lost
     squares = np.stack([(seen[..., :3] ** 2).sum(axis=2), (seen[..., 3:] ** 2).sum(axis=2)])  # (2, runs, k)
     whole = found.whole[places]
     n = np.maximum(np.isfinite(squares).sum(axis=1), 1)

@@ -23,7 +23,8 @@ from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import BoardView, PoseStatus, Spots, Target, TargetPose
 from armsight.store import parse_board, rig_from_mapping, target_from_mapping
 from armsight_lab.batch.jobs import Ended, Job
-from armsight_lab.design.planned_handeye import RobotNoise
+from armsight_lab.design.planned_calibrations import RobotNoise
+from armsight_lab.design.volume import moving
 
 Array = NDArray[np.float64]
 Rows = Sequence[Sequence[float]]
@@ -63,19 +64,6 @@ class Spec:
     relative: bool
     lights_m2: Array | None
     arm: ArmSpec | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Errors:
-    """Errors (k, 6) of the poses of one run, in m and rad; NaN where there was none."""
-
-    values: Array
-
-    @classmethod
-    def of(cls, rows: Sequence[Sequence[float | None]]) -> Errors:
-        """Return those of a run's figures."""
-        known = [[np.nan if value is None else value for value in row] for row in rows]
-        return cls(values=np.array(known, dtype=np.float64))
 
 
 def simulate_run(spec: Spec, job: Job, folder: Path) -> Ended:
@@ -220,11 +208,7 @@ def _error(pose: TargetPose, T_frame_rig: RigidTransform, true: RigidTransform, 
 def _aligned(errors: Array, places: Array) -> Array:
     """Return errors (m, 6) without the rigid motion that fits those of the positions best."""
     known = np.isfinite(errors[:, 0])
-    off = places - places[known].mean(axis=0)
-    G = np.zeros((len(errors), 6, 6))
-    G[:, :3, :3] = G[:, 3:, 3:] = np.eye(3)
-    for i, (x, y, z) in enumerate(off):
-        G[i, :3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    G = moving(places - places[known].mean(axis=0))
     common = np.linalg.lstsq(G[known, :3].reshape(-1, 6), errors[known, :3].ravel(), rcond=None)[0]
     return np.asarray(errors - G @ common)
 

@@ -14,11 +14,16 @@ from armsight.kinematics import ik
 from armsight.measure.poses.setup import Setup, rig_slack_px
 from armsight.optics import Rig, mean_axes
 from armsight.units import DEG
-from armsight_lab.design.expected_poses import Expected, SpotNoise, expected_poses
-from armsight_lab.design.expected_spots import centre_deviation
+from armsight_lab.design.expected_poses import Expected, SpotNoise, centre_deviation, expected_poses
 from armsight_lab.design.plan import ArmPlan, Plan
-from armsight_lab.design.planned_cameras import PlannedViews, planned_rig, planned_views
-from armsight_lab.design.planned_handeye import PlannedHandEye, planned_handeye, tool_slopes
+from armsight_lab.design.planned_calibrations import (
+    PlannedHandEye,
+    PlannedViews,
+    planned_handeye,
+    planned_rig,
+    planned_views,
+    tool_slopes,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

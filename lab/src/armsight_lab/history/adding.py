@@ -15,11 +15,10 @@ from armsight.errors import ArmsightError, BadFile, UsageError
 from armsight.fields import Doc
 from armsight.optics import Rig
 from armsight.records.output import Output, keys, output
-from armsight.store.arm_file import ARM_FORMAT, arm_from_mapping
-from armsight.store.rigs import RIG_FORMAT, read_rig
+from armsight.store.arm_file import ARM_YAML, arm_from_mapping
+from armsight.store.rigs import RIG_YAML, read_rig
 from armsight.store.yamls import read_yaml
 from armsight_lab.history import queries
-from armsight_lab.history.arms import other_arm
 from armsight_lab.history.database import writing
 from armsight_lab.history.entry import (
     FORMAT,
@@ -29,12 +28,15 @@ from armsight_lab.history.entry import (
     cell_name,
     deviation,
     entry_of,
+    moment,
     number,
+    other_arm,
     read_json,
+    utc,
+    whole_moment,
 )
+from armsight_lab.history.figures import Parameters, of_arm, parameters_of, point_named, pose_named
 from armsight_lab.history.filing import Made, entry_of_result, hash_of
-from armsight_lab.history.moments import moment, utc, whole_moment
-from armsight_lab.history.parameters import Parameters, of_arm, parameters_of, point_named, pose_named
 from armsight_lab.history.place import Place, place_of
 from armsight_lab.history.request import AddJob
 
@@ -226,10 +228,10 @@ def _calibrated(content: Mapping[str, Any], path: Path) -> tuple[str, Parameters
     """Return the command that writes such a file, and what was calibrated. Raises BadFile."""
     format_ = str(content.get("format"))
     stds = _stds(content)
-    if format_ == ARM_FORMAT:
+    if format_ == ARM_YAML.format:
         arm = arm_from_mapping(content, str(path))
         return ("identify" if "identif" in arm.source else "calibrate arm"), of_arm(arm)
-    if format_ == RIG_FORMAT:
+    if format_ == RIG_YAML.format:
         rig = read_rig(path)
         return ("calibrate mirrors" if str(rig.kind) == "mirror" else "calibrate stereo"), _of_rig(rig)
     poses = [name for name in ("T_flange_camera", "T_base_camera") if name in content]

@@ -1,6 +1,6 @@
 """A run as the history holds it, and as a file where it could not be filed. Needs no package of the extra.
 
-Poses and numbers of a run are told by names that are the same whatever found them: armsight_lab.history.parameters.
+Poses and numbers of a run are told by names that are the same whatever found them: armsight_lab.history.figures.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 from unicodedata import category, normalize
@@ -164,3 +165,46 @@ def stored_pose(name: str, pose: Mapping[str, Any], std: Sequence[float | None])
     x, y, z = (float(value) for value in pose["xyz_m"])
     a, b, c, d = (float(value) for value in pose["quat_xyzw"])
     return StoredPose(name=name, xyz_m=(x, y, z), quat_xyzw=(a, b, c, d), std=tuple(std))
+
+
+DAY_S = 86_400.0
+
+
+def utc(moment: datetime) -> str:
+    """Return a moment as the history holds it, so that texts sort as moments do."""
+    return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def moment(given: str) -> datetime:
+    """Return a moment in ISO 8601, UTC where it tells no zone. Raises UsageError."""
+    try:
+        found = datetime.fromisoformat(given)
+    except ValueError:
+        raise UsageError(
+            f"{given[:40]!r} is no day or moment",
+            consequence="Nothing was done",
+            cure="Write 2026-11-26 or 2026-11-26T14:00, in UTC; of another zone 2026-11-26T14:00+01:00",
+        ) from None
+    return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
+
+
+def whole_moment(given: str) -> str:
+    """Return a moment as the history holds it. Raises UsageError."""
+    return utc(moment(given))
+
+
+def optional_moment(given: str | None) -> str | None:
+    """Return a moment as the history holds it, None for none. Raises UsageError."""
+    return None if given is None else whole_moment(given)
+
+
+def day_of(held: str) -> float:
+    """Return a moment of the history in days since 1970."""
+    return datetime.fromisoformat(held).timestamp() / DAY_S
+
+
+def other_arm(a: str, b: str) -> bool:
+    """Tell whether joints (R, P, ? each) are of two arms; '' is of none."""
+    if not a or not b:
+        return False
+    return len(a) != len(b) or any("?" not in pair and pair[0] != pair[1] for pair in zip(a, b, strict=True))

@@ -16,10 +16,8 @@ from armsight.errors import ArmsightError
 from armsight.kinematics import Arm
 from armsight.records.output import Output
 from armsight.store.atomic import sha256
-from armsight_lab.history.entry import Entry, InputFile, cell_name, write_entry
-from armsight_lab.history.figures import Content, figures_of
-from armsight_lab.history.moments import utc
-from armsight_lab.history.parameters import Parameters, parameters_of
+from armsight_lab.history.entry import Entry, InputFile, cell_name, utc, write_entry
+from armsight_lab.history.figures import Content, Parameters, figures_of, parameters_of
 from armsight_lab.history.place import Place, place_of, require_packages
 
 PLANS = ("VerifyPlanOutput", "MasteringPlanOutput", "ProposedPlanOutput")

@@ -21,8 +21,7 @@ from armsight.records.result_parts import Difference
 from armsight.store.atomic import write_bytes
 from armsight_lab.history import queries
 from armsight_lab.history.database import reading
-from armsight_lab.history.entry import InputFile, Quantity, StoredPose, cell_name
-from armsight_lab.history.moments import optional_moment
+from armsight_lab.history.entry import InputFile, Quantity, StoredPose, cell_name, optional_moment
 from armsight_lab.history.place import place_of
 from armsight_lab.history.queries import Filter, Run
 from armsight_lab.history.request import CompareRunsJob, ExportRunsJob, ListJob, ShowJob

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
@@ -12,8 +12,8 @@ from sqlalchemy import Connection, Select, Table, func, insert, select
 from armsight.columns import POSE6_STD, POSE7
 from armsight.fields import Doc
 from armsight.records.output import output
+from armsight_lab.history.database import figures, inputs, parameters, poses, runs
 from armsight_lab.history.entry import Entry, InputFile, Quantity, RunHead, StoredPose
-from armsight_lab.history.tables import figures, inputs, parameters, poses, runs
 
 MANY = 500
 """Runs asked for at once: databases bound the number of values in a question."""
@@ -90,17 +90,13 @@ def count(connection: Connection, wanted: Filter) -> int:
 def newest(connection: Connection, wanted: Filter, most: int | None = None) -> list[Run]:
     """Return runs, the newest first."""
     question = wanted.of(select(*HEADER)).order_by(runs.c.created.desc(), runs.c.id.desc()).limit(most)
-    return [_run(row._mapping) for row in connection.execute(question)]
+    return [Run(**row._mapping) for row in connection.execute(question)]
 
 
 def one(connection: Connection, number: int) -> Run | None:
     """Return a run by its number."""
     row = connection.execute(select(*HEADER).where(runs.c.id == number)).first()
-    return None if row is None else _run(row._mapping)
-
-
-def _run(row: Mapping[Any, Any]) -> Run:
-    return Run(**row)
+    return None if row is None else Run(**row._mapping)
 
 
 def cells(connection: Connection) -> list[str]:
@@ -118,14 +114,6 @@ def numbers(connection: Connection) -> tuple[int, int] | None:
     """Return the first and the last number of a run, None where there is none."""
     first, last = connection.execute(select(func.min(runs.c.id), func.max(runs.c.id))).one()
     return None if first is None else (int(first), int(last))
-
-
-def result_of(connection: Connection, number: int) -> dict[str, Any]:
-    """Return the whole JSON object of a run's result."""
-    found: dict[str, Any] = json.loads(
-        connection.execute(select(runs.c.result).where(runs.c.id == number)).scalar_one()
-    )
-    return found
 
 
 def inputs_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[InputFile]]:
@@ -163,7 +151,8 @@ def _stored(row: Any) -> StoredPose:
 
 def _by_run(connection: Connection, table: Table, numbers: Sequence[int], made: Any) -> dict[int, list[Any]]:
     found: dict[int, list[Any]] = {}
-    for part in _parts(numbers):
+    for start in range(0, len(numbers), MANY):
+        part = numbers[start : start + MANY]
         for row in connection.execute(
             select(table).where(table.c.run_id.in_(part)).order_by(*table.primary_key.columns)
         ):
@@ -171,15 +160,10 @@ def _by_run(connection: Connection, table: Table, numbers: Sequence[int], made: 
     return found
 
 
-def _parts(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
-    for start in range(0, len(numbers), MANY):
-        yield numbers[start : start + MANY]
-
-
 def kinds_of_joints(connection: Connection, cell: str) -> list[Run]:
     """Return the first run of each kind of arm in a cell."""
     first = select(func.min(runs.c.id)).where(runs.c.cell == cell, runs.c.joints != "").group_by(runs.c.joints)
     return [
-        _run(row._mapping)
+        Run(**row._mapping)
         for row in connection.execute(select(*HEADER).where(runs.c.id.in_(first)).order_by(runs.c.id))
     ]

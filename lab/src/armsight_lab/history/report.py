@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.records.verdict import Verdict
-from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
-from armsight.report.html import Card, Page, bullets, in_degrees, table
-from armsight.units import figure_of, with_deviation
-from armsight_lab.history.drift import SMALLEST_STEP, Chart, Limits
+from armsight.report.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    Figure,
+    Plot,
+    axis,
+    layout,
+    subplot,
+    thinned,
+    trace,
+)
+from armsight.report.html import Card, Page, bullets, in_degrees, page_unit, table
+from armsight.units import displayed, displayed_name, figure_of, with_deviation
+from armsight_lab.history.drift import SMALLEST_STEP
+from armsight_lab.history.series import YEAR_DAYS, Course
+
+if TYPE_CHECKING:
+    from armsight_lab.history.trend import Judgement, TrendFigure, TrendOutput
 
 Array = NDArray[np.float64]
 
@@ -35,139 +52,105 @@ ABOUT = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Charted:
-    """A figure with its chart. created, runs, values, std: of n runs, in SI; scale: of the unit people read, in SI.
-
-    start, noticed: positions of the run where the change began and was noticed; latest: the last run less mean, the
-    mean of the runs before.
-    """
-
-    name: str
-    command: str
-    state: str
-    unit: str
-    scale: float
-    created: Sequence[str]
-    runs: Sequence[int]
-    values: Array
-    std: Array
-    chart: Chart
-    limits: Limits
-    apart: Sequence[int]
-    start: int | None
-    noticed: int | None
-    latest: float | None
-    latest_std: float | None
-    mean: float
-    run_std: float | None
-    to_do: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TrendPage:
-    """What the page tells. few: no figure has enough runs. every_days: between two runs, the median."""
-
-    cell: str
-    verdict: Verdict
-    n_runs: int
-    apart_years: float
-    every_days: float
-    notes: Sequence[str]
-    figures: Sequence[Charted]
-
-
-def trend_report(run: TrendPage, *, created: datetime | None = None) -> str:
-    """Return the page as HTML text that needs no other file."""
-    changed = sum(one.start is not None for one in run.figures)
+def trend_report(done: TrendOutput, judgements: Sequence[Judgement], *, created: datetime | None = None) -> str:
+    """Return the page as HTML text that needs no other file; judgements: of done's figures, in their order."""
+    days = [one.course.created[i][:10] for one in judgements for i in (0, -1)]
+    every_days = YEAR_DAYS / float(np.median([one.runs_a_year for one in judgements]))
+    apart_years = done.false_alarms_apart_years
     page = Page(
-        title=f"History of {run.cell}",
-        subtitle=f"{run.n_runs} runs, {_dates(run)}",
-        verdict=run.verdict,
+        title=f"History of {done.cell}",
+        subtitle=f"{done.n_runs} runs, {min(days)} to {max(days)}",
+        verdict=done.verdict_,
         cards=[
-            Card(name="figures judged", value=str(len(run.figures))),
-            Card(name="of these changed", value=str(changed)),
-            Card(
-                name="false alarms", value=f"1 in {run.apart_years:.4g}", note="cell-years, over all figures together"
-            ),
-            Card(name="a run every", value=_interval(run.every_days), note="on average"),
+            Card(name="figures judged", value=str(len(judgements))),
+            Card(name="of these changed", value=str(sum(one.found.change is not None for one in judgements))),
+            Card(name="false alarms", value=f"1 in {apart_years:.4g}", note="cell-years, over all figures together"),
+            Card(name="a run every", value=_interval(every_days), note="on average"),
         ],
     )
-    rows = [_row(one) for one in run.figures]
+    rows = [_row(row, one) for row, one in zip(done.figures, judgements, strict=True)]
     page.add("Figures", EXPLAINED, table(HEADER, rows, numbers=(2, 3, 4, 5, 6, 7)))
-    for one in run.figures[:MOST_DRAWN]:
-        page.add(f"{one.name}, {one.command}", _lead(one), page.plot(_figure(one)))
-    if run.notes:
-        page.add("What to know", "", bullets([in_degrees(note) for note in run.notes]))
-    page.add("How it is judged", "", bullets(_method(run)))
+    for row, one in zip(done.figures[:MOST_DRAWN], judgements, strict=False):
+        page.add(_name(row), _lead(one), page.plot(_figure(row, one)))
+    if done.notes:
+        page.add("What to know", "", bullets([in_degrees(note) for note in done.notes]))
+    page.add("How it is judged", "", bullets(_method(apart_years, every_days)))
     return page.html(created=created or datetime.now())
 
 
-def _dates(run: TrendPage) -> str:
-    days = [one.created[i][:10] for one in run.figures for i in (0, -1)]
-    return f"{min(days)} to {max(days)}"
+def _name(row: TrendFigure) -> str:
+    return f"{displayed_name(row.name)[0]}, {row.command}"
 
 
 def _interval(days: float) -> str:
     return f"{days:.1f} days" if days >= 1.0 else f"{24.0 * days:.1f} h"
 
 
-def _row(one: Charted) -> list[str]:
-    at = len(one.runs) - 1 if one.start is None else one.start
-    factor = one.chart.factor[at, 0] if np.isfinite(one.std).any() else None
-    change, std = ("", "")
-    if one.latest is not None and one.latest_std is not None:
-        change, std = with_deviation(one.latest / one.scale, one.latest_std / one.scale)
-    own = None if one.run_std is None else one.run_std / one.scale
+def _row(row: TrendFigure, one: Judgement) -> list[str]:
+    course, chart, moved = one.course, one.found.chart, one.found.change
+    unit, scale = displayed(row.unit)
+    at = row.n - 1 if moved is None else moved.start
+    factor = chart.factor[at, 0] if np.isfinite(course.std).any() else None
+    change, std = ("", "") if moved is None else with_deviation(moved.latest / scale, moved.latest_std / scale)
+    own = None if row.run_std is None else row.run_std / scale
     return [
-        f"{one.name}, {one.command}",
-        STATES[one.state],
-        str(len(one.runs)),
+        _name(row),
+        STATES[row.state],
+        str(row.n),
         figure_of(own, digits=2),
         figure_of(factor, digits=2),
         figure_of(None if own is None else SMALLEST_STEP * own, digits=2),
         change,
         std,
-        one.unit,
-        "" if one.start is None else f"{one.created[one.start][:10]}, run {one.runs[one.start]}",
-        one.to_do,
+        page_unit(unit),
+        "" if moved is None else f"{course.created[moved.start][:10]}, run {course.runs[moved.start]}",
+        row.to_do,
     ]
 
 
-def _lead(one: Charted) -> str:
-    if one.noticed is None or one.start is None:
-        return ABOUT
-    return f"Began with run {one.runs[one.start]}, noticed with run {one.runs[one.noticed]}. {ABOUT}"
+def _lead(one: Judgement) -> str:
+    runs, change = one.course.runs, one.found.change
+    return (
+        ABOUT
+        if change is None
+        else f"Began with run {runs[change.start]}, noticed with run {runs[change.noticed]}. {ABOUT}"
+    )
 
 
-def _figure(one: Charted) -> Figure:
+def _figure(row: TrendFigure, one: Judgement) -> Figure:
     """Return values over time above the two sums."""
-    y = (one.values - one.mean) / one.scale
+    course, chart, limits = one.course, one.found.chart, one.limits
+    unit, scale = displayed(row.unit)
+    y = (course.values - row.mean) / scale
     at = thinned(y)
-    when = [one.created[i] for i in at]
-    names = [f"run {one.runs[i]}" for i in at]
-    chart, limits = one.chart, one.limits
+    when = [course.created[i] for i in at]
+    names = [f"run {course.runs[i]}" for i in at]
     upper, lower = subplot(1), subplot(2)
-    allowed = limits.jump * chart.std[at, 0] / one.scale
-    middle = (chart.mean[at, 0] - one.mean) / one.scale
+    allowed = limits.jump * chart.std[at, 0] / scale
+    middle = (chart.mean[at, 0] - row.mean) / scale
+    start, apart = one.found.change.start if one.found.change else row.n, one.found.apart
+    normal = np.array([i for i in at.tolist() if i < start and i not in apart], int)
     data = [
         _line("limit of a jump", when, middle + allowed, GREY, upper, dash="dot"),
         {**_line("", when, middle - allowed, GREY, upper, dash="dot"), "showlegend": False},
-        _runs(one, "run", at[_normal(one, at)], BLUE, y),
+        _runs(course, "run", normal, BLUE, y, scale),
     ]
-    changed = at[at >= one.start] if one.start is not None else at[:0]
-    for label, chosen, colour in (("since the change", changed, RED), ("left out", np.array(one.apart, int), ORANGE)):
+    for label, chosen, colour in (
+        ("since the change", at[at >= start], RED),
+        ("left out", np.array(apart, int), ORANGE),
+    ):
         if len(chosen):
-            data.append(_runs(one, label, chosen, colour, y))
+            data.append(_runs(course, label, chosen, colour, y, scale))
     data += [
         _line("sum upwards", when, chart.up[at, 0], GREEN, lower, text=names),
         _line("sum downwards", when, -chart.down[at, 0], INK, lower, text=names),
         _line("limit of a drift", when, np.full(len(at), limits.drift), GREY, lower, dash="dash"),
         {**_line("", when, np.full(len(at), -limits.drift), GREY, lower, dash="dash"), "showlegend": False},
     ]
+    shown = page_unit(unit)
     shape = layout(
         xaxis=axis("", type="date", matches="x2", showticklabels=False, anchor="y"),
-        yaxis=axis(f"off, {one.unit}" if one.unit else "off", domain=[0.46, 1.0], anchor="x"),
+        yaxis=axis(f"off, {shown}" if shown else "off", domain=[0.46, 1.0], anchor="x"),
         xaxis2=axis("", type="date", anchor="y2"),
         yaxis2=axis("sum", domain=[0.0, 0.36], anchor="x2"),
     )
@@ -175,26 +158,15 @@ def _figure(one: Charted) -> Figure:
     return Figure(data=data, layout=shape, height_px=440)
 
 
-def _normal(one: Charted, at: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return which positions are neither of the change nor left out."""
-    end = len(one.runs) if one.start is None else one.start
-    return np.array([i < end and i not in one.apart for i in at.tolist()], dtype=bool)
-
-
-def _runs(one: Charted, name: str, at: NDArray[np.intp], colour: str, y: Array) -> Plot:
-    error = {"error_y": {"type": "data", "array": one.std[at] / one.scale, "color": colour, "thickness": 1, "width": 0}}
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "x": [one.created[i] for i in at],
-        "y": y[at],
+def _runs(course: Course, name: str, at: NDArray[np.intp], colour: str, y: Array, scale: float) -> Plot:
+    error = {"error_y": {"type": "data", "array": course.std[at] / scale, "color": colour, "thickness": 1, "width": 0}}
+    more = {
         "marker": {"size": 6, "color": colour},
-        "text": [f"run {one.runs[i]}" for i in at],
+        "text": [f"run {course.runs[i]}" for i in at],
         "hovertemplate": "%{text}: %{y:.4g}<extra></extra>",
-        **(error if np.isfinite(one.std[at]).any() else {}),
-        **subplot(1),
+        **(error if np.isfinite(course.std[at]).any() else {}),
     }
+    return trace("markers", name, [course.created[i] for i in at], y[at], **more, **subplot(1))
 
 
 def _line(
@@ -211,15 +183,15 @@ def _line(
         {"text": list(text), "hovertemplate": "%{text}: %{y:.2f}<extra></extra>"} if text else {"hoverinfo": "skip"}
     )
     style = {"color": colour, "width": 1.3, "dash": dash}
-    return {"type": "scatter", "mode": "lines", "name": name, "x": list(x), "y": y, "line": style, **hover, **on}
+    return trace("lines", name, list(x), y, line=style, **hover, **on)
 
 
-def _method(run: TrendPage) -> list[str]:
+def _method(apart_years: float, every_days: float) -> list[str]:
     return [
         "Each run is held against the weighted mean of the runs before it, and the scatter between runs is estimated "
         "from the runs themselves: deviations told up to 1.5 times too small bring no more false alarms than stated.",
-        f"One false alarm is to be expected in {run.apart_years:.4g} years of this cell, over all figures together: at "
-        f"a run every {_interval(run.every_days)} in {run.apart_years * 365.25 / run.every_days:.3g} runs.",
+        f"One false alarm is to be expected in {apart_years:.4g} years of this cell, over all figures together: at "
+        f"a run every {_interval(every_days)} in {apart_years * YEAR_DAYS / every_days:.3g} runs.",
         "A jump is a run beyond its limit (Shewhart); a drift is a sum of deviations beyond its own (CUSUM). A run "
         "beyond the limit whose next is back again is left out as a run gone wrong.",
         "After a re-mastering, a new camera or another nominal arm, judge the runs since: --since.",

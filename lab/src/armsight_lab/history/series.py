@@ -14,8 +14,7 @@ from sqlalchemy import Connection
 from armsight.columns import POSE6, POSITION
 from armsight.errors import Inconsistent
 from armsight_lab.history import queries
-from armsight_lab.history.arms import other_arm
-from armsight_lab.history.entry import InputFile, Quantity, StoredPose
+from armsight_lab.history.entry import InputFile, Quantity, StoredPose, other_arm
 from armsight_lab.history.figures import UNITS
 from armsight_lab.history.looking import one_of, pose_change, wrapped
 from armsight_lab.history.queries import Run
@@ -31,6 +30,7 @@ GROUPS: Mapping[str, str] = {
     "world": rf"world\.({POSES})",
 }
 ALL = "all"
+YEAR_DAYS = 365.25
 ENTRY = re.compile(r"joint(\d+)\.(theta_rad|d_m)$")
 
 
@@ -222,7 +222,7 @@ MOST_NOTES = 6
 
 def clock_notes(found: Found) -> list[str]:
     """Return where a run that was filed later is dated earlier, though both were filed as they were made."""
-    from armsight_lab.history.moments import day_of
+    from armsight_lab.history.entry import day_of
 
     at_once = [run for run in found.runs if abs(day_of(run.filed) - day_of(run.created)) < AT_ONCE_DAYS]
     at_once.sort(key=lambda run: run.id)

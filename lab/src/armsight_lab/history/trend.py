@@ -12,18 +12,18 @@ from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.records.verdict import MEANING, Verdict
-from armsight.report.html import page_unit
 from armsight.store.atomic import write_json, write_text
 from armsight.units import displayed, displayed_name
 from armsight_lab.history.database import reading
 from armsight_lab.history.drift import SMALLEST_STEP, Change, Judged, Kind, Limits, judged_together, limits_for
+from armsight_lab.history.entry import day_of, optional_moment
 from armsight_lab.history.looking import known_cell, known_command
-from armsight_lab.history.moments import day_of, optional_moment
 from armsight_lab.history.place import place_of
 from armsight_lab.history.queries import Filter
-from armsight_lab.history.report import Charted, TrendPage, trend_report
+from armsight_lab.history.report import trend_report
 from armsight_lab.history.request import TrendJob
 from armsight_lab.history.series import (
+    YEAR_DAYS,
     Course,
     Found,
     changed_inputs,
@@ -35,7 +35,6 @@ from armsight_lab.history.series import (
 )
 
 SUMMARY, REPORT = "trend.json", "report.html"
-YEAR_DAYS = 365.25
 FEW = 5
 """Runs below which nothing is called steady: so few tell neither mean nor scatter."""
 FEW_UNTOLD = 8
@@ -121,7 +120,9 @@ class TrendOutput(Output):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Judgement:
+class Judgement:
+    """A figure over the runs, and what its chart says of it within the limits."""
+
     course: Course
     limits: Limits
     found: Judged
@@ -167,7 +168,7 @@ def trend(job: TrendJob) -> TrendOutput:
     )
     job.out.mkdir(parents=True, exist_ok=True)
     write_json(job.out / SUMMARY, done.to_dict())
-    write_text(report, trend_report(_page(done, judgements)))
+    write_text(report, trend_report(done, judgements))
     return done
 
 
@@ -180,7 +181,7 @@ def _require_runs(found: Found, cell: str) -> None:
         )
 
 
-def _judgements(chosen: Sequence[Course], apart_years: float) -> list[_Judgement]:
+def _judgements(chosen: Sequence[Course], apart_years: float) -> list[Judgement]:
     """Return what the courses come to; those of the same runs are charted together."""
     together: dict[tuple[int, ...], list[Course]] = {}
     for course in chosen:
@@ -193,7 +194,7 @@ def _judgements(chosen: Sequence[Course], apart_years: float) -> list[_Judgement
         found = judged_together(x, told, limits)
         _require_charted(courses_, found)
         out += [
-            _Judgement(course=course, limits=limits, found=one, runs_a_year=rate)
+            Judgement(course=course, limits=limits, found=one, runs_a_year=rate)
             for course, one in zip(courses_, found, strict=True)
         ]
     return out
@@ -224,7 +225,7 @@ def runs_a_year(course: Course) -> float:
     return float(np.clip((len(course.runs) - 1) / max(years, 1e-9), 1.0, OFTEN))
 
 
-def _figure(one: _Judgement) -> TrendFigure:
+def _figure(one: Judgement) -> TrendFigure:
     course, chart, change = one.course, one.found.chart, one.found.change
     at = len(course.runs) - 1 if change is None else change.start  # the last run that the reference speaks of
     std = _known(chart.std[at, 0])
@@ -271,7 +272,7 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _verdict(judgements: Sequence[_Judgement], figures: Sequence[TrendFigure], runs: int) -> str:
+def _verdict(judgements: Sequence[Judgement], figures: Sequence[TrendFigure], runs: int) -> str:
     changed = [one for one in figures if one.since_run is not None]
     if not changed:
         steady = sum(one.state == "steady" for one in figures)
@@ -328,7 +329,7 @@ def _notes(figures: Sequence[TrendFigure], doubted: int) -> list[str]:
     return notes
 
 
-def _short(judgements: Sequence[_Judgement]) -> list[str]:
+def _short(judgements: Sequence[Judgement]) -> list[str]:
     """Return that a change was called by few runs, whose scatter is not known yet."""
     before = [(one.found.change.start, one.course.name) for one in judgements if one.found.change]
     n, name = min(before, default=(SHORT, ""))
@@ -344,42 +345,3 @@ def _of_runs(found: Found) -> list[str]:
     names = never_measured(found)
     silent = f"No run measures {', '.join(names)}: a drift there does not show here, or shows as one of another figure."
     return [*([silent] if names else []), *changed_inputs(found), *clock_notes(found)]
-
-
-def _page(done: TrendOutput, judgements: Sequence[_Judgement]) -> TrendPage:
-    pictures = []
-    for one, row in zip(judgements, done.figures, strict=True):
-        unit, factor = displayed(row.unit)
-        change = one.found.change
-        pictures.append(
-            Charted(
-                name=displayed_name(row.name)[0],
-                command=row.command,
-                state=row.state,
-                unit=page_unit(unit),
-                scale=factor,
-                created=one.course.created,
-                runs=one.course.runs,
-                values=one.course.values,
-                std=one.course.std,
-                chart=one.found.chart,
-                limits=one.limits,
-                apart=one.found.apart,
-                start=None if change is None else change.start,
-                noticed=None if change is None else change.noticed,
-                latest=row.latest,
-                latest_std=row.latest_std,
-                mean=row.mean,
-                run_std=row.run_std,
-                to_do=row.to_do,
-            )
-        )
-    return TrendPage(
-        cell=done.cell,
-        verdict=done.verdict_,
-        n_runs=done.n_runs,
-        apart_years=done.false_alarms_apart_years,
-        every_days=YEAR_DAYS / float(np.median([one.runs_a_year for one in judgements])),
-        notes=done.notes,
-        figures=pictures,
-    )

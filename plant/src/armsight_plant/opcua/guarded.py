@@ -28,7 +28,7 @@ from cryptography import x509
 
 from armsight.errors import BadFile
 from armsight.store.tokens import TokenEntry, read_tokens
-from armsight_plant.requests import Note, Tell
+from armsight_plant.state import Note, Tell
 
 Ids = ua.ObjectIds
 

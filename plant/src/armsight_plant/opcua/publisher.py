@@ -15,12 +15,10 @@ from asyncua.common.node import Node
 
 from armsight._version import __version__
 from armsight.errors import DeviceFailed
-from armsight_plant.alarms import NAMES
 from armsight_plant.certificates import read_pair, read_trusted
 from armsight_plant.opcua.guarded import CALLER, Door, GuardedInternalServer, start_guarded
 from armsight_plant.options import ENDS, OpcUaOptions
-from armsight_plant.requests import Acknowledge, Note, Tell
-from armsight_plant.state import PlantState, Quality
+from armsight_plant.state import NAMES, Acknowledge, Note, PlantState, Quality, Tell
 from armsight_plant.values import VALUES, Given, alarm_values, told
 
 NAMESPACE = "urn:armsight:plant"

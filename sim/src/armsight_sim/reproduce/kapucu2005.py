@@ -18,7 +18,7 @@ from armsight.optics import Rig
 from armsight.report.identify_report import identify_report
 from armsight.store import read_poses, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
-from armsight.store.sweeps import read_sweep_joints, write_sweeps
+from armsight.store.arm_points import read_sweep_joints, write_sweeps
 from armsight.units import DEG
 from armsight_sim.papers import kapucu2005 as paper
 from armsight_sim.papers.kapucu2005 import PathJoint

@@ -37,7 +37,7 @@ from armsight.store.arm_points import read_arm_points
 from armsight.store.atomic import disk_errors
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.tables import cells
-from armsight.store.urdf_writer import delete_urdf, urdf_text
+from armsight.store.urdf import delete_urdf, urdf_text
 from armsight.store.worlds import write_world
 from armsight.units import displayed
 

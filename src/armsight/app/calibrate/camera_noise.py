@@ -21,9 +21,8 @@ from armsight.optics import SIDES, Camera, RigKind
 from armsight.records import NoiseModel, Progress, Silent
 from armsight.store import add_noise, is_zoom_camera, read_camera_file, read_zoom_camera, read_zoom_rig
 from armsight.store.bags import bag_topic, is_bag
-from armsight.store.rigs import RIG_FORMAT
+from armsight.store.rigs import CAMERA_YAML, RIG_YAML
 from armsight.store.yamls import read_yaml
-from armsight.store.zoom import CAMERA_FORMAT
 
 FRAMES = 50
 """Frames taken where nothing else is said: with 20 the variance is known to 1 %, more are not needed."""
@@ -116,12 +115,12 @@ def _sides(job: NoiseJob) -> dict[str, tuple[int, int] | None]:
         )
     content = read_yaml(job.out)
     format_ = content.get("format")
-    if format_ == CAMERA_FORMAT:
+    if format_ == CAMERA_YAML.format:
         if job.side is not None:
             raise UsageError(f"{job.out} holds one camera", cure="Leave --side away")
         of_lens = is_zoom_camera(content)
         return {"": read_zoom_camera(job.out).lens.size if of_lens else _size(read_camera_file(job.out).camera)}
-    if format_ != RIG_FORMAT:
+    if format_ != RIG_YAML.format:
         raise BadFile(
             f"{job.out}: says format {str(format_)[:60]!r}, which is no camera's and no rig's",
             consequence="Nothing was written",
@@ -145,7 +144,7 @@ def _size(camera: Camera) -> tuple[int, int]:
 def _from_file(path: Path, side: str | None) -> FoundNoise:
     """Return the noise that a camera.yaml, or the side of a rig.yaml, holds. Raises BadFile."""
     content = read_yaml(path)
-    if content.get("format") == RIG_FORMAT:
+    if content.get("format") == RIG_YAML.format:
         rig = read_zoom_rig(path)
         if rig.kind is not RigKind.MIRROR and side not in SIDES:
             raise UsageError(

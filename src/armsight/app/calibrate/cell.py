@@ -25,7 +25,7 @@ from armsight.ops.given import as_arm
 from armsight.optics import RIGHT_POSE, SIDES
 from armsight.records import Frame, Motion, NamedCovariance, Progress, SpotTrack, checked_array, require_count
 from armsight.store import read_rig, read_spot_track, read_world
-from armsight.store.foreign.format_detection import kind_of
+from armsight.store.foreign.storage import kind_of
 from armsight.store.handeye_file import read_handeye, read_tip
 from armsight.store.interpret import TableFormat
 from armsight.store.recording import Recording

@@ -29,13 +29,12 @@ from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.report.html import page_unit
 from armsight.shown import Shown, Table, digits
 from armsight.store import write_text
-from armsight.store.arm_file import ARM_FORMAT
+from armsight.store.arm_file import ARM_YAML
 from armsight.store.atomic import write_json
-from armsight.store.foreign.format_detection import kind_of_mapping
-from armsight.store.handeye_file import HANDEYE_FORMAT
-from armsight.store.rigs import RIG_FORMAT
+from armsight.store.foreign.storage import kind_of_mapping
+from armsight.store.handeye_file import HANDEYE_YAML
+from armsight.store.rigs import CAMERA_YAML, RIG_YAML
 from armsight.store.yamls import read_yaml
-from armsight.store.zoom import CAMERA_FORMAT
 from armsight.units import displayed
 
 NOTHING = 1e-10
@@ -49,10 +48,10 @@ LEVELS = {
 """By whether they agree: level, word, and what to do."""
 
 FORMATS: Mapping[str, str] = {
-    CAMERA_FORMAT: "camera",
-    RIG_FORMAT: "rig",
-    HANDEYE_FORMAT: "handeye",
-    ARM_FORMAT: "arm",
+    CAMERA_YAML.format: "camera",
+    RIG_YAML.format: "rig",
+    HANDEYE_YAML.format: "handeye",
+    ARM_YAML.format: "arm",
 }
 FOLDERS: Mapping[str, str] = {VERIFY: "verify", POSES: "measure"}
 """What a folder holds by the file that tells it."""

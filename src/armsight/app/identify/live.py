@@ -33,8 +33,8 @@ from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
 from armsight.store import World, read_rig, read_world
+from armsight.store.arm_points import write_sweeps
 from armsight.store.interpret import largest, looks_like_degrees
-from armsight.store.sweeps import write_sweeps
 from armsight.store.yamls import read_yaml
 from armsight.units import DEG, MM, displayed, read_value
 

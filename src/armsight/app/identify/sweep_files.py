@@ -32,7 +32,7 @@ from armsight.records.result_parts import RejectedRow
 from armsight.report.identify_report import identify_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
-from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
+from armsight.store.arm_points import read_sweep_joints, read_sweeps, write_sweeps
 
 Array = NDArray[np.float64]
 

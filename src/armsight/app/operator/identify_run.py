@@ -27,8 +27,8 @@ from armsight.kinematics import Arm, link_frames
 from armsight.records import Progress, Silent
 from armsight.store import World, read_rig, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.arm_points import read_sweeps
 from armsight.store.cell_file import CellFile, cell_path
-from armsight.store.sweeps import read_sweeps
 from armsight.units import DEG, MM, displayed_name
 
 Array = NDArray[np.float64]

@@ -31,7 +31,7 @@ from armsight.records import Progress
 from armsight.store import World, read_rig, write_text, write_world
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.covariances import COVARIANCE, above_diagonal
-from armsight.store.iso9283_plan import write_test_plan
+from armsight.store.path_file import write_test_plan
 from armsight.store.tables import cells
 from armsight.units import MM
 from armsight.verify.iso9283 import PlannedMotion, TestPlan

@@ -21,7 +21,7 @@ from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
 from armsight.file_names import ERRORS, REPORT, VERIFY
 from armsight.records import PoseStatus, TargetPose
-from armsight.report.live_report import live_report
+from armsight.report.verify_pages import live_report
 from armsight.store import write_text
 from armsight.store.atomic import write_json
 from armsight.store.cell_file import CellFile

@@ -17,17 +17,16 @@ from armsight.fields import Doc
 from armsight.records import Frame, Motion, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
-from armsight.store.arm_file import ARM_FORMAT, arm_from_mapping, write_arm
+from armsight.store.arm_file import ARM_YAML, arm_from_mapping, write_arm
 from armsight.store.covariances import POSE_COLUMNS
 from armsight.store.handeye_file import write_handeye_poses
-from armsight.store.rigs import RIG_FORMAT
+from armsight.store.rigs import CAMERA_YAML, RIG_YAML
 from armsight.store.schema import write_document
 from armsight.store.tables import cells, number
-from armsight.store.targets import TARGET_FORMAT
+from armsight.store.targets import TARGET_YAML
 from armsight.store.tracks import write_joints
 from armsight.store.worlds import World, write_world
 from armsight.store.yamls import dump_yaml
-from armsight.store.zoom import CAMERA_FORMAT
 
 CELL_FRAMES = 100
 """Frames of a built-in cell without a scenario file, where the caller does not say."""
@@ -226,10 +225,10 @@ def require_own(name: str, room: str | None, zoom: float | None) -> None:
 def _write_files(made: Dataset, out: Path, seed: int) -> None:
     """Write all but the pictures."""
     kinds = (
-        (RIG_FORMAT, made.rigs),
-        (CAMERA_FORMAT, made.cameras),
-        (TARGET_FORMAT, made.targets),
-        (ARM_FORMAT, made.arms),
+        (RIG_YAML.format, made.rigs),
+        (CAMERA_YAML.format, made.cameras),
+        (TARGET_YAML.format, made.targets),
+        (ARM_YAML.format, made.arms),
     )
     for format_, documents in kinds:
         for file, content in documents.items():

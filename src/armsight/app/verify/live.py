@@ -25,7 +25,7 @@ from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.records import Frame, Progress, Silent, Target
-from armsight.report.live_report import live_report
+from armsight.report.verify_pages import live_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.atomic import write_json
 from armsight.store.worlds import World

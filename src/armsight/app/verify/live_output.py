@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.columns import POSE6
 from armsight.records import PoseStatus, TargetPose
-from armsight.report.live_report import LiveSeries
+from armsight.report.verify_pages import LiveSeries
 from armsight.store.tables import cells, number, word
 from armsight.units import DEG, MM, figure_of
 from armsight.verify.results import DecisionTime, LiveAlarm, LiveErrors, VerifyLiveOutput

@@ -19,7 +19,7 @@ from armsight.kinematics import Arm, JointType, fk
 from armsight.optics import SIDES, Rig
 from armsight.records import Target
 from armsight.records.result_parts import RejectedRow
-from armsight.report.mastering_report import mastering_report
+from armsight.report.verify_pages import mastering_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.atomic import write_json
 from armsight.store.tables import cells, word

@@ -12,7 +12,7 @@ from armsight.fields import Doc
 from armsight.records import Progress
 from armsight.records.output import extended, output
 from armsight.store.atomic import write_json
-from armsight.store.iso9283_plan import write_test_plan
+from armsight.store.path_file import write_test_plan
 from armsight.verify.iso9283 import PlannedMotion, PlannedPose, PlanOptions, TestPlan, plan_test
 
 PLAN, SUMMARY = "plan.csv", "plan.json"

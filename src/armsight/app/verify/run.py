@@ -17,7 +17,7 @@ from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, 
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.file_names import ERRORS, REPORT, VERIFY
 from armsight.kinematics import Arm
-from armsight.report.repeats_report import repeats_report
+from armsight.report.verify_pages import repeats_report
 from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
 from armsight.store.atomic import read_bytes, write_json

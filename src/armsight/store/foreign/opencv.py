@@ -38,11 +38,11 @@ from armsight.store.foreign.numbers import (
     intrinsics_of,
     matrix_at,
     placed,
+    rectification,
     relative,
     rotation_of,
     value_at,
 )
-from armsight.store.foreign.rectification import rectification
 from armsight.store.foreign.storage import read_storage
 
 Array = NDArray[np.float64]

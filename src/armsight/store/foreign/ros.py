@@ -29,11 +29,11 @@ from armsight.store.foreign.numbers import (
     intrinsics_of,
     matrix_at,
     placed,
+    rectification,
     rotation_of,
     rows_of,
     value_at,
 )
-from armsight.store.foreign.rectification import rectification
 from armsight.store.foreign.storage import read_storage
 from armsight.store.yamls import dump_yaml
 

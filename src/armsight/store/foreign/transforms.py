@@ -11,6 +11,7 @@ from xml.sax.saxutils import quoteattr
 
 from scipy.spatial.transform import RigidTransform
 
+from armsight.columns import QUATERNION
 from armsight.errors import UsageError
 from armsight.geometry import xyz_quat
 from armsight.store.atomic import write_text
@@ -56,8 +57,7 @@ def write_tf_launch(path: Path, transforms: Sequence[Transform]) -> None:
     """Write a launch file of ROS 2 (XML) with a static_transform_publisher for each pose."""
     lines = ["<launch>"]
     for one in transforms:
-        xyz, quat = xyz_quat(one.T_parent_child)
-        values = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), [*xyz, *quat], strict=True))
+        values = _values(one.T_parent_child)
         args = " ".join(f"--{name} {number(value)}" for name, value in values.items())
         args += f" --frame-id {one.parent} --child-frame-id {one.child}"
         name = f"{one.parent}_to_{one.child}".replace("/", "_")
@@ -72,8 +72,7 @@ def write_easy_handeye(path: Path, T_parent_camera: RigidTransform, names: Frame
 
     in_hand: T_parent_camera is T_flange_camera, else T_base_camera.
     """
-    xyz, quat = xyz_quat(T_parent_camera)
-    values = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), [*xyz.tolist(), *quat.tolist()], strict=True))
+    values = _values(T_parent_camera)
     parameters = {"eye_on_hand": in_hand, **_frames(names), "freehand_robot_movement": True}
     write_text(path, dump_yaml({"parameters": parameters, "transformation": values}))
 
@@ -88,6 +87,11 @@ def write_easy_handeye2(path: Path, T_parent_camera: RigidTransform, names: Fram
     kind = "eye_in_hand" if in_hand else "eye_on_base"
     parameters = {"name": path.stem, "calibration_type": kind, **_frames(names), "freehand_robot_movement": True}
     write_text(path, dump_yaml({"parameters": parameters, "transform": transform}))
+
+
+def _values(T: RigidTransform) -> dict[str, float]:
+    xyz, quat = xyz_quat(T)
+    return dict(zip(("x", "y", "z", *QUATERNION), [*xyz.tolist(), *quat.tolist()], strict=True))
 
 
 def _frames(names: FrameNames) -> dict[str, Any]:

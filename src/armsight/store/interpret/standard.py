@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from armsight.columns import POSITION, QUATERNION
 from armsight.errors import Ambiguous, BadFile
 from armsight.store.interpret.assemble import Column, Found, angles_rad, pose_of
-from armsight.store.interpret.names import PREFIXES, Meaning, meaning, split_unit
+from armsight.store.interpret.names import PAIR_FRAMES, PREFIXES, Meaning, Role, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
-from armsight.store.interpret.roles import PAIR_FRAMES, Role
 from armsight.store.interpret.table_format import SKIPPED, UNITS, TableFormat
 from armsight.store.tables import bare, known, number, number_column, word
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.drivers.images import too_large
 from armsight.errors import BadFile, BadImage
-from armsight.store.recording.protobuf import compressed_image_head, fields, raw_image_head
-from armsight.store.recording.schemas import COMPRESSED_IMAGE, RAW_IMAGE
+from armsight.store.recording.schemas import COMPRESSED_IMAGE, RAW_IMAGE, compressed_image_head, fields, raw_image_head
 
 Image = NDArray[np.uint8]
 

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, NamedTuple, Self, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from armsight._files import open_file
 from armsight.errors import BadFile, DataRefused, Inconsistent, NotEnoughData
@@ -23,7 +23,7 @@ from armsight.records import Frame, JointReading, PoseStatus, Spots, Target, Tar
 from armsight.store.recording import record_reader, schemas
 from armsight.store.recording.images import decode
 from armsight.store.recording.mcapfile import MAGIC
-from armsight.store.recording.protobuf import NS
+from armsight.store.recording.schemas import NS
 from armsight.store.recording.writer import FORMAT, METADATA
 from armsight.store.rigs import rig_from_mapping
 from armsight.store.targets import target_from_mapping
@@ -146,7 +146,7 @@ class Recording:
             there = ", ".join(self.attachments) or "none"
             raise NotEnoughData(f"{self.path} holds no file {name}; it holds {there}")
         try:
-            return bytes(record_reader.attachment_of(record_reader.read_at(self._file, span.start, span.length)).data)
+            return bytes(record_reader.record_at(self._file, span, Attachment).data)
         except ValueError as error:
             raise record_reader.damaged(self.path, span, str(error)) from error
 
@@ -207,7 +207,7 @@ class Recording:
 
     def joints(self) -> Iterator[JointReading]:
         """Yield the joint readings. Raises NotEnoughData where there are none, BadFile."""
-        return self._records("/robot/joints", schemas.JOINTS, _joints)
+        return self._records("/robot/joints", schemas.JOINT_READING, _joints)
 
     def spots(self, camera: str) -> Iterator[SpotsSeen]:
         """Yield a camera's spots. Raises NotEnoughData where there are none, BadFile."""
@@ -321,10 +321,10 @@ def _take(content: _Content, file: BinaryIO, span: record_reader.Span, path: Pat
     elif span.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         _take_inner(content, file, span)
     elif span.opcode == Opcode.METADATA and span.length < record_reader.MAX_SMALL:
-        own = record_reader.metadata_of(record_reader.read_at(file, span.start, span.length))
+        own = record_reader.record_at(file, span, Metadata)
         content.metadata[own.name] = own.metadata
     elif span.opcode == Opcode.ATTACHMENT and span.length < record_reader.MAX_SMALL:
-        name = record_reader.attachment_of(record_reader.read_at(file, span.start, span.length)).name
+        name = record_reader.record_at(file, span, Attachment).name
         content.attachments[name] = span
 
 
@@ -332,9 +332,9 @@ def _take_inner(content: _Content, file: BinaryIO, span: record_reader.Span) -> 
     if span.opcode == Opcode.MESSAGE:
         content.counts[int.from_bytes(record_reader.read_at(file, span.start, 2), "little")] += 1
     elif span.opcode == Opcode.SCHEMA and span.length < record_reader.MAX_SMALL:
-        _count(content, record_reader.schema_of(record_reader.read_at(file, span.start, span.length)))
+        _count(content, record_reader.record_at(file, span, Schema))
     elif span.opcode == Opcode.CHANNEL and span.length < record_reader.MAX_SMALL:
-        _count(content, record_reader.channel_of(record_reader.read_at(file, span.start, span.length)))
+        _count(content, record_reader.record_at(file, span, Channel))
 
 
 def _count(content: _Content, record: record_reader.Message | Schema | Channel) -> None:

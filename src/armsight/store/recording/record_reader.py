@@ -153,9 +153,9 @@ def inner_records(data: bytes) -> Iterator[Message | Schema | Channel]:
         if opcode == Opcode.MESSAGE:
             yield message_of(view[at:end])
         elif opcode == Opcode.SCHEMA:
-            yield schema_of(bytes(view[at + HEAD : end]))
+            yield _parsed(Schema, bytes(view[at + HEAD : end]))
         elif opcode == Opcode.CHANNEL:
-            yield channel_of(bytes(view[at + HEAD : end]))
+            yield _parsed(Channel, bytes(view[at + HEAD : end]))
         at = end
 
 
@@ -167,24 +167,9 @@ def message_of(record: memoryview) -> Message:
     return Message(channel, sequence, t_ns, record[MESSAGE_HEAD.size :], sent_ns)
 
 
-def schema_of(body: bytes) -> Schema:
-    """Return the schema in a record's content. Raises ValueError."""
-    return _parsed(Schema, body)
-
-
-def channel_of(body: bytes) -> Channel:
-    """Return the channel in a record's content. Raises ValueError."""
-    return _parsed(Channel, body)
-
-
-def attachment_of(body: bytes) -> Attachment:
-    """Return the attachment in a record's content. Raises ValueError."""
-    return _parsed(Attachment, body)
-
-
-def metadata_of(body: bytes) -> Metadata:
-    """Return the metadata in a record's content. Raises ValueError."""
-    return _parsed(Metadata, body)
+def record_at(file: BinaryIO, span: Span, kind: type[T]) -> T:
+    """Return the record of this kind at a place in a file. Raises ValueError where it cannot be read."""
+    return _parsed(kind, read_at(file, span.start, span.length))
 
 
 def _parsed(kind: type[T], body: bytes) -> T:

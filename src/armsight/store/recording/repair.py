@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from armsight._files import open_file
 from armsight.errors import BadFile, NotEnoughData, UsageError
@@ -125,10 +125,10 @@ class _Copy:
                 self._record(record)
             self.out.flush_due()
         elif span.opcode == Opcode.ATTACHMENT:
-            it = record_reader.attachment_of(record_reader.read_at(file, span.start, span.length))
+            it = record_reader.record_at(file, span, Attachment)
             self.out.add_attachment(it.name, it.media_type, it.data, it.log_time, it.create_time)
         elif span.opcode == Opcode.METADATA:
-            meta = record_reader.metadata_of(record_reader.read_at(file, span.start, span.length))
+            meta = record_reader.record_at(file, span, Metadata)
             self.out.add_metadata(meta.name, meta.metadata)
 
     def _record(self, record: record_reader.Message | Schema | Channel) -> None:

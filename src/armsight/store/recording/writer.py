@@ -17,18 +17,20 @@ from armsight.optics import SIDES, LensKind, Rig
 from armsight.records import Frame, JointReading, Points, Spots, TargetPose
 from armsight.store.atomic import json_text
 from armsight.store.recording import schemas
-from armsight.store.recording.contents import (
+from armsight.store.recording.images import Encoded, image_message
+from armsight.store.recording.mcapfile import CHUNK_BYTES, CHUNK_S, McapFile
+from armsight.store.recording.schemas import (
     EVENTS,
     JOINTS,
+    NS,
     SCHEMA_OF,
     event_content,
     joints_content,
     pose_contents,
+    schema_of,
+    time_json,
+    vector_json,
 )
-from armsight.store.recording.images import Encoded, image_message
-from armsight.store.recording.mcapfile import CHUNK_BYTES, CHUNK_S, McapFile
-from armsight.store.recording.protobuf import NS
-from armsight.store.recording.schemas import schema_of, time_json, vector_json
 
 FORMAT = "armsight/recording"
 VERSION = "1"
