@@ -22,7 +22,7 @@ from armsight.app.join import join
 from armsight.app.measure.run import measure
 from armsight.app.requests.files import JoinJob
 from armsight.app.requests.measure import MeasureJob
-from armsight.calibrate.arm import ArmCalibration, calibrate_arm
+from armsight.calibrate.arm import ArmResult, calibrate_arm
 from armsight.calibrate.cameras import calibrate_stereo
 from armsight.calibrate.light_target import calibrate_target
 from armsight.kinematics import fk
@@ -88,7 +88,7 @@ class MovingChain:
     """The chain's result in motion."""
 
     by_arm: Calibrated
-    arm: ArmCalibration
+    arm: ArmResult
     poses: int
 
 

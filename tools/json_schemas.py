@@ -13,12 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.arm_files import ConvertArmOutput
-from armsight.app.calibrate.arm import ArmOutput
 from armsight.app.calibrate.results import (
     CameraOutput,
     MirrorCheckOutput,
     MirrorsOutput,
-    NoiseOutput,
     ZoomRigOutput,
 )
 from armsight.app.compare.run import CompareOutput
@@ -44,7 +42,8 @@ from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
 from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
-from armsight.calibrate.arm.world import WorldCalibration
+from armsight.calibrate.arm import ArmResult, RobotWorldResult
+from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
 from armsight.calibrate.cameras import StereoCalibration
 from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.handeye import HandEye
@@ -75,7 +74,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "measure": MeasureOutput,
     "demo": DemoOutput,
     "calibrate-camera": CameraOutput,
-    "calibrate-camera-noise": NoiseOutput,
+    "calibrate-camera-noise": NoiseResult,
     "calibrate-stereo": StereoCalibration,
     "calibrate-zoom-rig": ZoomRigOutput,
     "calibrate-mirrors": MirrorsOutput,
@@ -86,9 +85,9 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-handeye": HandEye,
     "calibrate-tooltip": ToolTipResult,
     "calibrate-pivot": PivotCalibration,
-    "calibrate-arm": ArmOutput,
+    "calibrate-arm": ArmResult,
     "calibrate-cell-plan": CellPlanOutput,
-    "calibrate-robot-world": WorldCalibration,
+    "calibrate-robot-world": RobotWorldResult,
     "identify": IdentifyOutput,
     "identify-propose": ProposedPlanOutput,
     "verify": VerifyOutput,

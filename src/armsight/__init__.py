@@ -53,9 +53,7 @@ if TYPE_CHECKING:
     from armsight.api.identify import ArmIdentification as ArmIdentification
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
-    from armsight.api.light import NoiseResult as NoiseResult
     from armsight.api.light import ZoomRigResult as ZoomRigResult
-    from armsight.api.light import calibrate_noise as calibrate_noise
     from armsight.api.light import calibrate_zoom_rig as calibrate_zoom_rig
     from armsight.api.light import check_mirrors as check_mirrors
     from armsight.api.links import check_robot as check_robot
@@ -77,10 +75,6 @@ if TYPE_CHECKING:
     from armsight.api.remote import RobotConnection as RobotConnection
     from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
-    from armsight.api.robots import ArmResult as ArmResult
-    from armsight.api.robots import RobotWorldResult as RobotWorldResult
-    from armsight.api.robots import calibrate_arm as calibrate_arm
-    from armsight.api.robots import calibrate_robot_world as calibrate_robot_world
     from armsight.api.runs import JoinResult as JoinResult
     from armsight.api.runs import MeasureResult as MeasureResult
     from armsight.api.runs import VerifyResult as VerifyResult
@@ -103,6 +97,9 @@ if TYPE_CHECKING:
     from armsight.api.watch import identify_arm_live as identify_arm_live
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
+    from armsight.calibrate.arm import ArmResult as ArmResult
+    from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
+    from armsight.calibrate.camera_noise.photon_transfer import NoiseResult as NoiseResult
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
     from armsight.calibrate.light_target import TargetResult as TargetResult
     from armsight.calibrate.timing import TimingResult as TimingResult
@@ -135,9 +132,12 @@ if TYPE_CHECKING:
     from armsight.kinematics import JointPath as JointPath
     from armsight.kinematics import presets as presets
     from armsight.measure.settings import SpotSettings as SpotSettings
+    from armsight.ops.calibrate_cameras import calibrate_noise as calibrate_noise
     from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
     from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
+    from armsight.ops.calibrate_robot import calibrate_arm as calibrate_arm
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
+    from armsight.ops.calibrate_robot import calibrate_robot_world as calibrate_robot_world
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
@@ -189,9 +189,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
     "armsight.api.cell": ("CellResult", "calibrate_cell"),
     "armsight.api.light": (
-        "NoiseResult",
         "ZoomRigResult",
-        "calibrate_noise",
         "calibrate_zoom_rig",
         "check_mirrors",
     ),
@@ -201,17 +199,18 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_hand_eye_from_images",
         "calibrate_hand_eye_from_streams",
     ),
-    "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
-    "armsight.ops.calibrate_cameras": ("calibrate_target", "calibrate_timing"),
+    "armsight.ops.calibrate_robot": (
+        "calibrate_arm",
+        "calibrate_pivot",
+        "calibrate_robot_world",
+        "calibrate_tool_tip",
+    ),
+    "armsight.ops.calibrate_cameras": ("calibrate_noise", "calibrate_target", "calibrate_timing"),
+    "armsight.calibrate.arm": ("ArmResult", "RobotWorldResult"),
+    "armsight.calibrate.camera_noise.photon_transfer": ("NoiseResult",),
     "armsight.calibrate.light_target": ("TargetResult",),
     "armsight.calibrate.timing": ("TimingResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
-    "armsight.api.robots": (
-        "ArmResult",
-        "RobotWorldResult",
-        "calibrate_arm",
-        "calibrate_robot_world",
-    ),
     "armsight.api.links": ("check_robot", "jog", "twin"),
     "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
     "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),

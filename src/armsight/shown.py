@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from armsight.units import DEG, DIGITS, MM, NOTHING
+from armsight.units import DEG, DIGITS, MM, NOTHING, displayed_name
 
 REJECTED_SHOWN = 8
 """Lines of what was left out; the report and JSON have all."""
@@ -57,3 +57,9 @@ def rotation_rows(rotvec_rad: Iterable[float], std_rad: Iterable[float]) -> list
         [f"rotation vector {axis}, deg", digits(value / DEG, 6), digits(deviation / DEG, 2)]
         for axis, value, deviation in named
     ]
+
+
+def parameter_row(name: str, *values: float) -> list[str]:
+    """Return the row of a parameter such as j2.theta_rad: its name with the unit people read, and values in it."""
+    stem, unit, factor = displayed_name(name)
+    return [f"{stem}, {unit}" if unit else stem, *(digits(value / factor, 4) for value in values)]

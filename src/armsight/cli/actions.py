@@ -11,6 +11,7 @@ import typer
 from armsight.cli.command import Command, add
 from armsight.cli.command_ui import CommandUI
 from armsight.fields import Flag, marks
+from armsight.file_names import report_path
 from armsight.ops.action import OUT
 
 if TYPE_CHECKING:
@@ -31,12 +32,9 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
     def run(face: CommandUI, **given: Any) -> None:
         asked = {name: given[word] for name, word in names().items() if word in given}
         result = done.run(asked, face.progress(done.working) if done.working else None)
-        for one in result.summary():
-            if isinstance(one, str):
-                face.say(one)
-            else:
-                face.table(*one)
-        face.say(f"Result: {asked[OUT]}")
+        face.show(result.summary())
+        report = f"; open {report_path(asked[OUT])}" if done.page is not None else ""
+        face.say(f"Result: {asked[OUT]}{report}")
         face.result(result)
 
     text = (call.__doc__ or "").partition("\n    Parameters\n")[0]

@@ -16,7 +16,10 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
+from armsight._files import real_path
+from armsight.errors import UsageError
 from armsight.fields import Doc, Flags, known_hints, loaded, marks
+from armsight.file_names import report_path
 
 if TYPE_CHECKING:
     from armsight.records.output import Output
@@ -36,7 +39,8 @@ class Input:
     """A parameter that may be given as a file's path.
 
     read: 'module:function' of (name, value, given, undo), loaded late; it returns the object of a path or of what
-    Python hands over. undo: an ExitStack, for what lasts as long as the action. kind: what the command line takes.
+    Python hands over. given: all arguments by name, those before it as objects already. undo: an ExitStack, for what
+    lasts as long as the action. kind: what the command line takes.
     hashed: its file's hash goes into what is written.
     """
 
@@ -51,11 +55,17 @@ class Input:
 
 @dataclass(frozen=True)
 class Action:
-    """What a function does for people: command: its words on the command line; working: what its progress says."""
+    """What a function does for people.
+
+    command: its words on the command line; working: what its progress says. beside: endings of the further files that
+    go beside `out`, none of which may be an input. page: of the result and what was given, the report's page (HTML).
+    """
 
     command: str
     function: Callable[..., Output]
-    working: str
+    working: str = ""
+    beside: tuple[str, ...] = ()
+    page: Callable[[Any, Given], str] | None = None
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
@@ -83,22 +93,41 @@ class Action:
 
     def run(self, given: Given, progress: Progress | None = None) -> Output:
         """Read what is given as files, do the work, and write the result where `out` says. Raises ArmsightError."""
+        out = given.get(OUT)
+        if out is not None and self.beside:
+            self._refuse_inputs(Path(out), given)
         with contextlib.ExitStack() as undo:
-            taken = {
-                name: self.inputs[name].object_of(name, value, given, undo)
-                if name in self.inputs and value is not None
-                else value
-                for name, value in given.items()
-            }
+            taken = dict(given)
+            for name, value in given.items():
+                if name in self.inputs and value is not None:
+                    taken[name] = self.inputs[name].object_of(name, value, taken, undo)
             if PROGRESS in self.parameters and taken.get(PROGRESS) is None:
                 taken[PROGRESS] = progress
             result = self.function(**taken)
-        out = given.get(OUT)
         if out is not None:
-            from armsight.store.saving import write_result
-
-            write_result(Path(out), result, self._files(given))
+            self._write(Path(out), result, given)
         return result
+
+    def _write(self, out: Path, result: Output, given: Given) -> None:
+        """Write a result's files, and its page. Raises DeviceFailed."""
+        from armsight.store import write_text
+        from armsight.store.saving import write_result
+
+        write_result(out, result, self._files(given))
+        if self.page is not None:
+            write_text(report_path(out), self.page(result, given))
+
+    def _refuse_inputs(self, out: Path, given: Given) -> None:
+        """Raise UsageError where a file to write is one of those to read; FILE#LINK is a chain of an arm's file."""
+        texts = [fspath(given[name]) for name in self.inputs if isinstance(given.get(name), str | PathLike)]
+        read = {real_path(Path(one)) for text in texts for one in (text, text.partition("#")[0]) if one}
+        for path in (out, *(out.with_suffix(ending) for ending in self.beside)):
+            if real_path(path) in read:
+                raise UsageError(
+                    f"{path} is to be read, and would be written over",
+                    consequence="Nothing is written",
+                    cure="Give another name with -o",
+                )
 
     def _files(self, given: Given) -> list[Path]:
         """Return the files whose hashes go into the result, in the order of the parameters."""
@@ -106,11 +135,14 @@ class Action:
         return [Path(fspath(one)) for one in paths if isinstance(one, str | PathLike)]
 
 
-def action(command: str, *, working: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Make a function an action; it stays a function of Python, which checks what it is given and writes `out`."""
+def action(command: str, **more: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Make a function an action; it stays a function of Python, which checks what it is given and writes `out`.
+
+    more: of Action.
+    """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
-        made = Action(command=command, function=function, working=working)  # type: ignore[arg-type]  # it returns a result
+        made = Action(command=command, function=function, **more)  # type: ignore[arg-type]  # it returns a result
 
         @wraps(function)
         def run(*args: P.args, **given: P.kwargs) -> R:

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 from armsight.app.requests import calibrate_cameras, calibrate_robot, files, identify, measure, motion, verify
 from armsight.app.requests.shared import Table
-from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
@@ -139,8 +138,6 @@ def test_defaults_are_those_of_what_is_asked() -> None:
         (calibrate_cameras.StereoJob, "folds"): BoardOptions().folds,
         (calibrate_cameras.CameraJob, "lens"): BoardOptions().lens.value,
         (calibrate_cameras.MirrorsJob, "index"): Plate(thickness_m=1e-3).index,
-        (calibrate_robot.ArmJob, "tolerance_m"): Tolerance().length_m,
-        (calibrate_robot.ArmJob, "tolerance_rad"): Tolerance().angle_rad,
         (files.PicksJob, "pick_std_px"): PatchSettings().pick_std_px,
         (files.PicksJob, "patch_px"): 2 * PatchSettings().half_px + 1,
     }

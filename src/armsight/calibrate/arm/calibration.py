@@ -33,7 +33,7 @@ from armsight.calibrate.arm.plausibility import (
     spread_m,
 )
 from armsight.calibrate.arm.points import ArmPoints, check_points
-from armsight.calibrate.arm.result import ArmCalibration, Errors, FixedParameter
+from armsight.calibrate.arm.result import ArmResult, Errors, FixedParameter
 from armsight.calibrate.arm.rotations import check_rotations, rotation_notes, turn_note, without_computed
 from armsight.calibrate.arm.rows import in_order, of_places
 from armsight.calibrate.correlation import Correlation
@@ -60,7 +60,7 @@ def calibrate_arm(
     holdout: ArmPoints | None = None,
     tolerance: Tolerance | None = None,
     scale: bool = True,
-) -> ArmCalibration:
+) -> ArmResult:
     """Return the arm whose left-out errors are smallest: nominal, or with zeros, geometry, joint scales corrected.
 
     Each richer model is taken only where left-out errors fall beyond their own uncertainty; the whole way there must
@@ -75,7 +75,7 @@ def calibrate_arm(
     measured, told = without_computed(model, points)
     if told:
         done = calibrate_arm(nominal, measured, holdout=holdout, tolerance=tolerance, scale=scale)
-        return replace(done, notes=(*told, *done.notes))
+        return replace(done, points=points, notes=(*told, *done.notes))
     check_rotations(model, points)
     if holdout is not None:
         check_points(nominal, holdout)
@@ -163,7 +163,7 @@ def _size(model: ArmModel, x: Level, points: ArmPoints) -> Array:
 
 def _result(
     model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judged: _Judged, tolerance: Tolerance
-) -> ArmCalibration:
+) -> ArmResult:
     first, proved = judged.first, judged.proved(points)
     best, held = _held(model, holdout, first, proved)
     cross, left = _left_out_errors(judged.left, held, gain=best is not first)
@@ -171,8 +171,10 @@ def _result(
     reached = [item.sentence for item in at_limit]
     before_m, after_m = _size(model, first, judged.given), _size(model, best, judged.given)
     fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, tolerance))
-    return ArmCalibration(
+    return ArmResult(
         arm=_arm(model, fitted),
+        points=judged.given,
+        tolerance=tolerance,
         model=model,
         fitted=fitted,
         gain=best is not first,
@@ -200,6 +202,7 @@ def _result(
         correlation=correlation,
         n_places=len(points),
         other_arm=None,
+        urdf=None,
     )
 
 
