@@ -48,7 +48,7 @@ from armsight.calibrate.cameras import StereoCalibration
 from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.handeye import HandEye
 from armsight.calibrate.light_target import TargetResult
-from armsight.calibrate.timing import TimingCalibration
+from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
@@ -80,7 +80,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-mirrors": MirrorsOutput,
     "calibrate-mirrors-check": MirrorCheckOutput,
     "calibrate-target": TargetResult,
-    "calibrate-timing": TimingCalibration,
+    "calibrate-timing": TimingResult,
     "calibrate-cell": CellCalibration,
     "calibrate-handeye": HandEye,
     "calibrate-tooltip": ToolTipResult,

@@ -15,7 +15,7 @@ from cures_of_runs import FIND
 from armsight.app.calibrate.cell import _check as check_cell
 from armsight.app.calibrate.cell import _require_inside
 from armsight.app.calibrate.cell_priors import read_priors
-from armsight.app.calibrate.timing import _require_both
+from armsight.app.calibrate.spots_of_frames import _require_both
 from armsight.app.measure.run import _settings_of_one
 from armsight.app.requests.calibrate_cell import CellJob
 from armsight.app.requests.measure import MeasureJob
@@ -160,11 +160,11 @@ TRIED = {
         "app/calibrate/cell.py",
         "Give the size of the images in which the spots were found: --size, or --right-size of the right one",
     ): (inside((160, 120)), inside((320, 240))),
-    ("app/calibrate/timing.py", "Give --left and --right, or --left-spots"): (
+    ("app/calibrate/spots_of_frames.py", "Give --left and --right, or --left-spots"): (
         f"{TIMING} --left-spots waved-left.csv",
         f"{TIMING} {tables('waved')}",
     ),
-    ("app/calibrate/timing.py", "Give both live, or record"): (
+    ("app/calibrate/spots_of_frames.py", "Give both live, or record"): (
         f"{TIMING} --left camera:0 --right left",
         (lambda: _require_both([True, True]), "record --left left --right right -o wave.mcap"),
     ),

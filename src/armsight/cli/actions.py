@@ -10,6 +10,7 @@ import typer
 
 from armsight.cli.command import Command, add
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.tables import show
 from armsight.fields import Flag, marks
 from armsight.file_names import report_path
 from armsight.ops.action import OUT
@@ -32,7 +33,7 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
     def run(face: CommandUI, **given: Any) -> None:
         asked = {name: given[word] for name, word in names().items() if word in given}
         result = done.run(asked, face.progress(done.working) if done.working else None)
-        face.show(result.summary())
+        show(face, result.summary())
         report = f"; open {report_path(asked[OUT])}" if done.page is not None else ""
         face.say(f"Result: {asked[OUT]}{report}")
         face.result(result)

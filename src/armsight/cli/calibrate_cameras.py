@@ -12,6 +12,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import (
     camera_tables,
     figure,
+    show,
     stereo_tables,
     zoom_rig_tables,
     zoom_tables,
@@ -40,7 +41,7 @@ def camera(face: CommandUI, job: requests.calibrate_cameras.CameraJob) -> None:
     if job.noise is not None and job.noise_alone:
         how = {"side": job.side, "every": job.every, "limit": job.limit, "settings": job.asked}
         found = run_noise(job.noise, job.out, **how, progress=face.progress("calibrating"))  # type: ignore[arg-type]
-        face.show(found.summary())
+        show(face, found.summary())
         face.say(f"Written: {job.out}")
         face.result(found)
         return
@@ -52,7 +53,7 @@ def camera(face: CommandUI, job: requests.calibrate_cameras.CameraJob) -> None:
     if done.zoom is not None:
         zoom_tables(face, done.zoom)
     if done.noise is not None:
-        face.show(noise_shown(done.noise))
+        show(face, noise_shown(done.noise))
         face.say(f"Written: {job.out}")
     face.result(done)
 

@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from armsight.records.output import Output
     from armsight.records.verdict import Verdict
-    from armsight.shown import Shown
 
 UNFORESEEN = 1
 PRIVATE = 0o600
@@ -105,14 +104,6 @@ class CommandUI:
         for row in rows:
             table.add_row(*(visible(cell) for cell in row))
         self.console.print(table)
-
-    def show(self, shown: Iterable[Shown]) -> None:
-        """Print what a result shows of itself."""
-        for one in shown:
-            if isinstance(one, str):
-                self.say(one)
-            else:
-                self.table(*one)
 
     def result(self, result: Output) -> None:
         """Give the command's result; printed only with --json."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armsight.cli.command_ui import CommandUI, own_command
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.shown import REJECTED_SHOWN, digits, parameter_row, point_rows, rotation_rows
+from armsight.shown import REJECTED_SHOWN, Shown, digits, parameter_row, point_rows, rotation_rows
 from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
@@ -61,6 +61,15 @@ def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
     rows = [[f"{axis}, mm", *rest] for axis, *rest in point_rows(pose.translation.tolist(), std.translation_m)]
     return rows + rotation_rows(pose.rotation.as_rotvec().tolist(), std.rotation_rad)
+
+
+def show(face: CommandUI, shown: Iterable[Shown]) -> None:
+    """Print what a result shows of itself."""
+    for one in shown:
+        if isinstance(one, str):
+            face.say(one)
+        else:
+            face.table(*one)
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:

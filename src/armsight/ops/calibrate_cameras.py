@@ -56,7 +56,7 @@ def calibrate_target(
     """
     from functools import partial
 
-    from armsight.app.calibrate.light_target import lit_frames
+    from armsight.app.calibrate.spots_of_frames import lit_frames
     from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
     from armsight.calibrate.light_target import calibrate_target
     from armsight.drivers import AUTOMATIC
@@ -112,9 +112,8 @@ def calibrate_timing(
     NotEnoughData, Inconsistent
         The wave does not tell the timing.
     """
-    from armsight.app.calibrate.spots_of_frames import SpotSearch
-    from armsight.app.calibrate.timing import seen_tracks
-    from armsight.calibrate.timing import calibrate_timing, timed_rig
+    from armsight.app.calibrate.spots_of_frames import SpotSearch, seen_tracks
+    from armsight.calibrate.timing import calibrate_timing
     from armsight.drivers import AUTOMATIC
     from armsight.records import Silent
 
@@ -129,7 +128,7 @@ def calibrate_timing(
     tracks = seen_tracks((left, right), (left_spots, right_spots), rig, search, progress or Silent())
     known = target is not None and target.model_known
     positions = dict(zip(target.names, target.xyz_m, strict=True)) if known else None
-    return timed_rig(rig, calibrate_timing(rig, *tracks, positions))
+    return calibrate_timing(rig, *tracks, positions)
 
 
 @action("calibrate noise", working="calibrating")

@@ -14,9 +14,8 @@ from armsight.calibrate.arm.covariance import ALIKE, FEWEST_TIMED
 from armsight.calibrate.arm.fit import added_noise
 from armsight.calibrate.arm.initial_guess import placed
 from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_position, ranges, senseless, spread_m
-from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.points import ArmPoints, check_points, in_order, of_places
 from armsight.calibrate.arm.result import RobotWorldResult
-from armsight.calibrate.arm.rows import in_order, of_places
 from armsight.calibrate.correlation import Correlation, fit_averaged
 from armsight.columns import POSE6
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
