@@ -625,6 +625,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             **LINKS_TABLE_AND_OUT,
         },
     ),
+    "ArmResult.change": (lambda name: _arm_result().change(name), {"name": choice(f"{ARM.joints[0].name}.a_m")}),
     "ArmResult.propose": (
         lambda n=1, rig=None, T_base_rig=None: _arm_result().propose(n, rig=rig, T_base_rig=T_base_rig),
         {"n": number(1, none_at_all=0), "rig": record(RIG), "T_base_rig": poses(_poses(1, 4)[0])},
@@ -869,6 +870,7 @@ def _called(name: str, parameter: str, value: Any) -> Any:
         if key == parameter:
             given[key] = value
         elif plain is inspect.Parameter.empty or key in (
+            "xyz_m",
             *NEEDED_TOGETHER.get(parameter, ()),
             *JOBS.get(name, (None, ()))[1],
         ):

@@ -197,7 +197,9 @@ class ArmResult(TitledOutput):
         return {} if self.covariance is None else self.covariance.std()
 
     def change(self, name: str) -> float:
-        """Return the change of a parameter to the nominal arm."""
+        """Return the change of a parameter to the nominal arm. Raises UsageError for a name that it has not."""
+        if name not in self.model.names:
+            raise UsageError(f"the arm has no parameter {name!r}", cure=f"Use one of: {', '.join(self.model.names)}")
         return float(self.fitted.p[self.model.names.index(name)])
 
     def propose(self, n: int, *, rig: Rig | None = None, T_base_rig: RigidTransform | ArrayLike | None = None) -> Array:
