@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from os import PathLike
-from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -218,7 +217,7 @@ class ArmResult(TitledOutput):
         found = propose(self.model, self.fitted, self.points, n, tolerance=self.tolerance, visible=seen)
         return self.nominal.readings(found.q)
 
-    def save(self, path: str | PathLike[str]) -> Path:
+    def save(self, path: str | PathLike[str]) -> Any:
         """Write arm.yaml, or a URDF where the name ends in .urdf, and return its path."""
         return self.arm.save(path)
 

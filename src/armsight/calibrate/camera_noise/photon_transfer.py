@@ -12,8 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +117,7 @@ def noise_shown(noise: NoiseModel) -> Iterator[Shown]:
 class NoiseResult(Output):
     """armsight calibrate camera --noise, without a board.
 
-    size: (width, height) of the frames; inputs: their files.
+    size: (width, height) of the frames; inputs: paths of their files.
     """
 
     noise: Annotated[
@@ -126,7 +125,7 @@ class NoiseResult(Output):
         Doc("The camera's noise; the keys from n_given on of still frames, not of a file."),
     ]
     size: tuple[int, int]
-    inputs: tuple[Path, ...]
+    inputs: tuple[Any, ...]
 
     @property
     def model(self) -> NoiseModel:
