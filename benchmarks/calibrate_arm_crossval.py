@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.arm import ArmCalibration, ArmPoints, calibrate_arm
+from armsight.calibrate.arm import ArmPoints, ArmResult, calibrate_arm
 from armsight.calibrate.arm.model_selection import FOLDS, left_out
 from armsight.errors import ArmsightError
 from armsight.kinematics import Arm, Joint
@@ -79,7 +79,7 @@ def rms(size: np.ndarray) -> float:
     return float(np.sqrt(np.mean(size**2)))
 
 
-def sizes(result: ArmCalibration, points: ArmPoints) -> np.ndarray:
+def sizes(result: ArmResult, points: ArmPoints) -> np.ndarray:
     """Return the errors (m,) of the arm kept, in m."""
     return np.linalg.norm(result.model.errors(result.fitted.p, points)[0], axis=1)
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armsight.calibrate.arm import ArmCalibration, calibrate_arm
+from armsight.calibrate.arm import ArmResult, calibrate_arm
 from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks
 from armsight.calibrate.arm.fit import Tolerance, fit_arm
 from armsight.calibrate.arm.initial_guess import start
@@ -26,13 +26,13 @@ KINDS = ("with times", "as if independent")
 ORDER = {True: "drifting", False: "in random order"}
 
 
-def deviations(found: ArmCalibration, true: dict[str, float]) -> list[float]:
+def deviations(found: ArmResult, true: dict[str, float]) -> list[float]:
     """Return error over claim of the judged zeros; those that are not corrected are not claimed."""
     std = found.std()
     return [(found.change(name) - value) / std[name] for name, value in true.items() if name in found.free]
 
 
-def fresh(made: object, found: ArmCalibration) -> float:
+def fresh(made: object, found: ArmResult) -> float:
     """Return the RMS error in m at other joint positions, with noise of the same size."""
     rng = np.random.default_rng(7)
     q = rng.uniform(made.points.q.min(axis=0), made.points.q.max(axis=0), (400, made.points.q.shape[1]))  # type: ignore[attr-defined]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.arm import ArmCalibration, ArmPoints, calibrate_arm
+from armsight.calibrate.arm import ArmPoints, ArmResult, calibrate_arm
 from armsight.calibrate.cameras import calibrate_stereo
 from armsight.calibrate.handeye import PosePairs, calibrate_eye_to_hand
 from armsight.calibrate.light_target import LitFrame, calibrate_target
@@ -150,7 +150,7 @@ def measured(rests: Rests, setup: Setup) -> RestPoses:
     return RestPoses(q=np.array(q), T=T_rig_target, covariance=np.array(spreads))
 
 
-def by_arm(nominal: Arm, poses: RestPoses) -> ArmCalibration:
+def by_arm(nominal: Arm, poses: RestPoses) -> ArmResult:
     """Return the calibrated arm, base and tool; its world is the rig."""
     points = ArmPoints(
         q=poses.q,

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.app.measure.run import measure
 from armsight.app.requests.measure import MeasureJob
-from armsight.calibrate.arm import ArmCalibration, calibrate_arm
+from armsight.calibrate.arm import ArmResult, calibrate_arm
 from armsight.calibrate.cameras import calibrate_stereo
 from armsight.calibrate.light_target import calibrate_target
 from armsight.kinematics import fk
@@ -87,7 +87,7 @@ class MovingChain:
     """The chain's result in motion."""
 
     by_arm: Calibrated
-    arm: ArmCalibration
+    arm: ArmResult
     poses: int
 
 

@@ -17,7 +17,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from armsight.calibrate.arm import ArmCalibration, ArmPoints, calibrate_arm
+from armsight.calibrate.arm import ArmPoints, ArmResult, calibrate_arm
 from armsight.calibrate.arm.model import ArmModel
 from armsight.errors import DataRefused
 from armsight.kinematics import Arm
@@ -58,7 +58,7 @@ def talos(folder: Path) -> None:
     print("compliance:", ", ".join(f"{joint.name} {1e3 * joint.compliance:.2f} mrad/Nm" for joint in soft))
 
 
-def _told(result: ArmCalibration) -> str:
+def _told(result: ArmResult) -> str:
     kind = "another arm" if result.other_arm is not None else result.level
     return f"{1e3 * result.left_after.mean_m:.2f} ({kind})"
 

@@ -13,12 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.arm_files import ConvertArmOutput
-from armsight.app.calibrate.arm import ArmOutput
 from armsight.app.calibrate.results import (
     CameraOutput,
     MirrorCheckOutput,
     MirrorsOutput,
-    NoiseOutput,
     ZoomRigOutput,
 )
 from armsight.app.compare.run import CompareOutput
@@ -44,12 +42,13 @@ from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
 from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
-from armsight.calibrate.arm.world import WorldCalibration
+from armsight.calibrate.arm import ArmResult, RobotWorldResult
+from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
 from armsight.calibrate.cameras import StereoCalibration
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
-from armsight.calibrate.timing import TimingCalibration
+from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
@@ -75,20 +74,20 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "measure": MeasureOutput,
     "demo": DemoOutput,
     "calibrate-camera": CameraOutput,
-    "calibrate-camera-noise": NoiseOutput,
+    "calibrate-camera-noise": NoiseResult,
     "calibrate-stereo": StereoCalibration,
     "calibrate-zoom-rig": ZoomRigOutput,
     "calibrate-mirrors": MirrorsOutput,
     "calibrate-mirrors-check": MirrorCheckOutput,
     "calibrate-target": TargetResult,
-    "calibrate-timing": TimingCalibration,
+    "calibrate-timing": TimingResult,
     "calibrate-cell": CellResult,
     "calibrate-handeye": HandEyeResult,
     "calibrate-tooltip": ToolTipResult,
     "calibrate-pivot": PivotCalibration,
-    "calibrate-arm": ArmOutput,
+    "calibrate-arm": ArmResult,
     "calibrate-cell-plan": CellPlanOutput,
-    "calibrate-robot-world": WorldCalibration,
+    "calibrate-robot-world": RobotWorldResult,
     "identify": IdentifyOutput,
     "identify-propose": ProposedPlanOutput,
     "verify": VerifyOutput,

@@ -44,9 +44,7 @@ if TYPE_CHECKING:
     from armsight.api.identify import ArmIdentification as ArmIdentification
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
-    from armsight.api.light import NoiseResult as NoiseResult
     from armsight.api.light import ZoomRigResult as ZoomRigResult
-    from armsight.api.light import calibrate_noise as calibrate_noise
     from armsight.api.light import calibrate_zoom_rig as calibrate_zoom_rig
     from armsight.api.light import check_mirrors as check_mirrors
     from armsight.api.links import check_robot as check_robot
@@ -68,10 +66,6 @@ if TYPE_CHECKING:
     from armsight.api.remote import RobotConnection as RobotConnection
     from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
-    from armsight.api.robots import ArmResult as ArmResult
-    from armsight.api.robots import RobotWorldResult as RobotWorldResult
-    from armsight.api.robots import calibrate_arm as calibrate_arm
-    from armsight.api.robots import calibrate_robot_world as calibrate_robot_world
     from armsight.api.runs import MeasureResult as MeasureResult
     from armsight.api.runs import VerifyResult as VerifyResult
     from armsight.api.runs import measure as measure
@@ -92,6 +86,9 @@ if TYPE_CHECKING:
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
     from armsight.app.join import JoinResult as JoinResult
+    from armsight.calibrate.arm import ArmResult as ArmResult
+    from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
+    from armsight.calibrate.camera_noise.photon_transfer import NoiseResult as NoiseResult
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
     from armsight.calibrate.cell import CellResult as CellResult
     from armsight.calibrate.handeye import HandEyeResult as HandEyeResult
@@ -127,11 +124,14 @@ if TYPE_CHECKING:
     from armsight.kinematics import presets as presets
     from armsight.measure.settings import SpotSettings as SpotSettings
     from armsight.ops import paths as paths
+    from armsight.ops.calibrate_cameras import calibrate_noise as calibrate_noise
     from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
     from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
     from armsight.ops.calibrate_cell import calibrate_cell as calibrate_cell
     from armsight.ops.calibrate_hand_eye import calibrate_hand_eye as calibrate_hand_eye
+    from armsight.ops.calibrate_robot import calibrate_arm as calibrate_arm
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
+    from armsight.ops.calibrate_robot import calibrate_robot_world as calibrate_robot_world
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
     from armsight.ops.files import compare as compare
     from armsight.ops.files import join as join
@@ -183,30 +183,29 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight_lab.api.batch": ("BatchResult", "batch"),
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
     "armsight.api.light": (
-        "NoiseResult",
         "ZoomRigResult",
-        "calibrate_noise",
         "calibrate_zoom_rig",
         "check_mirrors",
     ),
     "armsight.ops.calibrate_cell": ("calibrate_cell",),
     "armsight.ops.calibrate_hand_eye": ("calibrate_hand_eye",),
-    "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
+    "armsight.ops.calibrate_robot": (
+        "calibrate_arm",
+        "calibrate_pivot",
+        "calibrate_robot_world",
+        "calibrate_tool_tip",
+    ),
     "armsight.app.join": ("JoinResult",),
     "armsight.ops.files": ("compare", "join"),
     "armsight.ops.kinematics": ("show_arm", "write_formulas"),
-    "armsight.ops.calibrate_cameras": ("calibrate_target", "calibrate_timing"),
+    "armsight.ops.calibrate_cameras": ("calibrate_noise", "calibrate_target", "calibrate_timing"),
+    "armsight.calibrate.arm": ("ArmResult", "RobotWorldResult"),
+    "armsight.calibrate.camera_noise.photon_transfer": ("NoiseResult",),
     "armsight.calibrate.light_target": ("TargetResult",),
     "armsight.calibrate.timing": ("TimingResult",),
     "armsight.calibrate.cell": ("CellResult",),
     "armsight.calibrate.handeye": ("HandEyeResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
-    "armsight.api.robots": (
-        "ArmResult",
-        "RobotWorldResult",
-        "calibrate_arm",
-        "calibrate_robot_world",
-    ),
     "armsight.api.links": ("check_robot", "jog", "twin"),
     "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
     "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),

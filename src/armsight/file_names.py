@@ -1,5 +1,7 @@
 """Names of the files that commands write and read again: a command keeps what its run writes, by the same names."""
 
+from pathlib import Path
+
 RIG, TARGET, ARM, WORLD, HANDEYE = "rig.yaml", "target.yaml", "arm.yaml", "world.yaml", "handeye.yaml"
 REPORT = "report.html"
 
@@ -15,3 +17,8 @@ COMPARED = (COMPARE, REPORT)
 
 CELL = "cell.json"
 CELL_CALIBRATED = (RIG, WORLD, TARGET, ARM, CELL, REPORT)
+
+
+def report_path(out: Path) -> Path:
+    """Return where the report of a calibration file goes: rig.yaml -> rig.report.html."""
+    return out.with_suffix(".report.html")

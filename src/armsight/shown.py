@@ -71,3 +71,4 @@ def rotation_rows(rotvec_rad: Iterable[float], std_rad: Iterable[float]) -> list
         [f"rotation vector {axis}, deg", digits(value / DEG, 6), digits(deviation / DEG, 2)]
         for axis, value, deviation in named
     ]
+

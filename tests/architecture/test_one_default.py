@@ -24,7 +24,6 @@ import armsight
 from armsight.app.operator.identify_run import IdentifyRequest
 from armsight.app.operator.path_editor import PlayRequest
 from armsight.app.requests import motion
-from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
 from armsight.cli.command import Command
 from armsight.cli.commands import app
@@ -172,11 +171,8 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
         assert a == b
     built, given = CellMirrors(), import_module("armsight.app.requests.calibrate_cameras").MirrorsJob
     assert (built.near_m, built.gap_m, built.index) == (given.near_m, given.gap_m, given.index)
-    robots = import_module("armsight.app.requests.calibrate_robot")
     cameras = import_module("armsight.app.requests.calibrate_cameras")
     known = (
-        (robots.ArmJob.tolerance_m, Tolerance().length_m),
-        (robots.ArmJob.tolerance_rad, Tolerance().angle_rad),
         (cameras.CameraJob.folds, BoardOptions().folds),
         (cameras.StereoJob.folds, BoardOptions().folds),
         (cameras.CameraJob.lens, BoardOptions().lens.value),

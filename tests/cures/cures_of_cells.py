@@ -13,7 +13,7 @@ from cures_of_cameras import MEASURE, RECORD, SIDES
 from cures_of_runs import FIND
 
 from armsight.app.calibrate.cell import _require_inside, read_priors, require_sources
-from armsight.app.calibrate.timing import _require_both
+from armsight.app.calibrate.spots_of_frames import _require_both
 from armsight.app.measure.run import _settings_of_one
 from armsight.app.requests.measure import MeasureJob
 from armsight.calibrate.cell.assignment import name_lights
@@ -159,11 +159,11 @@ TRIED = {
         "app/calibrate/cell.py",
         "Give the size of the images in which the spots were found: --size, or --right-size of the right one",
     ): (inside((160, 120)), inside((320, 240))),
-    ("app/calibrate/timing.py", "Give --left and --right, or --left-spots"): (
+    ("app/calibrate/spots_of_frames.py", "Give --left and --right, or --left-spots"): (
         f"{TIMING} --left-spots waved-left.csv",
         f"{TIMING} {tables('waved')}",
     ),
-    ("app/calibrate/timing.py", "Give both live, or record"): (
+    ("app/calibrate/spots_of_frames.py", "Give both live, or record"): (
         f"{TIMING} --left camera:0 --right left",
         (lambda: _require_both([True, True]), "record --left left --right right -o wave.mcap"),
     ),

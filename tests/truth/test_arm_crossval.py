@@ -73,7 +73,7 @@ def test_a_tolerance_that_binds_is_said_with_the_option_that_raises_it() -> None
     result = calibrate_arm(NOMINAL, points)
     assert [(item.name, item.limit, item.flag) for item in result.at_limit] == [("j4.d_m", 2e-3, "--tolerance-mm")]
     said = "j4.d_m stands at its limit of 2 mm"
-    assert said in result.verdict and said in result.notes[0] and said in arm_report(result, points)
+    assert said in result.verdict and said in result.notes[0] and said in arm_report(result)
     assert "--tolerance-mm" in result.verdict
     told = result
     assert told.notes and told.at_limit[0].flag == "--tolerance-mm" and abs(told.at_limit[0].change - 5e-3) < 1e-3

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.calibrate.arm import ArmCalibration, calibrate_arm
+from armsight.calibrate.arm import ArmResult, calibrate_arm
 from armsight.store.arm_points import read_arm_points
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -19,29 +19,29 @@ SEED = 0
 
 
 @pytest.fixture(scope="module")
-def timed() -> ArmCalibration:
+def timed() -> ArmResult:
     return calibrate_arm(NOMINAL, stream(SEED).points, scale=False)
 
 
 @pytest.fixture(scope="module")
-def untimed() -> ArmCalibration:
+def untimed() -> ArmResult:
     return calibrate_arm(NOMINAL, replace(stream(SEED).points, t_s=None), scale=False)
 
 
 @pytest.fixture(scope="module")
-def mixed() -> ArmCalibration:
+def mixed() -> ArmResult:
     points = stream(SEED).points
     order = np.random.default_rng(1).permutation(len(points))
     return calibrate_arm(NOMINAL, replace(points, t_s=None).take(order), scale=False)
 
 
-def errors_over_claims(found: ArmCalibration) -> np.ndarray:
+def errors_over_claims(found: ArmResult) -> np.ndarray:
     true, std = stream(SEED).true, found.std()
     return np.array([(found.change(name) - true[name]) / std[name] for name in JUDGED])
 
 
 def test_a_drift_is_no_geometry_and_widens_what_is_claimed(
-    timed: ArmCalibration, untimed: ArmCalibration, mixed: ArmCalibration
+    timed: ArmResult, untimed: ArmResult, mixed: ArmResult
 ) -> None:
     assert timed.gain and timed.level == "joint zeros"
     assert np.abs(errors_over_claims(timed)).max() < 2.5
@@ -53,7 +53,7 @@ def test_a_drift_is_no_geometry_and_widens_what_is_claimed(
     assert untimed.correlation_time_s is None and any("rows are worth" in note for note in untimed.notes)
 
 
-def test_it_is_said_in_the_output(timed: ArmCalibration) -> None:
+def test_it_is_said_in_the_output(timed: ArmResult) -> None:
     told = timed
     assert any("samples of a stream" in note for note in told.notes)
     assert told.n_effective is not None and told.correlation_time_s is not None and told.correlation_time_s > 0.5
@@ -61,7 +61,7 @@ def test_it_is_said_in_the_output(timed: ArmCalibration) -> None:
     assert names is not None and names.std()["j2.theta_rad"] == pytest.approx(told.deviations["j2.theta_rad"])
 
 
-def test_blocks_of_time_are_left_out_with_what_is_near(timed: ArmCalibration, mixed: ArmCalibration) -> None:
+def test_blocks_of_time_are_left_out_with_what_is_near(timed: ArmResult, mixed: ArmResult) -> None:
     made = stream(SEED)
     whole = 3**0.5 * made.sigma_m  # of a place, all three coordinates
     assert 0.7 * whole < timed.cross_after.rms_m < 1.8 * whole

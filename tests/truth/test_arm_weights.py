@@ -103,9 +103,9 @@ def world_error(seed: int, change: Callable[[ArmPoints], ArmPoints]) -> tuple[Ar
     arm = replace(NOMINAL, T_flange_tool=RigidTransform.from_translation(TOOL_M))
     found = calibrate_world(arm, change(ArmPoints(q=q, xyz_m=xyz, covariance=C)))
     want = T_rig_base.inv()
-    turn = (found.T_base_rig.rotation * want.rotation.inv()).as_rotvec()
+    turn = (found.pose.rotation * want.rotation.inv()).as_rotvec()
     return (
-        np.append(found.T_base_rig.translation - want.translation, turn),
+        np.append(found.pose.translation - want.translation, turn),
         found.covariance.matrix,
         found.rejected_rows,
     )

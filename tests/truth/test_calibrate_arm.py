@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.arm import corrections
 from armsight.calibrate.arm import ArmModel, ArmPoints, calibrate_arm, calibrate_world, propose
 from armsight.errors import Ambiguous, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm, Joint, preset
 from armsight.store.arm_points import read_arm_points
+from armsight.store.calibrated_arm import corrections
 from refusals import names_it, refuses
 
 Array = NDArray[np.float64]
@@ -338,8 +338,8 @@ def test_the_rig_is_found_at_the_base_with_true_deviations() -> None:
         found = calibrate_world(arm, ArmPoints(q=q, xyz_m=seen))
         assert [row for row, _ in found.rejected_rows] == [3]
         error = np.append(
-            found.T_base_rig.translation - WHERE.translation,
-            (found.T_base_rig.rotation * WHERE.rotation.inv()).as_rotvec(),
+            found.pose.translation - WHERE.translation,
+            (found.pose.rotation * WHERE.rotation.inv()).as_rotvec(),
         )
         chi2.append(error @ np.linalg.solve(found.covariance.matrix, error) / 6.0)
     assert np.mean(chi2) == pytest.approx(1.0, abs=0.4)  # 180 terms: 1 +- 0.1, the noise estimated
@@ -354,7 +354,7 @@ def test_the_rig_is_found_where_a_half_of_the_rows_is_wrong() -> None:
     mirrored[10:, 0] = 1.0 - mirrored[10:, 0]
     found = calibrate_world(arm, ArmPoints(q=q, xyz_m=mirrored))
     assert [row for row, _ in found.rejected_rows] == list(range(10, 20))
-    np.testing.assert_allclose(found.T_base_rig.translation, WHERE.translation, atol=1e-3)
+    np.testing.assert_allclose(found.pose.translation, WHERE.translation, atol=1e-3)
     moved = seen.copy()
     moved[10:] += [0.3, 0.0, 0.1]
     with pytest.raises(Ambiguous, match=r"11-20|1-10"):

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.light_target import lit_frame
+from armsight.app.calibrate.spots_of_frames import lit_frame
 from armsight.calibrate.light_target import calibrate_target
 from armsight.calibrate.mirrors.adjustment import adjust_to_parallel
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.arm import ArmCalibration, ArmModel, ArmPoints, Tolerance, calibrate_arm
+from armsight.calibrate.arm import ArmModel, ArmPoints, ArmResult, Tolerance, calibrate_arm
 from armsight.calibrate.arm.covariance import with_held_geometry
 from armsight.calibrate.arm.fit import fit_arm
 from armsight.calibrate.arm.initial_guess import start
@@ -72,7 +72,7 @@ def measured(seed: int, compliance: float, gear: float = 1.0, zero_rad: float = 
 
 def calibrated(
     seed: int, compliance: float, gear: float = 1.0, nominal: Arm | None = None, zero_rad: float = 0.02
-) -> ArmCalibration:
+) -> ArmResult:
     """Return the calibration from the first rows, proved by the others."""
     points = measured(seed, compliance, gear, zero_rad)
     first, rest = np.split(np.arange(len(points)), [ROWS])

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.timing import TimingCalibration, calibrate_timing
+from armsight.calibrate.timing import TimingResult, calibrate_timing
 from armsight.errors import Ambiguous, DataRefused, Degenerate, Inconsistent, NotEnoughData
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import SpotTrack
@@ -136,7 +136,7 @@ CASES = {
 RUNS = 6
 
 
-def off(truth: Truth, found: TimingCalibration) -> tuple[Array, Array]:
+def off(truth: Truth, found: TimingResult) -> tuple[Array, Array]:
     """Errors and claimed standard deviations of: delay in the middle, drift, both read-outs."""
     shift = found.delay_s - truth.delay_s + 1e-6 * (found.drift_ppm - truth.drift_ppm) * found.middle_s
     read = np.subtract(found.readout_s, truth.readout_s)

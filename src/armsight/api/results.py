@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from armsight.columns import POSE6
 from armsight.records import ByValue
 from armsight.records.output import Row as Row
-from armsight.records.output import as_html, as_text, with_std
-from armsight.units import displayed_name
+from armsight.records.output import as_html, as_text
+from armsight.records.output import pose_rows as pose_rows
 
 if TYPE_CHECKING:
     from armsight.records.verdict import Verdict
@@ -44,13 +43,3 @@ class Result(ByValue):
 
     def _repr_html_(self) -> str:
         return as_html(self.title, self.rows())
-
-
-def pose_rows(values: Mapping[str, float], std: Mapping[str, float]) -> list[Row]:
-    """Return the rows of a pose: x, y, z in mm, rx, ry, rz in degrees, each with its standard deviation."""
-    return [
-        (stem, with_std(values[name], std.get(name), unit, scale=1.0 / size))
-        for name in POSE6
-        if name in values
-        for stem, unit, size in (displayed_name(name),)
-    ]

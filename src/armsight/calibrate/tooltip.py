@@ -16,10 +16,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.correlation import regions, widened
-from armsight.calibrate.tooltip_places import FAR, MIN_POSES, place_numbers, places_of
 from armsight.calibrate.tooltip_premises import require_one_tool, require_point_there
 from armsight.calibrate.tooltip_result import ToolTipResult
-from armsight.calibrate.tooltip_stream import PivotStream, TipFit, checked_times, slopes
+from armsight.calibrate.tooltip_rows import (
+    FAR,
+    MIN_POSES,
+    PivotStream,
+    TipFit,
+    checked_times,
+    place_numbers,
+    places_of,
+    slopes,
+)
 from armsight.defaults import TIP_GOAL_M
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import NORMAL_95, f_isf, t_ppf

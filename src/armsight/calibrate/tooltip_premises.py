@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.tooltip_result import ToolTipResult
-from armsight.calibrate.tooltip_stream import slopes
+from armsight.calibrate.tooltip_rows import slopes
 from armsight.errors import Inconsistent
 from armsight.fitting.quantiles import chi2_isf
 from armsight.units import MM

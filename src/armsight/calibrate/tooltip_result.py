@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -13,9 +12,8 @@ from armsight.calibrate.correlation import Correlation
 from armsight.columns import POSITION
 from armsight.fields import Doc
 from armsight.records import NamedCovariance, TargetPose, frozen_array
-from armsight.records.by_value import Saveable
 from armsight.records.fields import Shape
-from armsight.records.output import Output, Row, figure, output, with_std
+from armsight.records.output import Row, TitledOutput, figure, output, with_std
 from armsight.records.result_parts import PointStd, RejectedRow
 from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
 from armsight.shown import Bars, Shown, Table, digits, point_rows
@@ -29,7 +27,7 @@ TURNED_RAD = 20.0 * DEG
 
 
 @output
-class ToolTipResult(Output, Saveable):
+class ToolTipResult(TitledOutput):
     """armsight calibrate tooltip.
 
     tip_m, point_m: (3,); covariance of both by name, widened so that +- 1.96 std holds 95 %. residuals_m (n, 3):
@@ -126,12 +124,6 @@ class ToolTipResult(Output, Saveable):
         return {name: whole[f"tip.{name}"] for name in POSITION}
 
     @property
-    def detail(self) -> ToolTipResult:
-        """The result itself; of earlier versions, which had it beside."""
-        warnings.warn("detail is the result itself; use that", DeprecationWarning, stacklevel=2)
-        return self
-
-    @property
     def title(self) -> str:
         """What it is, in a few words."""
         return f"Tool tip from {self.n_used} of {len(self.used)} poses"
@@ -141,9 +133,6 @@ class ToolTipResult(Output, Saveable):
         named = zip(self.std.items(), self.tip_m.tolist(), strict=True)
         rows = [(name.removesuffix("_m"), with_std(value / MM, std / MM, "mm")) for (name, std), value in named]
         return [*rows, ("residual", f"{self.residual_rms_m / MM:.3g} mm RMS")]
-
-    def _shown(self) -> tuple[str, Sequence[Row]]:
-        return self.title, self.rows()
 
     def summary(self) -> Iterator[Shown]:
         """Yield the tip, what it rests on, what to know of it, and the poses left out."""

@@ -13,6 +13,7 @@ import typer
 
 from armsight.cli.command import Command, add
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.tables import show
 from armsight.fields import Flag, marks
 from armsight.ops.action import OUT
 
@@ -40,11 +41,7 @@ def add_action(group: typer.Typer, call: Callable[..., Any], **more: Any) -> Non
 
         asked = {name: given[word] for name, word in names().items() if word in given}
         result = done.run(asked, face.progress(done.working) if done.working else None)
-        for one in result.summary():
-            if isinstance(one, str):
-                face.say(one)
-            else:
-                face.table(*one)
+        show(face, result.summary())
         page = page_path(Path(asked[OUT]), result)
         if not hasattr(result, "write"):  # else its summary says what is told of files
             face.say(f"Result: {asked[OUT]}" + ("" if page is None else f"; open {page}"))

@@ -12,7 +12,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import (
     camera_tables,
     figure,
-    noise_tables,
+    show,
     stereo_tables,
     zoom_rig_tables,
     zoom_tables,
@@ -36,11 +36,13 @@ def camera(face: CommandUI, job: requests.calibrate_cameras.CameraJob) -> None:
     """
     from armsight.app.calibrate.camera_noise import run_noise
     from armsight.app.calibrate.cameras import calibrate_camera
+    from armsight.calibrate.camera_noise.photon_transfer import noise_shown
 
-    alone = job.noise_alone
-    if alone is not None:
-        found = run_noise(alone, face.progress("calibrating"))
-        noise_tables(face, found.noise, job.out)
+    if job.noise is not None and job.noise_alone:
+        how = {"side": job.side, "every": job.every, "limit": job.limit, "settings": job.asked}
+        found = run_noise(job.noise, job.out, **how, progress=face.progress("calibrating"))  # type: ignore[arg-type]
+        show(face, found.summary())
+        face.say(f"Written: {job.out}")
         face.result(found)
         return
     _require_board(job)
@@ -51,7 +53,8 @@ def camera(face: CommandUI, job: requests.calibrate_cameras.CameraJob) -> None:
     if done.zoom is not None:
         zoom_tables(face, done.zoom)
     if done.noise is not None:
-        noise_tables(face, done.noise, job.out)
+        show(face, noise_shown(done.noise))
+        face.say(f"Written: {job.out}")
     face.result(done)
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from armsight.app.doctor import AccuracyPlan, DoctorOutput
     from armsight.calibrate.cameras import StereoCalibration
     from armsight.measure.results import MeasureOutput
-    from armsight.records import NoiseModel
     from armsight.records.result_parts import PoseStd, RejectedFile
 
 figure = digits
@@ -64,6 +62,15 @@ def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
     rotation = pose.rotation.as_rotvec()
     return shown.pose_rows(pose.translation.tolist(), rotation.tolist(), std.translation_m, std.rotation_rad)
+
+
+def show(face: CommandUI, parts: Iterable[shown.Shown]) -> None:
+    """Print what a result shows of itself."""
+    for one in parts:
+        if isinstance(one, str):
+            face.say(one)
+        else:
+            face.table(*one)
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
@@ -158,31 +165,6 @@ def zoom_rig_tables(face: CommandUI, done: ZoomRigOutput, out: Path) -> None:
         face.say(f"{side}: settings {', '.join(f'{value:g}' for value in values)}; rig calibrated at {done.at[side]:g}")
     for text in done.advice:
         face.say(f"Note: {text}")
-    face.say(f"Written: {out}")
-
-
-def noise_tables(face: CommandUI, noise: NoiseModel, out: Path) -> None:
-    """Print a camera's noise."""
-    rows = [
-        [figure(level), figure(math.sqrt(variance)), figure(std / (2.0 * math.sqrt(variance)) if variance else None, 2)]
-        for level, variance, std in zip(noise.levels, noise.variance_levels2, noise.std_levels2, strict=True)
-    ]
-    face.table(f"Noise, {noise.n_frames} frames", ["at grey level", "noise, grey levels", "+-"], rows)
-    near = noise.correlation
-    face.say(
-        f"Correlation with the next pixel: {near.x[0]:.3f} along x, {near.y[0]:.3f} along y, "
-        f"{near.diagonal:.3f} along diagonals; the one after it: {near.x[1]:.3f}, {near.y[1]:.3f}"
-    )
-    line = noise.linear
-    if line is None:
-        face.say("The variance is no line over the grey level: a transfer curve or compression; the table holds")
-    else:
-        face.say(
-            f"Linear camera: read noise {figure(line.read_noise_levels)} grey levels, "
-            f"{figure(line.gain_levels)} grey levels for each electron"
-        )
-    for text in getattr(noise, "advice", ()):  # of noise that a file held there is none
-        face.say(f"  {text}")
     face.say(f"Written: {out}")
 
 

@@ -38,9 +38,9 @@ class Input:
     """A parameter that may be given as a file's path.
 
     read: 'module:function' of (name, value, given, undo), loaded late; it returns the object of a path or of what
-    Python hands over. undo: an ExitStack, for what lasts as long as the action. kind: what the command line takes.
-    hashed: its file's hash goes into what is written; files:
-    'module:function' of what is given, which lists its files where it is not one itself.
+    Python hands over. given: all arguments by name, those before it as objects already. undo: an ExitStack, for what
+    lasts as long as the action. kind: what the command line takes. hashed: its file's hash goes into what is written;
+    files: 'module:function' of what is given, which lists its files where it is not one itself.
     """
 
     read: str
@@ -65,7 +65,7 @@ class Action:
     """What a function does for people: command: its words on the command line; working: what its progress says.
 
     gives: the attribute of the result that Python gets; '' for all of it. keeps: the files that it writes into a folder
-    `out`; none of them is an input.
+    `out`; beside: endings of those that go beside a file `out`. None of them is an input.
     """
 
     command: str
@@ -73,6 +73,7 @@ class Action:
     working: str = ""
     gives: str = ""
     keeps: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
@@ -102,12 +103,10 @@ class Action:
         """Read what is given as files, do the work, and write the result where `out` says. Raises ArmsightError."""
         self._require_kept(given)
         with contextlib.ExitStack() as undo:
-            taken = {
-                name: self.inputs[name].object_of(name, value, given, undo)
-                if name in self.inputs and value is not None
-                else value
-                for name, value in given.items()
-            }
+            taken = dict(given)
+            for name, value in given.items():
+                if name in self.inputs and value is not None:
+                    taken[name] = self.inputs[name].object_of(name, value, taken, undo)
             if PROGRESS in self.parameters and taken.get(PROGRESS) is None:
                 taken[PROGRESS] = progress
             result = self.function(**taken)
@@ -117,15 +116,19 @@ class Action:
         return result
 
     def _require_kept(self, given: Given) -> None:
-        """Raise UsageError where what is to be read would be written over."""
+        """Raise UsageError where what is to be read would be written over; FILE#LINK is a chain of an arm's file."""
+        if given.get(OUT) is None or not (self.keeps or self.beside):
+            return
         read = [one for name in self.inputs for one in _each(given.get(name)) if isinstance(one, str | PathLike)]
-        paths = {real_path(Path(fspath(one))) for one in read}
-        for name in self.keeps if given.get(OUT) is not None else ():
-            if real_path(file := Path(given[OUT]) / name) in paths:
+        texts = {text for one in read for text in (fspath(one), fspath(one).partition("#")[0]) if text}
+        paths = {real_path(Path(text)) for text in texts}
+        out = Path(given[OUT])
+        for file in [out / name for name in self.keeps] or [out, *map(out.with_suffix, self.beside)]:
+            if real_path(file) in paths:
                 raise UsageError(
                     f"{file} is to be read, and would be written over",
                     consequence="Nothing is written",
-                    cure="Give another folder with -o",
+                    cure=f"Give another {'folder' if self.keeps else 'name'} with -o",
                 )
 
     def _write(self, out: Path, result: Output, given: Given) -> None:

@@ -1,11 +1,11 @@
-"""What belongs to a rig beyond its cameras: the lights of a target, and when two free-running cameras expose."""
+"""What belongs to a rig beyond its cameras: noise, the lights of a target, and when two free-running cameras expose."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from armsight.app.requests.shared import Cameras, Fps, Inverted, Limit, Threshold
+from armsight.app.requests.shared import Cameras, Every, Fps, Inverted, Limit, Threshold
 from armsight.defaults import LIT_LIGHTS
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
@@ -13,6 +13,7 @@ from armsight.ops.action import action
 from armsight.ops.kinds import FRAMES, BothViews, Left, Right, RigLike, SpotsLike, TargetLike
 
 if TYPE_CHECKING:
+    from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
     from armsight.calibrate.light_target import TargetResult
     from armsight.calibrate.timing import TimingResult
     from armsight.records import Progress
@@ -55,7 +56,7 @@ def calibrate_target(
     """
     from functools import partial
 
-    from armsight.app.calibrate.light_target import lit_frames
+    from armsight.app.calibrate.spots_of_frames import lit_frames
     from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
     from armsight.calibrate.light_target import calibrate_target
     from armsight.drivers import AUTOMATIC
@@ -111,9 +112,8 @@ def calibrate_timing(
     NotEnoughData, Inconsistent
         The wave does not tell the timing.
     """
-    from armsight.app.calibrate.spots_of_frames import SpotSearch
-    from armsight.app.calibrate.timing import seen_tracks
-    from armsight.calibrate.timing import calibrate_timing, timed_rig
+    from armsight.app.calibrate.spots_of_frames import SpotSearch, seen_tracks
+    from armsight.calibrate.timing import calibrate_timing
     from armsight.drivers import AUTOMATIC
     from armsight.records import Silent
 
@@ -128,4 +128,45 @@ def calibrate_timing(
     tracks = seen_tracks((left, right), (left_spots, right_spots), rig, search, progress or Silent())
     known = target is not None and target.model_known
     positions = dict(zip(target.names, target.xyz_m, strict=True)) if known else None
-    return timed_rig(rig, calibrate_timing(rig, *tracks, positions))
+    return calibrate_timing(rig, *tracks, positions)
+
+
+@action("calibrate noise", working="calibrating")
+def calibrate_noise(
+    frames: Annotated[Any, Doc("4 to 50 still frames of any scene; or a file with the noise."), FRAMES],
+    *,
+    side: Literal["left", "right"] | None = None,
+    every: Every = 1,
+    limit: Limit = None,
+    camera_settings: Cameras | None = None,
+    progress: Progress | None = None,
+) -> NoiseResult:
+    """Find a camera's noise, from 4 to 50 still frames of any scene; `armsight calibrate camera --noise` files it.
+
+    Parameters
+    ----------
+    frames
+        Images, or as `measure` takes them; or a camera.yaml or rig.yaml that holds the noise.
+    side
+        Of such a rig.yaml.
+    every, limit
+        Of the frames.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent
+        The frames are not still.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> scene = np.linspace(20, 200, 320 * 240).reshape(240, 320)
+    >>> still = [np.uint8(scene + rng.normal(0, 2, scene.shape)) for _ in range(8)]
+    >>> armsight.calibrate_noise(still).noise.n_given
+    8
+    """
+    from armsight.app.calibrate.camera_noise import find_noise
+    from armsight.drivers import AUTOMATIC
+
+    settings = camera_settings or AUTOMATIC
+    return find_noise(frames, side=side, every=every, limit=limit, settings=settings, progress=progress)

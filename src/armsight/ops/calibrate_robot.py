@@ -1,20 +1,35 @@
-"""Where the end of a tool is: from poses, or live while it rests on a point."""
+"""What belongs to an arm: its geometry, where a rig stands to it, and where the end of its tool is."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import Cameras, Table, point_of
-from armsight.defaults import TIP_GOAL_M, TIP_POINT_STD_M
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, Base, Cameras, Table, Tip, point_of
+from armsight.defaults import ANGLE_RAD, LENGTH_M, TIP_GOAL_M, TIP_POINT_STD_M
+from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
-from armsight.ops.action import action
-from armsight.ops.kinds import Left, PosesLike, Right, RigLike, TargetLike
+from armsight.ops.action import Input, action
+from armsight.ops.kinds import (
+    READERS,
+    ArmLike,
+    HeldPointsLike,
+    Left,
+    PointsLike,
+    PosesLike,
+    Right,
+    RigLike,
+    TargetLike,
+    WorldLike,
+)
+from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from armsight.calibrate.arm import ArmResult, RobotWorldResult
     from armsight.calibrate.tooltip import MeasuredPoint
     from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
     from armsight.records import Progress
@@ -150,3 +165,142 @@ def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:
     from armsight.records import checked_array
 
     return None if point_m is None else MeasuredPoint(xyz_m=checked_array("point_m", point_m, (3,)), sigma_m=std_m)
+
+
+@action("calibrate arm", beside=(".corrections.csv", ".urdf", ".proposed.csv", ".report.html"))
+def calibrate_arm(
+    nominal: Annotated[ArmLike, Doc(f"The nominal arm: {KNOWN_ARM}."), Flag("--model", metavar="ARM")],
+    q: Annotated[PointsLike, Doc("points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s]."), Flag("--points")],
+    xyz_m: ArrayLike | None = None,
+    *,
+    rotation: ArrayLike | None = None,
+    point: Sequence[str] = (),
+    holdout: Annotated[HeldPointsLike, Doc("Further points, only for judging.")] = None,
+    scale: Annotated[bool, Doc("Try joint scales too."), Flag("--scale/--no-scale")] = True,
+    tolerance_m: Annotated[
+        float, Doc("Standard deviation of nominal lengths."), Bounds(least=1e-6 * MM), Flag(unit=MM)
+    ] = LENGTH_M,
+    tolerance_rad: Annotated[
+        float, Doc("Standard deviation of nominal angles."), Bounds(least=1e-6 * DEG), Flag(unit=DEG)
+    ] = ANGLE_RAD,
+    propose: Annotated[int, Doc("Propose so many further joint positions."), Bounds(least=0)] = 0,
+    rig: Annotated[Any, Doc("rig.yaml, for proposals both cameras see; with --world."), Input(f"{READERS}:rig")] = None,
+    world: Annotated[WorldLike, Doc("world.yaml: where that rig stands.")] = None,
+    tip: Tip = None,
+    base: Base = None,
+    table: Table | None = None,
+    out: Annotated[Path | None, Doc("arm.yaml to write."), Flag("-o --out", needed=True)] = None,
+) -> ArmResult:
+    """Correct a known arm's geometry from measured positions, where a gain can be proved.
+
+    Parameters
+    ----------
+    nominal
+        The arm as its data sheet says: an Arm, its file, or a known arm's name.
+    q
+        (m, n) joint readings in rad and m; or a table's path, which brings positions, rotations and points.
+    xyz_m
+        (m, 3) where the tool's point was, in m, in any fixed frame.
+    rotation
+        (m, 3, 3) of the tool in that frame, where measured.
+    point
+        (m,) names which of the tool's points a row is of.
+    holdout
+        (q, xyz_m) of further rows, or their table, only for judging.
+    scale
+        Whether joint scales are tried too.
+    tolerance_m, tolerance_rad
+        Standard deviation of nominal lengths and angles.
+    propose
+        So many further joint readings go into `proposals`; `propose` of the result gives them too.
+    rig, world
+        Only proposals that both cameras of a rig that stands there see.
+    tip, base
+        Of a URDF: the last link of the arm and its base link.
+    out
+        arm.yaml to write; a URDF, the corrections, the proposals and a report go beside it.
+
+    Raises
+    ------
+    NotEnoughData
+        Too few measurements for anything to be freed.
+    Inconsistent
+        The measurements are not of this arm.
+
+    Examples
+    --------
+    >>> arm = armsight.presets.ur10()
+    >>> q = np.random.default_rng(2).uniform(-1.5, 1.5, (30, 6))
+    >>> noise = np.random.default_rng(3).normal(0.0, 1e-4, (30, 3))
+    >>> armsight.calibrate_arm(arm, q, arm.fk(q)[:, :3, 3] + noise).gain
+    False
+    """
+    from armsight.calibrate.arm import Tolerance, calibrate_arm
+    from armsight.calibrate.arm import propose as propose_positions
+    from armsight.calibrate.arm.propose import in_view
+
+    if (rig is None) != (world is None):
+        raise UsageError("for proposals in view give both --rig and --world: where the rig stands to the measurements")
+    tolerance = Tolerance(length_m=tolerance_m, angle_rad=tolerance_rad)
+    found = calibrate_arm(nominal, q, holdout=holdout, tolerance=tolerance, scale=scale)
+    if propose:
+        seen = None if rig is None else in_view(rig, world.T_parent_rig)
+        more = propose_positions(found.model, found.fitted, q, propose, tolerance=tolerance, visible=seen)
+        found = replace(found, proposals=nominal.readings(more.q).tolist(), expected_std=more.expected_std)
+    return found if out is None else _with_urdf(found, Path(out).with_suffix(".urdf"))
+
+
+def _with_urdf(found: ArmResult, path: Path) -> ArmResult:
+    """Return a result with the URDF that is written for it, and what that has no place for."""
+    from armsight.store.calibrated_arm import as_urdf
+
+    text, lost = as_urdf(found.arm)
+    notes = (*found.notes, f"{path.name}: {lost}") if lost else found.notes
+    return replace(found, urdf=str(path) if text else None, notes=notes)
+
+
+@action("calibrate robot-world")
+def calibrate_robot_world(
+    arm: Annotated[ArmLike, Doc(f"{KNOWN_ARM}, its tool the beacon."), AN_ARM],
+    q: Annotated[PointsLike, Doc("observed.csv: q1..qn,x_m,y_m,z_m in rig axes."), Flag("--points")],
+    xyz_m: ArrayLike | None = None,
+    *,
+    point: Sequence[str] = (),
+    tip: Tip = None,
+    base: Base = None,
+    table: Table | None = None,
+    out: Annotated[Path | None, Doc("world.yaml to write."), Flag("-o --out", needed=True)] = None,
+) -> RobotWorldResult:
+    """Find where the rig stands to the arm's base, from observed points at joint readings.
+
+    Parameters
+    ----------
+    arm
+        As calibrate_arm takes it; its tool is the beacon.
+    q
+        (m, n) joint readings in rad and m; or a table's path, which brings positions and points.
+    xyz_m
+        (m, 3) where the beacon was in rig axes, in m.
+    point
+        (m,) names which of the arm's tool points a row is of.
+    tip, base
+        As calibrate_arm takes them.
+    out
+        world.yaml to write.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent, Ambiguous, Degenerate
+        The points do not tell the place.
+
+    Examples
+    --------
+    >>> arm = armsight.presets.ur10()
+    >>> q = np.random.default_rng(2).uniform(-1.5, 1.5, (20, 6))
+    >>> seen = arm.fk(q)[:, :3, 3] - [0.0, 0.0, 1.0]
+    >>> armsight.calibrate_robot_world("ur10", q, seen).T_base_rig[:3, 3].round(6).tolist()
+    [0.0, 0.0, 1.0]
+    """
+    from armsight.calibrate.arm import calibrate_world
+
+    return calibrate_world(arm, q)

@@ -68,12 +68,12 @@ ENDING = {"poses": ".csv", "path": ".csv"}
 class Given:
     """A folder for what a job reads and writes; out: where results stay, else they go with the block."""
 
-    def __init__(self, out: PathText | None = None, *, name: str = "") -> None:
+    def __init__(self, out: PathText | None = None, *, name: str = "", limit: int | None = None) -> None:
         given = None if out is None else as_path(out, "out")
         self._temporary = TemporaryDirectory(prefix="armsight-")
         self.folder = Path(self._temporary.name)
         self.out = given or self.folder / "out" / name
-        self._limit: int | None = None
+        self._limit = limit
 
     def __enter__(self) -> Self:
         return self

@@ -7,29 +7,40 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.arm_files import arm_source
+from armsight.app.arm_files import arm_source, load_arm
 from armsight.app.compare.run import GivenResult
+from armsight.calibrate.arm import ArmPoints
 from armsight.control.guard import Limits
 from armsight.drivers.images import read_image
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.action import Given
-from armsight.ops.arrays import as_poses
+from armsight.ops.arrays import as_poses, as_rotations
 from armsight.ops.given import Given as Folder
 from armsight.ops.given import as_arm, as_text
 from armsight.optics import Rig
-from armsight.records import PoseStatus, SpotTrack, Target, TargetPose, TaughtPath, checked_array, require_kind
+from armsight.records import (
+    PoseStatus,
+    SpotTrack,
+    Target,
+    TargetPose,
+    TaughtPath,
+    checked_array,
+    require_kind,
+    require_texts,
+)
 from armsight.records.measured import covariances_of
-from armsight.store import read_poses, read_rig, read_spot_track, read_target
+from armsight.store import World, read_poses, read_rig, read_spot_track, read_target, read_world
+from armsight.store.arm_points import read_arm_points
 from armsight.store.covariances import uncorrelated_note
 from armsight.store.handeye_file import read_tip
 from armsight.store.interpret import OURS
@@ -104,17 +115,57 @@ def target(name: str, value: Any, given: Given, undo: ExitStack) -> Target:
     return parse_board(str(path)) if ":" in path.name and not path.exists() else read_target(path)
 
 
+def world(name: str, value: Any, given: Given, undo: ExitStack) -> World:
+    """Return where a rig stands: a World, that of a world.yaml, or of a pose in the base. Raises BadFile."""
+    path = _path(value)
+    if path is not None:
+        return read_world(path)
+    return value if isinstance(value, World) else World(parent="base", T_parent_rig=as_poses(value, name)[0])
+
+
 def arm(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
-    """Return an arm, that of a file, or the one known by that name. Raises UsageError, BadFile."""
-    return as_arm(name, value)
-
-
-def chain(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
-    """Return an arm, see arm; of a URDF the chain between the links that are said beside it. Raises UsageError."""
-    base, tip = given.get("base"), given.get("tip")
-    if base is None and tip is None:
+    """Return an arm, that of a file from `base` to `tip`, or the one known by that name. Raises UsageError, BadFile."""
+    base, tip_link = given.get("base"), given.get("tip")
+    if isinstance(value, Arm) or (base is None and tip_link is None):
         return as_arm(name, value)
-    return as_arm(name, arm_source(as_text(name, value), tip=tip, base=base))
+    return load_arm(arm_source(as_text(name, value, Arm), tip=tip_link, base=base))
+
+
+def points(name: str, value: Any, given: Given, undo: ExitStack) -> ArmPoints:
+    """Return the measurements of a table of points, or of joint readings (m, n) with `xyz_m` and more beside them."""
+    model = _arm_of(given)
+    path = _path(value)
+    if path is None:
+        return _points(model, value, given.get("xyz_m"), given.get("rotation"), given.get("point", ()))
+    if given.get("xyz_m") is not None:
+        raise UsageError(f"xyz_m is given beside the table {path}, which has positions", cure="Give one of them")
+    found = read_arm_points(path, (given.get("table") or OURS).of_arm(model))
+    coupled = model.couplings and found.q.shape[1] == model.n
+    return replace(found, q=found.q @ model.gearing.T) if coupled else found
+
+
+def held_points(name: str, value: Any, given: Given, undo: ExitStack) -> ArmPoints:
+    """Return further measurements: of a table of points, or of (q, xyz_m)."""
+    if _path(value) is not None:
+        return points(name, value, {**given, "xyz_m": None}, undo)
+    require_kind(name, value, tuple, cure="Give (q, xyz_m)")
+    if len(value) != 2:
+        raise UsageError(f"{name} has {len(value)} entries", cure="Give (q, xyz_m)")
+    return _points(_arm_of(given), *value)
+
+
+def _points(
+    model: Arm, q: ArrayLike, xyz_m: Any, rotation: ArrayLike | None = None, point: Sequence[str] = ()
+) -> ArmPoints:
+    positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, model.n))
+    names = require_texts("point", point)
+    turned = None if rotation is None else as_rotations(rotation, "rotation", len(positions))
+    return ArmPoints(q=readings @ model.gearing.T, xyz_m=positions, rotation=turned, point=tuple(names))
+
+
+def _arm_of(given: Given) -> Arm:
+    """Return the arm that an action was given, which stands before what is measured of it."""
+    return next(one for one in given.values() if isinstance(one, Arm))
 
 
 def taught(name: str, value: Any, given: Given, undo: ExitStack) -> GivenPath:
@@ -179,7 +230,7 @@ def picture(name: str, value: Any, given: Given, undo: ExitStack) -> NDArray[np.
 
 def frames(name: str, value: Any, given: Given, undo: ExitStack) -> str:
     """Return frames as the command line names them; images of a program are written to a folder that goes again."""
-    return undo.enter_context(Folder()).source(name, value)
+    return undo.enter_context(Folder(limit=given.get("limit"))).source(name, value)
 
 
 def spots(name: str, value: Any, given: Given, undo: ExitStack) -> SpotTrack:

@@ -18,6 +18,12 @@ RigLike: TypeAlias = Annotated[Any, Input(f"{READERS}:rig", hashed=True)]
 """A Rig, or the path of a rig.yaml."""
 TargetLike: TypeAlias = Annotated[Any, Input(f"{READERS}:target")]
 """A Target, the path of a target.yaml, or a board's text."""
+PointsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:points", hashed=True)]
+"""Joint readings (m, n) in rad and m, with positions beside them, or the path of a table of both."""
+HeldPointsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:held_points", hashed=True)]
+"""(q, xyz_m), or the path of a table of points."""
+WorldLike: TypeAlias = Annotated[Any, Input(f"{READERS}:world")]
+"""A World, the path of a world.yaml, or the rig's pose (4, 4) in the base, m."""
 PosesLike: TypeAlias = Annotated[Any, Input(f"{READERS}:poses", hashed=True)]
 """Poses (n, 4, 4) in m, a RigidTransform, or the path of a table of poses."""
 SpotsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:spots")]

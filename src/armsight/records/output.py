@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
@@ -14,6 +15,7 @@ from typing import (
     Annotated,
     Any,
     Generic,
+    Self,
     TypeVar,
     cast,
     dataclass_transform,
@@ -26,10 +28,12 @@ from typing import (
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight.columns import POSE6
 from armsight.fields import Doc
 from armsight.geometry import xyz_quat
-from armsight.records.by_value import ByValue
+from armsight.records.by_value import ByValue, Saveable
 from armsight.shown import Shown
+from armsight.units import displayed_name
 
 Value = TypeVar("Value", covariant=True)
 Kind = TypeVar("Kind")
@@ -134,6 +138,30 @@ class Output(ByValue):
 
     def _repr_html_(self) -> str:
         return as_html(*self._shown())
+
+
+class TitledOutput(Output, Saveable):
+    """A result that prints itself as `title` and `rows`, and has a file."""
+
+    __slots__ = ()
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        raise NotImplementedError
+
+    def rows(self) -> list[Row]:
+        """Return (name, value with unit and standard deviation) as people read them."""
+        raise NotImplementedError
+
+    def _shown(self) -> tuple[str, Sequence[Row]]:
+        return self.title, self.rows()
+
+    @property
+    def detail(self) -> Self:
+        """The result itself; of earlier versions, which had it beside."""
+        warnings.warn("detail is the result itself; use that", DeprecationWarning, stacklevel=2)
+        return self
 
 
 def extended(result: Output, kind: type[More], **fields: Any) -> More:
@@ -257,6 +285,16 @@ def with_std(value: float, std: float | None, unit: str, *, scale: float = 1.0) 
         return f"{value * scale:.6g} {unit}, not determined"
     digits = max(0, 1 - math.floor(math.log10(std * scale)))
     return f"{value * scale:.{digits}f} +- {std * scale:.{digits}f} {unit}".rstrip()
+
+
+def pose_rows(values: Mapping[str, float], std: Mapping[str, float]) -> list[Row]:
+    """Return the rows of a pose: x, y, z in mm, rx, ry, rz in degrees, each with its standard deviation."""
+    return [
+        (stem, with_std(values[name], std.get(name), unit, scale=1.0 / size))
+        for name in POSE6
+        if name in values
+        for stem, unit, size in (displayed_name(name),)
+    ]
 
 
 def as_text(title: str, rows: Sequence[Row]) -> str:

@@ -8,7 +8,7 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm import ArmCalibration, ArmPoints
+from armsight.calibrate.arm import ArmPoints, ArmResult
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout, trace
 from armsight.report.html import Card, Page, bullets, page_unit, table
 from armsight.units import MM, displayed_name, figure_of, with_deviation
@@ -19,17 +19,11 @@ CLOUD = 600
 """Joint positions at which the tool's uncertainty is drawn."""
 
 
-def arm_report(
-    result: ArmCalibration,
-    points: ArmPoints,
-    *,
-    inputs: Sequence[tuple[str, str]] = (),
-    created: datetime | None = None,
-) -> str:
+def arm_report(result: ArmResult, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None) -> str:
     """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
     page = Page(
         title=f"Calibration of {result.nominal.name}",
-        subtitle=f"{len(points)} measurements, {result.level}",
+        subtitle=f"{result.n} measurements, {result.level}",
         verdict=result.verdict_,
         cards=_cards(result),
     )
@@ -45,7 +39,7 @@ def arm_report(
     page.add(
         "Where the tool's place is how certain",
         "Standard deviation that the arm's parameters leave at the tool, at random positions between those measured.",
-        page.plot(workspace_figure(result, points)),
+        page.plot(workspace_figure(result)),
     )
     if result.fixed:
         page.add("Not corrected", "", table(["parameter", "why"], [list(item) for item in result.fixed]))
@@ -57,7 +51,7 @@ def arm_report(
     return page.html(created=created or datetime.now())
 
 
-def _cards(result: ArmCalibration) -> list[Card]:
+def _cards(result: ArmResult) -> list[Card]:
     kind = "rows of the holdout" if result.held else "rows left out by cross-validation"
     after = result.left_after
     spread = figure_of(float(np.sqrt(max(after.rms_m**2 - after.mean_m**2, 0.0))) / MM, "mm", digits=2)
@@ -74,7 +68,7 @@ def _cards(result: ArmCalibration) -> list[Card]:
     ]
 
 
-def _corrections(result: ArmCalibration) -> str:
+def _corrections(result: ArmResult) -> str:
     std = result.std()
     rows = []
     for name in result.free:
@@ -85,7 +79,7 @@ def _corrections(result: ArmCalibration) -> str:
     return table(["parameter", "change", "±", "unit"], rows, numbers=(1, 2))
 
 
-def error_figure(result: ArmCalibration) -> Figure:
+def error_figure(result: ArmResult) -> Figure:
     """Return the errors of all rows before and after."""
     rows = np.arange(1, len(result.error_m) + 1)
     traces = [
@@ -97,8 +91,9 @@ def error_figure(result: ArmCalibration) -> Figure:
     return Figure(data=traces, layout=layout(xaxis=axis("row"), yaxis=high))
 
 
-def workspace_figure(result: ArmCalibration, points: ArmPoints) -> Figure:
+def workspace_figure(result: ArmResult) -> Figure:
     """Return the tool's place at random joint positions, coloured by its standard deviation."""
+    points = result.points
     q = np.random.default_rng(0).uniform(points.q.min(axis=0), points.q.max(axis=0), (CLOUD, points.q.shape[1]))
     there = ArmPoints(q=q, xyz_m=np.zeros((CLOUD, 3)), point=(points.point[0],) * CLOUD)
     T, J = result.model.predict(result.fitted.p, there)

@@ -7,9 +7,12 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from armsight.app.arm_files import arm_source
+from armsight.calibrate.arm import ArmResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
-from armsight.file_names import REPORT
+from armsight.file_names import REPORT, report_path
+from armsight.report.arm_report import arm_report
 from armsight.report.cell_report import cell_report
 from armsight.report.handeye_report import handeye_report
 
@@ -33,7 +36,19 @@ def _cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
     return cell_report(result, inputs=[(what, str(one)) for what, one in told if isinstance(one, str | PathLike)])
 
 
-PAGES: Mapping[type, Callable[[Any, Sequence[Path], Given], str]] = {HandEyeResult: _hand_eye, CellResult: _cell}
+def _arm(result: ArmResult, files: Sequence[Path], given: Given) -> str:
+    texts = {name: str(value) for name, value in given.items() if isinstance(value, str | PathLike)}
+    inputs = [("measurements", Path(texts[name]).name) for name in ("q", "holdout") if name in texts]
+    if "nominal" in texts:
+        inputs = [("model", arm_source(texts["nominal"], tip=texts.get("tip"), base=texts.get("base"))), *inputs]
+    return arm_report(result, inputs=inputs)
+
+
+PAGES: Mapping[type, Callable[[Any, Sequence[Path], Given], str]] = {
+    HandEyeResult: _hand_eye,
+    CellResult: _cell,
+    ArmResult: _arm,
+}
 """By class of result: the page, from the result, the files that went in, and what the action was called with."""
 
 
@@ -41,7 +56,7 @@ def page_path(out: Path, result: object) -> Path | None:
     """Return where a result's page goes, None where it has none: into the folder, or beside a file, rig.report.html."""
     if type(result) not in PAGES:
         return None
-    return out / REPORT if isinstance(result, CellResult) else out.with_suffix(".report.html")
+    return out / REPORT if isinstance(result, CellResult) else report_path(out)
 
 
 def page_of(result: object, files: Sequence[Path], given: Given) -> str:

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from armsight.calibrate.arm import ArmResult, RobotWorldResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
@@ -20,6 +21,7 @@ from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
 from armsight.store.atomic import write_json
+from armsight.store.calibrated_arm import write_calibrated_arm
 from armsight.store.handeye_file import write_handeye, write_tip
 from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path
@@ -61,6 +63,18 @@ def write_cell(folder: Path, result: CellResult, *, inputs: Sequence[Path] = ())
     write_json(folder / CELL, result.to_dict())
 
 
+def write_placed_rig(path: Path, result: RobotWorldResult, *, inputs: Sequence[Path] = ()) -> None:
+    """Write world.yaml: where the rig stands to the arm's base."""
+    world = World(
+        parent="base",
+        T_parent_rig=result.pose,
+        covariance=result.covariance,
+        residual_rms_m=result.residual_rms_m,
+        n_used=result.n_used,
+    )
+    write_world(path, world, inputs=inputs)
+
+
 WRITERS: Mapping[type, Mapping[str, Writer]] = {
     Camera: dict.fromkeys(YAML, write_camera),
     Rig: dict.fromkeys(YAML, write_rig),
@@ -71,6 +85,8 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     Limits: dict.fromkeys(YAML, write_limits),
     CellResult: {"": write_cell},
     HandEyeResult: dict.fromkeys(YAML, write_handeye),
+    ArmResult: dict.fromkeys(YAML, write_calibrated_arm),
+    RobotWorldResult: dict.fromkeys(YAML, write_placed_rig),
     PivotCalibration: dict.fromkeys(YAML, write_pivot),
     TargetResult: dict.fromkeys(YAML, write_lights),
     TimingResult: dict.fromkeys(YAML, write_timed_rig),

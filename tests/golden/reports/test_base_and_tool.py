@@ -7,10 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.arm import run_calibrate_arm, run_calibrate_world
-from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.errors import BadFile
 from armsight.kinematics import fk
+from armsight.ops.calibrate_robot import calibrate_arm, calibrate_robot_world
 from armsight.store import read_world
 from refusals import names_it, refuses
 from reports import case
@@ -22,7 +21,7 @@ from reports import case
 )
 def test_the_rig_stands_in_the_axes_of_the_base_link(arm, points, right_mm, tmp_path):
     folder = case("cameras-06")
-    run_calibrate_world(str(folder / arm), folder / points, tmp_path / "world.yaml")
+    calibrate_robot_world(str(folder / arm), folder / points, out=tmp_path / "world.yaml")
     T = read_world(tmp_path / "world.yaml").T_parent_rig
     assert 1e3 * np.asarray(T.translation) == pytest.approx(right_mm, abs=1.0)  # 0.6 mm of noise
     if arm == "arm.urdf":
@@ -33,11 +32,11 @@ def test_the_rig_stands_in_the_axes_of_the_base_link(arm, points, right_mm, tmp_
 
 def test_positions_alone_leave_the_tools_rotation_nominal(tmp_path):
     folder = case("arms-12")
-    job = ArmJob(model=str(folder / "nominal.urdf"), points=folder / "points.csv", out=tmp_path / "a.yaml")
-    done = run_calibrate_arm(job)
+    model = str(folder / "nominal.urdf")
+    done = calibrate_arm(model, folder / "points.csv", out=tmp_path / "a.yaml")
     assert [note for note in done.notes if names_it(note, "rotation", "nominal")]
     q = np.loadtxt(folder / "q.csv", delimiter=",", skiprows=1)
-    nominal = fk(load_arm(job.model), q)
+    nominal = fk(load_arm(model), q)
     for file in ("a.yaml", "a.urdf"):
         turned = nominal[:, :3, :3].transpose(0, 2, 1) @ fk(load_arm(str(tmp_path / file)), q)[:, :3, :3]
         assert np.rad2deg(Rotation.from_matrix(turned).magnitude()).max() < 2.0

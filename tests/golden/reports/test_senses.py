@@ -7,16 +7,15 @@ import pytest
 import yaml
 
 from armsight.app.arm_files import convert_arm
-from armsight.app.calibrate.arm import run_calibrate_arm
-from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.errors import Inconsistent
 from armsight.kinematics import preset
+from armsight.ops.calibrate_robot import calibrate_arm
 from refusals import names_it, refuses
 from reports import case
 
 
 def calibrated(tmp_path, points, model="irb120"):
-    return run_calibrate_arm(ArmJob(model=str(model), points=case("arms-27") / points, out=tmp_path / "a.yaml"))
+    return calibrate_arm(str(model), case("arms-27") / points, out=tmp_path / "a.yaml")
 
 
 @pytest.mark.parametrize(("points", "joints"), [("points-j6.csv", (6,)), ("points.csv", (2, 5))])

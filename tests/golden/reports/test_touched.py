@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from armsight.app.calibrate.arm import run_calibrate_arm
-from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.errors import Inconsistent
 from armsight.kinematics import fk, preset
+from armsight.ops.calibrate_robot import calibrate_arm
 from refusals import refuses
 from reports import case
 
@@ -17,12 +16,12 @@ def test_touched_points_are_named_and_measured_ones_are_the_cure(file, places, t
     with (
         refuses(Inconsistent, f"{places} position", "touched") if places == 1 else refuses(Inconsistent, "2 positions")
     ):
-        run_calibrate_arm(ArmJob(model="irb120", points=path, out=tmp_path / "a.yaml"))
+        calibrate_arm("irb120", path, out=tmp_path / "a.yaml")
     rows = np.loadtxt(path, delimiter=",", skiprows=1)
     rows[:, 6:] = fk(preset("irb120"), rows[:, :6])[:, :3, 3] + np.random.default_rng(1).normal(
         0.0, 1e-4, (len(rows), 3)
     )
     head = path.read_text().splitlines()[0]
     np.savetxt(tmp_path / "measured.csv", rows, delimiter=",", header=head, comments="", fmt="%.9f")
-    done = run_calibrate_arm(ArmJob(model="irb120", points=tmp_path / "measured.csv", out=tmp_path / "a.yaml"))
+    done = calibrate_arm("irb120", tmp_path / "measured.csv", out=tmp_path / "a.yaml")
     assert done.after.mean_m < 3e-4

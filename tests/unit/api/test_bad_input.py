@@ -212,6 +212,12 @@ NAMES = Arg(good=None, wrong={"one text": "ABCDEFGHIJKL", "numbers": [1, 2], "to
 
 SIZE = Arg(good=None, wrong={"a number": 640, "a text": "640x480"})
 TABLES = Arg(good=None, wrong={"a text": "mm", "a dict": {"units": "mm"}})
+OUT = Arg(good=None, wrong={"a number": 3, "a list": ["a"], "nowhere": "/dev/null/file.yaml"})
+LINKS_TABLE_AND_OUT = {
+    **dict.fromkeys(("tip", "base"), Arg(good=None, wrong={"a number": 3, "a list": ["tool0"]})),
+    "table": TABLES,
+    "out": OUT,
+}
 
 WRONG: dict[str, dict[str, Any]] = {
     "float": {"a text": "1.0", "nan": np.nan, "a row": [1.0, 2.0], "a dict": {}},
@@ -598,6 +604,10 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "scale": Arg(good=True, wrong={"a text": "yes"}),
             "tolerance_m": number(0.002),
             "tolerance_rad": number(0.03),
+            "propose": number(1, negative=-1, share=1.5),
+            "rig": record(RIG),
+            "world": Arg(good=np.eye(4), wrong=WRONG["PoseLike"]),
+            **LINKS_TABLE_AND_OUT,
         },
     ),
     "calibrate_robot_world": (
@@ -607,8 +617,10 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "q": array(SPREAD, more={"fewer rows": np.zeros((4, 6)), "degrees": np.full((9, 6), 90.0)}),
             "xyz_m": array(ARM.fk(SPREAD)[:, :3, 3], more={"fewer rows": np.ones((4, 3))}),
             "point": POINT_NAMES,
+            **LINKS_TABLE_AND_OUT,
         },
     ),
+    "ArmResult.change": (lambda name: _arm_result().change(name), {"name": choice(f"{ARM.joints[0].name}.a_m")}),
     "ArmResult.propose": (
         lambda n=1, rig=None, T_base_rig=None: _arm_result().propose(n, rig=rig, T_base_rig=T_base_rig),
         {"n": number(1, none_at_all=0), "rig": record(RIG), "T_base_rig": poses(_poses(1, 4)[0])},
@@ -655,7 +667,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "point_std_m": number(0.001, negative=-1.0),
             "t_s": array(np.arange(12.0)),
             "table": TABLES,
-            "out": Arg(good=None, wrong={"a number": 3, "a list": ["a"], "nowhere": "/dev/null/file.yaml"}),
+            "out": OUT,
         },
     ),
     "connect": (
@@ -791,7 +803,8 @@ SAVED_ALIKE = tuple(
 """Results that take long to make; their `save` is one line, to the same writers."""
 
 NEEDED_TOGETHER = {
-    "rig": ("uv_px", "T_base_rig"),
+    "rig": ("uv_px", "T_base_rig", "world"),
+    "world": ("rig",),
     "uv_px": ("rig",),
     "T_base_rig": ("rig", "uv_px"),
     "point_std_m": ("point_m",),
@@ -850,6 +863,7 @@ def _called(name: str, parameter: str, value: Any) -> Any:
         if key == parameter:
             given[key] = value
         elif plain is inspect.Parameter.empty or key in (
+            "xyz_m",
             *NEEDED_TOGETHER.get(parameter, ()),
             *JOBS.get(name, (None, ()))[1],
         ):

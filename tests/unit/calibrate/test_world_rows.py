@@ -43,8 +43,8 @@ def test_claims_hold_where_rows_share_errors(world, most):
     z = []
     for seed in range(16):
         found = calibrate_world(ARM, world(np.random.default_rng(seed)))
-        error = found.T_base_rig * RIG.inv()
-        z.append((found.T_base_rig.translation - RIG.translation) / np.sqrt(np.diag(found.covariance.matrix))[:3])
+        error = found.pose * RIG.inv()
+        z.append((found.pose.translation - RIG.translation) / np.sqrt(np.diag(found.covariance.matrix))[:3])
         assert np.rad2deg(error.rotation.magnitude()) < 1.0
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < most  # 5 for both where every row counted
 

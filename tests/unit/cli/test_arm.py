@@ -9,16 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.arm import _write_urdf
 from armsight.kinematics import Coupling, fk, moved, preset
+from armsight.ops.calibrate_robot import calibrate_arm
 from armsight.store.arm_file import read_arm
+from armsight.store.calibrated_arm import write_calibrated_arm
 from armsight.store.urdf import read_urdf
-from armsight.store.worlds import read_world
 from refusals import names_it
-
-ERRORS = {"mean_m", "rms_m", "max_m"}
 
 
 def write_rows(path: Path, header: str, rows: np.ndarray) -> Path:
@@ -37,24 +34,6 @@ def measured() -> np.ndarray:
 
 
 HEADER = "q1,q2,q3,q4,q5,q6,x_m,y_m,z_m"
-
-
-def test_an_arm_is_calibrated_with_every_promised_key(armsight: Any, measured: np.ndarray, tmp_path: Path) -> None:
-    points = write_rows(tmp_path / "points.csv", HEADER, measured[:40])
-    holdout = write_rows(tmp_path / "holdout.csv", HEADER, measured[40:])
-    words = ["calibrate", "arm", "--model", "irb120", "--points", points, "-o", tmp_path / "arm.yaml"]
-    done = armsight(*words, "--holdout", holdout, "--propose", 2)
-    assert done.code == 0
-    content = done.json
-    keys = {"n", "before", "after", "holdout", "free", "fixed", "std", "condition", "outliers", "verdict", "gain"}
-    assert keys <= set(content) and set(content["before"]) == ERRORS
-    assert set(content["holdout"]) == {"before", "after"} and set(content["holdout"]["after"]) == ERRORS
-    assert content["gain"] is True and content["n"] == 40
-    assert content["holdout"]["after"]["mean_m"] < 0.1 * content["holdout"]["before"]["mean_m"]
-    assert read_arm(tmp_path / "arm.yaml").n == 6
-    for name in ("arm.urdf", "arm.corrections.csv", "arm.report.html", "arm.proposed.csv"):
-        assert (tmp_path / name).stat().st_size > 0, name
-    assert "crossval" in armsight(*words).json
 
 
 def test_measurements_that_cannot_be_are_refused(armsight: Any, measured: np.ndarray, tmp_path: Path) -> None:
@@ -79,19 +58,6 @@ def test_measurements_that_cannot_be_are_refused(armsight: Any, measured: np.nda
     done = armsight("calibrate", "arm", "--model", "irb120", *given, *out)
     assert done.code == 3 and names_it(done.json["error"], "1 of 21", "holdout")
     assert not (tmp_path / "arm.yaml").exists()
-
-
-def test_the_rig_is_placed_at_the_base(armsight: Any, measured: np.ndarray, tmp_path: Path) -> None:
-    where = RigidTransform.from_components([0.9, -0.2, 0.5], Rotation.from_rotvec([0.2, 1.4, -0.3]))
-    places = fk(preset("irb120"), measured[:, :6])[:, :3, 3] + np.random.default_rng(1).normal(0.0, 1e-4, (60, 3))
-    rows = np.hstack([measured[:, :6], where.inv().apply(places)])
-    observed = write_rows(tmp_path / "observed.csv", HEADER, rows)
-    done = armsight("calibrate", "robot-world", "--arm", "irb120", "--points", observed, "-o", tmp_path / "world.yaml")
-    assert done.code == 0
-    assert {"T_base_rig", "std", "residual_rms_m", "n_used", "rejected"} <= set(done.json)
-    world = read_world(tmp_path / "world.yaml")
-    assert world.parent == "base"
-    np.testing.assert_allclose(world.T_parent_rig.translation, where.translation, atol=2e-4)
 
 
 def test_an_arm_is_identified_with_every_promised_key(armsight: Any, tmp_path: Path) -> None:
@@ -192,11 +158,12 @@ def test_a_branching_urdf_with_a_tip_points_by_name_and_no_stale_files(armsight:
     )
     assert placed.code == 0 and placed.json["residual_rms_m"] < 5e-4
     # a run after it whose arm has no place in a URDF, and that proposes nothing
-    foreign = tmp_path / "theirs.urdf"
-    foreign.write_text(TWO_ARMS)
-    _write_urdf(foreign, replace(again, couplings=(Coupling(joint="j2", by="j1"),)))
-    _write_urdf(tmp_path / "arm.urdf", replace(again, couplings=(Coupling(joint="j2", by="j1"),)))
-    assert foreign.read_text() == TWO_ARMS and not (tmp_path / "arm.urdf").exists()
+    found = calibrate_arm(model, points, scale=False, tip="hand")
+    found = replace(found, arm=replace(again, couplings=(Coupling(joint="j2", by="j1"),)))
+    (tmp_path / "theirs.urdf").write_text(TWO_ARMS)
+    for name in ("theirs", "arm"):
+        write_calibrated_arm(tmp_path / f"{name}.yaml", found)
+    assert (tmp_path / "theirs.urdf").read_text() == TWO_ARMS and not (tmp_path / "arm.urdf").exists()
     assert armsight(*words, "--tip", "hand").code == 0
     assert (tmp_path / "arm.urdf").exists() and not (tmp_path / "arm.proposed.csv").exists()
     over = armsight(*words[:-1], tmp_path / "two.yaml", "--tip", "hand")

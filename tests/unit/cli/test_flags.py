@@ -11,9 +11,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from armsight.app.requests import calibrate_cameras, calibrate_robot, identify, measure, motion, verify
+from armsight.app.requests import calibrate_cameras, identify, measure, motion, verify
 from armsight.app.requests.shared import Table
-from armsight.calibrate.arm import Tolerance
 from armsight.calibrate.cameras import BoardOptions
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
@@ -116,7 +115,7 @@ def test_the_help_tells_meaning_unit_and_default_and_the_first_text_of_a_flag_of
 
 REQUESTS = [
     kind
-    for module in (batch, calibrate_cameras, calibrate_robot, identify, measure, motion, verify)
+    for module in (batch, calibrate_cameras, identify, measure, motion, verify)
     for kind in vars(module).values()
     if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
 ]
@@ -138,8 +137,6 @@ def test_defaults_are_those_of_what_is_asked() -> None:
         (calibrate_cameras.StereoJob, "folds"): BoardOptions().folds,
         (calibrate_cameras.CameraJob, "lens"): BoardOptions().lens.value,
         (calibrate_cameras.MirrorsJob, "index"): Plate(thickness_m=1e-3).index,
-        (calibrate_robot.ArmJob, "tolerance_m"): Tolerance().length_m,
-        (calibrate_robot.ArmJob, "tolerance_rad"): Tolerance().angle_rad,
     }
     for (kind, name), value in same.items():
         assert default(kind, name) == value, name

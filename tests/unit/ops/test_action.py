@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,64 +24,178 @@ from armsight.cli.actions import add_action
 from armsight.cli.command import Group
 from armsight.columns import POSE7
 from armsight.errors import ArmsightError, Inconsistent, UsageError
-from armsight.fields import Bounds, Doc, Flag
+from armsight.fields import Bounds, Doc, Flag, marks
+from armsight.kinematics import fk, moved, preset
 from armsight.ops.action import Input, action
 from armsight.ops.calibrate_cell import calibrate_cell
 from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
-from armsight.ops.calibrate_robot import calibrate_tool_tip
+from armsight.ops.calibrate_robot import calibrate_arm, calibrate_robot_world, calibrate_tool_tip
 from armsight.store.handeye_file import write_pairs
 from refusals import refuses
 
 TIP = np.array([0.0, 0.0, 0.2])
+RIG = RigidTransform.from_components([0.9, -0.2, 0.5], Rotation.from_rotvec([0.2, 1.4, -0.3]))
+"""Where the rig stands, T_base_rig."""
+ARM = preset("irb120")
+READINGS = ",".join([*(f"q{i}" for i in range(1, 7)), *POSE7[:3]])
 
 
-@pytest.fixture
-def poses() -> RigidTransform:
-    turn = Rotation.from_rotvec(np.random.default_rng(1).normal(0.0, 0.4, (20, 3)))
-    noise = np.random.default_rng(2).normal(0.0, 1e-4, (20, 3))
-    return RigidTransform.from_components(noise - turn.apply(TIP), turn)
-
-
-@pytest.fixture
-def table(poses: RigidTransform, tmp_path: Path) -> Path:
-    rows = np.hstack([poses.translation, poses.rotation.as_quat(canonical=True)])
-    lines = [",".join(POSE7), *(",".join(map(repr, map(float, row))) for row in rows)]
-    path = tmp_path / "poses.csv"
-    path.write_text("\n".join(lines) + "\n")
+def table(path: Path, header: str, rows: np.ndarray) -> Path:
+    path.write_text("\n".join([header, *(",".join(map(repr, row)) for row in rows.tolist())]) + "\n")
     return path
 
 
-def test_arrays_a_file_and_the_command_line_come_to_the_same(
-    poses: RigidTransform, table: Path, tmp_path: Path, armsight: Any
-) -> None:
-    of_arrays = calibrate_tool_tip(poses)
-    of_file = calibrate_tool_tip(table, out=tmp_path / "python.yaml")
-    done = armsight("calibrate", "tooltip", "--poses", table, "-o", tmp_path / "command.yaml")
-    assert done.code == 0
-    assert of_file.tip_m == pytest.approx(of_arrays.tip_m, abs=1e-12)
-    assert done.json == json.loads(of_file.to_json())
-    python, command = (yaml.safe_load((tmp_path / f"{name}.yaml").read_text()) for name in ("python", "command"))
-    assert python["inputs"] == command["inputs"] and python["tip_m"] == command["tip_m"]
-    assert yaml.safe_load(of_arrays.save(tmp_path / "saved.yaml").read_text())["tip_m"] == of_arrays.tip_m.tolist()
+@dataclass(frozen=True)
+class Case:
+    """An action on files: flags with their values, what it writes, keys of its JSON object, and what Python takes."""
+
+    call: Callable[..., Any]
+    given: dict[str, Path | str]
+    out: str
+    files: set[str]
+    keys: set[str]
+    arrays: dict[str, Any]
+
+    @property
+    def flags(self) -> dict[str, Any]:
+        hints = vars(self.call)["action"].hints
+        written = {next(iter(marks(hint, Flag)), Flag()).written(name): name for name, hint in hints.items()}
+        return {flag: self.given[name] for flag, name in written.items() if name in self.given}
+
+    def words(self, out: Path) -> list[object]:
+        words = [*vars(self.call)["action"].command.split(), *(word for pair in self.flags.items() for word in pair)]
+        return [*words, "-o", out]
 
 
-def test_bounds_and_kinds_are_pythons_too(poses: RigidTransform, tmp_path: Path) -> None:
-    with refuses(UsageError, "point_std_m"):
-        calibrate_tool_tip(poses, point_std_m=0.0)
-    with refuses(UsageError, "point_std_m"):
-        calibrate_tool_tip(poses, point_std_m="far")  # type: ignore[arg-type]
-    with refuses(Inconsistent, "T_world_target"):
-        calibrate_tool_tip(np.ones((3, 4, 4)))
+def tips(folder: Path) -> Case:
+    turn = Rotation.from_rotvec(np.random.default_rng(1).normal(0.0, 0.4, (20, 3)))
+    noise = np.random.default_rng(2).normal(0.0, 1e-4, (20, 3))
+    poses = RigidTransform.from_components(noise - turn.apply(TIP), turn)
+    rows = np.hstack([poses.translation, poses.rotation.as_quat(canonical=True)])
+    return Case(
+        call=calibrate_tool_tip,
+        given={"T_world_target": table(folder / "poses.csv", ",".join(POSE7), rows)},
+        out="tip.yaml",
+        files={"tip.yaml"},
+        keys={"tip_m", "point_m", "std", "residual_rms_m", "n_used", "rejected"},
+        arrays={"T_world_target": poses},
+    )
+
+
+def arms(folder: Path) -> Case:
+    true = moved(ARM, {f"{ARM.joints[1].name}.theta_rad": np.deg2rad(1.0)})
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-0.9, 0.9, (60, 6))
+    xyz_m = fk(true, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (60, 3))
+    rows = np.hstack([q, xyz_m])
+    return Case(
+        call=calibrate_arm,
+        given={
+            "nominal": "irb120",
+            "q": table(folder / "points.csv", READINGS, rows[:40]),
+            "holdout": table(folder / "holdout.csv", READINGS, rows[40:]),
+            "propose": "2",
+        },
+        out="arm.yaml",
+        files={"arm.yaml", "arm.urdf", "arm.corrections.csv", "arm.proposed.csv", "arm.report.html"},
+        keys={"n", "before", "after", "holdout", "crossval", "free", "fixed", "std", "condition", "gain", "outliers"},
+        arrays={"nominal": ARM, "q": q[:40], "xyz_m": xyz_m[:40], "holdout": (q[40:], xyz_m[40:]), "propose": 2},
+    )
+
+
+def placed(folder: Path) -> Case:
+    q = np.random.default_rng(0).uniform(-0.9, 0.9, (60, 6))
+    places = fk(ARM, q)[:, :3, 3] + np.random.default_rng(1).normal(0.0, 1e-4, (60, 3))
+    xyz_m = RIG.inv().apply(places)
+    return Case(
+        call=calibrate_robot_world,
+        given={"arm": "irb120", "q": table(folder / "observed.csv", READINGS, np.hstack([q, xyz_m]))},
+        out="world.yaml",
+        files={"world.yaml"},
+        keys={"T_base_rig", "std", "residual_rms_m", "n_used", "rejected"},
+        arrays={"arm": ARM, "q": q, "xyz_m": xyz_m},
+    )
+
+
+@pytest.fixture(params=[tips, arms, placed], ids=lambda make: make.__name__)
+def case(request: pytest.FixtureRequest, tmp_path: Path) -> Case:
+    (tmp_path / "in").mkdir()
+    made: Case = request.param(tmp_path / "in")
+    return made
+
+
+def alike(a: Any, b: Any) -> bool:
+    """Tell whether two JSON objects are the same to rounding."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(alike(one, b[key]) for key, one in a.items())
+    if isinstance(a, list):
+        return len(a) == len(b) and all(map(alike, a, b))
+    return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) if isinstance(a, float) else bool(a == b)
+
+
+def test_arrays_files_and_the_command_line_come_to_the_same(case: Case, tmp_path: Path, armsight: Any) -> None:
+    (tmp_path / "command").mkdir()
+    (tmp_path / "python").mkdir()
+    done = armsight(*case.words(tmp_path / "command" / case.out))
+    assert done.code == 0 and case.keys | {"verdict_"} <= set(done.json)
+    given = {name: int(one) if name == "propose" else one for name, one in case.given.items()}
+    of_files = case.call(**given, out=tmp_path / "python" / case.out)
+    assert {path.name for path in (tmp_path / "python").iterdir()} == case.files
+    assert {path.name for path in (tmp_path / "command").iterdir()} == case.files
+    python, command = (yaml.safe_load((tmp_path / name / case.out).read_text()) for name in ("python", "command"))
+    assert python.keys() == command.keys() and python["inputs"] == command["inputs"]
+    assert len(python["inputs"]) == sum(isinstance(one, Path) for one in case.given.values())
+    assert alike({**json.loads(of_files.to_json()), "urdf": ""}, {**done.json, "urdf": ""})
+    of_arrays = json.loads(case.call(**case.arrays).to_json())
+    assert of_arrays["verdict_"]["level"] == done.json["verdict_"]["level"] == "good"
+    assert of_arrays.keys() == done.json.keys()
+    assert str(tmp_path / "command" / case.out) in done.text and of_files.title in repr(of_files)
+
+
+def test_what_is_found_is_the_truth(tmp_path: Path) -> None:
+    tip, arm, world = (make(tmp_path) for make in (tips, arms, placed))
+    assert tip.call(**tip.arrays).tip_m == pytest.approx(TIP, abs=2e-4)
+    found = world.call(**world.arrays)
+    assert found.T_base_rig == pytest.approx(RIG.as_matrix(), abs=3e-4) and found.std["x_m"] < 1e-4
+    found = arm.call(**arm.arrays)
+    assert found.gain and found.holdout.after.mean_m < 0.1 * found.holdout.before.mean_m
+    assert len(found.proposals) == len(found.propose(2)) == 2 and found.urdf is None
+
+
+def test_an_input_is_not_written_over(case: Case, armsight: Any) -> None:
+    for path in (one for one in case.given.values() if isinstance(one, Path)):
+        before = path.read_bytes()
+        assert armsight(*case.words(path)).code == 2
+        assert path.read_bytes() == before
+
+
+def test_what_goes_beside_a_result_is_no_input_either(tmp_path: Path) -> None:
+    case = arms(tmp_path)
+    points = case.given["q"].rename(tmp_path / "arm.corrections.csv")  # type: ignore[union-attr]  # a path
+    with refuses(UsageError, "arm.corrections.csv", "out"):
+        calibrate_arm("irb120", points, out=tmp_path / "arm.yaml")
+    assert not (tmp_path / "arm.yaml").exists()
+
+
+def test_bounds_and_kinds_are_pythons_too(case: Case, tmp_path: Path) -> None:
+    out, hints = tmp_path / "out.yaml", vars(case.call)["action"].hints
+    bounded = {name: hint for name, hint in hints.items() if marks(hint, Bounds)}
+    for name, wrong in [(name, -1.0) for name in bounded] + [(name, "far") for name in bounded] + [("out", 3)]:
+        with refuses(UsageError, name):
+            case.call(**{**case.arrays, "out": out, name: wrong})
+    for name in case.arrays.keys() - {"propose"}:
+        with pytest.raises((UsageError, Inconsistent), match=name):
+            case.call(**{**case.arrays, "out": out, name: object()})
     with pytest.raises(TypeError):
-        calibrate_tool_tip()  # type: ignore[call-arg]
-    assert not list(tmp_path.iterdir())
+        case.call()
+    assert not out.exists()
 
 
-def test_a_result_of_before_is_still_reached_through_detail(poses: RigidTransform) -> None:
-    done = calibrate_tool_tip(poses)
+def test_a_result_of_before_is_still_reached_through_detail(case: Case) -> None:
+    done = case.call(**case.arrays)
     with pytest.warns(DeprecationWarning):
         assert done.detail is done
-    assert "residual" in repr(done) and len(done.plot().data[0].y) == 20
+    assert len(done.plot().data[0].y) == len(done.bars().values) >= 20
 
 
 def length(name: str, value: Any, given: Any, undo: Any) -> int:

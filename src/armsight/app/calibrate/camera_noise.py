@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.results import NoiseOutput
-from armsight.app.requests.calibrate_cameras import NoiseJob
 from armsight.app.sources.frames import is_recording, open_source, recording_path
-from armsight.calibrate.camera_noise.photon_transfer import calibrate_noise
-from armsight.drivers import is_live, list_images
+from armsight.calibrate.camera_noise.photon_transfer import NoiseResult, calibrate_noise
+from armsight.drivers import AUTOMATIC, CameraSettings, is_live, list_images
 from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.optics import SIDES, Camera, RigKind
-from armsight.records import NoiseModel, Progress, Silent
+from armsight.records import Progress, Silent
 from armsight.store import add_noise, is_zoom_camera, read_camera_file, read_zoom_camera, read_zoom_rig
 from armsight.store.bags import bag_topic, is_bag
 from armsight.store.rigs import CAMERA_YAML, RIG_YAML
@@ -33,43 +30,52 @@ SETTLING_FRAMES = 15
 FILES = (".yaml", ".yml")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FoundNoise:
-    """Noise, the size (width, height) of its frames, the figures as --json gives them, and the files behind."""
-
-    noise: NoiseModel
-    size: tuple[int, int]
-    output: NoiseModel
-    inputs: Sequence[Path]
-
-
-def run_noise(job: NoiseJob, progress: Progress | None = None) -> NoiseOutput:
-    """Find a camera's noise and add it to its file; return the figures as --json gives them.
+def run_noise(
+    frames: str,
+    out: Path,
+    *,
+    side: str | None = None,
+    every: int = 1,
+    limit: int | None = None,
+    settings: CameraSettings = AUTOMATIC,
+    progress: Progress | None = None,
+) -> NoiseResult:
+    """Find a camera's noise and add it to its camera.yaml or rig.yaml, there to one side; return what was found.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
     """
-    sides = _sides(job)
-    found = find_noise(job, progress)
+    sides = _sides(out, side)
+    found = find_noise(frames, side=side, every=every, limit=limit, settings=settings, progress=progress)
     for size in sides.values():
         if size is not None:
-            require_size(found, size, str(job.out))
-    add_noise(job.out, dict.fromkeys(sides, found.noise), inputs=found.inputs)
-    return NoiseOutput(noise=found.output)
+            require_size(found, size, str(out))
+    add_noise(out, dict.fromkeys(sides, found.model), inputs=found.inputs)
+    return found
 
 
-def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
-    """Return the noise that frames show, or that a file holds. Raises as run_noise does."""
-    path = Path(job.frames)
+def find_noise(
+    frames: str,
+    *,
+    side: str | None = None,
+    every: int = 1,
+    limit: int | None = None,
+    settings: CameraSettings = AUTOMATIC,
+    progress: Progress | None = None,
+) -> NoiseResult:
+    """Return the noise that still frames (a source as on the command line) show, or that a side of a file holds.
+
+    Raises as run_noise does.
+    """
+    path = Path(frames)
     if path.suffix.lower() in FILES:
-        return _from_file(path, job.side)
+        return _from_file(path, side)
     size: list[tuple[int, int]] = []
     progress = progress or Silent()
 
     def images() -> Iterator[NDArray[np.uint8]]:
-        limit = job.limit or FRAMES
-        first = SETTLING_FRAMES if is_live(job.frames) else 0
-        with open_source(job.frames, settings=job.camera_settings) as source:
-            for i, frame in enumerate(islice(source, first, first + limit * job.every, job.every)):
+        first = SETTLING_FRAMES if is_live(frames) else 0
+        with open_source(frames, settings=settings) as source:
+            for i, frame in enumerate(islice(source, first, first + (limit or FRAMES) * every, every)):
                 progress.update(i + 1, 0, "reading still frames")
                 if progress.cancelled():
                     raise Cancelled(f"stopped after {i} frames", consequence="Nothing was written")
@@ -78,11 +84,10 @@ def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
                 yield frame.image
 
     found = calibrate_noise(images())
-    inputs = list(input_files(job.frames))
-    return FoundNoise(noise=found.noise, size=size[0], output=found, inputs=inputs)
+    return NoiseResult(noise=found, size=size[0], inputs=tuple(input_files(frames)))
 
 
-def require_size(found: FoundNoise, size: tuple[int, int], where: str) -> None:
+def require_size(found: NoiseResult, size: tuple[int, int], where: str) -> None:
     """Raise Inconsistent where the noise is of frames of another size than the camera's (width, height)."""
     if found.size != size:
         raise Inconsistent(
@@ -105,43 +110,43 @@ def input_files(text: str) -> Sequence[Path]:
     return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
 
 
-def _sides(job: NoiseJob) -> dict[str, tuple[int, int] | None]:
+def _sides(out: Path, side: str | None) -> dict[str, tuple[int, int] | None]:
     """Return the places in the file that get the noise, each with its camera's size, None where any will do."""
-    if not job.out.exists():
+    if not out.exists():
         raise UsageError(
-            f"there is no file {job.out} that the noise could be added to",
+            f"there is no file {out} that the noise could be added to",
             consequence="Nothing was done",
             cure="Give the camera.yaml or rig.yaml of the camera with -o; SRC and --board make one",
         )
-    content = read_yaml(job.out)
+    content = read_yaml(out)
     format_ = content.get("format")
     if format_ == CAMERA_YAML.format:
-        if job.side is not None:
-            raise UsageError(f"{job.out} holds one camera", cure="Leave --side away")
+        if side is not None:
+            raise UsageError(f"{out} holds one camera", cure="Leave --side away")
         of_lens = is_zoom_camera(content)
-        return {"": read_zoom_camera(job.out).lens.size if of_lens else _size(read_camera_file(job.out).camera)}
+        return {"": read_zoom_camera(out).lens.size if of_lens else _size(read_camera_file(out).camera)}
     if format_ != RIG_YAML.format:
         raise BadFile(
-            f"{job.out}: says format {str(format_)[:60]!r}, which is no camera's and no rig's",
+            f"{out}: says format {str(format_)[:60]!r}, which is no camera's and no rig's",
             consequence="Nothing was written",
             cure="Give a camera.yaml or a rig.yaml",
         )
-    rig = read_zoom_rig(job.out)
+    rig = read_zoom_rig(out)
     if rig.kind is RigKind.MIRROR:  # one camera, seen twice; a view may be a part of its image
         return dict.fromkeys(SIDES)
-    if job.side not in SIDES:
+    if side not in SIDES:
         raise UsageError(
-            f"{job.out} holds two cameras, and it is not said which one the frames are of",
+            f"{out} holds two cameras, and it is not said which one the frames are of",
             cure="Add --side left or --side right",
         )
-    return {job.side: _size(rig.camera(job.side))}
+    return {side: _size(rig.camera(side))}
 
 
 def _size(camera: Camera) -> tuple[int, int]:
     return camera.width, camera.height
 
 
-def _from_file(path: Path, side: str | None) -> FoundNoise:
+def _from_file(path: Path, side: str | None) -> NoiseResult:
     """Return the noise that a camera.yaml, or the side of a rig.yaml, holds. Raises BadFile."""
     content = read_yaml(path)
     if content.get("format") == RIG_YAML.format:
@@ -161,4 +166,4 @@ def _from_file(path: Path, side: str | None) -> FoundNoise:
         noise, size = file.noise, _size(file.camera)
     if noise is None:
         raise BadFile(f"{path}: holds no noise", consequence="Nothing was written", cure="Give still frames instead")
-    return FoundNoise(noise=noise, size=size, output=noise, inputs=[path])
+    return NoiseResult(noise=noise, size=size, inputs=(path,))

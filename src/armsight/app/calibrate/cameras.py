@@ -9,17 +9,19 @@ from pathlib import Path
 
 from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
-from armsight.app.calibrate.camera_noise import FoundNoise, find_noise, input_files, require_size
+from armsight.app.calibrate.camera_noise import find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
 from armsight.app.calibrate.results import CameraOutput, ZoomOutput
 from armsight.app.calibrate.zoom import add_setting, zoom_file, zoom_output
-from armsight.app.requests.calibrate_cameras import CameraJob, NoiseJob, StereoJob
+from armsight.app.requests.calibrate_cameras import CameraJob, StereoJob
 from armsight.app.sources.frames import open_pairs, open_source
+from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
 from armsight.drivers import AUTOMATIC, is_live
 from armsight.errors import Cancelled, NotEnoughData
+from armsight.file_names import report_path as report_path
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent
 from armsight.records.output import extended
 from armsight.records.result_parts import RejectedFile
@@ -59,12 +61,12 @@ def calibrate_camera(job: CameraJob, progress: Progress | None = None) -> Camera
     zoom = _write(job, done, found)
     boards = camera_boards(done, board, pictures)
     write_camera_report(_report_of(job), done, board=job.board, boards=boards)
-    return extended(done, CameraOutput, noise=found.output if found else None, zoom=zoom)
+    return extended(done, CameraOutput, noise=found.noise if found else None, zoom=zoom)
 
 
-def _write(job: CameraJob, done: CameraCalibration, found: FoundNoise | None) -> ZoomOutput | None:
+def _write(job: CameraJob, done: CameraCalibration, found: NoiseResult | None) -> ZoomOutput | None:
     """Write camera.yaml; of a zoom lens return all its settings."""
-    noise = None if found is None else found.noise
+    noise = None if found is None else found.model
     inputs = [*input_files(job.source), *(found.inputs if found else ())]
     if job.zoom is None:
         write_camera(job.out, done.camera, covariance=done.covariance, rms_px=done.rms_px, noise=noise, inputs=inputs)
@@ -80,9 +82,9 @@ def _report_of(job: CameraJob) -> Path:
     return job.out.with_name(f"{job.out.stem}.zoom-{job.zoom.zoom:g}.report.html")
 
 
-def _noise(job: CameraJob, frames: str, progress: Progress) -> FoundNoise:
+def _noise(job: CameraJob, frames: str, progress: Progress) -> NoiseResult:
     asked = job.asked if is_live(frames) else AUTOMATIC  # still frames may be files beside a live camera
-    return find_noise(NoiseJob(frames=frames, out=job.out, camera_settings=asked), progress)
+    return find_noise(frames, settings=asked, progress=progress)
 
 
 def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> StereoCalibration:
@@ -123,11 +125,6 @@ def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> Stereo
     boards = rig_boards(result, board, pictures)
     write_stereo_report(report_path(job.out), result, RigData(board=job.board, boards=boards))
     return result
-
-
-def report_path(out: Path) -> Path:
-    """Return where the report of a calibration file goes: rig.yaml -> rig.report.html."""
-    return out.with_suffix(".report.html")
 
 
 def _sort(frame: Frame, seen: Seen, views: list[BoardView], rejected: list[RejectedFile]) -> None:

@@ -1,4 +1,4 @@
-"""What the calibrations of cameras and mirror rigs come to, and the noise of a camera."""
+"""What the calibrations of cameras and mirror rigs come to."""
 
 from __future__ import annotations
 
@@ -16,16 +16,6 @@ from armsight.optics.zoom import LeftOut
 from armsight.records import NoiseModel
 from armsight.records.output import Output, extended, figure, output
 from armsight.units import MM
-
-
-@output
-class NoiseOutput(Output):
-    """armsight calibrate camera --noise, without a board."""
-
-    noise: Annotated[
-        NoiseCalibration | NoiseModel,
-        Doc("The camera's noise; the keys from n_given on of still frames, not of a file."),
-    ]
 
 
 @output

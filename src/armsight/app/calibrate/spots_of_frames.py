@@ -1,20 +1,27 @@
-"""The spots in the frames of one camera that runs free, with its own stamps and without names."""
+"""The lights that calibrations see: of free-running cameras with their own stamps, and of a target in pairs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.sources.frames import camera_source
-from armsight.drivers import AUTOMATIC, CameraSettings
-from armsight.errors import Cancelled
+from armsight.calibrate.light_target import LitFrame
+from armsight.clock import SystemClock
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, is_live
+from armsight.errors import Cancelled, UsageError
 from armsight.measure.poses.beacon import without_standing
+from armsight.measure.poses.pairs import pair_spots
+from armsight.measure.poses.pipeline import check_size, check_sizes
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
-from armsight.records import Frame, Progress, Spots, SpotTrack
+from armsight.optics import SIDES, PackedRig, Rig
+from armsight.records import Frame, Progress, Silent, Spots, SpotTrack
 
 Array = NDArray[np.float64]
 
@@ -76,3 +83,103 @@ def spot_track(stamps_s: Array, found: list[Spots]) -> SpotTrack:
         uv_px=np.concatenate([spots.uv_px for spots in found]) if found else np.empty((0, 2)),
         covariance_px2=np.concatenate([spots.covariance_px2 for spots in found]) if found else np.empty((0, 2, 2)),
     )
+
+
+# What two free-running cameras saw of waved lights: live, from frames, or from tables.
+
+
+def seen_tracks(
+    frames: Sequence[str | None],
+    tables: Sequence[SpotTrack | None],
+    rig: Rig,
+    search: SpotSearch,
+    progress: Progress,
+) -> tuple[SpotTrack, SpotTrack]:
+    """Return the spots of the left and the right camera. frames, tables: of each; one of the two kinds.
+
+    Raises UsageError, DataRefused (frames of another size), DeviceFailed, Cancelled.
+    """
+    if all(frames) and not any(table is not None for table in tables):
+        texts = [text or "" for text in frames]
+        live = [is_live(text) for text in texts]
+        if any(live):
+            _require_both(live)
+            return _waved(texts, rig, search, progress)
+        sides = [_seen(text, side, rig, search, progress) for side, text in zip(SIDES, texts, strict=True)]
+        return sides[0], sides[1]
+    left, right = tables
+    if left is not None and right is not None and not any(frames):
+        return left, right
+    raise UsageError(
+        "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
+    )
+
+
+def _require_both(live: Sequence[bool]) -> None:
+    if not all(live):
+        raise UsageError(
+            "one camera is live and the other one is not",
+            consequence="Their stamps have no clock in common",
+            cure="Give both live, or record both first: armsight record --left ... --right ... -o wave.mcap",
+        )
+
+
+class _Behind(Silent):
+    """Shows nothing of a second job beside the first one, and stops with it."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def cancelled(self) -> bool:
+        """Tell whether the first job was to stop."""
+        return self._progress.cancelled()
+
+
+def _waved(texts: Sequence[str], rig: Rig, search: SpotSearch, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
+    """Return the spots of both live cameras, read side by side; their stamps count from one moment."""
+    search = replace(search, origin_s=SystemClock().now_s())
+    shown = (progress, _Behind(progress))
+    with ThreadPoolExecutor(len(SIDES)) as pool:
+        sides = [
+            pool.submit(_seen, text, side, rig, search, one)
+            for side, text, one in zip(SIDES, texts, shown, strict=True)
+        ]
+        left, right = (one.result() for one in sides)
+    return left, right
+
+
+def _seen(text: str, side: str, rig: Rig, search: SpotSearch, progress: Progress) -> SpotTrack:
+    return spots_of_frames(
+        search, side, text, progress, lambda frame: check_size(rig, side, frame, "No timing is given")
+    )
+
+
+# The lights of a target in pairs of frames.
+
+
+def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots, *, overlaid: bool = False) -> LitFrame:
+    """Return the pairs of a moment's spots that agree with the epipolar lines; overlaid: see pair_spots."""
+    index = pair_spots(packed, left, right, overlaid=overlaid).index
+    return LitFrame(name=name, left=left.take(index[:, 0]), right=right.take(index[:, 1]))
+
+
+def lit_frames(
+    rig: Rig, pairs: PairSource, settings: SpotSettings, limit: int | None, progress: Progress
+) -> list[LitFrame]:
+    """Return the lights in pairs of frames, those that stand still left out. Raises DataRefused, Cancelled."""
+    packed, seen = PackedRig.of(rig), []
+    total = min(limit or pairs.total, pairs.total) if pairs.total else limit or 0
+    for left, right in islice(pairs, limit):
+        check_sizes(rig, left, right, "The calibration says nothing about such frames; no target is given")
+        overlaid = left is right
+        at_left = find_spots(left.image, settings)
+        at_right = at_left if overlaid else find_spots(right.image, settings)
+        seen.append((left.source, at_left, at_right))
+        progress.update(len(seen), total, "looking for lights")
+        if progress.cancelled():
+            raise Cancelled(f"stopped after {len(seen)} pairs", consequence="No target was written")
+    names, lefts, rights = zip(*seen, strict=True) if seen else ((), (), ())
+    overlaid = bool(seen) and lefts[0] is rights[0]
+    moving = without_standing(lefts)
+    others = moving if overlaid else without_standing(rights)
+    return [lit_frame(packed, *frame, overlaid=overlaid) for frame in zip(names, moving, others, strict=True)]

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_images import see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures
-from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, lit_design, run_mirrors
 from armsight.app.calibrate.mirrors_lit_target import CURES as LIT_CURES
 from armsight.app.calibrate.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
@@ -27,6 +26,7 @@ from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
 from armsight.drivers import read_image
 from armsight.errors import ArmsightError, BadImage, DataRefused, NotEnoughData, UsageError
+from armsight.file_names import report_path
 from armsight.optics.parallelism import parallelism
 from armsight.records import BoardView, Frame, NotSeen, Progress, TargetPose
 from armsight.store import parse_board, read_target

@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.arm import run_calibrate_arm
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.app.operator.robot_cell import flange_pose
-from armsight.app.requests.calibrate_robot import ArmJob
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.calibrate.tooltip_result import TURNED_RAD
 from armsight.clock import Clock, SystemClock
@@ -25,7 +23,7 @@ from armsight.defaults import LOOK_S
 from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.kinematics import Arm
 from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
-from armsight.ops.calibrate_robot import calibrate_tool_tip
+from armsight.ops.calibrate_robot import calibrate_arm, calibrate_tool_tip
 from armsight.records import JointReading, PoseStatus, Progress, TargetPose
 from armsight.store import write_poses
 from armsight.store.atomic import write_text
@@ -270,7 +268,7 @@ class ArmStep(PoseSamples):
             for q, T in zip(self._joints, (np.asarray(p.T_parent_target) for p in self._poses), strict=True)
         ]
         write_text(points, "\n".join([header, *rows]) + "\n")
-        done = run_calibrate_arm(ArmJob(model=self.model, points=points, out=self.out))
+        done = calibrate_arm(self.model, points, out=self.out)
         left_out = done.crossval
         shown = (
             ("rows", str(done.n)),

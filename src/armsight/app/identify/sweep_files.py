@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
-from armsight.app.calibrate.cameras import report_path
 from armsight.app.identify.beacon_observer import SeenBeacon, beacon_note, beacon_of, beacon_settings
 from armsight.app.identify.left_out import consequence, first_joints, named
 from armsight.app.identify.results import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
@@ -21,6 +20,7 @@ from armsight.calibrate.identify import Identification, Sweeps, even_ones, ident
 from armsight.calibrate.identify.result import JointFound, placed_by
 from armsight.drivers import is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.file_names import report_path
 from armsight.kinematics import Arm, Joint
 from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.from_spots import measure_spots

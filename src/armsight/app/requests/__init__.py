@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from armsight.app.requests import calibrate_cameras as calibrate_cameras
-    from armsight.app.requests import calibrate_robot as calibrate_robot
     from armsight.app.requests import identify as identify
     from armsight.app.requests import measure as measure
     from armsight.app.requests import motion as motion
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 else:
     _MODULES = (
         "calibrate_cameras",
-        "calibrate_robot",
         "files",
         "identify",
         "measure",

@@ -126,18 +126,9 @@ class CameraJob:
         return self.camera_settings if zoomed is None else replace(self.camera_settings, zoom=zoomed.zoom)
 
     @property
-    def noise_alone(self) -> NoiseJob | None:
-        """The still frames, where nothing else was given."""
-        if self.noise is None or self.source or self.board or self.zoom is not None:
-            return None
-        return NoiseJob(
-            frames=self.noise,
-            out=self.out,
-            side=self.side,
-            every=self.every,
-            limit=self.limit,
-            camera_settings=self.asked,
-        )
+    def noise_alone(self) -> bool:
+        """Whether nothing but still frames was given."""
+        return self.noise is not None and not self.source and not self.board and self.zoom is None
 
     @property
     def options(self) -> BoardOptions:
@@ -205,21 +196,6 @@ def image_reading(bits: int | None, *, strict: bool) -> ImageReading:
     from armsight.drivers import ImageReading
 
     return ImageReading(bits=bits, strict=strict)
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoiseJob:
-    """Still frames (a source as on the command line), or a camera.yaml or rig.yaml that holds the noise; where it goes.
-
-    out: the camera.yaml or rig.yaml. side: which camera of a rig. every, limit: of the frames.
-    """
-
-    frames: str
-    out: Path
-    side: str | None = None
-    every: Every = 1
-    limit: Limit = None
-    camera_settings: CameraSettings = field(default_factory=automatic)
 
 
 @dataclass(frozen=True, kw_only=True)

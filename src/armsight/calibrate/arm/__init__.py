@@ -5,19 +5,19 @@ from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.arm.propose import Proposal, propose
-from armsight.calibrate.arm.result import ArmCalibration, Errors
-from armsight.calibrate.arm.world import WorldCalibration, calibrate_world
+from armsight.calibrate.arm.result import ArmResult, Errors, RobotWorldResult
+from armsight.calibrate.arm.world import calibrate_world
 
 __all__ = [
-    "ArmCalibration",
     "ArmFit",
     "ArmModel",
     "ArmPoints",
+    "ArmResult",
     "Errors",
     "LimitReached",
     "Proposal",
+    "RobotWorldResult",
     "Tolerance",
-    "WorldCalibration",
     "calibrate_arm",
     "calibrate_world",
     "propose",

@@ -32,10 +32,9 @@ from armsight.calibrate.arm.plausibility import (
     exceeded,
     spread_m,
 )
-from armsight.calibrate.arm.points import ArmPoints, check_points
-from armsight.calibrate.arm.result import ArmCalibration, Errors, FixedParameter
+from armsight.calibrate.arm.points import ArmPoints, check_points, in_order, of_places
+from armsight.calibrate.arm.result import ArmResult, Errors, FixedParameter
 from armsight.calibrate.arm.rotations import check_rotations, rotation_notes, turn_note, without_computed
-from armsight.calibrate.arm.rows import in_order, of_places
 from armsight.calibrate.correlation import Correlation
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting.quantiles import chi2_ppf
@@ -60,7 +59,7 @@ def calibrate_arm(
     holdout: ArmPoints | None = None,
     tolerance: Tolerance | None = None,
     scale: bool = True,
-) -> ArmCalibration:
+) -> ArmResult:
     """Return the arm whose left-out errors are smallest: nominal, or with zeros, geometry, joint scales corrected.
 
     Each richer model is taken only where left-out errors fall beyond their own uncertainty; the whole way there must
@@ -75,7 +74,7 @@ def calibrate_arm(
     measured, told = without_computed(model, points)
     if told:
         done = calibrate_arm(nominal, measured, holdout=holdout, tolerance=tolerance, scale=scale)
-        return replace(done, notes=(*told, *done.notes))
+        return replace(done, points=points, notes=(*told, *done.notes))
     check_rotations(model, points)
     if holdout is not None:
         check_points(nominal, holdout)
@@ -89,12 +88,13 @@ def calibrate_arm(
     points, levels, correlation = _in_time(model, points, levels)
     holdout = None if holdout is None else in_blocks(holdout, correlation)
     left = cross_validate(model, points, levels, tolerance, scale=scale)
-    judged = _Judged(given=given, levels=levels, chosen=best_level(levels, points.group), left=left)
+    chosen = best_level(levels, points.group)
+    judged = _Judged(given=given, tolerance=tolerance, levels=levels, chosen=chosen, left=left)
     other = other_arm(model, points, _plain(levels, judged.chosen), judged.chosen, tolerance)
     if other is not None:
-        kept = _result(model, points, holdout, replace(judged, chosen=levels[0]), tolerance)
+        kept = _result(model, points, holdout, replace(judged, chosen=levels[0]))
         return replace(kept, verdict=other.text(), other_arm=other)
-    return _result(model, points, holdout, judged, tolerance)
+    return _result(model, points, holdout, judged)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,6 +103,7 @@ class _Judged:
     of which what was fitted to is one a place."""
 
     given: ArmPoints
+    tolerance: Tolerance
     levels: Sequence[Level]
     chosen: Level
     left: LeftOut
@@ -161,18 +162,17 @@ def _size(model: ArmModel, x: Level, points: ArmPoints) -> Array:
     return np.asarray(np.linalg.norm(model.errors(x.fitted.p, points)[0], axis=1))
 
 
-def _result(
-    model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judged: _Judged, tolerance: Tolerance
-) -> ArmCalibration:
+def _result(model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judged: _Judged) -> ArmResult:
     first, proved = judged.first, judged.proved(points)
     best, held = _held(model, holdout, first, proved)
     cross, left = _left_out_errors(judged.left, held, gain=best is not first)
-    at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
-    reached = [item.sentence for item in at_limit]
+    at_limit = limits_reached(model, best.fitted.p, best.choice.free, judged.tolerance)
     before_m, after_m = _size(model, first, judged.given), _size(model, best, judged.given)
-    fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, tolerance))
-    return ArmCalibration(
+    fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, judged.tolerance))
+    return ArmResult(
         arm=_arm(model, fitted),
+        points=judged.given,
+        tolerance=judged.tolerance,
         model=model,
         fitted=fitted,
         gain=best is not first,
@@ -192,14 +192,15 @@ def _result(
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*reached, *_notes_on_rows(model, points, holdout, judged, fitted, correlation)),
-        verdict=" ".join([_verdict(judged, proved, best, held), *(f"{one}." for one in reached)]),
+        notes=(*(x.sentence for x in at_limit), *_notes_on_rows(model, points, holdout, judged, fitted, correlation)),
+        verdict=" ".join([_verdict(judged, proved, best, held), *(f"{x.sentence}." for x in at_limit)]),
         error_m=after_m,
         before_m=before_m,
         position_noise_m=points.typical_m(fitted.sigma_m),
         correlation=correlation,
         n_places=len(points),
         other_arm=None,
+        urdf=None,
     )
 
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, is_tool_turn
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.parameter_selection import choose
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import NotEnoughData
+from armsight.optics import Rig
 
 Array = NDArray[np.float64]
 
@@ -37,6 +39,22 @@ class Proposal:
     q: Array
     expected_std: dict[str, float]
     std_now: dict[str, float]
+
+
+def in_view(rig: Rig, T_frame_rig: RigidTransform) -> Visible:
+    """Return the test whether positions (m, 3) in a frame are in both images of a rig that stands there."""
+
+    def seen(xyz_m: Array) -> NDArray[np.bool_]:
+        local = T_frame_rig.inv().apply(xyz_m)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            views = rig.project(local)
+        inside = np.ones(len(xyz_m), bool)
+        for camera, uv in zip((rig.left, rig.right), views, strict=True):
+            inside &= np.isfinite(uv).all(axis=1)
+            inside &= ((uv >= 0.0) & (uv <= [camera.width - 1, camera.height - 1])).all(axis=1)
+        return inside
+
+    return seen
 
 
 def propose(

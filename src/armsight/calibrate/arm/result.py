@@ -1,22 +1,34 @@
-"""What the calibration of a known arm comes to."""
+"""What the calibration of a known arm comes to, and where a rig stands to one."""
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from collections.abc import Iterator
+from os import PathLike
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.arm.fit import ArmFit, LimitReached
+from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import Couplings
 from armsight.calibrate.arm.other_arm import OtherArm
+from armsight.calibrate.arm.points import ArmPoints
+from armsight.calibrate.arm.propose import in_view, propose
 from armsight.calibrate.correlation import Correlation
+from armsight.columns import POSE6
+from armsight.errors import UsageError
 from armsight.fields import Doc
+from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
-from armsight.records import NamedCovariance
-from armsight.records.output import Output, figure, output
-from armsight.records.verdict import MEANING, Verdict
+from armsight.optics import Rig
+from armsight.records import NamedCovariance, checked_array, require_count, require_kind, require_rigid
+from armsight.records.output import Output, Row, TitledOutput, figure, output, pose_rows
+from armsight.records.result_parts import PoseStd, RejectedRow
+from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
+from armsight.shown import REJECTED_SHOWN, Bars, Shown, Table, digits, parameter_row, point_rows, rotation_rows
+from armsight.units import MM
 
 Array = NDArray[np.float64]
 
@@ -66,10 +78,11 @@ class ArmNoise(Output):
 
 
 @output
-class ArmCalibration(Output):
-    """The calibration of a known arm's geometry.
+class ArmResult(TitledOutput):
+    """armsight calibrate arm.
 
-    arm: corrected where gain, else nominal; base and tool fitted in both. cross_before, cross_after: errors on rows
+    arm: corrected where a gain is proved, else nominal; base and tool fitted in both. points: the measurements.
+    tolerance: what the nominal arm was believed to. cross_before, cross_after: errors on rows
     left out by cross-validation, in which all that looked at the rows, the kind of model included, is done again
     without them; left_before, left_after: on the holdout where one was given (held), else the same. model, fitted:
     names and values of the parameters (changes to the nominal arm), noise. outlier_rows: (row from 0, error in m).
@@ -79,6 +92,8 @@ class ArmCalibration(Output):
     """
 
     arm: Arm
+    points: ArmPoints
+    tolerance: Tolerance
     model: ArmModel
     fitted: ArmFit
     gain: Annotated[bool, Doc("Whether left-out errors fall beyond their own uncertainty.")]
@@ -109,6 +124,13 @@ class ArmCalibration(Output):
     ]
     correlation: Correlation | None = None
     n_places: int | None = None
+    proposals: Annotated[
+        list[list[float]] | None, Doc("Further joint readings to measure at, rad or m; with --propose.")
+    ] = None
+    expected_std: Annotated[dict[str, float] | None, Doc("Standard deviations to expect with those measured too.")] = (
+        None
+    )
+    urdf: Annotated[str | None, Doc("The URDF written; null for scales and couplings, which it cannot hold.")]
 
     @property
     def nominal(self) -> Arm:
@@ -174,5 +196,156 @@ class ArmCalibration(Output):
         return {} if self.covariance is None else self.covariance.std()
 
     def change(self, name: str) -> float:
-        """Return the change of a parameter to the nominal arm."""
+        """Return the change of a parameter to the nominal arm. Raises UsageError for a name that it has not."""
+        if name not in self.model.names:
+            raise UsageError(f"the arm has no parameter {name!r}", cure=f"Use one of: {', '.join(self.model.names)}")
         return float(self.fitted.p[self.model.names.index(name)])
+
+    def propose(self, n: int, *, rig: Rig | None = None, T_base_rig: RigidTransform | ArrayLike | None = None) -> Array:
+        """Return joint readings (n, joints) to measure at next, those that tell most first.
+
+        rig, T_base_rig: only what both cameras of a rig that stands there see. Raises NotEnoughData where nothing is
+        seen.
+        """
+        require_count("n", n, least=1)
+        if (rig is None) != (T_base_rig is None):
+            raise UsageError("of rig and T_base_rig only one is given", cure="Give both, or neither")
+        seen = None
+        if rig is not None and T_base_rig is not None:
+            require_kind("rig", rig, Rig)
+            seen = in_view(rig, _as_pose("T_base_rig", T_base_rig))
+        found = propose(self.model, self.fitted, self.points, n, tolerance=self.tolerance, visible=seen)
+        return self.nominal.readings(found.q)
+
+    def save(self, path: str | PathLike[str]) -> Any:
+        """Write arm.yaml, or a URDF where the name ends in .urdf, and return its path."""
+        return self.arm.save(path)
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Arm {self.arm.name} calibrated from {self.n} measurements"
+
+    def rows(self) -> list[Row]:
+        """Return the errors before and after, and the verdict."""
+        pairs = (("fitted rows", self.before, self.after), ("left-out rows", self.cross_before, self.cross_after))
+        rows = [(name, f"{a.rms_m / MM:.3g} mm RMS before, {b.rms_m / MM:.3g} mm after") for name, a, b in pairs]
+        return [*rows, ("freed", ", ".join(self.free) or "nothing"), ("verdict", self.verdict)]
+
+    def bars(self) -> Bars:
+        """Return each row's error after calibration, mm."""
+        return Bars(self.title, [str(row) for row in range(self.n)], (self.error_m / MM).tolist(), "row", "error, mm")
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the errors, the corrections, what to know of them, and where to measure next."""
+        named = [("rows used", self.before, self.after)]
+        named += [("rows left out by cross-validation", self.crossval.before, self.crossval.after)]
+        named += [("rows of the holdout", self.holdout.before, self.holdout.after)] if self.holdout is not None else []
+        rows = [
+            [name, *(digits(value / MM, 4) for part in (before, after) for value in (part.mean_m, part.max_m))]
+            for name, before, after in named
+        ]
+        yield Table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
+        if self.free:
+            freed = [parameter_row(name, self.corrections[name], self.deviations[name]) for name in self.free]
+            yield Table("Corrections", ["", "by", "+-"], freed)
+        yield self.verdict
+        yield from (f"  {note}." for note in self.notes if note not in self.verdict)
+        if self.still:
+            yield "Did not move: " + ", ".join(self.still) + ". Nothing of them is corrected by these rows."
+        for item in self.outliers[:REJECTED_SHOWN]:
+            yield f"  row {item.row} misses by {digits(item.error_m / MM)} mm"
+        for q in self.proposals or ():
+            yield "  measure at " + ", ".join(f"{value:.4f}" for value in q)
+        if self.expected_std is not None:
+            expected = [parameter_row(name, value) for name, value in self.expected_std.items()]
+            yield Table("Standard deviations to expect with those measured too", ["", "+-"], expected)
+
+
+def _as_pose(name: str, T: RigidTransform | ArrayLike) -> RigidTransform:
+    """Return a pose of its matrix (4, 4). Raises Inconsistent for what is no rigid transform."""
+    matrix = checked_array(name, T.as_matrix() if isinstance(T, RigidTransform) else T, (4, 4))
+    require_rigid(name, matrix[None])
+    return RigidTransform.from_matrix(matrix)
+
+
+@output
+class RobotWorldResult(TitledOutput):
+    """armsight calibrate robot-world.
+
+    pose: T_base_rig; covariance: of it, dt, dw in base axes. residual_m (m,). rejected_rows: (row from 0, why).
+    doubts: the notes by which it may be wrong beyond its deviations.
+    """
+
+    pose: Annotated[RigidTransform, Doc("Where the rig stands, in base axes.", key="T_base_rig")]
+    covariance: NamedCovariance
+    residual_m: Array
+    rejected_rows: tuple[tuple[int, str], ...]
+    notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def T_base_rig(self) -> Array:
+        """Pose of the rig in the base (4, 4)."""
+        return np.asarray(self.pose.as_matrix())
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations: x_m, y_m, z_m, rx_rad, ry_rad, rz_rad."""
+        return self.covariance.std()
+
+    @figure("Standard deviations of T_base_rig.", key="std")
+    def std_pose(self) -> PoseStd:
+        return PoseStd(**self.std)
+
+    @figure("Residual of a point, RMS, m.")
+    def residual_rms_m(self) -> float:
+        used = np.delete(self.residual_m, [row for row, _ in self.rejected_rows])
+        return float(np.sqrt(np.mean(used**2)))
+
+    @figure("Rows that the result rests on.")
+    def n_used(self) -> int:
+        return len(self.residual_m) - len(self.rejected_rows)
+
+    @figure(MEANING, optional=True)
+    def verdict_(self) -> Verdict:
+        position_mm = 1.96 * max(self.std_pose.translation_m) / MM
+        said = f"Where the rig stands is known to {position_mm:.2g} mm (95 %) from {self.n_used} points"
+        level, headline, todo = "good", "Good", "Use it; calibrate again when the rig or the arm's base has moved."
+        if self.doubts:
+            level, headline, todo = "care", "Scale in doubt", f"{self.doubts[0]}."
+        elif len(self.rejected_rows) > MANY_REJECTED * len(self.residual_m):
+            level, headline = "care", "Usable, with rows left out"
+            said += f", which {len(self.rejected_rows)} others contradict"
+            todo = "Look at the rows left out: readings of other moments, or a beacon that slipped."
+        return Verdict(level=level, headline=headline, reasons=[f"{said}."], next=[todo])
+
+    @figure("Rows left out.")
+    def rejected(self) -> tuple[RejectedRow, ...]:
+        return tuple(RejectedRow(row=row + 1, why=why) for row, why in self.rejected_rows)
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"T_base_rig from {self.n_used} points"
+
+    def rows(self) -> list[Row]:
+        """Return the pose with standard deviations, and the residual."""
+        values = [*self.pose.translation.tolist(), *euler_rad(self.pose.rotation).tolist()]
+        rows = pose_rows(dict(zip(POSE6, values, strict=True)), self.std)
+        return [*rows, ("residual", f"{self.residual_rms_m / MM:.3g} mm RMS")]
+
+    def bars(self) -> Bars:
+        """Return each point's residual, mm."""
+        rows = [str(row) for row in range(len(self.residual_m))]
+        return Bars(self.title, rows, (np.abs(self.residual_m) / MM).tolist(), "row", "error, mm")
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the rig's pose, what it rests on, the rows left out, and what to know of it."""
+        T, std = self.pose, self.std_pose
+        places = [[f"{axis}, mm", *rest] for axis, *rest in point_rows(T.translation.tolist(), std.translation_m)]
+        turns = rotation_rows(T.rotation.as_rotvec().tolist(), std.rotation_rad)
+        yield Table("T_base_rig", ["", "value", "+-"], [*places, *turns])
+        yield f"{self.n_used} points, residual {digits(self.residual_rms_m / MM)} mm RMS."
+        yield from (f"  left out: row {item.row}: {item.why}" for item in self.rejected[:REJECTED_SHOWN])
+        yield from (f"- {note}" for note in self.notes)

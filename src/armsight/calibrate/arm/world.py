@@ -4,7 +4,6 @@ scale is the arm's."""
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,22 +14,17 @@ from armsight.calibrate.arm.covariance import ALIKE, FEWEST_TIMED
 from armsight.calibrate.arm.fit import added_noise
 from armsight.calibrate.arm.initial_guess import placed
 from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_position, ranges, senseless, spread_m
-from armsight.calibrate.arm.points import ArmPoints, check_points
-from armsight.calibrate.arm.rows import in_order, of_places
+from armsight.calibrate.arm.points import ArmPoints, check_points, in_order, of_places
+from armsight.calibrate.arm.result import RobotWorldResult
 from armsight.calibrate.correlation import Correlation, fit_averaged
 from armsight.columns import POSE6
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
-from armsight.fields import Doc
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import MEDIAN_3, NORMAL_95, chi2_ppf, t_ppf
 from armsight.geometry import align_points
 from armsight.kinematics import Arm, fk
 from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
-from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import PoseStd, RejectedRow
-from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
-from armsight.units import MM
 
 Array = NDArray[np.float64]
 _Refined = tuple[RigidTransform, NamedCovariance, tuple[str, ...]]
@@ -47,53 +41,7 @@ LEAST_LEFT = 4
 """Rows that must be left: six unknowns, and something to judge them by."""
 
 
-@output
-class WorldCalibration(Output):
-    """armsight calibrate robot-world.
-
-    covariance: of T_base_rig, dt, dw in base axes. residual_m (m,). rejected_rows: (row from 0, why).
-    doubts: the notes by which it may be wrong beyond its deviations.
-    """
-
-    T_base_rig: Annotated[RigidTransform, Doc("Where the rig stands, in base axes.")]
-    covariance: NamedCovariance
-    residual_m: Array
-    rejected_rows: tuple[tuple[int, str], ...]
-    notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
-    doubts: tuple[str, ...] = ()
-
-    @figure("Standard deviations of T_base_rig.")
-    def std(self) -> PoseStd:
-        return PoseStd(**self.covariance.std())
-
-    @figure("Residual of a point, RMS, m.")
-    def residual_rms_m(self) -> float:
-        used = np.delete(self.residual_m, [row for row, _ in self.rejected_rows])
-        return float(np.sqrt(np.mean(used**2)))
-
-    @figure("Rows that the result rests on.")
-    def n_used(self) -> int:
-        return len(self.residual_m) - len(self.rejected_rows)
-
-    @figure(MEANING, optional=True)
-    def verdict_(self) -> Verdict:
-        position_mm = 1.96 * max(self.std.translation_m) / MM
-        said = f"Where the rig stands is known to {position_mm:.2g} mm (95 %) from {self.n_used} points"
-        level, headline, todo = "good", "Good", "Use it; calibrate again when the rig or the arm's base has moved."
-        if self.doubts:
-            level, headline, todo = "care", "Scale in doubt", f"{self.doubts[0]}."
-        elif len(self.rejected_rows) > MANY_REJECTED * len(self.residual_m):
-            level, headline = "care", "Usable, with rows left out"
-            said += f", which {len(self.rejected_rows)} others contradict"
-            todo = "Look at the rows left out: readings of other moments, or a beacon that slipped."
-        return Verdict(level=level, headline=headline, reasons=[f"{said}."], next=[todo])
-
-    @figure("Rows left out.")
-    def rejected(self) -> tuple[RejectedRow, ...]:
-        return tuple(RejectedRow(row=row + 1, why=why) for row, why in self.rejected_rows)
-
-
-def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
+def calibrate_world(arm: Arm, points: ArmPoints) -> RobotWorldResult:
     """Return where the rig stands in base axes, from the tool's positions in rig axes at joint readings.
 
     The tool's origin where rows have no name of a point, or one and the same; else the arm's tool points by name.
@@ -126,8 +74,8 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     notes = (*notes, *told)
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     rejected = tuple((int(row), f"misses the others' rig by {1e3 * size[row]:.3g} mm") for row in out)
-    return WorldCalibration(
-        T_base_rig=T, covariance=covariance, residual_m=size, rejected_rows=rejected, notes=notes, doubts=doubts
+    return RobotWorldResult(
+        pose=T, covariance=covariance, residual_m=size, rejected_rows=rejected, notes=notes, doubts=doubts
     )
 
 

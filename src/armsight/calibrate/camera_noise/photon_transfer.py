@@ -9,9 +9,10 @@ general), the variance is kept as a table.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,8 @@ from armsight.calibrate.camera_noise.stills import BLOCK_PX, Image, Stills, bloc
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.fields import Doc
 from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
-from armsight.records.output import extended, output
+from armsight.records.output import Output, extended, output
+from armsight.shown import Shown, Table, digits
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -86,6 +88,53 @@ class NoiseCalibration(NoiseModel):
     def noise(self) -> NoiseModel:
         """What files keep of it."""
         return NoiseModel(**{one.name: getattr(self, one.name) for one in fields(NoiseModel)})
+
+
+def noise_shown(noise: NoiseModel) -> Iterator[Shown]:
+    """Yield what a terminal shows of a camera's noise."""
+    rows = [
+        [digits(level), digits(math.sqrt(variance)), digits(std / (2.0 * math.sqrt(variance)) if variance else None, 2)]
+        for level, variance, std in zip(noise.levels, noise.variance_levels2, noise.std_levels2, strict=True)
+    ]
+    yield Table(f"Noise, {noise.n_frames} frames", ["at grey level", "noise, grey levels", "+-"], rows)
+    near = noise.correlation
+    yield (
+        f"Correlation with the next pixel: {near.x[0]:.3f} along x, {near.y[0]:.3f} along y, "
+        f"{near.diagonal:.3f} along diagonals; the one after it: {near.x[1]:.3f}, {near.y[1]:.3f}"
+    )
+    line = noise.linear
+    if line is None:
+        yield "The variance is no line over the grey level: a transfer curve or compression; the table holds"
+    else:
+        yield (
+            f"Linear camera: read noise {digits(line.read_noise_levels)} grey levels, "
+            f"{digits(line.gain_levels)} grey levels for each electron"
+        )
+    yield from (f"  {text}" for text in getattr(noise, "advice", ()))  # of noise that a file held there is none
+
+
+@output
+class NoiseResult(Output):
+    """armsight calibrate camera --noise, without a board.
+
+    size: (width, height) of the frames; inputs: paths of their files.
+    """
+
+    noise: Annotated[
+        NoiseCalibration | NoiseModel,
+        Doc("The camera's noise; the keys from n_given on of still frames, not of a file."),
+    ]
+    size: tuple[int, int]
+    inputs: tuple[Any, ...]
+
+    @property
+    def model(self) -> NoiseModel:
+        """The noise as `CameraResult.save` and Rig(noise=...) take it."""
+        return self.noise.noise if isinstance(self.noise, NoiseCalibration) else self.noise
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the noise."""
+        yield from noise_shown(self.noise)
 
 
 def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.light_target.adjustment import LightBundle, LightObservations, fit_bundle
-from armsight.calibrate.light_target.advice import advise
 from armsight.calibrate.light_target.checks import (
     MIN_FRAMES,
     distinguishable_frames,
@@ -36,7 +35,7 @@ from armsight.calibrate.light_target.frames import (
     sights_of,
 )
 from armsight.calibrate.light_target.naming import Named, distances, find_shape
-from armsight.calibrate.light_target.result import RejectedFrame, TargetResult, distances_of
+from armsight.calibrate.light_target.result import RejectedFrame, TargetResult, advise, distances_of
 from armsight.defaults import LIT_LIGHTS
 from armsight.fitting.quantiles import chi2_isf, chi2_ppf
 from armsight.geometry.lengths import TARGET_M, check_metres

@@ -21,7 +21,7 @@ from armsight.calibrate.timing.fit import (
     solve_model,
 )
 from armsight.calibrate.timing.naming import named_by_motion, only_light, usual_count
-from armsight.calibrate.timing.result import TimingCalibration
+from armsight.calibrate.timing.result import TimingResult
 from armsight.calibrate.timing.stamps import SteadyStamps, camera_clock
 from armsight.calibrate.timing.views import Views, common_lights, views_of
 from armsight.errors import Inconsistent, NotEnoughData
@@ -57,7 +57,7 @@ class _Solved:
 
 def calibrate_timing(
     rig: Rig, left: SpotTrack, right: SpotTrack, positions_m: Mapping[str, Array] | None = None
-) -> TimingCalibration:
+) -> TimingResult:
     """Return the timing of both cameras of a rig, from the spots of waved lights in frames with their own stamps.
 
     positions_m: of a target's lights by name, where known. Lights without names are told apart by their motion. Raises
@@ -75,7 +75,7 @@ def calibrate_timing(
     period_s = max(clock.period_s for clock in clocks)
     solved = _solve(views, coarse.delay_s, mid_s, period_s, positions_m or {})
     _require_fit(solved, coarse.delay_s, period_s)
-    return _result(solved, mid_s, clocks, (left, right))
+    return _result(rig, solved, mid_s, clocks, (left, right))
 
 
 def _require_two_cameras(rig: Rig) -> None:
@@ -195,8 +195,8 @@ def _priors(views: Views, delay_s: float, period_s: float, positions_m: Mapping[
 
 
 def _result(
-    solved: _Solved, mid_s: float, clocks: tuple[SteadyStamps, ...], tracks: tuple[SpotTrack, SpotTrack]
-) -> TimingCalibration:
+    rig: Rig, solved: _Solved, mid_s: float, clocks: tuple[SteadyStamps, ...], tracks: tuple[SpotTrack, SpotTrack]
+) -> TimingResult:
     """Return the result at the right stamp 0, with what the stamps' jitter leaves open of both clocks."""
     x, views = solved.fit.shared, solved.model.views
     C = solved.fit.covariance.block(TIMES) if solved.fit.covariance is not None else np.zeros((4, 4))
@@ -212,7 +212,8 @@ def _result(
     full[:4, :4] = C
     full[4, 4], full[5, 5] = left.jitter_std_s**2, right.jitter_std_s**2
     common = views.stamp_s[views.side == 0]
-    return TimingCalibration(
+    return TimingResult(
+        given=rig,
         delay_s=float(x[0] - 1e-6 * x[1] * mid_s),
         drift_ppm=float(x[1]),
         readout_s=BothSeconds(float(x[2]), float(x[3])),

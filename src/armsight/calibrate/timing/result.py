@@ -12,7 +12,7 @@ from armsight.fields import Doc
 from armsight.optics import Rig
 from armsight.records import CameraTiming, NamedCovariance
 from armsight.records.by_value import Saveable
-from armsight.records.output import Output, extended, figure, output
+from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
 from armsight.records.timing import CLOCK
 from armsight.records.verdict import MEANING, Verdict
@@ -30,11 +30,14 @@ leave 0.33 px beside 0.04."""
 
 
 @output
-class TimingCalibration(Output):
+class TimingResult(Output, Saveable):
     """armsight calibrate timing.
 
-    t_left = t_right + delay_s + 1e-6 drift_ppm t_right. covariance: of the names that std has.
+    t_left = t_right + delay_s + 1e-6 drift_ppm t_right. given: the rig that was calibrated. covariance: of the names
+    that std has.
     """
+
+    given: Rig
 
     delay_s: Annotated[
         float, Doc("t_left = t_right + delay_s + 1e-6 drift_ppm t_right turns the right stamps into left ones, s.")
@@ -61,6 +64,15 @@ class TimingCalibration(Output):
     @figure("Standard deviation of t_left there, s.")
     def std_middle_s(self) -> float:
         return float(self.cameras()[1].clock_std_s([self.middle_s])[0])
+
+    @property
+    def rig(self) -> Rig:
+        """The rig with its cameras' timing; exposures that it knew of are kept."""
+        left, right = (
+            found if before is None else replace(found, exposure_s=before.exposure_s)
+            for found, before in zip(self.cameras(), self.given.timing, strict=True)
+        )
+        return replace(self.given, timing=(left, right))
 
     def cameras(self) -> tuple[CameraTiming, CameraTiming]:
         """Return the timing of the left and the right camera as files hold it."""
@@ -143,19 +155,3 @@ class TimingCalibration(Output):
         yield f"{self.n_frames} frames, {self.common_s:.1f} s seen by both cameras, lights: {', '.join(self.lights)}"
         yield f"Residual {digits(self.residual_px.left)} and {digits(self.residual_px.right)} px RMS"
         yield f"Verdict: {self.verdict}"
-
-
-@output
-class TimingResult(TimingCalibration, Saveable):
-    """A timing's calibration and `rig`, the rig with its cameras' timing."""
-
-    rig: Rig
-
-
-def timed_rig(rig: Rig, done: TimingCalibration) -> TimingResult:
-    """Return the calibration with the rig that has it; exposures that the rig knows of are kept."""
-    left, right = (
-        found if before is None else replace(found, exposure_s=before.exposure_s)
-        for found, before in zip(done.cameras(), rig.timing, strict=True)
-    )
-    return extended(done, TimingResult, rig=replace(rig, timing=(left, right)))
