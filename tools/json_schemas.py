@@ -15,11 +15,9 @@ from typing import Any
 from armsight.app.arm_files import ConvertArmOutput
 from armsight.app.calibrate.arm import ArmOutput
 from armsight.app.calibrate.results import (
-    CameraOutput,
     MirrorCheckOutput,
     MirrorsOutput,
     NoiseOutput,
-    ZoomRigOutput,
 )
 from armsight.app.compare.run import CompareOutput
 from armsight.app.convert import ConvertOutput
@@ -45,7 +43,8 @@ from armsight.app.tables import ConvertTableOutput
 from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm.world import WorldCalibration
-from armsight.calibrate.cameras import StereoCalibration
+from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras.zoom import ZoomRigResult
 from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.handeye import HandEye
 from armsight.calibrate.light_target import TargetResult
@@ -74,10 +73,10 @@ from armsight_lab.history.trend import TrendOutput
 OUTPUTS: Mapping[str, type[Output]] = {
     "measure": MeasureOutput,
     "demo": DemoOutput,
-    "calibrate-camera": CameraOutput,
+    "calibrate-camera": CameraCalibration,
     "calibrate-camera-noise": NoiseOutput,
     "calibrate-stereo": StereoCalibration,
-    "calibrate-zoom-rig": ZoomRigOutput,
+    "calibrate-zoom-rig": ZoomRigResult,
     "calibrate-mirrors": MirrorsOutput,
     "calibrate-mirrors-check": MirrorCheckOutput,
     "calibrate-target": TargetResult,

@@ -19,11 +19,7 @@ from armsight._files import Files
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
     from armsight.api import paths as paths
-    from armsight.api.cameras import CameraResult as CameraResult
-    from armsight.api.cameras import RigResult as RigResult
-    from armsight.api.cameras import calibrate_camera as calibrate_camera
     from armsight.api.cameras import calibrate_mirrors as calibrate_mirrors
-    from armsight.api.cameras import calibrate_stereo as calibrate_stereo
     from armsight.api.cell import CellResult as CellResult
     from armsight.api.cell import calibrate_cell as calibrate_cell
     from armsight.api.convert import convert as convert
@@ -54,9 +50,7 @@ if TYPE_CHECKING:
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
     from armsight.api.light import NoiseResult as NoiseResult
-    from armsight.api.light import ZoomRigResult as ZoomRigResult
     from armsight.api.light import calibrate_noise as calibrate_noise
-    from armsight.api.light import calibrate_zoom_rig as calibrate_zoom_rig
     from armsight.api.light import check_mirrors as check_mirrors
     from armsight.api.links import check_robot as check_robot
     from armsight.api.links import jog as jog
@@ -104,6 +98,9 @@ if TYPE_CHECKING:
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
+    from armsight.calibrate.cameras import CameraResult as CameraResult
+    from armsight.calibrate.cameras import RigResult as RigResult
+    from armsight.calibrate.cameras.zoom import ZoomRigResult as ZoomRigResult
     from armsight.calibrate.light_target import TargetResult as TargetResult
     from armsight.calibrate.timing import TimingResult as TimingResult
     from armsight.calibrate.tooltip_result import ToolTipResult as ToolTipResult
@@ -135,8 +132,11 @@ if TYPE_CHECKING:
     from armsight.kinematics import JointPath as JointPath
     from armsight.kinematics import presets as presets
     from armsight.measure.settings import SpotSettings as SpotSettings
-    from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
-    from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
+    from armsight.ops.calibrate_cameras import calibrate_camera as calibrate_camera
+    from armsight.ops.calibrate_cameras import calibrate_stereo as calibrate_stereo
+    from armsight.ops.calibrate_cameras import calibrate_zoom_rig as calibrate_zoom_rig
+    from armsight.ops.calibrate_rig import calibrate_target as calibrate_target
+    from armsight.ops.calibrate_rig import calibrate_timing as calibrate_timing
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
     from armsight.optics import Camera as Camera
@@ -186,13 +186,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
     "armsight_lab.api.design": ("design",),
     "armsight_lab.api.batch": ("BatchResult", "batch"),
-    "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
+    "armsight.api.cameras": ("calibrate_mirrors",),
     "armsight.api.cell": ("CellResult", "calibrate_cell"),
     "armsight.api.light": (
         "NoiseResult",
-        "ZoomRigResult",
         "calibrate_noise",
-        "calibrate_zoom_rig",
         "check_mirrors",
     ),
     "armsight.api.hand_eye": (
@@ -202,7 +200,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_hand_eye_from_streams",
     ),
     "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
-    "armsight.ops.calibrate_cameras": ("calibrate_target", "calibrate_timing"),
+    "armsight.ops.calibrate_cameras": ("calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"),
+    "armsight.ops.calibrate_rig": ("calibrate_target", "calibrate_timing"),
+    "armsight.calibrate.cameras.zoom": ("ZoomRigResult",),
     "armsight.calibrate.light_target": ("TargetResult",),
     "armsight.calibrate.timing": ("TimingResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
@@ -259,7 +259,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api": ("paths",),
     "armsight_lab.api": ("history",),
     "armsight.measure.settings": ("SpotSettings",),
-    "armsight.calibrate.cameras": ("BoardOptions",),
+    "armsight.calibrate.cameras": ("BoardOptions", "CameraResult", "RigResult"),
     "armsight.control.guard": ("Limits",),
     "armsight.drivers": ("CameraSettings", "Robot", "RobotState", "Sent"),
     "armsight.kinematics": ("Arm", "Inverse", "Joint", "JointPath", "presets"),

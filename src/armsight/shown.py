@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from armsight.units import DEG, DIGITS, MM, NOTHING
 
 REJECTED_SHOWN = 8
 """Lines of what was left out; the report and JSON have all."""
+WRITTEN = "Written: {out}"
+"""The line of the file that was written: a result does not know its name, and who shows it fills it in."""
 
 
 class Table(NamedTuple):
@@ -42,6 +44,13 @@ def digits(value: float | None, digits: int = DIGITS) -> str:
         return "0"
     decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
     return f"{value:.{min(decimals, 9)}f}"
+
+
+def rejected_lines(rejected: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Yield the first of what was left out, by name and reason, and how many more there are."""
+    yield from (f"  left out {name}: {why}" for name, why in rejected[:REJECTED_SHOWN])
+    if len(rejected) > REJECTED_SHOWN:
+        yield f"  ... and {len(rejected) - REJECTED_SHOWN} more"
 
 
 def point_rows(xyz_m: Iterable[float], std_m: Iterable[float]) -> list[list[str]]:

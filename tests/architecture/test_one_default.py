@@ -176,6 +176,7 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
     assert (built.near_m, built.gap_m, built.index) == (given.near_m, given.gap_m, given.index)
     files, robots = (import_module(f"armsight.app.requests.{name}") for name in ("files", "calibrate_robot"))
     cameras = import_module("armsight.app.requests.calibrate_cameras")
+    of_boards = (armsight.calibrate_camera, armsight.calibrate_stereo)
     known = (
         (files.SmoothJob.bound_m, smoothing.BOUND_M),
         (files.SmoothJob.bound_rad, smoothing.BOUND_RAD),
@@ -185,9 +186,7 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
         (files.PicksJob.patch_px, 2 * PatchSettings().half_px + 1),
         (robots.ArmJob.tolerance_m, Tolerance().length_m),
         (robots.ArmJob.tolerance_rad, Tolerance().angle_rad),
-        (cameras.CameraJob.folds, BoardOptions().folds),
-        (cameras.StereoJob.folds, BoardOptions().folds),
-        (cameras.CameraJob.lens, BoardOptions().lens.value),
+        *((inspect.signature(one).parameters["lens"].default, BoardOptions().lens.value) for one in of_boards),
         (cameras.MirrorsJob.index, Plate(thickness_m=1e-3).index),
         (import_module("armsight.app.requests.simulate").DoctorJob.sigma_px, CENTROID_SIGMA_PX),
     )

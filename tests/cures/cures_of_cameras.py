@@ -82,15 +82,15 @@ TRIED = {
         f"{NOISE} rig.yaml --side left && calibrate camera --noise rig.yaml -o small.yaml",
         f"calibrate camera --noise rig.yaml -o pair320.yaml --side left && {NOISE} small.yaml",
     ),
-    ("cli/calibrate_cameras.py", "Give SRC and --board"): (f"calibrate camera {BOARDS}", CAMERA),
-    ("cli/calibrate_cameras.py", "Leave --side away"): (f"{CAMERA} --side left", CAMERA),
-    ("app/requests/calibrate_cameras.py", "Give --zoom with the value"): (f"{CAMERA} --pupil 0.01", "{} --zoom 100"),
-    ("app/requests/calibrate_cameras.py", "Give --pupil"): (
+    ("ops/calibrate_cameras.py", "Give SRC and --board"): (f"calibrate camera {BOARDS}", CAMERA),
+    ("ops/calibrate_cameras.py", "Leave --side away"): (f"{CAMERA} --side left", CAMERA),
+    ("ops/calibrate_cameras.py", "Give --zoom with the value"): (f"{CAMERA} --pupil 0.01", "{} --zoom 100"),
+    ("ops/calibrate_cameras.py", "Give --pupil"): (
         f"{CAMERA} --zoom 100 --pupil-std 0.001",
         "{} --pupil 0.01",
     ),
-    ("app/requests/calibrate_cameras.py", "Give --lens with"): (f"{CAMERA} --lens oval", f"{CAMERA} --lens pinhole"),
-    ("app/calibrate/zoom.py", "Give --left, --right or both"): (ZOOM_RIG, ZOOMED),
+    ("ops/calibrate_cameras.py", "Give --lens with"): (f"{CAMERA} --lens oval", f"{CAMERA} --lens pinhole"),
+    ("calibrate/cameras/zoom.py", "Give --left, --right or both"): (ZOOM_RIG, ZOOMED),
     ("optics/zoom_rig.py", "Give --zoom-{}"): (f"{ZOOM_RIG} --left lens.yaml", "{} --zoom-left 100"),
     ("optics/zoom_rig.py", "Check the file of the"): (f"{ZOOM_RIG} --left lens.yaml --zoom-left 300", ZOOMED),
     ("optics/zoom_rig.py", "with the value that the lens stood at"): (

@@ -6,16 +6,14 @@ from typing import Literal
 
 from armsight.app.calibrate.camera_noise import find_noise
 from armsight.app.calibrate.mirrors_check import run_check
-from armsight.app.calibrate.results import MirrorCheckOutput, NoiseOutput, ZoomRigOutput
-from armsight.app.calibrate.zoom import zoom_rig
-from armsight.app.requests.calibrate_cameras import MirrorsJob, NoiseJob, ZoomRigJob
+from armsight.app.calibrate.results import MirrorCheckOutput, NoiseOutput
+from armsight.app.requests.calibrate_cameras import MirrorsJob, NoiseJob
 from armsight.drivers import CameraSettings
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import Given, PathText, RigLike, Source
-from armsight.optics import Camera, Rig
+from armsight.optics import Camera
 from armsight.records import NoiseModel, Progress, Target
-from armsight.records.output import extended, output
-from armsight.store import read_rig
+from armsight.records.output import output
 
 
 @output
@@ -23,13 +21,6 @@ class NoiseResult(NoiseOutput):
     """What `calibrate_noise` found: its figures, and `model`, as `CameraResult.save` and Rig(noise=...) take it."""
 
     model: NoiseModel
-
-
-@output
-class ZoomRigResult(ZoomRigOutput):
-    """What `calibrate_zoom_rig` found: its figures, and `rig`."""
-
-    rig: Rig
 
 
 @speaks_python(NoiseJob)
@@ -58,28 +49,6 @@ def calibrate_noise(
     with Given(name="camera.yaml") as given:
         found = find_noise(given.job(NoiseJob, locals()), progress)
         return NoiseResult(noise=found.output, model=found.noise)
-
-
-@speaks_python(ZoomRigJob)
-def calibrate_zoom_rig(
-    rig: RigLike,
-    left: Camera | PathText | None = None,
-    right: Camera | PathText | None = None,
-    *,
-    zoom_left: float | None = None,
-    zoom_right: float | None = None,
-    out: PathText | None = None,
-) -> ZoomRigResult:
-    """Return a rig with the settings of its zoom lenses: `measure(..., zoom_left=...)` then takes any of them.
-
-    rig: calibrated at one setting of each lens. left, right: camera.yaml with the lens's settings, as
-    CameraResult.save(path, zoom=...) gathers them. zoom_left, zoom_right: where the lenses stood for the rig. out:
-    rig.yaml to write. Raises UsageError, Inconsistent.
-    """
-    with Given(out, name="rig.yaml") as given:
-        values = {"rig": rig, "zoom_left": zoom_left, "zoom_right": zoom_right}
-        done = zoom_rig(given.job(ZoomRigJob, values, left=left, right=right, out=given.out))
-        return extended(done, ZoomRigResult, rig=read_rig(given.out))
 
 
 @speaks_python(MirrorsJob)

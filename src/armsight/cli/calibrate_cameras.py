@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from armsight.app import requests
-from armsight.cli.actions import add_action
+from armsight.cli.actions import add_action, show
 from armsight.cli.command import calibrate, command
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.tables import (
-    camera_tables,
-    figure,
-    noise_tables,
-    stereo_tables,
-    zoom_rig_tables,
-    zoom_tables,
-)
-from armsight.errors import UsageError
-from armsight.ops.calibrate_cameras import calibrate_target, calibrate_timing
+from armsight.cli.tables import figure
+from armsight.ops.calibrate_cameras import calibrate_camera, calibrate_stereo, calibrate_zoom_rig
+from armsight.ops.calibrate_rig import calibrate_target, calibrate_timing
 from armsight.shown import REJECTED_SHOWN
 from armsight.units import MM
 
@@ -28,74 +23,24 @@ if TYPE_CHECKING:
 MRAD = 1e-3
 
 
-@command(calibrate, filed="calibrate camera", judged=True)
-def camera(face: CommandUI, job: requests.calibrate_cameras.CameraJob) -> None:
-    """Find one camera's focal lengths, centre and distortion from images of a printed board, and its noise.
-
-    --every and --frames are of the board's images; without them of the still frames.
-    """
+def noise_alone(face: CommandUI, asked: Mapping[str, Any]) -> bool:
+    """Find a camera's noise where nothing else was given, and tell whether that is so."""
+    if asked.get("noise") is None or any(asked.get(name) is not None for name in ("images", "board", "zoom")):
+        return False
     from armsight.app.calibrate.camera_noise import run_noise
-    from armsight.app.calibrate.cameras import calibrate_camera
+    from armsight.app.requests.calibrate_cameras import NoiseJob
 
-    alone = job.noise_alone
-    if alone is not None:
-        found = run_noise(alone, face.progress("calibrating"))
-        noise_tables(face, found.noise, job.out)
-        face.result(found)
-        return
-    _require_board(job)
-    done = calibrate_camera(replace(job, workers=workers(job.workers)), face.progress("calibrating"))
-    camera_tables(face, done, job.out)
-    for line in done.advice:
-        face.say(f"- {line}")
-    if done.zoom is not None:
-        zoom_tables(face, done.zoom)
-    if done.noise is not None:
-        noise_tables(face, done.noise, job.out)
-    face.result(done)
-
-
-def workers(given: int | None) -> int | None:
-    """Return how many threads read images: as given, else as the settings have it."""
-    from armsight.config import load_settings
-
-    return load_settings().workers if given is None else given
-
-
-def _require_board(job: requests.calibrate_cameras.CameraJob) -> None:
-    """Raise UsageError where a camera is to be calibrated from half of what that takes."""
-    if not job.source or not job.board:
-        raise UsageError(
-            "the board, --board, is not given" if job.source else "the images of the board, SRC, are not given",
-            cure="Give SRC and --board; or --noise FRAMES alone, with the file to add to as -o",
-        )
-    if job.side is not None:
-        raise UsageError("--side is of a rig.yaml, and a board's images make a camera.yaml", cure="Leave --side away")
-
-
-@command(calibrate, filed="calibrate stereo", judged=True)
-def stereo(face: CommandUI, job: requests.calibrate_cameras.StereoJob) -> None:
-    """Find both cameras of a pair and where they stand to each other, from pairs of images of a printed board."""
-    from armsight.app.calibrate.cameras import calibrate_stereo
-
-    done = calibrate_stereo(replace(job, workers=workers(job.workers)), face.progress("calibrating"))
-    stereo_tables(face, done, job.out)
-    for line in done.advice:
-        face.say(f"- {line}")
-    face.result(done)
-
-
-@command(calibrate)
-def zoom_rig(face: CommandUI, job: requests.calibrate_cameras.ZoomRigJob) -> None:
-    """Give a calibrated rig the settings of its zoom lenses: `measure --zoom-left --zoom-right` then takes any of them.
-
-    The right camera's place, found at one setting of each lens, holds for all of them.
-    """
-    from armsight.app.calibrate.zoom import zoom_rig as run
-
-    done = run(job)
-    zoom_rig_tables(face, done, job.out)
-    face.result(done)
+    job = NoiseJob(
+        frames=asked["noise"],
+        out=asked["out"],
+        side=asked.get("side"),
+        every=asked["every"],
+        limit=asked.get("frames"),
+        camera_settings=asked["camera_settings"],
+    )
+    found = run_noise(job, face.progress("calibrating"))
+    show(face, found, asked["out"])
+    return True
 
 
 @command(calibrate, filed="calibrate mirrors")
@@ -104,8 +49,9 @@ def mirrors(face: CommandUI, job: requests.calibrate_cameras.MirrorsJob) -> None
     from armsight.app.calibrate.cameras import report_path
     from armsight.app.calibrate.mirrors import run_mirrors
     from armsight.app.calibrate.mirrors_check import run_check
+    from armsight.config import load_settings
 
-    job = replace(job, workers=workers(job.workers))
+    job = replace(job, workers=load_settings().workers if job.workers is None else job.workers)
     if job.check:
         found = run_check(job, face.progress("checking"))
         check_tables(face, found)
@@ -113,10 +59,19 @@ def mirrors(face: CommandUI, job: requests.calibrate_cameras.MirrorsJob) -> None
         return
     done = run_mirrors(job, face.progress("calibrating"))
     if job.out is not None:
-        stereo_tables(face, done, job.out) if job.target is None else lit_table(face, done)
+        stereo_lines(face, done, job.out) if job.target is None else lit_table(face, done)
         alignment_tables(face, done)
         face.say(f"Written: {job.out}; open {report_path(job.out)}")
     face.result(done)
+
+
+def stereo_lines(face: CommandUI, done: MirrorsOutput, out: Path) -> None:
+    """Print how well the two views fit."""
+    for one in done.shown_fit():
+        if isinstance(one, str):
+            face.say(one.replace("{out}", str(out)))
+        else:
+            face.table(*one)
 
 
 def lit_table(face: CommandUI, done: MirrorsOutput) -> None:
@@ -174,5 +129,8 @@ def _alignment_rows(found: MirrorAlignment | CheckedAlignment) -> list[list[str]
     ]
 
 
+add_action(calibrate, calibrate_camera, noise_alone, filed="calibrate camera", judged=True)
+add_action(calibrate, calibrate_stereo, filed="calibrate stereo", judged=True)
+add_action(calibrate, calibrate_zoom_rig)
 add_action(calibrate, calibrate_target, judged=True)
 add_action(calibrate, calibrate_timing, in_place=True, judged=True)

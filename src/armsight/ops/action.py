@@ -90,20 +90,32 @@ class Action:
                 else value
                 for name, value in given.items()
             }
+            out = None if given.get(OUT) is None else Path(given[OUT])
+            if out is not None:
+                taken[OUT] = out
             if PROGRESS in self.parameters and taken.get(PROGRESS) is None:
                 taken[PROGRESS] = progress
             result = self.function(**taken)
-        out = given.get(OUT)
         if out is not None:
             from armsight.store.saving import write_result
 
-            write_result(Path(out), result, self._files(given))
+            write_result(out, result, self._files(given))
         return result
 
     def _files(self, given: Given) -> list[Path]:
         """Return the files whose hashes go into the result, in the order of the parameters."""
-        paths = [given.get(name) for name, one in self.inputs.items() if one.hashed]
-        return [Path(fspath(one)) for one in paths if isinstance(one, str | PathLike)]
+        files: list[Path] = []
+        for name, one in self.inputs.items():
+            value = given.get(name)
+            if not one.hashed or not isinstance(value, str | PathLike):
+                continue
+            if one.kind is str:  # frames
+                from armsight.app.calibrate.camera_noise import input_files
+
+                files += input_files(fspath(value))
+            else:
+                files.append(Path(value))
+        return files
 
 
 def action(command: str, *, working: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -7,12 +7,18 @@ from __future__ import annotations
 
 from typing import Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import SRC
+from armsight.app.requests.shared import BOARD, SRC
 from armsight.fields import Doc, Flag
 from armsight.ops.action import Input
 
 READERS = "armsight.ops.inputs"
 FRAMES = Input(f"{READERS}:frames", kind=str)
+IMAGES = Input(f"{READERS}:images", kind=str, hashed=True)
+"""Images as the command line names them, or arrays and paths in order."""
+NOISE = Input(f"{READERS}:noise", kind=str, hashed=True)
+"""Still frames, the file that holds a camera's noise, or a NoiseModel."""
+ZOOM_LENS = Input(f"{READERS}:zoom_lens", hashed=True)
+"""The path of a camera.yaml with a lens's settings, or the ZoomLens."""
 
 RigLike: TypeAlias = Annotated[Any, Input(f"{READERS}:rig", hashed=True)]
 """A Rig, or the path of a rig.yaml."""
@@ -20,6 +26,8 @@ TargetLike: TypeAlias = Annotated[Any, Input(f"{READERS}:target")]
 """A Target, the path of a target.yaml, or a board's text."""
 PosesLike: TypeAlias = Annotated[Any, Input(f"{READERS}:poses", hashed=True)]
 """Poses (n, 4, 4) in m, a RigidTransform, or the path of a table of poses."""
+BoardLike: TypeAlias = Annotated[Any, Doc(BOARD), Input(f"{READERS}:board", kind=str), Flag(metavar="BOARD")]
+"""A printed board's text, a file that says it, or a Target."""
 SpotsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:spots")]
 """Columns t_s, u_px, v_px, or the path of a table of spots."""
 Left: TypeAlias = Annotated[Any, Doc(f"Left frames: {SRC}."), FRAMES, Flag(metavar="SRC")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -159,6 +159,18 @@ def write_zoom_camera(path: Path, file: ZoomCameraFile, *, inputs: Sequence[Path
         "timing": timing_mapping(file.timing) if file.timing else None,
     }
     write_document(path, CAMERA_FORMAT, content, inputs, earlier=file.inputs)
+
+
+def with_setting(path: Path | None, setting: ZoomSetting, noise: NoiseModel | None = None) -> ZoomCameraFile:
+    """Return what a zoom lens's file holds with a calibrated setting, in place of the one at its zoom.
+
+    Where there is no file it is the only setting. The noise that the file holds stays where no new one is given. Raises
+    Inconsistent where the setting is not of the same camera, BadFile.
+    """
+    if path is None or not path.exists():
+        return ZoomCameraFile(lens=ZoomLens(settings=(setting,)), noise=noise)
+    old = read_zoom_camera(path)
+    return replace(old, lens=old.lens.with_setting(setting), noise=noise or old.noise)
 
 
 def settings_mapping(lens: ZoomLens) -> list[dict[str, Any]]:

@@ -295,6 +295,11 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         {"robot_stream": (np.arange(12.0), FLANGE), "camera_stream": (np.arange(12.0), SEEN)},
     ),
     "calibrate_pivot": (armsight.calibrate_pivot, PAIR),
+    "calibrate_camera": (armsight.calibrate_camera, {"images": [LEFT], "board": BOARD}),
+    "calibrate_stereo": (
+        armsight.calibrate_stereo,
+        {"left_images": [LEFT], "right_images": [RIGHT], "board": BOARD},
+    ),
     "calibrate_target": (armsight.calibrate_target, {"rig": RIG, "left": [LEFT], "right": [RIGHT]}),
     "calibrate_timing": (armsight.calibrate_timing, PAIR),
     "calibrate_cell": (armsight.calibrate_cell, {"robot_log": (np.arange(12.0), QS), "target": TARGET, "model": ARM}),
@@ -632,10 +637,6 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "t_s": number(0.0),
         },
     ),
-    "calibrate_camera": (
-        armsight.calibrate_camera,
-        {"images": IMAGES, "board": BOARDS, "options": OPTIONS, "detector": choice("auto"), "bits": BITS},
-    ),
     "calibrate_hand_eye": (
         armsight.calibrate_hand_eye,
         {
@@ -649,17 +650,6 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "calibrate_mirrors": (
         armsight.calibrate_mirrors,
         {"images": IMAGES, "board": BOARDS, "thickness_m": number(0.003, negative=-0.003), "options": OPTIONS},
-    ),
-    "calibrate_stereo": (
-        armsight.calibrate_stereo,
-        {
-            "left_images": IMAGES,
-            "right_images": IMAGES,
-            "board": BOARDS,
-            "options": OPTIONS,
-            "detector": choice("auto"),
-            "bits": BITS,
-        },
     ),
     "calibrate_tool_tip": (
         armsight.calibrate_tool_tip,

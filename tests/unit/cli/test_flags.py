@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 from armsight.app.requests import calibrate_cameras, calibrate_robot, files, identify, measure, motion, verify
 from armsight.app.requests.shared import Table
 from armsight.calibrate.arm import Tolerance
-from armsight.calibrate.cameras import BoardOptions
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import Asked
@@ -135,9 +134,6 @@ def test_defaults_are_those_of_what_is_asked() -> None:
         return next(one.default for one in dataclasses.fields(kind) if one.name == name)
 
     same: Mapping[tuple[Any, str], object] = {
-        (calibrate_cameras.CameraJob, "folds"): BoardOptions().folds,
-        (calibrate_cameras.StereoJob, "folds"): BoardOptions().folds,
-        (calibrate_cameras.CameraJob, "lens"): BoardOptions().lens.value,
         (calibrate_cameras.MirrorsJob, "index"): Plate(thickness_m=1e-3).index,
         (calibrate_robot.ArmJob, "tolerance_m"): Tolerance().length_m,
         (calibrate_robot.ArmJob, "tolerance_rad"): Tolerance().angle_rad,

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from armsight.app.calibrate.board_images import in_parallel, see_board, see_two_boards
-from armsight.app.calibrate.board_pictures import BoardPictures, rig_boards
+from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.camera_noise import input_files
-from armsight.app.calibrate.cameras import report_path
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
-from armsight.app.calibrate.reports import RigData, write_stereo_report
+from armsight.app.calibrate.reports import alignment_lines, write_stereo_report
 from armsight.app.calibrate.results import MirrorsOutput, PlateOutput
 from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.sources.frames import open_source
@@ -79,9 +78,8 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     write_rig(job.out, done.rig, inputs=_inputs(job))
     forms = _forms(done)
     result = mirrors_output(done, [RejectedFile(source, seen.why) for source, seen in missed], forms=forms)
-    boards = rig_boards(result, board, pictures)
-    data = RigData(board=job.board, title=TITLE, results=_results(done, forms), boards=boards)
-    write_stereo_report(report_path(job.out), result, data)
+    lines = [*alignment_lines(result), *_results(done, forms)]
+    write_stereo_report(job.out, result, board, pictures, shown=job.board, title=TITLE, alignment=lines)
     return result
 
 
@@ -218,14 +216,16 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
     write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
     forms = _forms(done)
     result = replace(mirrors_output(done, missed, forms=forms), lit=True)
-    data = RigData(
-        board=str(job.target),
+    write_stereo_report(
+        out,
+        result,
+        target,
+        BoardPictures(),
+        shown=str(job.target),
         title=TITLE,
-        results=_results(done, forms),
-        boards=rig_boards(result, target, BoardPictures()),
+        alignment=[*alignment_lines(result), *_results(done, forms)],
         facts=[("camera's file", job.camera.name), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
     )
-    write_stereo_report(report_path(out), result, data)
     return result
 
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated
 
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
-from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras import StereoCalibration
 from armsight.calibrate.cameras.verdict import GOOD_RMS_PX
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.diagnosis import GOOD_LIT, VAGUE, Suspect
 from armsight.fields import Doc
 from armsight.optics.mirrors import FormError
 from armsight.optics.parallelism import Parallelism, parallelism
-from armsight.optics.zoom import LeftOut
 from armsight.records import NoiseModel
 from armsight.records.output import Output, extended, figure, output
+from armsight.shown import WRITTEN, Shown
 from armsight.units import MM
 
 
@@ -27,41 +28,10 @@ class NoiseOutput(Output):
         Doc("The camera's noise; the keys from n_given on of still frames, not of a file."),
     ]
 
-
-@output
-class ZoomOutput(Output):
-    """The zoom lens whose setting was calibrated."""
-
-    zoom: Annotated[float, Doc("The setting that was calibrated.")]
-    settings: Annotated[list[float], Doc("All settings in the file, increasing.")]
-    focal_lengths_px: Annotated[list[float], Doc("Focal length along x at these, px.")]
-    left_out: Annotated[
-        list[LeftOut],
-        Doc("Each setting but the first and last, predicted from the others; empty with fewer than three."),
-    ]
-    focal_error_rms: Annotated[float | None, Doc("RMS of the relative errors of these focal lengths.")]
-    advice: Annotated[list[str], Doc("What to know about the curve between the settings.")]
-
-
-@output
-class CameraOutput(CameraCalibration):
-    """armsight calibrate camera."""
-
-    noise: Annotated[
-        NoiseCalibration | NoiseModel | None,
-        Doc("The camera's noise, with --noise; the keys from n_given on of still frames, not of a file."),
-    ] = None
-    zoom: Annotated[ZoomOutput | None, Doc("The zoom lens, with --zoom.")] = None
-
-
-@output
-class ZoomRigOutput(Output):
-    """armsight calibrate zoom-rig."""
-
-    settings: Annotated[dict[str, list[float]], Doc("Settings of each camera that zooms, by left and right.")]
-    at: Annotated[dict[str, float], Doc("The zoom at which the rig was calibrated, by left and right.")]
-    pupils: Annotated[bool, Doc("Whether all settings say where the pupil stands.")]
-    advice: Annotated[list[str], Doc("What to know about the rig at other settings.")]
+    def summary(self) -> Iterator[Shown]:
+        """Yield the noise."""
+        yield from self.noise.summary()
+        yield WRITTEN
 
 
 @output

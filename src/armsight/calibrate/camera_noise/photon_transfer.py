@@ -9,7 +9,7 @@ general), the variance is kept as a table.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Annotated
 
@@ -22,6 +22,7 @@ from armsight.errors import Degenerate, NotEnoughData
 from armsight.fields import Doc
 from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.output import extended, output
+from armsight.shown import Shown
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -81,6 +82,11 @@ class NoiseCalibration(NoiseModel):
     ]
     line_deviation: Annotated[float | None, Doc("Largest relative deviation from the line.")]
     advice: Annotated[tuple[str, ...], Doc("What to know about it.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the noise, and what to know about it."""
+        yield from NoiseModel.summary(self)  # slots make another class of it than super() knows
+        yield from (f"  {text}" for text in self.advice)
 
     @property
     def noise(self) -> NoiseModel:
