@@ -14,11 +14,7 @@ from typing import Any
 
 from armsight.app.arm_files import ConvertArmOutput
 from armsight.app.calibrate.arm import ArmOutput
-from armsight.app.calibrate.results import (
-    MirrorCheckOutput,
-    MirrorsOutput,
-    NoiseOutput,
-)
+from armsight.app.calibrate.results import NoiseOutput
 from armsight.app.compare.run import CompareOutput
 from armsight.app.convert import ConvertOutput
 from armsight.app.demo import DemoOutput
@@ -48,6 +44,7 @@ from armsight.calibrate.cameras.zoom import ZoomRigResult
 from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.handeye import HandEye
 from armsight.calibrate.light_target import TargetResult
+from armsight.calibrate.mirrors.result import MirrorCheckOutput, MirrorsOutput
 from armsight.calibrate.timing import TimingCalibration
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.cli.tables import REASONS

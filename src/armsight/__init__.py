@@ -19,7 +19,6 @@ from armsight._files import Files
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
     from armsight.api import paths as paths
-    from armsight.api.cameras import calibrate_mirrors as calibrate_mirrors
     from armsight.api.cell import CellResult as CellResult
     from armsight.api.cell import calibrate_cell as calibrate_cell
     from armsight.api.convert import convert as convert
@@ -51,7 +50,6 @@ if TYPE_CHECKING:
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
     from armsight.api.light import NoiseResult as NoiseResult
     from armsight.api.light import calibrate_noise as calibrate_noise
-    from armsight.api.light import check_mirrors as check_mirrors
     from armsight.api.links import check_robot as check_robot
     from armsight.api.links import jog as jog
     from armsight.api.links import twin as twin
@@ -135,6 +133,8 @@ if TYPE_CHECKING:
     from armsight.ops.calibrate_cameras import calibrate_camera as calibrate_camera
     from armsight.ops.calibrate_cameras import calibrate_stereo as calibrate_stereo
     from armsight.ops.calibrate_cameras import calibrate_zoom_rig as calibrate_zoom_rig
+    from armsight.ops.calibrate_mirrors import calibrate_mirrors as calibrate_mirrors
+    from armsight.ops.calibrate_mirrors import check_mirrors as check_mirrors
     from armsight.ops.calibrate_rig import calibrate_target as calibrate_target
     from armsight.ops.calibrate_rig import calibrate_timing as calibrate_timing
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
@@ -186,12 +186,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
     "armsight_lab.api.design": ("design",),
     "armsight_lab.api.batch": ("BatchResult", "batch"),
-    "armsight.api.cameras": ("calibrate_mirrors",),
     "armsight.api.cell": ("CellResult", "calibrate_cell"),
     "armsight.api.light": (
         "NoiseResult",
         "calibrate_noise",
-        "check_mirrors",
     ),
     "armsight.api.hand_eye": (
         "HandEyeResult",
@@ -201,6 +199,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
     "armsight.ops.calibrate_robot": ("calibrate_pivot", "calibrate_tool_tip"),
     "armsight.ops.calibrate_cameras": ("calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"),
+    "armsight.ops.calibrate_mirrors": ("calibrate_mirrors", "check_mirrors"),
     "armsight.ops.calibrate_rig": ("calibrate_target", "calibrate_timing"),
     "armsight.calibrate.cameras.zoom": ("ZoomRigResult",),
     "armsight.calibrate.light_target": ("TargetResult",),

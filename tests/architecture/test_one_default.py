@@ -172,10 +172,9 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
     )
     for a, b in asked:
         assert a == b
-    built, given = CellMirrors(), import_module("armsight.app.requests.calibrate_cameras").MirrorsJob
-    assert (built.near_m, built.gap_m, built.index) == (given.near_m, given.gap_m, given.index)
+    built, given = CellMirrors(), inspect.signature(armsight.calibrate_mirrors).parameters
+    assert all(getattr(built, name) == given[name].default for name in ("near_m", "gap_m", "index"))
     files, robots = (import_module(f"armsight.app.requests.{name}") for name in ("files", "calibrate_robot"))
-    cameras = import_module("armsight.app.requests.calibrate_cameras")
     of_boards = (armsight.calibrate_camera, armsight.calibrate_stereo)
     known = (
         (files.SmoothJob.bound_m, smoothing.BOUND_M),
@@ -187,7 +186,7 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
         (robots.ArmJob.tolerance_m, Tolerance().length_m),
         (robots.ArmJob.tolerance_rad, Tolerance().angle_rad),
         *((inspect.signature(one).parameters["lens"].default, BoardOptions().lens.value) for one in of_boards),
-        (cameras.MirrorsJob.index, Plate(thickness_m=1e-3).index),
+        (built.index, Plate(thickness_m=1e-3).index),
         (import_module("armsight.app.requests.simulate").DoctorJob.sigma_px, CENTROID_SIGMA_PX),
     )
     for a, b in known:

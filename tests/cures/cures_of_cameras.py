@@ -136,15 +136,15 @@ TRIED = {
         "calibrate mirrors -o x.yaml --target target.yaml --left-only left --right-only right",
         f"{MIRRORS} --image mirrors",
     ),
-    ("app/calibrate/mirrors_check.py", "or, to make the axes parallel"): (
+    ("app/calibrate/mirrors.py", "or, to make the axes parallel"): (
         f"{CHECK} --image mirrors {BOARD}",
         "{} --rig mirrors.yaml && {} --camera lens640.yaml --baseline-mm 160",
     ),
-    ("app/calibrate/mirrors_check.py", "Give --image, and --rig"): (
+    ("cli/calibrate_cameras.py", "Give --image, and --rig"): (
         f"{CHECK} --rig mirrors.yaml {BOARD}",
         "{} --image mirrors",
     ),
-    ("app/calibrate/mirrors_check.py", "Leave --target out"): (
+    ("cli/calibrate_cameras.py", "Leave --target out"): (
         f"{CHECK} --rig mirrors.yaml --image mirrors --target target.yaml",
         f"{CHECK} --rig mirrors.yaml --image mirrors {BOARD}",
     ),

@@ -1,18 +1,16 @@
-"""What belongs to a rig beyond its cameras: noise, zoom lenses, the mirrors' place."""
+"""The noise of a camera."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 from armsight.app.calibrate.camera_noise import find_noise
-from armsight.app.calibrate.mirrors_check import run_check
-from armsight.app.calibrate.results import MirrorCheckOutput, NoiseOutput
-from armsight.app.requests.calibrate_cameras import MirrorsJob, NoiseJob
+from armsight.app.calibrate.results import NoiseOutput
+from armsight.app.requests.calibrate_cameras import NoiseJob
 from armsight.drivers import CameraSettings
 from armsight.ops.checks import speaks_python
-from armsight.ops.given import Given, PathText, RigLike, Source
-from armsight.optics import Camera
-from armsight.records import NoiseModel, Progress, Target
+from armsight.ops.given import Given, Source
+from armsight.records import NoiseModel, Progress
 from armsight.records.output import output
 
 
@@ -49,28 +47,3 @@ def calibrate_noise(
     with Given(name="camera.yaml") as given:
         found = find_noise(given.job(NoiseJob, locals()), progress)
         return NoiseResult(noise=found.output, model=found.noise)
-
-
-@speaks_python(MirrorsJob)
-def check_mirrors(
-    image: Source,
-    board: str | Target,
-    *,
-    rig: RigLike | None = None,
-    parallel: bool = False,
-    thickness_m: float | None = None,
-    baseline_m: float | None = None,
-    near_m: float = MirrorsJob.near_m,
-    gap_m: float = MirrorsJob.gap_m,
-    camera: Camera | PathText | None = None,
-    frames: int | None = None,
-    camera_settings: CameraSettings | None = None,
-    progress: Progress | None = None,
-) -> MirrorCheckOutput:
-    """Return whether a rig's mirrors stand as they did, from complex images of a printed board.
-
-    rig: as it was calibrated; else camera and baseline_m, as designed. parallel: against parallel axes all the same.
-    thickness_m: of the plate. near_m, gap_m: as designed. Raises UsageError, DataRefused.
-    """
-    with Given() as given:
-        return run_check(given.job(MirrorsJob, locals(), limit=frames), progress)

@@ -24,36 +24,49 @@ def add_action(
     group: typer.Typer,
     call: Callable[..., Any],
     instead: Callable[[CommandUI, Mapping[str, Any]], bool] | None = None,
+    flags: Callable[[], Mapping[str, tuple[Any, Any]]] = dict,
     **more: Any,
 ) -> None:
     """Add an action (armsight.ops) to a group as a command; more: of Command.
 
-    instead: does another job where what was asked, by parameter, means that one, and tells whether it did.
+    instead: does another job where what was asked, by parameter, means that one, and tells whether it did. flags:
+    further ones, of that job.
     """
-    done: Action = vars(call)["action"]
+    done = action_of(call)
 
     @functools.cache  # when the command is asked for: hints take time to read
     def names() -> dict[str, str]:
-        return {name: _word(name, hint) for name, hint in done.hints.items()}
+        hints = {name: hint for name, (hint, _) in flags().items()} | dict(done.hints)
+        return {name: _word(name, hint) for name, hint in hints.items()}
 
     def taken() -> dict[str, tuple[Any, Any]]:
-        return {names()[name]: one for name, one in done.flags().items()}
+        own = done.flags()
+        return {names()[name]: one for name, one in {**own, **flags(), **own}.items()}  # its own first, in their order
 
     def run(face: CommandUI, **given: Any) -> None:
         asked = {name: given[word] for name, word in names().items() if word in given}
         if instead is None or not instead(face, asked):
-            show(face, done.run(asked, face.progress(done.working) if done.working else None), asked[OUT])
+            own = {name: asked[name] for name in done.parameters if name in asked}
+            show(face, done.run(own, face.progress(done.working) if done.working else None), asked[OUT])
 
     text = (call.__doc__ or "").partition("\n    Parameters\n")[0]
     add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **more))
 
 
-def show(face: CommandUI, result: Output, out: Path) -> None:
-    """Show a result, which was written to `out`."""
+def action_of(call: Callable[..., Any]) -> Action:
+    """Return what a function does for people."""
+    done: Action = vars(call)["action"]
+    return done
+
+
+def show(face: CommandUI, result: Output, out: Path | None) -> None:
+    """Show a result, which was written to `out`, if it is of a file."""
     lines = list(result.summary())
-    for one in lines if any(one == WRITTEN for one in lines) else [*lines, f"Result: {out}"]:
+    told = out is None or any(isinstance(one, str) and one.startswith(WRITTEN) for one in lines)
+    for one in lines if told else [*lines, f"Result: {out}"]:
         if isinstance(one, str):
-            face.say(one.replace("{out}", str(out)))
+            report = "" if out is None else str(out.with_suffix(".report.html"))
+            face.say(one.replace("{out}", str(out)).replace("{report}", report))
         else:
             face.table(*one)
     face.result(result)

@@ -105,7 +105,7 @@ class Action:
     def _files(self, given: Given) -> list[Path]:
         """Return the files whose hashes go into the result, in the order of the parameters."""
         files: list[Path] = []
-        for name, one in self.inputs.items():
+        for name, one in sorted(self.inputs.items(), key=lambda item: item[1].kind is str):  # frames stand last
             value = given.get(name)
             if not one.hashed or not isinstance(value, str | PathLike):
                 continue

@@ -140,10 +140,10 @@ def calibrate_camera(
     _require_board(images, board, side)
     _require_zoom(zoom, pupil_m, pupil_std_m, set_zoom, out)
     options, pictures = _options(options, lens, most=1, zoom=zoom), BoardPictures()
-    settings = _settings(camera_settings, zoom if set_zoom else None)
+    settings = camera_asked(camera_settings, zoom if set_zoom else None)
     known = app.noise_of(noise, settings, progress)
     with app.open_images(images, settings=settings, bits=bits, strict=strict) as source:
-        seen = app.find_boards(source, board, pictures, progress, detector, every, frames, _workers(workers))
+        seen = app.find_boards(source, board, pictures, progress, detector, every, frames, threads(workers))
     done = app.solved_camera(seen, board, options, progress, known)
     if zoom is not None:
         done = app.with_zoom(done, zoom, pupil_m, pupil_std_m, out)
@@ -194,9 +194,9 @@ def calibrate_stereo(
     from armsight.app.calibrate.board_pictures import BoardPictures
     from armsight.app.calibrate.reports import write_stereo_report
 
-    options, settings, pictures = _options(options, lens, most=2), _settings(camera_settings), BoardPictures()
+    options, settings, pictures = _options(options, lens, most=2), camera_asked(camera_settings), BoardPictures()
     with app.open_images(left_images, right_images, settings=settings, bits=bits, strict=strict) as source:
-        seen = app.find_boards(source, board, pictures, progress, detector, every, frames, _workers(workers))
+        seen = app.find_boards(source, board, pictures, progress, detector, every, frames, threads(workers))
     done = app.solved_pair(seen, board, options, progress)
     if out is not None:
         write_stereo_report(out, done, board, pictures)
@@ -268,7 +268,7 @@ def _require_zoom(
         read_zoom_camera(out)  # before all work: nobody should wait for a result that has no place
 
 
-def _settings(given: CameraSettings | None, zoom: float | None = None) -> CameraSettings:
+def camera_asked(given: CameraSettings | None, zoom: float | None = None) -> CameraSettings:
     """Return what is asked of a live camera, its zoom with it where that is to be set."""
     from dataclasses import replace
 
@@ -301,7 +301,7 @@ def _options(given: BoardOptions | None, lens: str, *, most: int, zoom: float | 
     return options
 
 
-def _workers(given: int | None) -> int | None:
+def threads(given: int | None) -> int | None:
     """Return how many threads read images: as given, else as the settings have it."""
     from armsight.config import load_settings
 

@@ -20,10 +20,10 @@ from armsight.errors import NotEnoughData, UsageError
 from armsight.ops.action import Given
 from armsight.ops.arrays import as_images, as_poses
 from armsight.ops.given import Given as Folder
-from armsight.optics import Rig, ZoomLens
+from armsight.optics import Camera, Rig, ZoomLens
 from armsight.records import Frame, NoiseModel, PoseStatus, SpotTrack, Target, TargetPose, require_kind
 from armsight.records.measured import covariances_of
-from armsight.store import read_poses, read_rig, read_spot_track, read_target, read_zoom_camera
+from armsight.store import read_camera, read_poses, read_rig, read_spot_track, read_target, read_zoom_camera
 from armsight.store.covariances import uncorrelated_note
 from armsight.store.interpret import OURS
 from armsight.store.targets import parse_board
@@ -76,6 +76,15 @@ def rig(name: str, value: Any, given: Given, undo: ExitStack) -> Rig:
         require_kind(name, value, Rig, cure="Give a record or a file")
         return value  # type: ignore[no-any-return]  # a Rig
     return read_rig(path)
+
+
+def camera(name: str, value: Any, given: Given, undo: ExitStack) -> Camera:
+    """Return a camera, or that of a camera.yaml. Raises BadFile."""
+    path = _path(value)
+    if path is None:
+        require_kind(name, value, Camera, cure="Give a record or a file")
+        return value  # type: ignore[no-any-return]  # a Camera
+    return read_camera(path)
 
 
 def target(name: str, value: Any, given: Given, undo: ExitStack) -> Target:

@@ -17,6 +17,10 @@ IMAGES = Input(f"{READERS}:images", kind=str, hashed=True)
 """Images as the command line names them, or arrays and paths in order."""
 NOISE = Input(f"{READERS}:noise", kind=str, hashed=True)
 """Still frames, the file that holds a camera's noise, or a NoiseModel."""
+CAMERA = Input(f"{READERS}:camera", hashed=True)
+"""A Camera, or the path of a camera.yaml."""
+LIGHTS = Input(f"{READERS}:target", hashed=True)
+"""A Target, or the path of a target.yaml."""
 ZOOM_LENS = Input(f"{READERS}:zoom_lens", hashed=True)
 """The path of a camera.yaml with a lens's settings, or the ZoomLens."""
 

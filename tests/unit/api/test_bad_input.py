@@ -296,6 +296,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     ),
     "calibrate_pivot": (armsight.calibrate_pivot, PAIR),
     "calibrate_camera": (armsight.calibrate_camera, {"images": [LEFT], "board": BOARD}),
+    "calibrate_mirrors": (armsight.calibrate_mirrors, {"images": [LEFT], "board": BOARD}),
     "calibrate_stereo": (
         armsight.calibrate_stereo,
         {"left_images": [LEFT], "right_images": [RIGHT], "board": BOARD},
@@ -646,10 +647,6 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "names": NAMES,
             "camera_covariance": array(np.tile(1e-8 * np.eye(6), (len(SEEN), 1, 1)), more={"one": np.eye(6)}),
         },
-    ),
-    "calibrate_mirrors": (
-        armsight.calibrate_mirrors,
-        {"images": IMAGES, "board": BOARDS, "thickness_m": number(0.003, negative=-0.003), "options": OPTIONS},
     ),
     "calibrate_tool_tip": (
         armsight.calibrate_tool_tip,

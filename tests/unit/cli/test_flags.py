@@ -20,7 +20,6 @@ from armsight.cli.flags import Asked
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, known_hints, marks
 from armsight.measure.correspondence import PatchSettings
-from armsight.optics import Plate
 from armsight.store.interpret import TableFormat
 from armsight.units import DEG, MM
 from armsight_lab.batch import request as batch
@@ -134,7 +133,6 @@ def test_defaults_are_those_of_what_is_asked() -> None:
         return next(one.default for one in dataclasses.fields(kind) if one.name == name)
 
     same: Mapping[tuple[Any, str], object] = {
-        (calibrate_cameras.MirrorsJob, "index"): Plate(thickness_m=1e-3).index,
         (calibrate_robot.ArmJob, "tolerance_m"): Tolerance().length_m,
         (calibrate_robot.ArmJob, "tolerance_rad"): Tolerance().angle_rad,
         (files.PicksJob, "pick_std_px"): PatchSettings().pick_std_px,

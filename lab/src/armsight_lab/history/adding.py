@@ -178,11 +178,11 @@ def _command_of(content: Mapping[str, Any], path: Path) -> str:
 
 def _kinds() -> list[tuple[str, type[Output]]]:
     from armsight.app.calibrate.arm import ArmOutput
-    from armsight.app.calibrate.results import MirrorsOutput
     from armsight.app.identify.results import IdentifyOutput
     from armsight.calibrate.arm.world import WorldCalibration
     from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
     from armsight.calibrate.handeye import HandEye
+    from armsight.calibrate.mirrors.result import MirrorsOutput
     from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
     from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
 

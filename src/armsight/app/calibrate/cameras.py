@@ -48,17 +48,21 @@ def report_path(out: Path) -> Path:
 
 
 def open_images(
-    *images: str | Sequence[Frame], settings: CameraSettings, bits: int | None, strict: bool
+    *images: str | Sequence[Frame],
+    settings: CameraSettings,
+    bits: int | None = None,
+    strict: bool = True,
+    colour: bool = False,
 ) -> AbstractContextManager[Moments]:
     """Return the images of one camera, or of two in pairs, of a source's text or in memory, not yet open.
 
-    Raises UsageError, Inconsistent where there are not as many left as right ones.
+    colour: of one camera alone. Raises UsageError, Inconsistent where there are not as many left as right ones.
     """
     reading = ImageReading(bits=bits, strict=strict)
     first, *others = images
     if not others:
         if isinstance(first, str):
-            return open_source(first, settings=settings, reading=reading)
+            return open_source(first, colour=colour, settings=settings, reading=reading)
         return nullcontext(first)
     if isinstance(first, str) and isinstance(others[0], str):
         return open_pairs(first, others[0], settings=settings, reading=reading)
@@ -79,6 +83,11 @@ def _in_memory(images: str | Sequence[Frame], settings: CameraSettings, reading:
         return list(source)
 
 
+def count(moments: Moments) -> int | None:
+    """Return how many there are; None where that cannot be known."""
+    return len(moments) if isinstance(moments, Sequence) else moments.total
+
+
 def find_boards(
     moments: Moments,
     board: Target,
@@ -96,7 +105,7 @@ def find_boards(
     progress, each = progress or Silent(), list[Seen]()
     found = FoundBoards([], [], 0, getattr(moments, "name", "the images"))
     stop = None if limit is None else limit * every
-    known = len(moments) if isinstance(moments, Sequence) else moments.total
+    known = count(moments)
     total = limit or 0 if known is None else -(-min(known, stop or known) // every)
 
     def see(moment: Moment) -> list[tuple[Frame, Seen]]:

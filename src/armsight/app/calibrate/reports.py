@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.mirrors.result import MirrorsOutput
 from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.records import NamedCovariance, Target
 from armsight.report import CalibrationRun, CameraFit, Parameter, calibration_report
 from armsight.report.run import BoardViews
 from armsight.store import write_text
+from armsight.store.cell_file import CellMirrors
 from armsight.store.targets import board_text
-from armsight.units import with_deviation
+from armsight.units import MM, with_deviation
 
 Array = NDArray[np.float64]
 
@@ -49,7 +51,7 @@ def write_camera_report(out: Path, done: CameraCalibration, board: Target, pictu
 
 def stereo_run(done: StereoCalibration, board: str, boards: BoardViews, **more: Any) -> CalibrationRun:
     """Return a rig's calibration as its report shows it; more: of CalibrationRun."""
-    rig = done.rig
+    rig = done.pair_rig()
     parameters = [Parameter(name="baseline", value=rig.baseline_m * 1e3, std=done.baseline_std_m * 1e3, unit="mm")]
     for side in SIDES:
         parameters += _parameters(f"{side}.", rig.camera(side), rig.covariance)
@@ -94,6 +96,29 @@ def write_stereo_report(
     """
     run = stereo_run(done, shown or board_text(board), rig_boards(done, board, pictures), **more)
     write_text(out.with_suffix(".report.html"), calibration_report(run))
+
+
+def write_mirrors_report(
+    out: Path, done: MirrorsOutput, shown: Target, pictures: BoardPictures, built: CellMirrors
+) -> None:
+    """Write the report of a mirror rig's calibration beside its file; built: as designed, told where lights tell it."""
+    facts = []
+    if done.lit and built.baseline_m is not None:
+        lens = done.rig.left
+        facts = [
+            ("lens", f"{lens.width}x{lens.height} px, focal length {lens.intrinsics[0]:.6g} px"),
+            ("baseline as designed", f"{built.baseline_m / MM:g} mm"),
+        ]
+    write_stereo_report(
+        out,
+        done,
+        shown,
+        pictures,
+        shown=", ".join(shown.names) if done.lit else "",
+        title="Calibration of a mirror rig",
+        alignment=[*alignment_lines(done), *done.plate_words()],
+        facts=facts,
+    )
 
 
 def alignment_lines(done: StereoCalibration) -> list[tuple[str, str]]:

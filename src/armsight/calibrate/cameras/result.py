@@ -5,8 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
-from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,9 @@ from armsight.records.result_parts import RejectedFile
 from armsight.records.verdict import MEANING, Verdict
 from armsight.shown import WRITTEN, Shown, Table, digits, rejected_lines
 from armsight.units import MM
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 Array = NDArray[np.float64]
 
@@ -232,19 +234,19 @@ class StereoCalibration(_FromBoards):
 
     @figure("Distance of the corners from their epipolar lines, RMS, px.")
     def epipolar_rms_px(self) -> float:
-        return epipolar_rms([(self.used, self.rig)])
+        return epipolar_rms([(self.used, self.pair_rig())])
 
     @figure("Distance of the two centres of projection, m.")
     def baseline_m(self) -> float:
-        return self.rig.baseline_m
+        return self.pair_rig().baseline_m
 
     @figure("Standard deviations by name: left.fx_px ... right.k3, right.tx_m ... right.rz_rad, baseline_m.")
     def std(self) -> dict[str, float]:
-        return {**std_by_key(self.rig.covariance), "baseline_m": self.baseline_std_m}
+        return {**std_by_key(self.pair_rig().covariance), "baseline_m": self.baseline_std_m}
 
     @figure("How parallel the two views stand.")
     def alignment(self) -> Parallelism:
-        return parallelism(self.rig)
+        return parallelism(self.pair_rig())
 
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
@@ -261,9 +263,13 @@ class StereoCalibration(_FromBoards):
         """What the images show."""
         return "board"
 
+    def pair_rig(self) -> Rig:
+        """Return the rig as the fit has it, in axes of the left camera: two lenses, of mirrors their virtual ones."""
+        return self.rig
+
     def doubted(self) -> list[str]:
         """Return what speaks against relying on the pairs."""
-        seen = {side: (self.rig.camera(side), uv) for side, uv in self.uv_px.items()}
+        seen = {side: (self.pair_rig().camera(side), uv) for side, uv in self.uv_px.items()}
         return images_doubted(
             self.n_used, self.n_pairs, self.rms_px, self.holdout_rms_px, seen, noun="pairs", thing=self.thing
         )
