@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,6 @@ from armsight.records.result_parts import RejectedFile
 from armsight.records.verdict import MEANING, Verdict
 from armsight.shown import WRITTEN, Shown, Table, digits, rejected_lines
 from armsight.units import MM
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 Array = NDArray[np.float64]
 
@@ -158,7 +155,7 @@ class CameraCalibration(_FromBoards):
         pupil_m: float | None = None,
         pupil_std_m: float = 0.0,
         noise: NoiseModel | None = None,
-    ) -> Path:
+    ) -> Any:  # a Path, as of Saveable: the maths names no files
         """Write camera.yaml with the covariance, and return its path.
 
         zoom: of a zoom lens, the setting at which the images were taken; the file keeps its other settings. pupil_m,
