@@ -24,7 +24,7 @@ from armsight.calibrate.arm import ArmResult, calibrate_arm
 from armsight.calibrate.cameras import calibrate_stereo
 from armsight.calibrate.light_target import calibrate_target
 from armsight.kinematics import fk
-from armsight.ops.calibrate_cameras import calibrate_timing
+from armsight.ops.calibrate_rig import calibrate_timing
 from armsight.ops.files import join
 from armsight.store import write_rig, write_target
 from armsight.store.arm_file import write_arm

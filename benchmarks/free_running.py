@@ -24,7 +24,7 @@ import bench
 from armsight.app.measure.run import measure
 from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
-from armsight.ops.calibrate_cameras import calibrate_timing
+from armsight.ops.calibrate_rig import calibrate_timing
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, spot_target
 from armsight.store import read_poses, write_rig, write_target

@@ -30,7 +30,7 @@ from armsight.measure.follow import Follower
 from armsight.measure.motion.estimate import ANGULAR_RATIO
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
-from armsight.ops.calibrate_cameras import calibrate_timing
+from armsight.ops.calibrate_rig import calibrate_timing
 from armsight.optics import Camera, parallel_rig
 from armsight.records import PoseStatus, Spots, spot_target
 from armsight.store import read_poses, read_rig, read_target, write_rig, write_target

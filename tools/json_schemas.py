@@ -13,12 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.arm_files import ConvertArmOutput
-from armsight.app.calibrate.results import (
-    CameraOutput,
-    MirrorCheckOutput,
-    MirrorsOutput,
-    ZoomRigOutput,
-)
 from armsight.app.compare.run import CompareOutput
 from armsight.app.convert import ConvertOutput
 from armsight.app.demo import DemoOutput
@@ -44,10 +38,12 @@ from armsight.app.teach import TeachOutput
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm import ArmResult, RobotWorldResult
 from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
-from armsight.calibrate.cameras import StereoCalibration
+from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras.zoom import ZoomRigResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
+from armsight.calibrate.mirrors.result import MirrorCheckOutput, MirrorsOutput
 from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.cli.tables import REASONS
@@ -73,10 +69,10 @@ from armsight_lab.history.trend import TrendOutput
 OUTPUTS: Mapping[str, type[Output]] = {
     "measure": MeasureOutput,
     "demo": DemoOutput,
-    "calibrate-camera": CameraOutput,
+    "calibrate-camera": CameraCalibration,
     "calibrate-camera-noise": NoiseResult,
     "calibrate-stereo": StereoCalibration,
-    "calibrate-zoom-rig": ZoomRigOutput,
+    "calibrate-zoom-rig": ZoomRigResult,
     "calibrate-mirrors": MirrorsOutput,
     "calibrate-mirrors-check": MirrorCheckOutput,
     "calibrate-target": TargetResult,

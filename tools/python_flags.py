@@ -31,7 +31,7 @@ FUNCTIONS: Mapping[str, tuple[str, ...]] = {
     "identify": ("identify_arm", "identify_arm_from_frames", "identify_arm_live"),
     "simulate": ("write_simulation", "simulate"),
     "record": ("record", "repair_recording"),
-    "calibrate camera": ("calibrate_camera", "CameraResult.save", "calibrate_noise"),
+    "calibrate camera": ("calibrate_camera", "calibrate_noise"),
     "calibrate mirrors": ("calibrate_mirrors", "check_mirrors"),
     "convert camera": ("convert", "read_camera"),
     "convert rig": ("convert", "read_rig"),
@@ -92,14 +92,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("identify", "--world"): "`identify_arm(T_base_rig)`",
     ("identify", "--live"): "`identify_arm_live(robot)`",
     ("record", "--repair"): "`repair_recording(path)`",
-    ("calibrate camera", "source"): "`calibrate_camera(images)`",
-    ("calibrate camera", "--lens"): "`calibrate_camera(options=BoardOptions(lens=...))`",
-    ("calibrate camera", "--every"): "`images[::k]`; `calibrate_noise(every)`",
-    ("calibrate camera", "--frames"): "`images[:n]`; `calibrate_noise(limit)`",
-    ("calibrate stereo", "--left"): "`calibrate_stereo(left_images)`",
-    ("calibrate stereo", "--right"): "`calibrate_stereo(right_images)`",
-    ("calibrate stereo", "--lens"): "`calibrate_stereo(options=BoardOptions(lens=..., right_lens=...))`",
-    ("calibrate mirrors", "--image"): "`calibrate_mirrors(images)`, `check_mirrors(image)`",
     ("calibrate mirrors", "--check"): "`check_mirrors`",
     ("convert recording", "source"): "`export_recording(path)`",
     ("convert arm", "-o"): "`convert(out)`, or `Arm.save(path)`: the ending decides",
@@ -139,13 +131,6 @@ WHY_NOT: Mapping[str | tuple[str, str], str] = {
     "demo": "`simulate` and `measure` do it; the command is for a first look",
     "calibrate cell-plan": "a plan for one recording, which is a file: run the command",
     "robot run": "a motion from a file, once: run the command",
-    ("calibrate mirrors", "--left-only"): "covered views are joined by the command alone: it is done once, on a bench",
-    ("calibrate mirrors", "--right-only"): "as `--left-only`",
-    (
-        "calibrate mirrors",
-        "--target",
-    ): "lit targets calibrate by the command alone: it is done once, on a bench",
-    ("calibrate mirrors", "--index"): "of glass; another one by the command",
     **{
         ("verify", flag): "for the plant's systems, which want a process that stays: run the command"
         for flag in (

@@ -18,11 +18,6 @@ from armsight._files import Files
 
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
-    from armsight.api.cameras import CameraResult as CameraResult
-    from armsight.api.cameras import RigResult as RigResult
-    from armsight.api.cameras import calibrate_camera as calibrate_camera
-    from armsight.api.cameras import calibrate_mirrors as calibrate_mirrors
-    from armsight.api.cameras import calibrate_stereo as calibrate_stereo
     from armsight.api.convert import convert as convert
     from armsight.api.convert import cut_recording as cut_recording
     from armsight.api.convert import export_recording as export_recording
@@ -44,9 +39,6 @@ if TYPE_CHECKING:
     from armsight.api.identify import ArmIdentification as ArmIdentification
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
-    from armsight.api.light import ZoomRigResult as ZoomRigResult
-    from armsight.api.light import calibrate_zoom_rig as calibrate_zoom_rig
-    from armsight.api.light import check_mirrors as check_mirrors
     from armsight.api.links import check_robot as check_robot
     from armsight.api.links import jog as jog
     from armsight.api.links import twin as twin
@@ -90,6 +82,9 @@ if TYPE_CHECKING:
     from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
     from armsight.calibrate.camera_noise.photon_transfer import NoiseResult as NoiseResult
     from armsight.calibrate.cameras import BoardOptions as BoardOptions
+    from armsight.calibrate.cameras import CameraResult as CameraResult
+    from armsight.calibrate.cameras import RigResult as RigResult
+    from armsight.calibrate.cameras.zoom import ZoomRigResult as ZoomRigResult
     from armsight.calibrate.cell import CellResult as CellResult
     from armsight.calibrate.handeye import HandEyeResult as HandEyeResult
     from armsight.calibrate.light_target import TargetResult as TargetResult
@@ -124,11 +119,16 @@ if TYPE_CHECKING:
     from armsight.kinematics import presets as presets
     from armsight.measure.settings import SpotSettings as SpotSettings
     from armsight.ops import paths as paths
-    from armsight.ops.calibrate_cameras import calibrate_noise as calibrate_noise
-    from armsight.ops.calibrate_cameras import calibrate_target as calibrate_target
-    from armsight.ops.calibrate_cameras import calibrate_timing as calibrate_timing
+    from armsight.ops.calibrate_cameras import calibrate_camera as calibrate_camera
+    from armsight.ops.calibrate_cameras import calibrate_stereo as calibrate_stereo
+    from armsight.ops.calibrate_cameras import calibrate_zoom_rig as calibrate_zoom_rig
     from armsight.ops.calibrate_cell import calibrate_cell as calibrate_cell
     from armsight.ops.calibrate_hand_eye import calibrate_hand_eye as calibrate_hand_eye
+    from armsight.ops.calibrate_mirrors import calibrate_mirrors as calibrate_mirrors
+    from armsight.ops.calibrate_mirrors import check_mirrors as check_mirrors
+    from armsight.ops.calibrate_rig import calibrate_noise as calibrate_noise
+    from armsight.ops.calibrate_rig import calibrate_target as calibrate_target
+    from armsight.ops.calibrate_rig import calibrate_timing as calibrate_timing
     from armsight.ops.calibrate_robot import calibrate_arm as calibrate_arm
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
     from armsight.ops.calibrate_robot import calibrate_robot_world as calibrate_robot_world
@@ -181,12 +181,6 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
     "armsight_lab.api.design": ("design",),
     "armsight_lab.api.batch": ("BatchResult", "batch"),
-    "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
-    "armsight.api.light": (
-        "ZoomRigResult",
-        "calibrate_zoom_rig",
-        "check_mirrors",
-    ),
     "armsight.ops.calibrate_cell": ("calibrate_cell",),
     "armsight.ops.calibrate_hand_eye": ("calibrate_hand_eye",),
     "armsight.ops.calibrate_robot": (
@@ -198,8 +192,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.app.join": ("JoinResult",),
     "armsight.ops.files": ("compare", "join"),
     "armsight.ops.kinematics": ("show_arm", "write_formulas"),
-    "armsight.ops.calibrate_cameras": ("calibrate_noise", "calibrate_target", "calibrate_timing"),
+    "armsight.ops.calibrate_cameras": ("calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"),
+    "armsight.ops.calibrate_mirrors": ("calibrate_mirrors", "check_mirrors"),
+    "armsight.ops.calibrate_rig": ("calibrate_noise", "calibrate_target", "calibrate_timing"),
     "armsight.calibrate.arm": ("ArmResult", "RobotWorldResult"),
+    "armsight.calibrate.cameras.zoom": ("ZoomRigResult",),
     "armsight.calibrate.camera_noise.photon_transfer": ("NoiseResult",),
     "armsight.calibrate.light_target": ("TargetResult",),
     "armsight.calibrate.timing": ("TimingResult",),
@@ -251,7 +248,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.ops": ("paths",),
     "armsight_lab.api": ("history",),
     "armsight.measure.settings": ("SpotSettings",),
-    "armsight.calibrate.cameras": ("BoardOptions",),
+    "armsight.calibrate.cameras": ("BoardOptions", "CameraResult", "RigResult"),
     "armsight.control.guard": ("Limits",),
     "armsight.drivers": ("CameraSettings", "Robot", "RobotState", "Sent"),
     "armsight.kinematics": ("Arm", "Inverse", "Joint", "JointPath", "presets"),

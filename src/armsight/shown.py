@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from armsight.units import DEG, DIGITS, MM, NOTHING, displayed_name
 
 REJECTED_SHOWN = 8
 """Lines of what was left out; the report and JSON have all."""
+WRITTEN = "Written: {out}"
+"""The line of the file that was written: a result does not know its name, and who shows it fills it in."""
 
 
 class Table(NamedTuple):
@@ -44,6 +46,13 @@ def digits(value: float | None, digits: int = DIGITS) -> str:
     return f"{value:.{min(decimals, 9)}f}"
 
 
+def rejected_lines(rejected: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Yield the first of what was left out, by name and reason, and how many more there are."""
+    yield from (f"  left out {name}: {why}" for name, why in rejected[:REJECTED_SHOWN])
+    if len(rejected) > REJECTED_SHOWN:
+        yield f"  ... and {len(rejected) - REJECTED_SHOWN} more"
+
+
 def point_rows(xyz_m: Iterable[float], std_m: Iterable[float]) -> list[list[str]]:
     """Return the rows of a point: axis, position and standard deviation in mm."""
     named = zip("xyz", xyz_m, std_m, strict=True)
@@ -71,4 +80,3 @@ def rotation_rows(rotvec_rad: Iterable[float], std_rad: Iterable[float]) -> list
         [f"rotation vector {axis}, deg", digits(value / DEG, 6), digits(deviation / DEG, 2)]
         for axis, value, deviation in named
     ]
-

@@ -169,14 +169,12 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
     )
     for a, b in asked:
         assert a == b
-    built, given = CellMirrors(), import_module("armsight.app.requests.calibrate_cameras").MirrorsJob
-    assert (built.near_m, built.gap_m, built.index) == (given.near_m, given.gap_m, given.index)
-    cameras = import_module("armsight.app.requests.calibrate_cameras")
+    built, given = CellMirrors(), inspect.signature(armsight.calibrate_mirrors).parameters
+    assert all(getattr(built, name) == given[name].default for name in ("near_m", "gap_m", "index"))
+    of_boards = (armsight.calibrate_camera, armsight.calibrate_stereo)
     known = (
-        (cameras.CameraJob.folds, BoardOptions().folds),
-        (cameras.StereoJob.folds, BoardOptions().folds),
-        (cameras.CameraJob.lens, BoardOptions().lens.value),
-        (cameras.MirrorsJob.index, Plate(thickness_m=1e-3).index),
+        *((inspect.signature(one).parameters["lens"].default, BoardOptions().lens.value) for one in of_boards),
+        (built.index, Plate(thickness_m=1e-3).index),
         (import_module("armsight.app.requests.simulate").DoctorJob.sigma_px, CENTROID_SIGMA_PX),
     )
     for a, b in known:

@@ -82,15 +82,15 @@ TRIED = {
         f"{NOISE} rig.yaml --side left && calibrate camera --noise rig.yaml -o small.yaml",
         f"calibrate camera --noise rig.yaml -o pair320.yaml --side left && {NOISE} small.yaml",
     ),
-    ("cli/calibrate_cameras.py", "Give SRC and --board"): (f"calibrate camera {BOARDS}", CAMERA),
-    ("cli/calibrate_cameras.py", "Leave --side away"): (f"{CAMERA} --side left", CAMERA),
-    ("app/requests/calibrate_cameras.py", "Give --zoom with the value"): (f"{CAMERA} --pupil 0.01", "{} --zoom 100"),
-    ("app/requests/calibrate_cameras.py", "Give --pupil"): (
+    ("ops/calibrate_cameras.py", "Give SRC and --board"): (f"calibrate camera {BOARDS}", CAMERA),
+    ("ops/calibrate_cameras.py", "Leave --side away"): (f"{CAMERA} --side left", CAMERA),
+    ("ops/calibrate_cameras.py", "Give --zoom with the value"): (f"{CAMERA} --pupil 0.01", "{} --zoom 100"),
+    ("ops/calibrate_cameras.py", "Give --pupil"): (
         f"{CAMERA} --zoom 100 --pupil-std 0.001",
         "{} --pupil 0.01",
     ),
-    ("app/requests/calibrate_cameras.py", "Give --lens with"): (f"{CAMERA} --lens oval", f"{CAMERA} --lens pinhole"),
-    ("app/calibrate/zoom.py", "Give --left, --right or both"): (ZOOM_RIG, ZOOMED),
+    ("ops/calibrate_cameras.py", "Give --lens with"): (f"{CAMERA} --lens oval", f"{CAMERA} --lens pinhole"),
+    ("calibrate/cameras/zoom.py", "Give --left, --right or both"): (ZOOM_RIG, ZOOMED),
     ("optics/zoom_rig.py", "Give --zoom-{}"): (f"{ZOOM_RIG} --left lens.yaml", "{} --zoom-left 100"),
     ("optics/zoom_rig.py", "Check the file of the"): (f"{ZOOM_RIG} --left lens.yaml --zoom-left 300", ZOOMED),
     ("optics/zoom_rig.py", "with the value that the lens stood at"): (
@@ -136,15 +136,15 @@ TRIED = {
         "calibrate mirrors -o x.yaml --target target.yaml --left-only left --right-only right",
         f"{MIRRORS} --image mirrors",
     ),
-    ("app/calibrate/mirrors_check.py", "or, to make the axes parallel"): (
+    ("app/calibrate/mirrors.py", "or, to make the axes parallel"): (
         f"{CHECK} --image mirrors {BOARD}",
         "{} --rig mirrors.yaml && {} --camera lens640.yaml --baseline-mm 160",
     ),
-    ("app/calibrate/mirrors_check.py", "Give --image, and --rig"): (
+    ("cli/calibrate_cameras.py", "Give --image, and --rig"): (
         f"{CHECK} --rig mirrors.yaml {BOARD}",
         "{} --image mirrors",
     ),
-    ("app/calibrate/mirrors_check.py", "Leave --target out"): (
+    ("cli/calibrate_cameras.py", "Leave --target out"): (
         f"{CHECK} --rig mirrors.yaml --image mirrors --target target.yaml",
         f"{CHECK} --rig mirrors.yaml --image mirrors {BOARD}",
     ),

@@ -135,7 +135,7 @@ TRIED = {
         (pivoted("still", STILL), f"{LIT_TARGET} {seen('still')}"),
         (pivoted("tipped", [*turned(20), *turned(40)]), f"{LIT_TARGET} {seen('tipped')}"),
     ),
-    ("ops/calibrate_cameras.py", "or --image with both views"): (
+    ("ops/calibrate_rig.py", "or --image with both views"): (
         f"{LIT_TARGET} --rig rig.yaml",
         (pivoted("tipped", [*turned(20), *turned(40)]), f"{LIT_TARGET} {seen('tipped')}"),
     ),

@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.calibrate.cameras import calibrate_camera as calibrate_images
-from armsight.app.requests.calibrate_cameras import CameraJob
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board
+from armsight.ops.calibrate_cameras import calibrate_camera as calibrate_images
 from armsight.records import BoardView, TargetKind, board_target
 from refusals import refuses
 
@@ -95,8 +94,7 @@ def test_all_dots_are_found_from_the_big_one_on() -> None:
 
 @needs_stereo
 def test_a_miscounted_board_is_refused_with_the_size_that_most_images_show(tmp_path: Path) -> None:
-    job = CameraJob(source=str(STEREO / "left0[1-6].jpg"), board="checkerboard:8x6:0.025", out=tmp_path / "c.yaml")
     with refuses(Inconsistent, "9x6", "6 images") as refusal:
-        calibrate_images(job)
-    assert "--board checkerboard:9x6:0.025" in refusal.value.cure
+        calibrate_images(str(STEREO / "left0[1-6].jpg"), "checkerboard:8x6:0.025", out=tmp_path / "c.yaml")
+    assert "board checkerboard:9x6:0.025" in refusal.value.cure
     assert not list(tmp_path.iterdir())

@@ -10,11 +10,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.cameras import calibrate_stereo
 from armsight.app.measure.collector import About
 from armsight.app.measure.run import measure, run
 from armsight.app.measure.warm_up import prepare
-from armsight.app.requests.calibrate_cameras import StereoJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.columns import POSE6
@@ -25,6 +23,7 @@ from armsight.measure.poses.pipeline import Setup
 from armsight.measure.results import MeasureOutput
 from armsight.measure.series import INSIDE_95, SCALE, errors_of
 from armsight.measure.settings import SpotSettings
+from armsight.ops.calibrate_cameras import calibrate_stereo
 from armsight.records import Progress, Silent
 from armsight.records.output import Output, extended, output
 from armsight.store import rig_from_mapping, target_from_mapping
@@ -56,7 +55,7 @@ def measure_pictures(out: Path, progress: Progress) -> PicturesOutput:
     with as_file(files("armsight.app") / "pictures" / PICTURES) as folder:
         left, right = str(folder / "left*.jpg"), str(folder / "right*.jpg")
         rig = out / RIG
-        calibrated = calibrate_stereo(StereoJob(board=BOARD, out=rig, left=left, right=right), progress)
+        calibrated = calibrate_stereo(left, right, BOARD, out=rig, progress=progress)
         job = MeasureJob(rig=rig, target=Path(BOARD), out=out, left=left, right=right, stills=True)
         measured = measure(job, progress)
     return PicturesOutput(

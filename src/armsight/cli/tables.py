@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,12 +14,10 @@ from armsight.units import DEG, MM, MS
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from armsight.app.calibrate.results import CameraOutput, ZoomOutput, ZoomRigOutput
     from armsight.app.demo import DemoOutput, PoseErrors
     from armsight.app.doctor import AccuracyPlan, DoctorOutput
-    from armsight.calibrate.cameras import StereoCalibration
     from armsight.measure.results import MeasureOutput
-    from armsight.records.result_parts import PoseStd, RejectedFile
+    from armsight.records.result_parts import PoseStd
 
 figure = digits
 parameter = shown.parameter_row
@@ -62,15 +59,6 @@ def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
     rotation = pose.rotation.as_rotvec()
     return shown.pose_rows(pose.translation.tolist(), rotation.tolist(), std.translation_m, std.rotation_rad)
-
-
-def show(face: CommandUI, parts: Iterable[shown.Shown]) -> None:
-    """Print what a result shows of itself."""
-    for one in parts:
-        if isinstance(one, str):
-            face.say(one)
-        else:
-            face.table(*one)
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
@@ -119,71 +107,6 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
 def _reasons(face: CommandUI, summary: MeasureOutput) -> None:
     for kind, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
         face.say(f"  {count} x {REASONS.get(kind, kind)}")
-
-
-def camera_tables(face: CommandUI, done: CameraOutput, out: Path) -> None:
-    """Print a camera's calibration."""
-    values = {"fx_px": done.fx_px, "fy_px": done.fy_px, "cx_px": done.cx_px, "cy_px": done.cy_px}
-    rows = [
-        [name.removesuffix("_px"), figure(value, 6), figure(done.std.get(name), 2)] for name, value in values.items()
-    ]
-    names = ("k1", "k2", "k3", "k4") if done.lens else ("k1", "k2", "p1", "p2", "k3")
-    rows += [
-        [name, figure(value, 4), figure(done.std.get(name), 2)]
-        for name, value in zip(names, done.distortion, strict=True)
-    ]
-    face.table(f"Camera, {done.n_used} of {done.n_images} images", ["", "value", "+-"], rows)
-    face.say(f"Reprojection {figure(done.rms_px)} px RMS; {figure(done.holdout_rms_px)} px on left-out images")
-    _rejected(face, done.rejected)
-    face.say(f"Written: {out}")
-
-
-def zoom_tables(face: CommandUI, zoom: ZoomOutput) -> None:
-    """Print the settings of a zoom lens, and how well each is predicted by the others."""
-    left_out = {one.zoom: one for one in zoom.left_out}
-    rows = []
-    for value, focal in zip(zoom.settings, zoom.focal_lengths_px, strict=True):
-        one = left_out.get(value)
-        figures = ["-"] * 3 if one is None else [f"{one.focal_error_px:+.2f}", figure(one.focal_std_px), ""]
-        if one is not None:
-            figures[2] = figure(one.image_rms_px)
-        rows.append([f"{value:g}", figure(focal, 6), *figures])
-    header = ["zoom", "fx, px", "left out: error of fx, px", "claimed +-", "image, px RMS"]
-    face.table("Settings of the lens", header, rows)
-    if zoom.focal_error_rms is not None:
-        face.say(
-            f"Left out and predicted from the others, focal lengths are {figure(100.0 * zoom.focal_error_rms, 2)} % "
-            "off (RMS); with all settings it is less between them, and what is measured there says how much"
-        )
-    for text in zoom.advice:
-        face.say(f"  {text}")
-
-
-def zoom_rig_tables(face: CommandUI, done: ZoomRigOutput, out: Path) -> None:
-    """Print what a rig's lenses can be set to."""
-    for side, values in done.settings.items():
-        face.say(f"{side}: settings {', '.join(f'{value:g}' for value in values)}; rig calibrated at {done.at[side]:g}")
-    for text in done.advice:
-        face.say(f"Note: {text}")
-    face.say(f"Written: {out}")
-
-
-def stereo_tables(face: CommandUI, done: StereoCalibration, out: Path) -> None:
-    """Print a rig's calibration."""
-    metric = done.metric
-    rows = [
-        ["baseline, mm", figure(done.baseline_m / MM, 5)],
-        ["baseline +-, mm", figure(_mm(done.std.get("baseline_m")), 2)],
-        ["reprojection, px RMS", figure(done.rms_px)],
-        ["... on left-out pairs", figure(done.holdout_rms_px)],
-        ["epipolar, px RMS", figure(done.epipolar_rms_px)],
-        ["neighbouring corners, mm expected", figure(_mm(metric.get("expected_m")), 5)],
-        ["... mean on left-out pairs", figure(_mm(metric.get("mean_m")), 5)],
-        ["... RMS error", figure(_mm(metric.get("rms_m")))],
-    ]
-    face.table(f"Rig, {done.n_used} of {done.n_pairs} pairs", ["", ""], rows)
-    _rejected(face, done.rejected)
-    face.say(f"Written: {out}")
 
 
 def doctor_tables(face: CommandUI, found: DoctorOutput) -> None:
@@ -277,14 +200,3 @@ def _truth_rows(truth: PoseErrors) -> list[list[str]]:
         [name, *(figure(value / unit) for value in (error.rms, error.max, error.claimed))]
         for name, error, unit in named
     ]
-
-
-def _rejected(face: CommandUI, rejected: Sequence[RejectedFile]) -> None:
-    for item in rejected[:REJECTED_SHOWN]:
-        face.say(f"  left out {item.file}: {item.why}")
-    if len(rejected) > REJECTED_SHOWN:
-        face.say(f"  ... and {len(rejected) - REJECTED_SHOWN} more")
-
-
-def _mm(value_m: float | None) -> float | None:
-    return None if value_m is None else value_m / MM

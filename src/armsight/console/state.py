@@ -29,7 +29,6 @@ from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach_controller import TeachController
-from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.handeye import Setup
 from armsight.clock import SystemClock
 from armsight.console.plots import Tracks
@@ -187,18 +186,13 @@ class Console:
         Raises BadFile.
         """
         if self._alignment is None:
-            built = self.cell.mirrors
-            job = MirrorsJob(
+            self._alignment = MirrorAlignment(
                 board=self.cell.board,
+                built=self.cell.mirrors,
+                folder=self.folder / "calibrate" / "mirrors",
                 rig=self.mirror_rig(),
                 camera=cell_path(self.folder, self.cell.camera, "camera"),
-                baseline_m=built.baseline_m,
-                near_m=built.near_m,
-                gap_m=built.gap_m,
-                thickness_m=built.plate_m,
-                index=built.index,
             )
-            self._alignment = MirrorAlignment(job=job, folder=self.folder / "calibrate" / "mirrors")
         return self._alignment
 
     def mirror_rig(self) -> Path | None:

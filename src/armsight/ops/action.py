@@ -104,6 +104,8 @@ class Action:
         self._require_kept(given)
         with contextlib.ExitStack() as undo:
             taken = dict(given)
+            if given.get(OUT) is not None:
+                taken[OUT] = Path(given[OUT])
             for name, value in given.items():
                 if name in self.inputs and value is not None:
                     taken[name] = self.inputs[name].object_of(name, value, taken, undo)
@@ -132,12 +134,13 @@ class Action:
                 )
 
     def _write(self, out: Path, result: Output, given: Given) -> None:
-        """Write the result's file, and its page beside it."""
+        """Write the result's file, with the hashes of what went in, frames last, and its page beside it."""
         from armsight.report.pages import page_of, page_path
         from armsight.store import write_text
         from armsight.store.saving import write_result
 
-        files = [file for name, one in self.inputs.items() for file in one.hashed_files(given.get(name))]
+        read = sorted(self.inputs.items(), key=lambda item: bool(item[1].files))
+        files = [file for name, one in read for file in one.hashed_files(given.get(name))]
         write_result(out, result, files)
         if (page := page_path(out, result)) is not None:
             write_text(page, page_of(result, files, given))

@@ -94,12 +94,8 @@ def as_frame(image: ImageLike, *, name: str, t_s: float = 0.0, sequence: int = 0
     return Frame(image=array, t_s=t_s, sequence=sequence, source=name)
 
 
-def as_images(images: ImageLike | Iterable[ImageLike], name: str, bits: int | None = None) -> list[tuple[str, Image]]:
-    """Return (name, image) of many images: arrays, paths, or one folder or file pattern of images."""
-    if isinstance(images, str | PathLike):
-        from armsight.drivers import list_images
-
-        return [(path.name, read_image(str(path), bits)) for path in list_images(fspath(images))]
+def as_images(images: Iterable[ImageLike], name: str, bits: int | None = None) -> list[Frame]:
+    """Return many images as frames: arrays, or paths, whose names the frames have."""
     if not isinstance(images, Iterable) or (isinstance(images, np.ndarray) and images.ndim < 3):
         raise UsageError(
             f"{name}s are one {type(images).__name__}",
@@ -107,11 +103,12 @@ def as_images(images: ImageLike | Iterable[ImageLike], name: str, bits: int | No
             cure="Give a list of images, or a folder",
         )
     many: Iterable[Any] = images
-    out = []
-    for number, image in enumerate(many):
-        called = Path(fspath(image)).name if isinstance(image, str | PathLike) else f"{name} {number}"
-        out.append((called, as_image(image, called, bits)))
-    return out
+    return [
+        as_frame(
+            image, name=Path(fspath(image)).name if isinstance(image, str | PathLike) else f"{name} {n}", bits=bits
+        )
+        for n, image in enumerate(many)
+    ]
 
 
 def as_poses(poses: Poses, name: str) -> RigidTransform:

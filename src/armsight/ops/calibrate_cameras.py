@@ -1,172 +1,308 @@
-"""What belongs to a rig beyond its cameras: noise, the lights of a target, and when two free-running cameras expose."""
+"""Cameras and pairs of them from images of a printed board, and rigs whose lenses zoom."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import Cameras, Every, Fps, Inverted, Limit, Threshold
-from armsight.defaults import LIT_LIGHTS
+from armsight.app.requests.shared import (
+    SRC,
+    Bits,
+    Cameras,
+    Every,
+    Limit,
+    Strict,
+    Workers,
+)
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
-from armsight.ops.kinds import FRAMES, BothViews, Left, Right, RigLike, SpotsLike, TargetLike
+from armsight.ops.kinds import (
+    IMAGES,
+    NOISE,
+    ZOOM_LENS,
+    BoardLike,
+    RigLike,
+)
 
 if TYPE_CHECKING:
-    from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
-    from armsight.calibrate.light_target import TargetResult
-    from armsight.calibrate.timing import TimingResult
+    from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
+    from armsight.calibrate.cameras.zoom import ZoomRigResult
+    from armsight.drivers import CameraSettings
     from armsight.records import Progress
 
-SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
+Images: TypeAlias = Annotated[Any, Doc(f"Images of the board: {SRC}."), IMAGES, Flag(positional=True, metavar="[SRC]")]
+LeftImages: TypeAlias = Annotated[Any, Doc(f"Left images of the board: {SRC}."), IMAGES, Flag("--left", metavar="SRC")]
+RightImages: TypeAlias = Annotated[
+    Any, Doc("Right images, taken at the same moments."), IMAGES, Flag("--right", metavar="SRC")
+]
+StillFrames: TypeAlias = Annotated[
+    Any,
+    Doc("4 to 50 still frames of any scene, as SRC, for the camera's noise; or a file with it."),
+    NOISE,
+    Flag(metavar="FRAMES"),
+]
+Side: TypeAlias = Annotated[
+    str | None, Doc("With --noise and a rig.yaml: left or right, the frames' camera."), Flag(metavar="SIDE")
+]
+Zoom: TypeAlias = Annotated[
+    float | None, Doc("A zoom lens's setting at which the images were taken: -o keeps its other settings.")
+]
+Pupil: TypeAlias = Annotated[
+    float | None,
+    Doc("With --zoom: where the centre of projection stands along the axis, forward."),
+    Flag(quantity="m"),
+]
+PupilStd: TypeAlias = Annotated[float, Doc("Its standard deviation."), Bounds(least=0.0), Flag(quantity="m")]
+Detector: TypeAlias = Annotated[
+    str, Doc("How checkerboards are looked for: auto, quick, classic, sectors, xcorner."), Flag(metavar="NAME")
+]
+Lens: TypeAlias = Annotated[
+    str,
+    Doc("pinhole, or fisheye (OpenCV's fisheye, Kalibr's equidistant); of a pair also both: fisheye,pinhole."),
+    Flag(metavar="NAME"),
+]
+CameraOut: TypeAlias = Annotated[
+    Path | None, Doc("camera.yaml to write; with --noise alone, to add to."), Flag("-o --out", needed=True)
+]
+RigOut: TypeAlias = Annotated[Path | None, Doc("rig.yaml to write."), Flag("-o --out", needed=True)]
 
 
-@action("calibrate target", working="calibrating")
-def calibrate_target(
-    rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
-    left: Left = None,
-    right: Right = None,
+@action("calibrate camera", working="calibrating")
+def calibrate_camera(
+    images: Images = None,
+    board: BoardLike = None,
     *,
-    image: BothViews = None,
-    lights: Annotated[int, Doc("How many lights the target has."), Bounds(least=2, most=6)] = LIT_LIGHTS,
+    options: BoardOptions | None = None,
+    noise: StillFrames = None,
+    side: Side = None,
+    zoom: Zoom = None,
+    pupil_m: Pupil = None,
+    pupil_std_m: PupilStd = 0.0,
+    set_zoom: Annotated[bool, Doc("Set the live camera SRC to --zoom first.")] = False,
+    every: Every = 1,
     frames: Limit = None,
-    threshold: Threshold = None,
-    inverted: Inverted = False,
+    workers: Workers = None,
+    detector: Detector = "auto",
+    lens: Lens = "pinhole",
+    bits: Bits = None,
+    strict: Strict = False,
     camera_settings: Cameras | None = None,
-    out: Annotated[Path | None, Doc("target.yaml to write."), Flag("-o --out", needed=True)] = None,
+    out: CameraOut = None,
     progress: Progress | None = None,
-) -> TargetResult:
-    """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig.
+) -> CameraCalibration:
+    """Find one camera's focal lengths, centre and distortion from images of a printed board, and its noise.
+
+    --every and --frames are of the board's images; without them of the still frames.
 
     Parameters
     ----------
-    rig, left, right, image
-        As `measure` takes them.
-    lights
-        How many there are.
-    frames
-        Pairs to read at most.
+    images
+        uint8 arrays (h, w) or (h, w, 3), paths, or frames as `measure` takes them; ten or more, the board tilted
+        differently in each.
+    board
+        'checkerboard:9x6:0.025' (inner corners, side of a square in m), 'circles:CxR:PITCH', 'acircles:CxR:PITCH',
+        'charuco:CxR:SQUARE:MARKER:DICTIONARY', 'aprilgrid:CxR:TAG:SPACING', a file (Kalibr's too), or a Target.
+    options
+        What is held fixed, the kind of lens, and how outliers are rejected; without them the lens is `lens`.
+    noise
+        Still frames, a file that holds the camera's noise, or a NoiseModel.
+    zoom, pupil_m, pupil_std_m
+        Of a zoom lens, the setting at which the images were taken, and where the centre of projection stands along the
+        axis in m, forward; the file `out` keeps the lens's other settings.
+    every, frames
+        Take every n-th image, and so many at most.
+    detector
+        How checkerboards are looked for.
+    bits
+        Of the light in 16-bit images, such as 12.
     out
-        target.yaml to write.
+        camera.yaml to write, its report beside it.
 
     Raises
     ------
-    NotEnoughData, Inconsistent, Degenerate
-        The frames do not tell the lights' positions.
+    NotEnoughData
+        The board is seen in too few images.
+    Degenerate, Undetermined
+        The views leave something open; the message names it.
+    Inconsistent
+        Images of different sizes.
+    NotConverged
+        The fit found no answer.
+    BadImage
+        One of them is no image.
     """
-    from functools import partial
+    from armsight.app.calibrate import cameras as app
+    from armsight.app.calibrate.board_pictures import BoardPictures
+    from armsight.app.calibrate.reports import write_camera_report
 
-    from armsight.app.calibrate.spots_of_frames import lit_frames
-    from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
-    from armsight.calibrate.light_target import calibrate_target
-    from armsight.drivers import AUTOMATIC
-    from armsight.measure.settings import SpotSettings
-    from armsight.records import Silent
-
-    settings, cameras = SpotSettings(threshold=threshold, inverted=inverted), camera_settings or AUTOMATIC
-    if (image is None) == (left is None):
-        raise UsageError("which frames?", cure="Give --left and --right, or --image with both views in one image")
-    if image is None:
-        source, overlaid = open_pairs(left, right, settings=cameras), False
-    else:
-        source, overlaid = complex_pairs(partial(open_source, image, settings=cameras), rig)
-    with source as pairs:
-        seen = lit_frames(rig, pairs, settings, frames, progress or Silent())
-    return calibrate_target(rig, seen, lights, overlaid=overlaid)
+    _require_board(images, board, side)
+    _require_zoom(zoom, pupil_m, pupil_std_m, set_zoom, out)
+    options, pictures = _options(options, lens, most=1, zoom=zoom), BoardPictures()
+    settings = camera_asked(camera_settings, zoom if set_zoom else None)
+    known = app.noise_of(noise, settings, progress)
+    with app.open_images(images, settings=settings, bits=bits, strict=strict) as source:
+        seen = app.find_boards(source, board, pictures, progress, detector, every, frames, threads(workers))
+    done = app.solved_camera(seen, board, options, progress, known)
+    if zoom is not None:
+        done = app.with_zoom(done, zoom, pupil_m, pupil_std_m, out)
+    if out is not None:
+        write_camera_report(out, done, board, pictures)
+    return done
 
 
-@action("calibrate timing", working="calibrating")
-def calibrate_timing(
-    rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
-    target: Annotated[TargetLike, Doc("target.yaml of the lights, where they are named in tables.")] = None,
-    left: Left = None,
-    right: Annotated[Right, Doc("Right frames, each with its camera's stamp."), FRAMES, Flag(metavar="SRC")] = None,
+@action("calibrate stereo", working="calibrating")
+def calibrate_stereo(
+    left_images: LeftImages,
+    right_images: RightImages,
+    board: BoardLike,
     *,
-    left_spots: Annotated[SpotsLike, Doc(f"Instead of frames: {SPOTS}."), Flag(metavar="CSV")] = None,
-    right_spots: Annotated[SpotsLike, Doc("The same of the right camera."), Flag(metavar="CSV")] = None,
-    fps: Fps = None,
+    options: BoardOptions | None = None,
+    every: Every = 1,
     frames: Limit = None,
-    threshold: Threshold = None,
-    inverted: Inverted = False,
+    workers: Workers = None,
+    detector: Detector = "auto",
+    lens: Lens = "pinhole",
+    bits: Bits = None,
+    strict: Strict = False,
     camera_settings: Cameras | None = None,
-    out: Annotated[Path | None, Doc("rig.yaml to write, with the timing."), Flag("-o --out", needed=True)] = None,
+    out: RigOut = None,
     progress: Progress | None = None,
-) -> TimingResult:
-    """Find delay, drift, read-outs and jitter of two free-running cameras from lights waved before them for 10-20 s.
+) -> StereoCalibration:
+    """Find both cameras of a pair and where they stand to each other, from pairs of images of a printed board.
 
     Parameters
     ----------
-    rig, target, left, right
-        As `measure` takes them.
-    left_spots, right_spots
-        Instead of frames: columns t_s, u_px, v_px of each camera.
-    fps
-        Frames a second, where none brings its time.
-    frames
-        Frames of each camera to read at most.
+    left_images
+        As calibrate_camera takes them.
+    right_images
+        As many, in the same order.
+    board
+        As calibrate_camera takes it.
+    options, every, frames, detector, bits
+        As calibrate_camera takes them; a pair may have two lenses.
+    out
+        rig.yaml to write, its report beside it.
+
+    Raises
+    ------
+    Inconsistent
+        Not as many left as right images; else as calibrate_camera.
+    """
+    from armsight.app.calibrate import cameras as app
+    from armsight.app.calibrate.board_pictures import BoardPictures
+    from armsight.app.calibrate.reports import write_stereo_report
+
+    options, settings, pictures = _options(options, lens, most=2), camera_asked(camera_settings), BoardPictures()
+    with app.open_images(left_images, right_images, settings=settings, bits=bits, strict=strict) as source:
+        seen = app.find_boards(source, board, pictures, progress, detector, every, frames, threads(workers))
+    done = app.solved_pair(seen, board, options, progress)
+    if out is not None:
+        write_stereo_report(out, done, board, pictures)
+    return done
+
+
+@action("calibrate zoom-rig")
+def calibrate_zoom_rig(
+    rig: Annotated[RigLike, Doc("rig.yaml from `armsight calibrate stereo`, at one setting of each lens.")],
+    left: Annotated[Any, Doc("camera.yaml with the left lens's settings."), ZOOM_LENS] = None,
+    right: Annotated[Any, Doc("The same of the right lens."), ZOOM_LENS] = None,
+    *,
+    zoom_left: Annotated[float | None, Doc("Where the left lens stood for the rig.")] = None,
+    zoom_right: Annotated[float | None, Doc("Where the right lens stood.")] = None,
+    out: RigOut = None,
+) -> ZoomRigResult:
+    """Give a calibrated rig the settings of its zoom lenses: `measure --zoom-left --zoom-right` then takes any of them.
+
+    The right camera's place, found at one setting of each lens, holds for all of them.
+
+    Parameters
+    ----------
+    rig
+        As calibrated at one setting of each lens.
+    left, right
+        camera.yaml with a lens's settings, as `calibrate_camera(zoom, out)` gathers them.
+    zoom_left, zoom_right
+        Where the lenses stood for the rig.
     out
         rig.yaml to write.
 
     Raises
     ------
-    NotEnoughData, Inconsistent
-        The wave does not tell the timing.
+    UsageError, Inconsistent
+        No lens is given, or one that is not the rig's.
     """
-    from armsight.app.calibrate.spots_of_frames import SpotSearch, seen_tracks
-    from armsight.calibrate.timing import calibrate_timing
-    from armsight.drivers import AUTOMATIC
-    from armsight.records import Silent
+    from armsight.calibrate.cameras.zoom import rig_with_lenses
 
-    search = SpotSearch(
-        threshold=threshold,
-        inverted=inverted,
-        fps=fps,
-        limit=frames,
-        origin_of=left,
-        settings=camera_settings or AUTOMATIC,
-    )
-    tracks = seen_tracks((left, right), (left_spots, right_spots), rig, search, progress or Silent())
-    known = target is not None and target.model_known
-    positions = dict(zip(target.names, target.xyz_m, strict=True)) if known else None
-    return calibrate_timing(rig, *tracks, positions)
+    return rig_with_lenses(rig, (left, right), (zoom_left, zoom_right))
 
 
-@action("calibrate noise", working="calibrating")
-def calibrate_noise(
-    frames: Annotated[Any, Doc("4 to 50 still frames of any scene; or a file with the noise."), FRAMES],
-    *,
-    side: Literal["left", "right"] | None = None,
-    every: Every = 1,
-    limit: Limit = None,
-    camera_settings: Cameras | None = None,
-    progress: Progress | None = None,
-) -> NoiseResult:
-    """Find a camera's noise, from 4 to 50 still frames of any scene; `armsight calibrate camera --noise` files it.
+def _require_board(images: object, board: object, side: str | None) -> None:
+    """Raise UsageError where a camera is to be calibrated from half of what that takes."""
+    if images is None or board is None:
+        raise UsageError(
+            "the images of the board, SRC, are not given" if images is None else "the board, --board, is not given",
+            cure="Give SRC and --board; or --noise FRAMES alone, with the file to add to as -o",
+        )
+    if side is not None:
+        raise UsageError("--side is of a rig.yaml, and a board's images make a camera.yaml", cure="Leave --side away")
 
-    Parameters
-    ----------
-    frames
-        Images, or as `measure` takes them; or a camera.yaml or rig.yaml that holds the noise.
-    side
-        Of such a rig.yaml.
-    every, limit
-        Of the frames.
 
-    Raises
-    ------
-    NotEnoughData, Inconsistent
-        The frames are not still.
+def _require_zoom(
+    zoom: float | None, pupil_m: float | None, pupil_std_m: float, set_zoom: bool, out: Path | None
+) -> None:
+    """Raise UsageError for what is said about a zoom without one, BadFile where `out` is no zoom lens's file."""
+    if zoom is None:
+        if pupil_m is not None or pupil_std_m > 0.0 or set_zoom:
+            raise UsageError(
+                "--pupil, --pupil-std and --set-zoom belong to a setting of a zoom lens, and --zoom is not given",
+                cure="Give --zoom with the value that the lens stands at",
+            )
+        return
+    if pupil_m is None and pupil_std_m > 0.0:
+        raise UsageError("--pupil-std is the standard deviation of --pupil, which is not given", cure="Give --pupil")
+    if out is not None and out.exists():
+        from armsight.store import read_zoom_camera
 
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> scene = np.linspace(20, 200, 320 * 240).reshape(240, 320)
-    >>> still = [np.uint8(scene + rng.normal(0, 2, scene.shape)) for _ in range(8)]
-    >>> armsight.calibrate_noise(still).noise.n_given
-    8
-    """
-    from armsight.app.calibrate.camera_noise import find_noise
+        read_zoom_camera(out)  # before all work: nobody should wait for a result that has no place
+
+
+def camera_asked(given: CameraSettings | None, zoom: float | None = None) -> CameraSettings:
+    """Return what is asked of a live camera, its zoom with it where that is to be set."""
+    from dataclasses import replace
+
     from armsight.drivers import AUTOMATIC
 
-    settings = camera_settings or AUTOMATIC
-    return find_noise(frames, side=side, every=every, limit=limit, settings=settings, progress=progress)
+    settings = given or AUTOMATIC
+    return settings if zoom is None else replace(settings, zoom=zoom)
+
+
+def _options(given: BoardOptions | None, lens: str, *, most: int, zoom: float | None = None) -> BoardOptions:
+    """Return the options, those of one kind of lens where none are given, or of a pair with two. Raises UsageError."""
+    from armsight.calibrate.cameras import BoardOptions
+    from armsight.optics import LensKind
+    from armsight.records import require_kind
+
+    require_kind("options", given, BoardOptions, NoneType, cure="Give BoardOptions(...)")
+    names = lens.split(",")
+    for name in names:
+        if name not in list(LensKind):
+            raise UsageError(
+                f"{name[:40]!r} is not a kind of lens", cure=f"Give --lens with one of {', '.join(LensKind)}"
+            )
+    if len(names) > most:
+        raise UsageError(
+            f"{len(names)} kinds of lens are given", cure="Give one, or for a pair left and right: fisheye,pinhole"
+        )
+    options = given or BoardOptions(lens=LensKind(names[0]), right_lens=LensKind(names[-1]))
+    if zoom is not None and LensKind.FISHEYE in options.lenses:
+        raise UsageError("a fisheye lens with --zoom", cure="Settings of a zoom lens are pinholes: leave one away")
+    return options
+
+
+def threads(given: int | None) -> int | None:
+    """Return how many threads read images: as given, else as the settings have it."""
+    from armsight.config import load_settings
+
+    return load_settings().workers if given is None else given

@@ -24,11 +24,13 @@ from armsight.drivers.images import read_image
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.action import Given
-from armsight.ops.arrays import as_poses, as_rotations
+from armsight.ops.arrays import as_images, as_poses, as_rotations
 from armsight.ops.given import Given as Folder
 from armsight.ops.given import as_arm, as_text
-from armsight.optics import Rig
+from armsight.optics import Camera, Rig, ZoomLens
 from armsight.records import (
+    Frame,
+    NoiseModel,
     PoseStatus,
     SpotTrack,
     Target,
@@ -39,7 +41,16 @@ from armsight.records import (
     require_texts,
 )
 from armsight.records.measured import covariances_of
-from armsight.store import World, read_poses, read_rig, read_spot_track, read_target, read_world
+from armsight.store import (
+    World,
+    read_camera,
+    read_poses,
+    read_rig,
+    read_spot_track,
+    read_target,
+    read_world,
+    read_zoom_camera,
+)
 from armsight.store.arm_points import read_arm_points
 from armsight.store.covariances import uncorrelated_note
 from armsight.store.handeye_file import read_tip
@@ -104,6 +115,15 @@ def rig(name: str, value: Any, given: Given, undo: ExitStack) -> Rig:
         require_kind(name, value, Rig, cure="Give a record or a file")
         return value  # type: ignore[no-any-return]  # a Rig
     return read_rig(path)
+
+
+def camera(name: str, value: Any, given: Given, undo: ExitStack) -> Camera:
+    """Return a camera, or that of a camera.yaml. Raises BadFile."""
+    path = _path(value)
+    if path is None:
+        require_kind(name, value, Camera, cure="Give a record or a file")
+        return value  # type: ignore[no-any-return]  # a Camera
+    return read_camera(path)
 
 
 def target(name: str, value: Any, given: Given, undo: ExitStack) -> Target:
@@ -231,6 +251,38 @@ def picture(name: str, value: Any, given: Given, undo: ExitStack) -> NDArray[np.
 def frames(name: str, value: Any, given: Given, undo: ExitStack) -> str:
     """Return frames as the command line names them; images of a program are written to a folder that goes again."""
     return undo.enter_context(Folder(limit=given.get("limit"))).source(name, value)
+
+
+def images(name: str, value: Any, given: Given, undo: ExitStack) -> str | list[Frame]:
+    """Return images as the command line names them, or those of a program as frames. Raises UsageError, BadImage."""
+    if isinstance(value, str | PathLike):
+        return fspath(value)
+    return as_images(value, name.replace("_", " ").removesuffix("s"), given.get("bits"))
+
+
+def noise(name: str, value: Any, given: Given, undo: ExitStack) -> NoiseModel | str:
+    """Return a camera's noise, or the still frames or the file that tell it."""
+    return value if isinstance(value, NoiseModel) else frames(name, value, given, undo)
+
+
+def zoom_lens(name: str, value: Any, given: Given, undo: ExitStack) -> ZoomLens:
+    """Return a lens's settings, or those of a camera.yaml. Raises BadFile."""
+    path = _path(value)
+    if path is None:
+        require_kind(name, value, ZoomLens, cure="Give the file with the lens's settings")
+        return value  # type: ignore[no-any-return]  # a ZoomLens
+    return read_zoom_camera(path).lens
+
+
+def board(name: str, value: Any, given: Given, undo: ExitStack) -> Target:
+    """Return a printed board, that of a file, or of a text as checkerboard:9x6:0.025. Raises UsageError, BadFile."""
+    require_kind(name, value, str, PathLike, Target, cure="Give 'checkerboard:9x6:0.025', a Target or a file")
+    found = value if isinstance(value, Target) else parse_board(fspath(value))
+    if not found.is_board:
+        raise UsageError(
+            "the board is a target of lights", consequence="It is in no image", cure="Give a printed board"
+        )
+    return found
 
 
 def spots(name: str, value: Any, given: Given, undo: ExitStack) -> SpotTrack:

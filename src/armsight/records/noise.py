@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import field
-from math import inf
+from math import inf, sqrt
 from typing import Annotated
 
 import numpy as np
@@ -14,6 +15,7 @@ from armsight.fields import Bounds, Doc
 from armsight.records.checks import frozen_array
 from armsight.records.fields import Shape
 from armsight.records.output import Output, figure, output
+from armsight.shown import Shown, Table, digits
 
 Array = NDArray[np.float64]
 
@@ -115,6 +117,26 @@ class NoiseModel(Output):
     )
     def widest(self) -> Pair:
         return self.widening()
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the noise at the levels, what neighbours share, and whether the camera is linear."""
+        rows = [
+            [digits(level), digits(sqrt(variance)), digits(std / (2.0 * sqrt(variance)) if variance else None, 2)]
+            for level, variance, std in zip(self.levels, self.variance_levels2, self.std_levels2, strict=True)
+        ]
+        yield Table(f"Noise, {self.n_frames} frames", ["at grey level", "noise, grey levels", "+-"], rows)
+        near, line = self.correlation, self.linear
+        yield (
+            f"Correlation with the next pixel: {near.x[0]:.3f} along x, {near.y[0]:.3f} along y, "
+            f"{near.diagonal:.3f} along diagonals; the one after it: {near.x[1]:.3f}, {near.y[1]:.3f}"
+        )
+        if line is None:
+            yield "The variance is no line over the grey level: a transfer curve or compression; the table holds"
+        else:
+            yield (
+                f"Linear camera: read noise {digits(line.read_noise_levels)} grey levels, "
+                f"{digits(line.gain_levels)} grey levels for each electron"
+            )
 
     def table(self) -> Array:
         """Return the variance (256,) at every grey level, for kernels that look it up."""

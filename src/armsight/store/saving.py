@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from armsight.calibrate.arm import ArmResult, RobotWorldResult
+from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
+from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras.zoom import ZoomRigResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.light_target import TargetResult
@@ -30,6 +33,7 @@ from armsight.store.targets import write_target
 from armsight.store.tracks import write_poses
 from armsight.store.urdf import write_urdf
 from armsight.store.worlds import World, write_world
+from armsight.store.zoom import with_setting, write_zoom_camera
 
 Writer = Callable[[Path, Any], object]
 
@@ -47,8 +51,21 @@ def write_lights(path: Path, result: TargetResult, *, inputs: Sequence[Path] = (
     write_target(path, result.target, inputs=inputs, std_m={name: list(std) for name, std in result.std.items()})
 
 
-def write_timed_rig(path: Path, result: TimingResult, *, inputs: Sequence[Path] = ()) -> None:
-    """Write rig.yaml with its cameras' timing."""
+def write_calibrated_camera(path: Path, result: CameraCalibration, *, inputs: Sequence[Path] = ()) -> None:
+    """Write camera.yaml with the covariance and noise; of a zoom lens keep its other settings."""
+    noise = result.noise.noise if isinstance(result.noise, NoiseCalibration) else result.noise
+    if result.setting is None:
+        write_camera(
+            path, result.camera, covariance=result.covariance, rms_px=result.rms_px, noise=noise, inputs=inputs
+        )
+    else:
+        write_zoom_camera(path, with_setting(path, result.setting, noise), inputs=inputs)
+
+
+def write_rig_of(
+    path: Path, result: StereoCalibration | TimingResult | ZoomRigResult, *, inputs: Sequence[Path] = ()
+) -> None:
+    """Write rig.yaml with what the result adds to it."""
     write_rig(path, result.rig, inputs=inputs)
 
 
@@ -87,9 +104,12 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     HandEyeResult: dict.fromkeys(YAML, write_handeye),
     ArmResult: dict.fromkeys(YAML, write_calibrated_arm),
     RobotWorldResult: dict.fromkeys(YAML, write_placed_rig),
+    CameraCalibration: dict.fromkeys(YAML, write_calibrated_camera),
+    StereoCalibration: dict.fromkeys(YAML, write_rig_of),
+    ZoomRigResult: dict.fromkeys(YAML, write_rig_of),
     PivotCalibration: dict.fromkeys(YAML, write_pivot),
     TargetResult: dict.fromkeys(YAML, write_lights),
-    TimingResult: dict.fromkeys(YAML, write_timed_rig),
+    TimingResult: dict.fromkeys(YAML, write_rig_of),
     ToolTipResult: dict.fromkeys(YAML, write_tip),
 }
 """By class; a class stands before its bases."""

@@ -192,6 +192,18 @@ def write_zoom_camera(path: Path, file: ZoomCameraFile, *, inputs: Sequence[Path
     write_document(path, ZOOM_YAML.format, _content(file), inputs, earlier=file.inputs)
 
 
+def with_setting(path: Path | None, setting: ZoomSetting, noise: NoiseModel | None = None) -> ZoomCameraFile:
+    """Return what a zoom lens's file holds with a calibrated setting, in place of the one at its zoom.
+
+    Where there is no file it is the only setting. The noise that the file holds stays where no new one is given. Raises
+    Inconsistent where the setting is not of the same camera, BadFile.
+    """
+    if path is None or not path.exists():
+        return ZoomCameraFile(lens=ZoomLens(settings=(setting,)), noise=noise)
+    old = read_zoom_camera(path)
+    return replace(old, lens=old.lens.with_setting(setting), noise=noise or old.noise)
+
+
 def settings_mapping(lens: ZoomLens) -> list[dict[str, Any]]:
     """Return a lens's settings as files hold them."""
     return [_setting_mapping(one) for one in lens.settings]

@@ -7,28 +7,25 @@ import sys
 import numpy as np
 import pytest
 
-from armsight.app.calibrate.cameras import calibrate_stereo
-from armsight.app.requests.calibrate_cameras import StereoJob
 from armsight.errors import Inconsistent
+from armsight.ops.calibrate_cameras import calibrate_stereo
 from refusals import names_it, refuses
 from reports import case
 
 
-def job(tmp_path, **more):
-    folder = case("cameras-07")
-    given = {"left": str(folder / "left"), "right": str(folder / "right"), "board": "checkerboard:9x6:0.02"}
-    return StereoJob(**given, out=tmp_path / "rig.yaml", **more)
+def calibrated(**more):
+    return calibrate_stereo(case("cameras-07") / "left", case("cameras-07") / "right", "checkerboard:9x6:0.02", **more)
 
 
-def test_a_mount_that_creeps_is_named_and_the_rig_is_right(tmp_path):
-    done = calibrate_stereo(job(tmp_path))
+def test_a_mount_that_creeps_is_named_and_the_rig_is_right():
+    done = calibrated()
     assert 1e3 * np.asarray(done.rig.T_rig_right.translation) == pytest.approx([120.0, 1.0, 4.0], abs=0.05)
     assert [line for line in done.advice if names_it(line, "rigid", "turns")]
 
 
-def test_the_other_lens_is_refused_with_the_one_that_works(tmp_path):
-    with refuses(Inconsistent, "pinhole", "Use --lens pinhole"):  # as the test above does
-        calibrate_stereo(job(tmp_path, lens="fisheye"))
+def test_the_other_lens_is_refused_with_the_one_that_works():
+    with refuses(Inconsistent, "pinhole", "Use lens pinhole"):  # as the test above does
+        calibrated(lens="fisheye")
 
 
 def test_a_shift_of_each_view_is_in_what_is_claimed(tmp_path):

@@ -193,10 +193,7 @@ FLANGE = _poses(12, 1)
 SEEN = (FLANGE * _poses(1, 4)[0]).inv() * _poses(1, 3)[0]
 TIP = np.array([0.0, 0.0, 0.2])
 TURNED = RigidTransform.from_components(FLANGE.rotation.apply(-TIP), FLANGE.rotation)
-IMAGES = Arg(good=[LEFT], wrong={"a number": 3, "one image": LEFT, "none": None, "16 bits": [LEFT.astype(np.uint16)]})
 SETTINGS = record(armsight.SpotSettings())
-BOARDS = Arg(good=BOARD, wrong={"a tuple": (9, 6, 0.025), "a dict": {}, "lights": TARGET, "nonsense": "chess", "no": 3})
-OPTIONS = Arg(good=None, wrong={"a dict": {"fixed": ["skew"]}, "a text": "fast"})
 SIDE = choice("left")
 TASK = Arg(good="pose", wrong={"another": "nonsense", "a number": 3, "a list": ["pose"]})
 JOINT_VALUES = array(QS, more={"degrees": DEGREES, "empty": []})
@@ -296,6 +293,12 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "reproduce": (armsight.reproduce, {"paper": "korayem2018", "out": AWAY}),
     "calibrate_hand_eye": (armsight.calibrate_hand_eye, {"T_base_flange": FLANGE, "T_camera_target": SEEN}),
     "calibrate_pivot": (armsight.calibrate_pivot, PAIR),
+    "calibrate_camera": (armsight.calibrate_camera, {"images": [LEFT], "board": BOARD}),
+    "calibrate_mirrors": (armsight.calibrate_mirrors, {"images": [LEFT], "board": BOARD}),
+    "calibrate_stereo": (
+        armsight.calibrate_stereo,
+        {"left_images": [LEFT], "right_images": [RIGHT], "board": BOARD},
+    ),
     "calibrate_target": (armsight.calibrate_target, {"rig": RIG, "left": [LEFT], "right": [RIGHT]}),
     "calibrate_timing": (armsight.calibrate_timing, PAIR),
     "calibrate_cell": (armsight.calibrate_cell, {"robot_log": (np.arange(12.0), QS), "target": TARGET, "model": ARM}),
@@ -637,25 +640,6 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "rig": record(RIG),
             "target": record(TARGET),
             "t_s": number(0.0),
-        },
-    ),
-    "calibrate_camera": (
-        armsight.calibrate_camera,
-        {"images": IMAGES, "board": BOARDS, "options": OPTIONS, "detector": choice("auto"), "bits": BITS},
-    ),
-    "calibrate_mirrors": (
-        armsight.calibrate_mirrors,
-        {"images": IMAGES, "board": BOARDS, "thickness_m": number(0.003, negative=-0.003), "options": OPTIONS},
-    ),
-    "calibrate_stereo": (
-        armsight.calibrate_stereo,
-        {
-            "left_images": IMAGES,
-            "right_images": IMAGES,
-            "board": BOARDS,
-            "options": OPTIONS,
-            "detector": choice("auto"),
-            "bits": BITS,
         },
     ),
     "calibrate_tool_tip": (

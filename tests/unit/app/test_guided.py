@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.cameras import calibrate_stereo
 from armsight.app.guided.boards import BoardCalibration, tilt
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
@@ -21,11 +20,11 @@ from armsight.app.guided.step_runner import GuidedStepRunner, figures_of
 from armsight.app.live.station import Snapshot
 from armsight.app.live.views import Counts, LiveView, RunView, SideView, SpotView, live_view
 from armsight.app.operator.station_observer import StationObserver
-from armsight.app.requests.calibrate_cameras import StereoJob
 from armsight.clock import ManualClock
 from armsight.console import texts
 from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
+from armsight.ops.calibrate_cameras import calibrate_stereo
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import BoardView, JointReading, PoseStatus, Silent, Spots, TargetPose
 from armsight.records.verdict import Verdict
@@ -121,14 +120,7 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
     }
     assert {name for name, _ in step.spread()} | {figure.name for figure in figures_of(step)} <= set(texts.ROW_NAMES)
     verdict = step.run(Silent())
-    again = calibrate_stereo(
-        StereoJob(
-            board=boards.board,
-            out=tmp_path / "again.yaml",
-            left=str(boards.folder / "left"),
-            right=str(boards.folder / "right"),
-        )
-    )
+    again = calibrate_stereo(boards.folder / "left", boards.folder / "right", boards.board)
     # few boards leave corners of the images bare: page, report and terminal say so alike
     assert verdict.verdict.level == "care" and verdict.verdict.to_dict() == again.verdict_.to_dict()
     assert dict(verdict.rows)["baseline"] == f"{1e3 * again.baseline_m:.2f} mm"

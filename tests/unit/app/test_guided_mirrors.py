@@ -11,18 +11,17 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from armsight.app.calibrate.mirrors import run_mirrors
 from armsight.app.guided.mirror_alignment import COARSE_RAD, MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.step import Figure, Next
 from armsight.app.guided.step_runner import History, figures_of
 from armsight.app.live.measurement import COMPLEX, LiveJob
-from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.app.simulate.run import simulate
 from armsight.console import texts
 from armsight.console.pages.mirrors import turn_words
 from armsight.console.state import Console, steps_of
 from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
+from armsight.ops.calibrate_mirrors import calibrate_mirrors
 from armsight.optics import Camera
 from armsight.records import Silent
 from armsight.store import read_rig, write_camera
@@ -76,9 +75,7 @@ def test_it_leads_to_the_result_of_the_command(done: Any, mirror_boards: Any) ->
     assert [hint.what for hint in hints[:2]] == [Next.BOARD_TWICE, Next.TO_CELL]
     assert hints[1].side == COMPLEX
     assert len(list((folder / "mirrors" / "image").iterdir())) == 8, "what an earlier calibration left is gone"
-    again = run_mirrors(
-        MirrorsJob(out=folder / "again.yaml", board=mirror_boards.board, image=str(mirror_boards.straight))
-    )
+    again = calibrate_mirrors(mirror_boards.straight, mirror_boards.board)
     rows = dict(verdict.rows)
     assert rows["baseline"].startswith(f"{1e3 * again.baseline_m:.2f} ± ") and rows["images used"] == "8 of 8"
     assert {name for name, _ in (*step.spread(), *verdict.rows)} <= set(texts.ROW_NAMES)
@@ -149,10 +146,12 @@ def lens(mirror_boards: Any, folder: Path) -> Path:
 
 
 def test_alignment_tells_which_mirror_to_turn_and_which_way(mirror_boards: Any, tmp_path: Path) -> None:
-    job = MirrorsJob(
-        board=mirror_boards.board, camera=lens(mirror_boards, tmp_path), baseline_m=mirror_boards.baseline_m
+    alignment = MirrorAlignment(
+        board=mirror_boards.board,
+        built=CellMirrors(baseline_m=mirror_boards.baseline_m),
+        folder=tmp_path,
+        camera=lens(mirror_boards, tmp_path),
     )
-    alignment = MirrorAlignment(job=job, folder=tmp_path)
     off = alignment.look(OnePicture(mirror_boards.off))  # type: ignore[arg-type]
     turn, tilt = mirror_boards.tilt
     assert alignment.to_parallel and not off.done and [one.mirror for one in off.turns] == [2]
@@ -170,7 +169,7 @@ def test_alignment_tells_which_mirror_to_turn_and_which_way(mirror_boards: Any, 
 
 
 def test_alignment_is_held_against_the_calibrated_rig(mirror_boards: Any, done: Any, tmp_path: Path) -> None:
-    alignment = MirrorAlignment(job=MirrorsJob(board=mirror_boards.board, rig=done[3].file), folder=tmp_path)
+    alignment = MirrorAlignment(board=mirror_boards.board, built=CellMirrors(), folder=tmp_path, rig=done[3].file)
     station: Any = OnePicture(mirror_boards.off)
     stand = alignment.look(station)
     assert stand.turns[0].mirror in (2, *stand.others) and not alignment.to_parallel
@@ -180,11 +179,11 @@ def test_alignment_is_held_against_the_calibrated_rig(mirror_boards: Any, done: 
 
 
 def test_a_board_that_is_not_seen_is_told(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:
-    job = MirrorsJob(board=mirror_boards.board, camera=lens(mirror_boards, tmp_path), baseline_m=0.16)
-    alignment = MirrorAlignment(job=job, folder=tmp_path)
+    built, board = CellMirrors(baseline_m=0.16), mirror_boards.board
+    alignment = MirrorAlignment(board=board, built=built, folder=tmp_path, camera=lens(mirror_boards, tmp_path))
     stand = alignment.look(OnePicture(boards.folder / "left"))  # type: ignore[arg-type]
     assert stand.check is None and "once" in stand.why and not stand.done
-    bare = MirrorAlignment(job=MirrorsJob(board=job.board), folder=tmp_path)
+    bare = MirrorAlignment(board=board, built=built, folder=tmp_path)
     assert alignment.possible and not bare.possible
     with refuses(UsageError, "hold"):
         bare.look(OnePicture(mirror_boards.off))  # type: ignore[arg-type]
@@ -195,7 +194,7 @@ def test_the_cell_keeps_how_the_mirrors_were_built(tmp_path: Path) -> None:
     assert console.step("mirrors").name == "mirrors" and "stereo" not in steps_of(console)
     console.set_mirrors(CellMirrors(baseline_m=0.12, plate_m=0.0))
     assert read_cell(tmp_path).mirrors == CellMirrors(baseline_m=0.12, plate_m=0.0)
-    assert console.mirror_alignment().job.baseline_m == 0.12
+    assert console.mirror_alignment().built.baseline_m == 0.12
     two = Console(folder=tmp_path, cell=CellFile(left="camera:0", right="camera:1"))
     assert {"mirrors", "stereo"} <= set(steps_of(two)) <= set(texts.STEPS)
     with refuses(UsageError, "two cameras"):

@@ -20,6 +20,7 @@ from armsight.app.measure.run import measure
 from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.run import simulate
 from armsight.app.sources.frames import complex_pairs, open_source
+from armsight.calibrate.mirrors.result import reasons
 from armsight.cli.commands import app
 from armsight.drivers import PairSource
 from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
@@ -305,7 +306,7 @@ def test_every_cause_has_its_cure_and_the_commonest_reason_is_one_whatever_its_n
     }
     assert cures == set(Unseen) - others and not mirrors.CURES.keys() & mirrors_lit_target.CURES.keys()
     seen = [NotSeen("dark"), NotSeen("2 of 3 spots seen", Unseen.LIGHTS_MISSING), NotSeen("1 of 3 spots seen")]
-    assert mirrors_lit_target.reasons(seen) == [(seen[1], 2), (seen[0], 1)]
+    assert reasons(seen) == [(seen[1], 2), (seen[0], 1)]
 
 
 def test_lit_images_that_cannot_be_sorted_say_why(lit: Path, tmp_path: Path) -> None:

@@ -11,15 +11,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from armsight.app.requests import calibrate_cameras, identify, measure, motion, verify
+from armsight.app.requests import identify, measure, motion, verify
 from armsight.app.requests.shared import Table
-from armsight.calibrate.cameras import BoardOptions
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import Asked
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, known_hints, marks
-from armsight.optics import Plate
 from armsight.store.interpret import TableFormat
 from armsight.units import DEG, MM
 from armsight_lab.batch import request as batch
@@ -115,7 +113,7 @@ def test_the_help_tells_meaning_unit_and_default_and_the_first_text_of_a_flag_of
 
 REQUESTS = [
     kind
-    for module in (batch, calibrate_cameras, identify, measure, motion, verify)
+    for module in (batch, identify, measure, motion, verify)
     for kind in vars(module).values()
     if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
 ]
@@ -132,11 +130,6 @@ def test_defaults_are_those_of_what_is_asked() -> None:
     def default(kind: Any, name: str) -> Any:
         return next(one.default for one in dataclasses.fields(kind) if one.name == name)
 
-    same: Mapping[tuple[Any, str], object] = {
-        (calibrate_cameras.CameraJob, "folds"): BoardOptions().folds,
-        (calibrate_cameras.StereoJob, "folds"): BoardOptions().folds,
-        (calibrate_cameras.CameraJob, "lens"): BoardOptions().lens.value,
-        (calibrate_cameras.MirrorsJob, "index"): Plate(thickness_m=1e-3).index,
-    }
+    same: Mapping[tuple[Any, str], object] = {}
     for (kind, name), value in same.items():
         assert default(kind, name) == value, name

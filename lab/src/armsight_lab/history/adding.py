@@ -179,17 +179,17 @@ def _command_of(content: Mapping[str, Any], path: Path) -> str:
 
 
 def _kinds() -> list[tuple[str, type[Output]]]:
-    from armsight.app.calibrate.results import CameraOutput, MirrorsOutput
     from armsight.app.identify.results import IdentifyOutput
     from armsight.calibrate.arm import ArmResult, RobotWorldResult
-    from armsight.calibrate.cameras import StereoCalibration
+    from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
     from armsight.calibrate.handeye import HandEyeResult
+    from armsight.calibrate.mirrors.result import MirrorsOutput
     from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
     from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
 
     return [
         ("calibrate arm", ArmResult),
-        ("calibrate camera", CameraOutput),
+        ("calibrate camera", CameraCalibration),
         ("calibrate handeye", HandEyeResult),
         ("calibrate mirrors", MirrorsOutput),
         ("calibrate pivot", PivotCalibration),

@@ -70,13 +70,14 @@ def camera_boards(done: CameraCalibration, board: Target, pictures: BoardPicture
 
 def rig_boards(done: StereoCalibration, board: Target, pictures: BoardPictures) -> BoardViews:
     """Return the boards of a pair's calibration, in the left camera's axes."""
-    T_left_rig = done.rig.T_rig_left.inv()
+    rig = done.pair_rig()
+    T_left_rig = rig.T_rig_left.inv()
     of_sides = [_of_camera(done.used.camera(c), done.residual_px[side], pictures) for c, side in enumerate(SIDES)]
     return BoardViews(
         parent="the left camera",
         outline_m=outline_m(board),
         T_parent_board=[RigidTransform.from_matrix(T) for T in done.T_left_board],
-        cameras=[(side, done.rig.camera(side), T_left_rig * done.rig.T_rig_camera(side)) for side in SIDES],
+        cameras=[(side, rig.camera(side), T_left_rig * rig.T_rig_camera(side)) for side in SIDES],
         names=[names[0] for names in done.sources],
         rms_px=done.view_rms_px,
         pictures=sorted((one for side in of_sides for one in side), key=lambda one: one[0]),

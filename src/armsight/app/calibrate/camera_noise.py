@@ -107,7 +107,7 @@ def input_files(text: str) -> Sequence[Path]:
         return sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
     if is_recording(text):
         return [recording_path(text)]
-    return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
+    return [Path(text)] if Path(text).suffix.lower() in (*VIDEO_SUFFIXES, *FILES) else list_images(text)
 
 
 def _sides(out: Path, side: str | None) -> dict[str, tuple[int, int] | None]:

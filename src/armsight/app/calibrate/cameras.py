@@ -1,163 +1,177 @@
-"""Images of a board in, cameras and rigs out."""
+"""A board in images of one camera or two, the calibration that it gives, and where its report goes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple, cast
 
 from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, require_counts, see_board
-from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
-from armsight.app.calibrate.camera_noise import find_noise, input_files, require_size
-from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
-from armsight.app.calibrate.results import CameraOutput, ZoomOutput
-from armsight.app.calibrate.zoom import add_setting, zoom_file, zoom_output
-from armsight.app.requests.calibrate_cameras import CameraJob, StereoJob
+from armsight.app.calibrate.board_pictures import BoardPictures
+from armsight.app.calibrate.camera_noise import find_noise, require_size
 from armsight.app.sources.frames import open_pairs, open_source
+from armsight.calibrate import cameras as solvers
 from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
-from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
-from armsight.calibrate.cameras import calibrate_camera as solve_camera
-from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
-from armsight.drivers import AUTOMATIC, is_live
-from armsight.errors import Cancelled, NotEnoughData
-from armsight.file_names import report_path as report_path
-from armsight.records import BoardView, Frame, NotSeen, Progress, Silent
-from armsight.records.output import extended
+from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras.result import as_setting
+from armsight.calibrate.cameras.zoom import settings_of
+from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource, ImageReading, PairSource, is_live
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData
+from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Progress, Silent, Target
 from armsight.records.result_parts import RejectedFile
-from armsight.store import parse_board, write_camera, write_rig
+from armsight.store.targets import board_text
+from armsight.store.zoom import with_setting
+
+Moment = Frame | tuple[Frame, Frame]
+"""An image of one camera, or those of two."""
+Moments = FrameSource | PairSource | Sequence[Moment]
 
 
-def calibrate_camera(job: CameraJob, progress: Progress | None = None) -> CameraOutput:
-    """Calibrate one camera and write its camera.yaml, or one setting of it; return the figures as --json gives them.
+class FoundBoards(NamedTuple):
+    """The board's views of each moment in which all cameras see it, what was left out, and how many were read.
 
-    Raises UsageError, DataRefused or DeviceFailed, Cancelled.
+    source: what the images were called.
     """
-    options, board = job.options, parse_board(job.board)
-    progress = progress or Silent()
-    views: list[BoardView] = []
-    rejected: list[RejectedFile] = []
-    every: list[Seen] = []
-    pictures = BoardPictures()
-    if job.zoom is not None:
-        zoom_file(job.out)
-    found = None if job.noise is None else _noise(job, job.noise, progress)
-    with open_source(job.source, settings=job.asked, reading=job.reading) as source:
-        frames = islice(source, 0, _stop(job), job.every)
-        total = _total(source.total, job)
-        for frame, seen in in_parallel(
-            lambda frame: (frame, see_board(frame, board, job.detector, pictures)), frames, workers=job.workers
-        ):
-            every.append(seen)
-            _sort(frame, seen, views, rejected)
-            _show_progress(progress, len(views) + len(rejected), total)
-    require_counts(every, board, job.board)
-    _require(views, rejected, job.board)
-    if found is not None:
-        require_size(found, (views[0].width, views[0].height), job.source)
-    progress.update(0, 0, "solving")
-    done = solve_camera(views, board, options, progress)
-    done = replace(done, rejected=(*rejected, *done.rejected))
-    zoom = _write(job, done, found)
-    boards = camera_boards(done, board, pictures)
-    write_camera_report(_report_of(job), done, board=job.board, boards=boards)
-    return extended(done, CameraOutput, noise=found.noise if found else None, zoom=zoom)
+
+    views: list[tuple[BoardView, ...]]
+    rejected: list[RejectedFile]
+    n: int
+    source: str
 
 
-def _write(job: CameraJob, done: CameraCalibration, found: NoiseResult | None) -> ZoomOutput | None:
-    """Write camera.yaml; of a zoom lens return all its settings."""
-    noise = None if found is None else found.model
-    inputs = [*input_files(job.source), *(found.inputs if found else ())]
-    if job.zoom is None:
-        write_camera(job.out, done.camera, covariance=done.covariance, rms_px=done.rms_px, noise=noise, inputs=inputs)
-        return None
-    lens = add_setting(job.out, job.zoom, done, noise=noise, inputs=inputs)
-    return zoom_output(lens, job.zoom.zoom)
+def open_images(
+    *images: str | Sequence[Frame],
+    settings: CameraSettings,
+    bits: int | None = None,
+    strict: bool = True,
+    colour: bool = False,
+) -> AbstractContextManager[Moments]:
+    """Return the images of one camera, or of two in pairs, of a source's text or in memory, not yet open.
 
-
-def _report_of(job: CameraJob) -> Path:
-    """Return where the report goes: each setting of a zoom lens has one of its own."""
-    if job.zoom is None:
-        return report_path(job.out)
-    return job.out.with_name(f"{job.out.stem}.zoom-{job.zoom.zoom:g}.report.html")
-
-
-def _noise(job: CameraJob, frames: str, progress: Progress) -> NoiseResult:
-    asked = job.asked if is_live(frames) else AUTOMATIC  # still frames may be files beside a live camera
-    return find_noise(frames, settings=asked, progress=progress)
-
-
-def calibrate_stereo(job: StereoJob, progress: Progress | None = None) -> StereoCalibration:
-    """Calibrate a pair of cameras and write its rig.yaml; return the figures as --json gives them.
-
-    Raises UsageError, DataRefused or DeviceFailed, Cancelled.
+    colour: of one camera alone. Raises UsageError, Inconsistent where there are not as many left as right ones.
     """
-    options, board = job.options, parse_board(job.board)
-    progress = progress or Silent()
-    views: tuple[list[BoardView], list[BoardView]] = ([], [])
-    rejected: list[RejectedFile] = []
-    every: list[Seen] = []
-    done = 0
-    pictures = BoardPictures()
-
-    def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
-        return tuple((frame, see_board(frame, board, job.detector, pictures)) for frame in pair)
-
-    with open_pairs(job.left, job.right, settings=job.camera_settings, reading=job.reading) as pairs:
-        chosen = islice(pairs, 0, _stop(job), job.every)
-        total = _total(pairs.total, job)
-        for both in in_parallel(see, chosen, workers=job.workers):
-            lost = [RejectedFile(frame.source, seen.why) for frame, seen in both if isinstance(seen, NotSeen)]
-            rejected += lost
-            every += [seen for _, seen in both]
-            if not lost:
-                for side, (_, seen) in zip(views, both, strict=True):
-                    if isinstance(seen, BoardView):
-                        side.append(seen)
-            done += 1
-            _show_progress(progress, done, total)
-    require_counts(every, board, job.board)
-    _require(views[0], rejected, job.board)
-    progress.update(0, 0, "solving")
-    result = solve_stereo(views[0], views[1], board, options, progress)
-    result = replace(result, n_pairs=done, rejected=(*rejected, *result.rejected))
-    write_rig(job.out, result.rig, inputs=[*input_files(job.left), *input_files(job.right)])
-    boards = rig_boards(result, board, pictures)
-    write_stereo_report(report_path(job.out), result, RigData(board=job.board, boards=boards))
-    return result
+    reading = ImageReading(bits=bits, strict=strict)
+    first, *others = images
+    if not others:
+        if isinstance(first, str):
+            return open_source(first, colour=colour, settings=settings, reading=reading)
+        return nullcontext(first)
+    if isinstance(first, str) and isinstance(others[0], str):
+        return open_pairs(first, others[0], settings=settings, reading=reading)
+    ready = [_in_memory(one, settings, reading) for one in images]
+    if len(ready[0]) != len(ready[1]):
+        raise Inconsistent(
+            f"{len(ready[0])} left images and {len(ready[1])} right images",
+            consequence="Nobody knows which belong together",
+            cure="Give one left and one right image of each moment, in the same order",
+        )
+    return nullcontext(list(zip(*ready, strict=True)))
 
 
-def _sort(frame: Frame, seen: Seen, views: list[BoardView], rejected: list[RejectedFile]) -> None:
-    if isinstance(seen, NotSeen):
-        rejected.append(RejectedFile(frame.source, seen.why))
-    else:
-        views.append(seen)
+def _in_memory(images: str | Sequence[Frame], settings: CameraSettings, reading: ImageReading) -> Sequence[Frame]:
+    if not isinstance(images, str):
+        return images
+    with open_source(images, settings=settings, reading=reading) as source:
+        return list(source)
 
 
-def _show_progress(progress: Progress, done: int, total: int) -> None:
-    progress.update(done, total, "finding the board")
-    if progress.cancelled():
-        raise Cancelled(f"stopped after {done} images", consequence="Nothing was written")
+def count(moments: Moments) -> int | None:
+    """Return how many there are; None where that cannot be known."""
+    return len(moments) if isinstance(moments, Sequence) else moments.total
 
 
-def _require(views: Sequence[BoardView], rejected: Sequence[RejectedFile], board: str) -> None:
-    """Raise NotEnoughData where the board was seen nowhere."""
-    if views or not rejected:
-        return
-    file, why = rejected[0]
-    raise NotEnoughData(
-        f"the board {board} was found in none of the images; in the first, {file}: {why}",
-        consequence="Nothing was calibrated",
-        cure=count_again(parse_board(board)),
-    )
+def find_boards(
+    moments: Moments,
+    board: Target,
+    pictures: BoardPictures,
+    progress: Progress | None,
+    detector: str,
+    every: int,
+    limit: int | None,
+    workers: int | None,
+) -> FoundBoards:
+    """Return the board in every n-th moment, so many at most; pictures: keeps where it is.
+
+    Raises NotEnoughData where it is in no image, Inconsistent where most show a board of another size, Cancelled.
+    """
+    progress, each = progress or Silent(), list[Seen]()
+    found = FoundBoards([], [], 0, getattr(moments, "name", "the images"))
+    stop = None if limit is None else limit * every
+    known = count(moments)
+    total = limit or 0 if known is None else -(-min(known, stop or known) // every)
+
+    def see(moment: Moment) -> list[tuple[Frame, Seen]]:
+        frames = (moment,) if isinstance(moment, Frame) else moment
+        return [(frame, see_board(frame, board, detector, pictures)) for frame in frames]
+
+    chosen = islice(cast(Iterable[Moment], moments), 0, stop, every)
+    for n, both in enumerate(in_parallel(see, chosen, workers=workers), 1):
+        each += [seen for _, seen in both]
+        found.rejected.extend(RejectedFile(one.source, seen.why) for one, seen in both if isinstance(seen, NotSeen))
+        views = tuple(seen for _, seen in both if isinstance(seen, BoardView))
+        found.views.extend([views] if len(views) == len(both) else [])
+        found = found._replace(n=n)
+        progress.update(n, total, "finding the board")
+        if progress.cancelled():
+            raise Cancelled(f"stopped after {n} images", consequence="Nothing was written")
+    require_counts(each, board, board_text(board))
+    if found.rejected and not found.views:
+        file, why = found.rejected[0]
+        raise NotEnoughData(
+            f"the board {board_text(board)} was found in none of the images; in the first, {file}: {why}",
+            consequence="Nothing was calibrated",
+            cure=count_again(board),
+        )
+    return found
 
 
-def _stop(job: CameraJob | StereoJob) -> int | None:
-    return None if job.limit is None else job.limit * job.every
+def noise_of(
+    given: NoiseModel | str | None, settings: CameraSettings, progress: Progress | None
+) -> NoiseResult | NoiseModel | None:
+    """Return a camera's noise, or what still frames or a file tell of it; settings: of live cameras."""
+    if not isinstance(given, str):
+        return given
+    asked = settings if is_live(given) else AUTOMATIC  # still frames may be files beside a live camera
+    return find_noise(given, settings=asked, progress=progress)
 
 
-def _total(total: int | None, job: CameraJob | StereoJob) -> int:
-    stop = _stop(job)
-    if total is None:
-        return job.limit or 0
-    return -(-min(total, stop or total) // job.every)
+def solved_camera(
+    seen: FoundBoards,
+    board: Target,
+    options: BoardOptions,
+    progress: Progress | None,
+    noise: NoiseResult | NoiseModel | None,
+) -> CameraCalibration:
+    """Return the camera that saw the board, with its noise. Raises Inconsistent for noise of another size, and as
+    calibrate_camera."""
+    views = [view for (view,) in seen.views]
+    if isinstance(noise, NoiseResult) and views:
+        require_size(noise, (views[0].width, views[0].height), seen.source)
+    if progress is not None:
+        progress.update(0, 0, "solving")
+    done = solvers.calibrate_camera(views, board, options, progress)
+    known = noise.noise if isinstance(noise, NoiseResult) else noise
+    return replace(done, rejected=(*seen.rejected, *done.rejected), noise=known)
+
+
+def solved_pair(
+    seen: FoundBoards, board: Target, options: BoardOptions, progress: Progress | None
+) -> StereoCalibration:
+    """Return the rig whose cameras saw the board; raises as calibrate_stereo."""
+    if progress is not None:
+        progress.update(0, 0, "solving")
+    sides = [left for left, _ in seen.views], [right for _, right in seen.views]
+    done = solvers.calibrate_stereo(*sides, board, options, progress)
+    return replace(done, n_pairs=seen.n, rejected=(*seen.rejected, *done.rejected))
+
+
+def with_zoom(
+    done: CameraCalibration, zoom: float, pupil_m: float | None, pupil_std_m: float, out: Path | None
+) -> CameraCalibration:
+    """Return the calibration as a setting of the zoom lens that the file `out` holds, if there is one."""
+    setting = as_setting(done, zoom, pupil_m, pupil_std_m)
+    lens = with_setting(out, setting).lens
+    return replace(done, setting=setting, zoom=settings_of(lens, setting.zoom))

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import cast
 
 import numpy as np
 
+from armsight.app.calibrate.cameras import Moments
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
-from armsight.drivers import FrameSource
+from armsight.calibrate.mirrors.result import reasons
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
@@ -61,39 +61,31 @@ class Sorted:
 
 
 def calibrate_lit(
-    design: Rig,
-    target: Target,
-    open_images: Callable[..., FrameSource],
-    *,
-    every: int,
-    limit: int | None,
-    progress: Progress,
+    design: Rig, target: Target, moments: Moments, *, every: int, limit: int | None, progress: Progress
 ) -> tuple[MirrorCalibration, list[RejectedFile]]:
     """Return the mirror rig that took the complex images of the lit target, and those left out.
 
-    design: as built, the lens known. open_images: returns the complex images, in colour or not. The spots are sorted by
-    the design, and again by the rig that this gives. Raises UsageError for a target that cannot
-    serve, NotEnoughData, Inconsistent (sizes), Cancelled.
+    design: as built, the lens known. moments: the complex images, in colour or not. The spots are sorted by the
+    design, and again by the rig that this gives. Raises NotEnoughData, Inconsistent (sizes), Cancelled.
     """
-    _require_target(target)
-    moments = _moments(design, target, open_images, every, limit, progress)
-    first = sorted_views(design, target, moments)
-    _require_views(first, len(moments))
+    seen = _spots(design, target, islice(cast(Iterable[Frame], moments), 0, limit and limit * every, every))
+    found = []
+    for moment in seen:
+        found.append(moment)
+        progress.update(len(found), limit or 0, "finding the lights")
+        if progress.cancelled():
+            raise Cancelled("stopped", consequence="Nothing was written")
+    first = sorted_views(design, target, found)
+    _require_views(first, len(found))
     done = mirrors_from_target(design, first.views, first.poses, target)
-    second = sorted_views(done.rig, target, moments, (SLACK_PX, *SLACKS_PX))
-    _require_views(second, len(moments))
+    second = sorted_views(done.rig, target, found, (SLACK_PX, *SLACKS_PX))
+    _require_views(second, len(found))
     rejected = [RejectedFile(source, seen.why) for source, seen in second.rejected]
     return mirrors_from_target(done.rig, second.views, second.poses, target), rejected
 
 
-def reasons(missed: Sequence[NotSeen]) -> list[tuple[NotSeen, int]]:
-    """Return the reasons, the commonest first, with their counts; those that differ in numbers only are one."""
-    kinds = [re.sub(r"\d+(\.\d+)?", "#", seen.why) for seen in missed]
-    first = dict(reversed(list(zip(kinds, missed, strict=True))))
-    return [(first[kind], count) for kind, count in Counter(kinds).most_common()]
-
-
-def _require_target(target: Target) -> None:
+def require_lights(target: Target) -> None:
+    """Raise UsageError for a target that cannot serve."""
     if target.is_board:
         raise UsageError("--target is a board", cure="Give it as --board, or --target with the lit target")
     if not target.model_known or len(target.names) < FEWEST_LIGHTS:
@@ -104,24 +96,11 @@ def _require_target(target: Target) -> None:
         )
 
 
-def _moments(
-    rig: Rig,
-    target: Target,
-    open_images: Callable[..., FrameSource],
-    every: int,
-    limit: int | None,
-    progress: Progress,
-) -> list[Moment]:
+def _spots(rig: Rig, target: Target, frames: Iterable[Frame]) -> Iterator[Moment]:
     settings = Setup(rig, target, overlaid=True).settings
-    out: list[Moment] = []
-    with open_images(colour=target.colour is not None) as frames:
-        for frame in islice(frames, 0, limit and limit * every, every):
-            _require_size(frame, rig.left)
-            out.append(Moment(source=frame.source, t_s=frame.t_s, spots=find_spots(frame.image, settings)))
-            progress.update(len(out), limit or 0, "finding the lights")
-            if progress.cancelled():
-                raise Cancelled("stopped", consequence="Nothing was written")
-    return out
+    for frame in frames:
+        _require_size(frame, rig.left)
+        yield Moment(source=frame.source, t_s=frame.t_s, spots=find_spots(frame.image, settings))
 
 
 def _require_size(frame: Frame, camera: Camera) -> None:
@@ -143,10 +122,8 @@ def see_lights(rig: Rig, target: Target, frame: Frame) -> Sorted:
 
     Raises UsageError for a target that cannot serve, Inconsistent for another size of image.
     """
-    _require_target(target)
-    _require_size(frame, rig.left)
-    spots = find_spots(frame.image, Setup(rig, target, overlaid=True).settings)
-    return sorted_views(rig, target, [Moment(source=frame.source, t_s=frame.t_s, spots=spots)])
+    require_lights(target)
+    return sorted_views(rig, target, list(_spots(rig, target, [frame])))
 
 
 def sorted_views(rig: Rig, target: Target, moments: Sequence[Moment], slacks_px: Sequence[float] = SLACKS_PX) -> Sorted:

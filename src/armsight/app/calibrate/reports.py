@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.mirrors.result import MirrorsOutput
 from armsight.optics import INTRINSICS, SIDES, Camera
-from armsight.records import NamedCovariance
+from armsight.records import NamedCovariance, Target
 from armsight.report import CalibrationRun, CameraFit, Parameter, calibration_report
 from armsight.report.run import BoardViews
 from armsight.store import write_text
-from armsight.units import with_deviation
+from armsight.store.cell_file import CellMirrors
+from armsight.store.targets import board_text
+from armsight.units import MM, with_deviation
 
 Array = NDArray[np.float64]
 
@@ -38,35 +42,21 @@ def camera_run(done: CameraCalibration, board: str, boards: BoardViews | None = 
     )
 
 
-def write_camera_report(path: Path, done: CameraCalibration, *, board: str, boards: BoardViews | None = None) -> None:
-    """Write the report of one camera's calibration."""
-    write_text(path, calibration_report(camera_run(done, board, boards)))
+def write_camera_report(out: Path, done: CameraCalibration, board: Target, pictures: BoardPictures) -> None:
+    """Write the report of one camera's calibration beside its file; each setting of a zoom lens has one of its own."""
+    run = camera_run(done, board_text(board), camera_boards(done, board, pictures))
+    setting = "" if done.setting is None else f".zoom-{done.setting.zoom:g}"
+    write_text(out.with_suffix(f"{setting}.report.html"), calibration_report(run))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigData:
-    """What went into a rig's calibration, and what its report says beside the figures.
-
-    results: lines beside the alignment. facts: for the end of the page.
-    boards: where they were, with pictures.
-    """
-
-    board: str
-    title: str = "Calibration of a pair of cameras"
-    results: Sequence[tuple[str, str]] = ()
-    facts: Sequence[tuple[str, str]] = ()
-    boards: BoardViews | None = None
-
-
-def stereo_run(done: StereoCalibration, data: RigData) -> CalibrationRun:
-    """Return a rig's calibration as its report shows it."""
-    rig = done.rig
+def stereo_run(done: StereoCalibration, board: str, boards: BoardViews, **more: Any) -> CalibrationRun:
+    """Return a rig's calibration as its report shows it; more: of CalibrationRun."""
+    rig = done.pair_rig()
     parameters = [Parameter(name="baseline", value=rig.baseline_m * 1e3, std=done.baseline_std_m * 1e3, unit="mm")]
     for side in SIDES:
         parameters += _parameters(f"{side}.", rig.camera(side), rig.covariance)
     return CalibrationRun(
-        title=data.title,
-        board=data.board,
+        board=board,
         thing=done.thing,
         cameras=[
             _fit(
@@ -90,16 +80,45 @@ def stereo_run(done: StereoCalibration, data: RigData) -> CalibrationRun:
         baseline_m=rig.baseline_m,
         metric={name: m for name, m in done.metric.items() if m is not None} if done.metric_is_left_out else {},
         rejected=done.rejected,
-        alignment=[*alignment_lines(done), *data.results],
-        facts=data.facts,
         advice=done.advice,
-        boards=data.boards,
+        boards=boards,
+        **{"title": "Calibration of a pair of cameras", "alignment": alignment_lines(done), **more},
     )
 
 
-def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> None:
-    """Write the report of a rig's calibration."""
-    write_text(path, calibration_report(stereo_run(done, data)))
+def write_stereo_report(
+    out: Path, done: StereoCalibration, board: Target, pictures: BoardPictures, *, shown: str = "", **more: Any
+) -> None:
+    """Write the report of a rig's calibration beside its file.
+
+    shown: what the images show, where that is not the board's text. more: of CalibrationRun, title and alignment in
+    place of a pair's.
+    """
+    run = stereo_run(done, shown or board_text(board), rig_boards(done, board, pictures), **more)
+    write_text(out.with_suffix(".report.html"), calibration_report(run))
+
+
+def write_mirrors_report(
+    out: Path, done: MirrorsOutput, shown: Target, pictures: BoardPictures, built: CellMirrors
+) -> None:
+    """Write the report of a mirror rig's calibration beside its file; built: as designed, told where lights tell it."""
+    facts = []
+    if done.lit and built.baseline_m is not None:
+        lens = done.rig.left
+        facts = [
+            ("lens", f"{lens.width}x{lens.height} px, focal length {lens.intrinsics[0]:.6g} px"),
+            ("baseline as designed", f"{built.baseline_m / MM:g} mm"),
+        ]
+    write_stereo_report(
+        out,
+        done,
+        shown,
+        pictures,
+        shown=", ".join(shown.names) if done.lit else "",
+        title="Calibration of a mirror rig",
+        alignment=[*alignment_lines(done), *done.plate_words()],
+        facts=facts,
+    )
 
 
 def alignment_lines(done: StereoCalibration) -> list[tuple[str, str]]:

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_images import see_board
-from armsight.app.calibrate.cameras import calibrate_camera, calibrate_stereo, report_path
 from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
-from armsight.app.requests.calibrate_cameras import CameraJob, StereoJob
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
 from armsight.calibrate.cameras.preconditions import COVERED, image_share
 from armsight.drivers import read_image
 from armsight.errors import BadImage, DataRefused, NotEnoughData
+from armsight.file_names import report_path
+from armsight.ops.calibrate_cameras import calibrate_camera, calibrate_stereo
 from armsight.optics import SIDES
 from armsight.records import BoardView, Frame, NotSeen, Progress, Target
 from armsight.store import parse_board
@@ -167,14 +167,12 @@ class BoardCalibration:
             )
         folders = [str(self.folder / side) for side in self.sides]
         if len(self.sides) > 1:
-            pair = StereoJob(board=self.board, out=self.out, left=folders[0], right=folders[1])
-            rig = calibrate_stereo(pair, progress)
+            rig = calibrate_stereo(folders[0], folders[1], self.board, out=self.out, progress=progress)
             rows = [("RMS", f"{rig.rms_px:.3f} px"), ("baseline", f"{1e3 * rig.baseline_m:.2f} mm")]
             rows += [("± baseline", f"{1e3 * rig.std['baseline_m']:.3f} mm (1 σ)")]
             left_out, verdict = rig.holdout_rms_px, rig.verdict_
         else:
-            job = CameraJob(board=self.board, out=self.out, source=folders[0])
-            camera = calibrate_camera(job, progress)
+            camera = calibrate_camera(folders[0], self.board, out=self.out, progress=progress)
             rows = [("RMS", f"{camera.rms_px:.3f} px"), ("focal length", f"{camera.fx_px:.1f} px")]
             rows += [("± focal length", f"{camera.std['fx_px']:.2f} px (1 σ)")]
             left_out, verdict = camera.holdout_rms_px, camera.verdict_

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from armsight.app.calibrate.board_images import see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures
-from armsight.app.calibrate.mirrors_check import AlignmentWatch, check_output, reference_of
-from armsight.app.calibrate.results import MirrorCheckOutput
+from armsight.app.calibrate.mirrors import AlignmentWatch, reference_of
 from armsight.app.live.station import Station
-from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.diagnosis import APART, STILL
+from armsight.calibrate.mirrors.result import MirrorCheckOutput, check_output
 from armsight.drivers import read_image
 from armsight.errors import UsageError
 from armsight.records import Frame, NotSeen
-from armsight.store import parse_board
+from armsight.store import parse_board, read_camera, read_rig
+from armsight.store.cell_file import CellMirrors
 
 LOOKS = 120
 """Looks kept for the plot: two minutes at one a second."""
@@ -69,12 +69,17 @@ class Stand:
 class MirrorAlignment:
     """Looks at the picture of now, again and again.
 
-    job: what `calibrate mirrors --check` takes, without an image. With its rig the mirrors are held against how they
-    were calibrated, else, with its camera and baseline, against parallel axes. folder: takes the picture of now.
+    built: how the mirrors were built. With a rig they are held against how they were calibrated, where not parallel
+    axes are asked for; else, with the lens and the baseline as designed, against these. folder: takes the picture of
+    now.
     """
 
-    job: MirrorsJob
+    board: str
+    built: CellMirrors
     folder: Path
+    rig: Path | None = None
+    camera: Path | None = None
+    parallel: bool = False
     looks: deque[Stand] = field(default_factory=lambda: deque(maxlen=LOOKS))
     _watch: AlignmentWatch | None = None
     _count: int = 0
@@ -83,12 +88,12 @@ class MirrorAlignment:
     @property
     def to_parallel(self) -> bool:
         """Whether the mirrors are held against parallel axes."""
-        return self.job.parallel or self.job.rig is None
+        return self.parallel or self.rig is None
 
     @property
     def possible(self) -> bool:
         """Whether there is anything to hold the mirrors against: a rig, or the lens and the baseline as designed."""
-        return self.job.rig is not None or (self.job.camera is not None and self.job.baseline_m is not None)
+        return self.rig is not None or (self.camera is not None and self.built.baseline_m is not None)
 
     def look(self, station: Station) -> Stand:
         """Return how the mirrors stand now. Raises UsageError where too little is known, DataRefused, DeviceFailed."""
@@ -98,9 +103,12 @@ class MirrorAlignment:
             return self._look(station)
 
     def _look(self, station: Station) -> Stand:
-        board = parse_board(self.job.board)
+        board = parse_board(self.board)
         if self._watch is None:
-            self._watch = AlignmentWatch(reference=reference_of(self.job), board=board, back=BACK)
+            rig = None if self.rig is None else read_rig(self.rig)
+            camera = None if self.camera is None else read_camera(self.camera)
+            reference = reference_of(self.built, rig, camera, parallel=self.parallel)
+            self._watch = AlignmentWatch(reference=reference, board=board, back=BACK)
         file = self.folder / "now.png"
         station.save_pair(file)
         self._count += 1
@@ -117,7 +125,7 @@ class MirrorAlignment:
     def hold_against(self, *, parallel: bool) -> None:
         """Hold the mirrors against parallel axes from now on, or against the rig as it was calibrated."""
         with self._lock:
-            self.job = replace(self.job, parallel=parallel)
+            self.parallel = parallel
             self._watch = None
             self.looks.clear()
 

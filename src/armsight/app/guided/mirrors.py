@@ -10,26 +10,27 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_images import see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures
-from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, lit_design, run_mirrors
+from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, lit_design
 from armsight.app.calibrate.mirrors_lit_target import CURES as LIT_CURES
 from armsight.app.calibrate.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
 from armsight.app.calibrate.mirrors_lit_target import see_lights
-from armsight.app.calibrate.results import MirrorsOutput
 from armsight.app.guided.boards import CELLS, ENOUGH, FEWEST, TILTED, TILTED_SHARE, tilt
 from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Station
-from armsight.app.requests.calibrate_cameras import MirrorsJob
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.preconditions import image_share
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
+from armsight.calibrate.mirrors.result import MirrorsOutput
 from armsight.drivers import read_image
 from armsight.errors import ArmsightError, BadImage, DataRefused, NotEnoughData, UsageError
 from armsight.file_names import report_path
+from armsight.ops.calibrate_mirrors import calibrate_mirrors as calibrate_from_images
+from armsight.optics import Rig
 from armsight.optics.parallelism import parallelism
-from armsight.records import BoardView, Frame, NotSeen, Progress, TargetPose
-from armsight.store import parse_board, read_target
+from armsight.records import BoardView, Frame, NotSeen, Progress, Target, TargetPose
+from armsight.store import parse_board, read_camera, read_target
 from armsight.store.cell_file import CellMirrors
 
 Array = NDArray[np.float64]
@@ -82,20 +83,12 @@ class MirrorsStep:
             out.append(Sample(name=one.name, detail=f"{len(left)} {kind} in each view, {apart:.0f} px apart"))
         return tuple(out)
 
-    def job(self) -> MirrorsJob:
-        """Return what `armsight calibrate mirrors` is asked, with the images taken so far."""
-        return MirrorsJob(
-            out=self.out,
-            board="" if self.lit else self.board,
-            image=str(self.folder / IMAGES),
-            thickness_m=self.built.plate_m,
-            index=self.built.index,
-            baseline_m=self.built.baseline_m,
-            near_m=self.built.near_m,
-            gap_m=self.built.gap_m,
-            target=self.target if self.lit else None,
-            camera=self.camera if self.lit else None,
-        )
+    def _designed(self) -> tuple[Rig, Target]:
+        """Return the rig as it was designed, its lens known, and the lit target. Raises UsageError, BadFile."""
+        if self.target is None:
+            raise UsageError("the cell has no target", cure="Give the lit target on the page Settings")
+        camera = None if self.camera is None else read_camera(self.camera)
+        return lit_design(self.built, camera, image=True), read_target(self.target)
 
     def coverage(self) -> dict[str, tuple[int, ...]]:
         """Return how many samples lie in each cell of the one picture, in either view: both are of one lens."""
@@ -204,7 +197,20 @@ class MirrorsStep:
                 consequence="Nothing was calibrated",
                 cure=f"Accept {fewest} at least, better {ENOUGH_LIT if self.lit else ENOUGH}",
             )
-        return self._verdict(run_mirrors(self.job(), progress))
+        built = self.built
+        shown = {"target": self.target, "camera": self.camera} if self.lit else {"board": self.board}
+        done = calibrate_from_images(
+            str(self.folder / IMAGES),
+            **shown,
+            thickness_m=built.plate_m,
+            index=built.index,
+            baseline_m=built.baseline_m,
+            near_m=built.near_m,
+            gap_m=built.gap_m,
+            out=self.out,
+            progress=progress,
+        )
+        return self._verdict(done)
 
     def _verdict(self, done: MirrorsOutput) -> StepResult:
         std_m, left_out = done.std["baseline_m"], done.holdout_rms_px
@@ -231,7 +237,7 @@ class MirrorsStep:
         return _Taken(name=name, pair=seen)
 
     def _lights(self, name: str, frame: Frame) -> _Taken:
-        design, target = lit_design(self.job())
+        design, target = self._designed()
         found = see_lights(design, target, frame)
         if not found.views:
             seen = found.rejected[0][1]
@@ -276,6 +282,6 @@ class MirrorsStep:
             options = BoardOptions(folds=0)
             board, plate_m = parse_board(self.board), self.built.plate_m
             return calibrate_mirrors(left, right, board, thickness_m=plate_m, index=self.built.index, options=options)
-        design, target = lit_design(self.job())
+        design, target = self._designed()
         poses = [one.pose for one in self._views if one.pose is not None]
         return mirrors_from_target(design, list(zip(left, right, strict=True)), poses, target)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.arm_files import load_arm
-from armsight.app.calibrate.cameras import report_path
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.app.operator.robot_cell import flange_pose
@@ -21,6 +20,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.columns import POSE7
 from armsight.defaults import LOOK_S
 from armsight.errors import DeviceFailed, NotEnoughData
+from armsight.file_names import report_path
 from armsight.kinematics import Arm
 from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
 from armsight.ops.calibrate_robot import calibrate_arm, calibrate_tool_tip

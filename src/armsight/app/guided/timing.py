@@ -9,7 +9,7 @@ from armsight.app.calibrate.spots_of_frames import LIVE_S
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.errors import NotEnoughData
-from armsight.ops.calibrate_cameras import calibrate_timing
+from armsight.ops.calibrate_rig import calibrate_timing
 from armsight.records import Progress
 
 

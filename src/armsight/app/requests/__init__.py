@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armsight.app.requests import calibrate_cameras as calibrate_cameras
     from armsight.app.requests import identify as identify
     from armsight.app.requests import measure as measure
     from armsight.app.requests import motion as motion
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
     from armsight.app.requests import verify as verify
 else:
     _MODULES = (
-        "calibrate_cameras",
-        "files",
         "identify",
         "measure",
         "motion",

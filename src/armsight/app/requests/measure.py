@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from armsight.app.requests.calibrate_cameras import image_reading
 from armsight.app.requests.shared import (
     A_SRC,
     Bits,
@@ -31,6 +30,13 @@ if TYPE_CHECKING:
 
     from armsight.drivers import ImageReading, PairSettings
     from armsight.store.recording import ImageFormat
+
+
+def image_reading(bits: int | None, *, strict: bool) -> ImageReading:
+    """Return how image files are read."""
+    from armsight.drivers import ImageReading
+
+    return ImageReading(bits=bits, strict=strict)
 
 
 @dataclass(frozen=True, kw_only=True)

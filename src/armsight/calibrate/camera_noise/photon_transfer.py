@@ -9,7 +9,6 @@ general), the variance is kept as a table.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Annotated, Any
@@ -23,7 +22,7 @@ from armsight.errors import Degenerate, NotEnoughData
 from armsight.fields import Doc
 from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.output import Output, extended, output
-from armsight.shown import Shown, Table, digits
+from armsight.shown import WRITTEN, Shown
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -84,33 +83,15 @@ class NoiseCalibration(NoiseModel):
     line_deviation: Annotated[float | None, Doc("Largest relative deviation from the line.")]
     advice: Annotated[tuple[str, ...], Doc("What to know about it.")]
 
+    def summary(self) -> Iterator[Shown]:
+        """Yield the noise, and what to know about it."""
+        yield from NoiseModel.summary(self)  # slots make another class of it than super() knows
+        yield from (f"  {text}" for text in self.advice)
+
     @property
     def noise(self) -> NoiseModel:
         """What files keep of it."""
         return NoiseModel(**{one.name: getattr(self, one.name) for one in fields(NoiseModel)})
-
-
-def noise_shown(noise: NoiseModel) -> Iterator[Shown]:
-    """Yield what a terminal shows of a camera's noise."""
-    rows = [
-        [digits(level), digits(math.sqrt(variance)), digits(std / (2.0 * math.sqrt(variance)) if variance else None, 2)]
-        for level, variance, std in zip(noise.levels, noise.variance_levels2, noise.std_levels2, strict=True)
-    ]
-    yield Table(f"Noise, {noise.n_frames} frames", ["at grey level", "noise, grey levels", "+-"], rows)
-    near = noise.correlation
-    yield (
-        f"Correlation with the next pixel: {near.x[0]:.3f} along x, {near.y[0]:.3f} along y, "
-        f"{near.diagonal:.3f} along diagonals; the one after it: {near.x[1]:.3f}, {near.y[1]:.3f}"
-    )
-    line = noise.linear
-    if line is None:
-        yield "The variance is no line over the grey level: a transfer curve or compression; the table holds"
-    else:
-        yield (
-            f"Linear camera: read noise {digits(line.read_noise_levels)} grey levels, "
-            f"{digits(line.gain_levels)} grey levels for each electron"
-        )
-    yield from (f"  {text}" for text in getattr(noise, "advice", ()))  # of noise that a file held there is none
 
 
 @output
@@ -134,7 +115,8 @@ class NoiseResult(Output):
 
     def summary(self) -> Iterator[Shown]:
         """Yield the noise."""
-        yield from noise_shown(self.noise)
+        yield from self.noise.summary()
+        yield WRITTEN
 
 
 def calibrate_noise(frames: Iterable[Image]) -> NoiseCalibration:

@@ -5,4 +5,16 @@ from armsight.calibrate.cameras.observations import BoardOptions
 from armsight.calibrate.cameras.result import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras.stereo import calibrate_stereo
 
-__all__ = ["BoardOptions", "CameraCalibration", "StereoCalibration", "calibrate_camera", "calibrate_stereo"]
+CameraResult = CameraCalibration
+RigResult = StereoCalibration
+"""What `armsight` calls them; a mirror rig's is a RigResult too."""
+
+__all__ = [
+    "BoardOptions",
+    "CameraCalibration",
+    "CameraResult",
+    "RigResult",
+    "StereoCalibration",
+    "calibrate_camera",
+    "calibrate_stereo",
+]

@@ -9,9 +9,9 @@ from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 from pydantic import ValidationError
 
-from armsight.app.calibrate.results import MirrorCheckOutput
 from armsight.app.guided.mirror_alignment import MirrorAlignment, Stand
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
+from armsight.calibrate.mirrors.result import MirrorCheckOutput
 from armsight.console import texts
 from armsight.console.layout import (
     button,

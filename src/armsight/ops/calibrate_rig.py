@@ -1,0 +1,172 @@
+"""What belongs to a rig beyond its cameras: noise, the lights of a target, and when two free-running cameras expose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from armsight.app.requests.shared import Cameras, Every, Fps, Inverted, Limit, Threshold
+from armsight.defaults import LIT_LIGHTS
+from armsight.errors import UsageError
+from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.action import action
+from armsight.ops.kinds import FRAMES, BothViews, Left, Right, RigLike, SpotsLike, TargetLike
+
+if TYPE_CHECKING:
+    from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
+    from armsight.calibrate.light_target import TargetResult
+    from armsight.calibrate.timing import TimingResult
+    from armsight.records import Progress
+
+SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
+
+
+@action("calibrate target", working="calibrating")
+def calibrate_target(
+    rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
+    left: Left = None,
+    right: Right = None,
+    *,
+    image: BothViews = None,
+    lights: Annotated[int, Doc("How many lights the target has."), Bounds(least=2, most=6)] = LIT_LIGHTS,
+    frames: Limit = None,
+    threshold: Threshold = None,
+    inverted: Inverted = False,
+    camera_settings: Cameras | None = None,
+    out: Annotated[Path | None, Doc("target.yaml to write."), Flag("-o --out", needed=True)] = None,
+    progress: Progress | None = None,
+) -> TargetResult:
+    """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig.
+
+    Parameters
+    ----------
+    rig, left, right, image
+        As `measure` takes them.
+    lights
+        How many there are.
+    frames
+        Pairs to read at most.
+    out
+        target.yaml to write.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent, Degenerate
+        The frames do not tell the lights' positions.
+    """
+    from functools import partial
+
+    from armsight.app.calibrate.spots_of_frames import lit_frames
+    from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
+    from armsight.calibrate.light_target import calibrate_target
+    from armsight.drivers import AUTOMATIC
+    from armsight.measure.settings import SpotSettings
+    from armsight.records import Silent
+
+    settings, cameras = SpotSettings(threshold=threshold, inverted=inverted), camera_settings or AUTOMATIC
+    if (image is None) == (left is None):
+        raise UsageError("which frames?", cure="Give --left and --right, or --image with both views in one image")
+    if image is None:
+        source, overlaid = open_pairs(left, right, settings=cameras), False
+    else:
+        source, overlaid = complex_pairs(partial(open_source, image, settings=cameras), rig)
+    with source as pairs:
+        seen = lit_frames(rig, pairs, settings, frames, progress or Silent())
+    return calibrate_target(rig, seen, lights, overlaid=overlaid)
+
+
+@action("calibrate timing", working="calibrating")
+def calibrate_timing(
+    rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
+    target: Annotated[TargetLike, Doc("target.yaml of the lights, where they are named in tables.")] = None,
+    left: Left = None,
+    right: Annotated[Right, Doc("Right frames, each with its camera's stamp."), FRAMES, Flag(metavar="SRC")] = None,
+    *,
+    left_spots: Annotated[SpotsLike, Doc(f"Instead of frames: {SPOTS}."), Flag(metavar="CSV")] = None,
+    right_spots: Annotated[SpotsLike, Doc("The same of the right camera."), Flag(metavar="CSV")] = None,
+    fps: Fps = None,
+    frames: Limit = None,
+    threshold: Threshold = None,
+    inverted: Inverted = False,
+    camera_settings: Cameras | None = None,
+    out: Annotated[Path | None, Doc("rig.yaml to write, with the timing."), Flag("-o --out", needed=True)] = None,
+    progress: Progress | None = None,
+) -> TimingResult:
+    """Find delay, drift, read-outs and jitter of two free-running cameras from lights waved before them for 10-20 s.
+
+    Parameters
+    ----------
+    rig, target, left, right
+        As `measure` takes them.
+    left_spots, right_spots
+        Instead of frames: columns t_s, u_px, v_px of each camera.
+    fps
+        Frames a second, where none brings its time.
+    frames
+        Frames of each camera to read at most.
+    out
+        rig.yaml to write.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent
+        The wave does not tell the timing.
+    """
+    from armsight.app.calibrate.spots_of_frames import SpotSearch, seen_tracks
+    from armsight.calibrate.timing import calibrate_timing
+    from armsight.drivers import AUTOMATIC
+    from armsight.records import Silent
+
+    search = SpotSearch(
+        threshold=threshold,
+        inverted=inverted,
+        fps=fps,
+        limit=frames,
+        origin_of=left,
+        settings=camera_settings or AUTOMATIC,
+    )
+    tracks = seen_tracks((left, right), (left_spots, right_spots), rig, search, progress or Silent())
+    known = target is not None and target.model_known
+    positions = dict(zip(target.names, target.xyz_m, strict=True)) if known else None
+    return calibrate_timing(rig, *tracks, positions)
+
+
+@action("calibrate noise", working="calibrating")
+def calibrate_noise(
+    frames: Annotated[Any, Doc("4 to 50 still frames of any scene; or a file with the noise."), FRAMES],
+    *,
+    side: Literal["left", "right"] | None = None,
+    every: Every = 1,
+    limit: Limit = None,
+    camera_settings: Cameras | None = None,
+    progress: Progress | None = None,
+) -> NoiseResult:
+    """Find a camera's noise, from 4 to 50 still frames of any scene; `armsight calibrate camera --noise` files it.
+
+    Parameters
+    ----------
+    frames
+        Images, or as `measure` takes them; or a camera.yaml or rig.yaml that holds the noise.
+    side
+        Of such a rig.yaml.
+    every, limit
+        Of the frames.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent
+        The frames are not still.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> scene = np.linspace(20, 200, 320 * 240).reshape(240, 320)
+    >>> still = [np.uint8(scene + rng.normal(0, 2, scene.shape)) for _ in range(8)]
+    >>> armsight.calibrate_noise(still).noise.n_given
+    8
+    """
+    from armsight.app.calibrate.camera_noise import find_noise
+    from armsight.drivers import AUTOMATIC
+
+    settings = camera_settings or AUTOMATIC
+    return find_noise(frames, side=side, every=every, limit=limit, settings=settings, progress=progress)
