@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye import PosePairs
 from armsight.columns import POSITION, QUATERNION
 from armsight.errors import NotEnoughData, UsageError
@@ -29,8 +30,6 @@ from armsight.units import MS
 from armsight.verify import Align, Measured, Paired, Reported
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import pair, pair_at
-
-Array = NDArray[np.float64]
 
 KINDS = ("points", "observed", "pairs")
 STILL_RAD_S = 2e-3

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.app.arm_files import NOTES, arm_notes
 from armsight.app.sources.bags import columns_of, joint_states
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import (
@@ -38,9 +38,6 @@ from armsight.store.bags import JointStates, is_bag
 from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
 from armsight.store.outputs import TextOutput
 from armsight.store.tables import cells, number
-
-Array = NDArray[np.float64]
-
 
 ROWS_AT_ONCE = 4096
 """Derivatives by all parameters take some 2 kB a row."""

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.correlation import Averaged, Correlation, fit_averaged, time_blocks
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting.groups import means, repeats
 from armsight.records import frozen_array
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 MIN_POSES = 4
 FAR = 8.0

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.units import MM
 
-Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 POINTS = 1500

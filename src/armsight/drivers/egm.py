@@ -16,10 +16,10 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import Positive, UdpSettings
@@ -27,8 +27,6 @@ from armsight.drivers.pace import LARGEST_M, LARGEST_RAD, ControllerClock
 from armsight.drivers.udp import Sender, UdpRobot
 from armsight.errors import Inconsistent
 from armsight.units import MM, MS
-
-Array = NDArray[np.float64]
 
 FIELD = descriptor_pb2.FieldDescriptorProto
 UINT32, UINT64, BOOL, DOUBLE, ENUM = (

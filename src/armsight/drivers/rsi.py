@@ -15,11 +15,11 @@ from typing import Annotated, Any, ClassVar, Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight._files import read_file
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.drivers.goals import between
 from armsight.drivers.link_settings import Positive, UdpSettings
@@ -28,8 +28,6 @@ from armsight.drivers.udp import NEW_SESSION_CYCLES, Sender, UdpRobot
 from armsight.errors import BadFile, DeviceFailed, Inconsistent, UsageError
 from armsight.records import frozen_array
 from armsight.units import DEG, MM, MS
-
-Array = NDArray[np.float64]
 
 JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")

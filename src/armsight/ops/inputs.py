@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.arm_files import arm_source, load_arm
 from armsight.app.compare.run import GivenResult
+from armsight.arrays import Array
 from armsight.calibrate.arm import ArmPoints
 from armsight.control.guard import Limits
 from armsight.drivers.images import read_image
@@ -58,8 +59,6 @@ from armsight.store.interpret import OURS
 from armsight.store.limits_file import read_limits
 from armsight.store.path_file import read_path
 from armsight.store.targets import parse_board
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.shown import Bars
 from armsight.units import MM
 
@@ -21,11 +22,8 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 
-Array = NDArray[np.float64]
-
 Plot = dict[str, Any]
 """A trace, a layout, or a part of one, as plotly takes it."""
-Index = NDArray[np.intp]
 
 BLUE, ORANGE, GREEN, RED, GREY, INK = "#1f5fa8", "#d9822b", "#2e7d4f", "#c23b3b", "#9aa7b4", "#1c2733"
 BAND = "rgba(31,95,168,0.22)"

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.optics import SIDES, Camera, Rig
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, Figure, Plot, axis, layout, short_names
 from armsight.report.html import Page, text
 from armsight.report.run import BoardPicture, BoardViews, MeasureRun
 from armsight.units import MM, figure_of
-
-Array = NDArray[np.float64]
 
 NAMED = 12
 """Lights up to which each gets its name and its rays; a board has too many."""

@@ -8,16 +8,14 @@ from datetime import datetime
 from pathlib import PurePath
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned, trace
 from armsight.report.html import Card, Page, add_recordings, bullets, page_unit, table, text
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import DEG, MM, displayed, figure_of, with_deviation
 from armsight.verify import Measured, Repeats
 from armsight.verify.results import IsoFigure, MasteringOutput, VerifyLiveOutput, VerifyOutput
-
-Array = NDArray[np.float64]
 
 COURSE = (
     "Length of the error of place and angle of the error of rotation; dotted: three standard deviations of what "

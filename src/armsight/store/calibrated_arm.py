@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm import ArmResult
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, JointType
@@ -17,8 +17,6 @@ from armsight.store.atomic import disk_errors, write_text
 from armsight.store.tables import cells
 from armsight.store.urdf import delete_urdf, urdf_text
 from armsight.units import displayed
-
-Array = NDArray[np.float64]
 
 CORRECTIONS, URDF, PROPOSED = ".corrections.csv", ".urdf", ".proposed.csv"
 """Endings of what is written beside arm.yaml."""

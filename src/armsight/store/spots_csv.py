@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.records.tracks import SpotTrack
 from armsight.store.atomic import read_bytes
@@ -98,9 +99,6 @@ def _require_once(table: Table, frame: NDArray[np.intp], names: tuple[str, ...])
                 cure="Give each light of a frame once; frames that follow each other need different times",
             )
         seen.add((k, name))
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -10,8 +10,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, Coupling, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes, axes_of
@@ -20,8 +20,6 @@ from armsight.store.codec import named
 from armsight.store.interpret import looks_like_mm
 from armsight.store.urdf_elements import Mass, inertials, mass_of, numbers, root_of, text_of, together
 from armsight.store.urdf_tree import NO_LIMIT, WORLD, Tree, UrdfJoint, chain_of, limits_of, tree_of
-
-Array = NDArray[np.float64]
 
 MAX_BYTES = 5_000_000
 """Larger than any arm's description; meshes are kept in files of their own."""

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array, Mask
 from armsight.geometry.poses import skew
 from armsight.measure.poses.kernels.whole_pose import FOLDED_FROM
 from armsight.measure.poses.pose import NamedSpots, solve_pose
@@ -19,8 +20,6 @@ from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, SIDES, Rig, moved_ri
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 from armsight.records import NoiseModel, PoseStatus, Target, TargetPose
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 LEVEL = 180.0
 """Grey levels of a wide light above its surroundings: bright, and not clipped."""
@@ -62,7 +61,6 @@ def _bound(noise: NoiseModel, size_px: float) -> float:
     return float(np.sqrt(max(wide, 1e-6) / information))
 
 
-Mask = NDArray[np.bool_]
 SpotNoise = Callable[[Array, int], Array]
 """Standard deviation in px of lights of so many px across, on a side (0: left), in their shape."""
 

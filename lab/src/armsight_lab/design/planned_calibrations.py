@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import BY_CHANCE, Bundle, problem_of
 from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import LAST_TERMS, fixed_names
@@ -22,8 +23,6 @@ from armsight.geometry.poses import skew
 from armsight.optics import SIDES, Rig, RigKind, mean_axes
 from armsight.records import NamedCovariance, Target
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 CANDIDATES, ROUNDS = 4000, 8
 """Poses of the board that are drawn at a time, and how often before it is said not to fit into both views."""

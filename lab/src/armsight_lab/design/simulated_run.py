@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras import BoardOptions, calibrate_stereo
 from armsight.calibrate.handeye import PosePairs, calibrate_eye_to_hand
 from armsight.calibrate.mirrors.calibration import calibrate_mirrors
@@ -26,7 +26,6 @@ from armsight_lab.batch.jobs import Ended, Job
 from armsight_lab.design.planned_calibrations import RobotNoise
 from armsight_lab.design.volume import moving
 
-Array = NDArray[np.float64]
 Rows = Sequence[Sequence[float]]
 """Poses: x, y, z in m, and the quaternion, scalar last."""
 

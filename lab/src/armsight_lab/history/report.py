@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -32,7 +33,6 @@ from armsight_lab.history.series import YEAR_DAYS, Course
 if TYPE_CHECKING:
     from armsight_lab.history.trend import Judgement, TrendFigure, TrendOutput
 
-Array = NDArray[np.float64]
 
 MOST_DRAWN = 24
 """Figures that are drawn; further ones stand in the table."""

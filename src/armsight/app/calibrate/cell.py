@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.calibrate.spots_of_frames import SpotSearch, spots_of_frames
 from armsight.app.requests.shared import point_of
 from armsight.app.sources.frames import is_recording, recording_path
+from armsight.arrays import Array
 from armsight.calibrate.cell import CellPriors, CellResult
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import is_live
@@ -31,7 +31,6 @@ from armsight.store.interpret import TableFormat
 from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints
 
-Array = NDArray[np.float64]
 Size = tuple[int, int]
 
 OFF_CENTRE = 0.1

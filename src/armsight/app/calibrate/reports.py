@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
+from armsight.arrays import Array
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.mirrors.result import MirrorsOutput
 from armsight.optics import INTRINSICS, SIDES, Camera
@@ -20,8 +20,6 @@ from armsight.store import write_text
 from armsight.store.cell_file import CellMirrors
 from armsight.store.targets import board_text
 from armsight.units import MM, with_deviation
-
-Array = NDArray[np.float64]
 
 
 def camera_run(done: CameraCalibration, board: str, boards: BoardViews | None = None) -> CalibrationRun:

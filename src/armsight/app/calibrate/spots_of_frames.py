@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.sources.frames import camera_source
+from armsight.arrays import Array
 from armsight.calibrate.light_target import LitFrame
 from armsight.clock import SystemClock
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, is_live
@@ -22,8 +22,6 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import SIDES, PackedRig, Rig
 from armsight.records import Frame, Progress, Silent, Spots, SpotTrack
-
-Array = NDArray[np.float64]
 
 LIVE_S = 20.0
 """For how long live cameras are watched where --frames says nothing."""

@@ -33,8 +33,6 @@ from armsight.records import BoardView, Frame, NotSeen, Progress, Target, Target
 from armsight.store import parse_board, read_camera, read_target
 from armsight.store.cell_file import CellMirrors
 
-Array = NDArray[np.float64]
-
 ENOUGH_LIT = 15
 IMAGES = "image"
 

@@ -12,7 +12,6 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.live.pace import live_pace
 from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_view
@@ -20,6 +19,7 @@ from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import target_of
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs, open_source
+from armsight.arrays import Mask
 from armsight.clock import Clock
 from armsight.control.session.channels import JointTrack
 from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, Skew, by_side, is_live
@@ -74,7 +74,6 @@ class FollowedPairs:
 
 
 Pair = tuple[Frame, Frame]
-Mask = NDArray[np.bool_]
 Rectangle = tuple[float, float, float, float]
 
 NOT_CALIBRATED = "the cameras are not calibrated yet, or no target is chosen: lights are found, not measured"

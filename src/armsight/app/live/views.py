@@ -9,6 +9,7 @@ from typing import Annotated, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.arrays import Array
 from armsight.fields import Doc
 from armsight.geometry import euler_rad
 from armsight.measure.aiming import aiming_hint
@@ -18,8 +19,6 @@ from armsight.optics import SIDES, Rig
 from armsight.optics.triangulate import epipolar_curve
 from armsight.records import Frame, Spots, TargetPose
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 DEPTHS_M = np.geomspace(0.15, 30.0, 24)
 """Where along a pixel's ray its epipolar curve is drawn: from a hand before the lens to a hall's other end."""

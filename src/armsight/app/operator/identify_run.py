@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.identify.left_out import consequence
@@ -19,6 +18,7 @@ from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import StationObserver, around_px
 from armsight.app.requests.identify import LiveJob
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.columns import DH_ROW
 from armsight.control.joint_sweep import Pace
@@ -30,8 +30,6 @@ from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.arm_points import read_sweeps
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.units import DEG, MM, displayed_name
-
-Array = NDArray[np.float64]
 
 JOB_NAME = "identify"
 FOLDER = "identify"

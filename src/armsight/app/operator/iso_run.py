@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Station
@@ -20,6 +19,7 @@ from armsight.app.operator.station_observer import StationPoses
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import run_verify
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import PathSegment, PoseObserver, PoseVisit, Visitor
 from armsight.defaults import TOOL_SPEED_M_S
@@ -37,8 +37,6 @@ from armsight.units import MM
 from armsight.verify.iso9283 import PlannedMotion, TestPlan
 from armsight.verify.iso9283.motions import PLANES, POSE_ORDER, SIDES_M, TestCube
 from armsight.verify.results import VerifyOutput
-
-Array = NDArray[np.float64]
 
 JOB_NAME = "iso"
 SMALL_SIDES_M = (0.16, 0.1, 0.063)

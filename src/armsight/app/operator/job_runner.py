@@ -8,9 +8,9 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.control.session.authority import EnableLost
 from armsight.control.session.operator_session import OperatorSession
@@ -139,8 +139,6 @@ class JobRunner:
             self.current.cancel()
             self.current.wait(10.0)
 
-
-Array = NDArray[np.float64]
 
 STALE_S = 0.1
 

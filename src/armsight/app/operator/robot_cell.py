@@ -9,7 +9,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.measurement import FollowedCell
@@ -20,6 +19,7 @@ from armsight.app.robot.opening import SIM, arm_model, left_open, open_to_all
 from armsight.app.robot.recorder import RecordingLog, default_log, require_recorded
 from armsight.app.simulate.run import write_set_up
 from armsight.app.simulate.scenarios import build_world, load_scenario
+from armsight.arrays import Array
 from armsight.calibrate.handeye import Setup
 from armsight.control.guard import Limits
 from armsight.control.session.channels import JointTrack
@@ -34,8 +34,6 @@ from armsight.store.atomic import disk_errors
 from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
 from armsight.store.handeye_file import HandEyeFile, read_handeye
 from armsight.store.limits_file import read_limits
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

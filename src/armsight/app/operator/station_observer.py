@@ -7,11 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.live.station import Snapshot, Station
 from armsight.app.live.views import SideView
 from armsight.app.operator.robot_cell import RobotCell
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.defaults import LOOK_S, LOST_LOOKS
@@ -19,8 +19,6 @@ from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData
 from armsight.optics import Rig, triangulate
 from armsight.records import TargetPose
 from armsight.records.motion import JointHistory
-
-Array = NDArray[np.float64]
 
 WAIT_S = 10.0
 """A station that shows nothing new for so long is taken for lost."""

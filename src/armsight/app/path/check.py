@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.control.paths import PathIssue, check_path
 from armsight.control.paths.check import SLOWED
@@ -25,8 +23,6 @@ from armsight.store.outputs import TextOutput
 
 SHOWN = 20
 """Issues that a terminal tells."""
-
-Array = NDArray[np.float64]
 
 
 @output

@@ -9,9 +9,9 @@ from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.play.play_job import with_tip
+from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.control.paths import PathCheck, Program, check_path, krl, python_module, rapid, urscript, with_approach
 from armsight.control.paths.outliers import path_jumps
@@ -24,8 +24,6 @@ from armsight.records.output import output
 from armsight.shown import Shown
 from armsight.store.outputs import TextOutput
 from armsight.store.path_file import path_text
-
-Array = NDArray[np.float64]
 
 PROGRAMS: Mapping[str, Callable[[Program], str]] = MappingProxyType({"urscript": urscript, "krl": krl, "rapid": rapid})
 AS_IT_IS: Mapping[str, Callable[[TaughtPath], str]] = MappingProxyType({"csv": path_text, "python": python_module})

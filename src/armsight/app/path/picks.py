@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.paths.along import path_through_points
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
 from armsight.fields import Doc
@@ -21,8 +21,6 @@ from armsight.records.result_parts import PointStd
 from armsight.shown import Shown
 from armsight.store.path_file import write_path
 from armsight.store.worlds import World
-
-Array = NDArray[np.float64]
 
 TOLD = 3
 """Picks that a refusal tells."""

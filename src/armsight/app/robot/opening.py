@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.arm_files import load_arm
 from armsight.app.requests.motion import RobotJob
 from armsight.app.simulate.scenarios import load_scenario
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.guard.limits import JOINT_SPEED, SLIDE_SPEED_M_S, check_fit
@@ -128,8 +129,6 @@ def driver_settings(
         settings["rsi_config"] = rsi_config
     return settings
 
-
-Array = NDArray[np.float64]
 
 BLIND_TURN_RAD_S = 0.1
 """Where the arm's lengths are not known, all joints together turn no faster: 0.1 m/s at one metre."""

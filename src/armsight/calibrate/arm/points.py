@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting.groups import means, repeats
 from armsight.geometry.lengths import check_spread
 from armsight.kinematics import Arm, fk
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 MOST_TURNS_RAD = 40.0
 """A turning joint's reading beyond six turns is in degrees or counts."""

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, is_tool_turn
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.parameter_selection import choose
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import NotEnoughData
 from armsight.optics import Rig
-
-Array = NDArray[np.float64]
 
 CANDIDATES = 1500
 """Joint positions looked at, drawn evenly within the limits."""

@@ -7,9 +7,10 @@ from os import PathLike
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import Couplings
@@ -29,8 +30,6 @@ from armsight.records.result_parts import PoseStd, RejectedRow
 from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
 from armsight.shown import REJECTED_SHOWN, Bars, Shown, Table, digits, parameter_row, point_rows, rotation_rows
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 
 @output

@@ -13,12 +13,11 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, fk_jacobian
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 ROWS = 60
 """Rows that senses are looked for with; fewer than FEWEST fit one of so many choices by chance."""

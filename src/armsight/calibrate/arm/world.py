@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import stdtr
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import ALIKE, FEWEST_TIMED
 from armsight.calibrate.arm.fit import added_noise
 from armsight.calibrate.arm.initial_guess import placed
@@ -26,7 +27,6 @@ from armsight.kinematics import Arm, fk
 from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
 
-Array = NDArray[np.float64]
 _Refined = tuple[RigidTransform, NamedCovariance, tuple[str, ...]]
 
 GROSS = float(np.sqrt(chi2_ppf(1.0 - 1e-7, 3)))

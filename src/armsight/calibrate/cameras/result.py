@@ -7,10 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armsight._files import Files
+from armsight.arrays import Array
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
 from armsight.calibrate.cameras.cross_validation import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.observations import Observations
@@ -26,8 +24,6 @@ from armsight.records.result_parts import RejectedFile
 from armsight.records.verdict import MEANING, Verdict
 from armsight.shown import WRITTEN, Shown, Table, digits, rejected_lines
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 UNITS = {
     **dict.fromkeys(("fx", "fy", "cx", "cy", "skew"), "px"),

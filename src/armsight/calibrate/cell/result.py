@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.pairing import baseline_std
 from armsight.calibrate.cell.checks import Suspicion
 from armsight.calibrate.cell.parts import CellParts
@@ -22,8 +21,6 @@ from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
 from armsight.records.verdict import MEANING, Verdict
 from armsight.shown import Shown, Table, digits, parameter_row, pose_rows
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 UNLEARNED_BITS = 0.2
 """Of a parameter that the recording says so little about, only what was known before is known."""

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
+from armsight.arrays import Array
 from armsight.defaults import PATH_GAP_M, PATH_GAP_RAD
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 CORNER_RAD = 40.0 * DEG
 """A path that turns by more than this within twice the window has a corner there."""

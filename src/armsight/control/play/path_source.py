@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.play.plan import PathPlan
 from armsight.control.play.timing import ARM_M, StraightSegment, Way
 from armsight.control.setpoints import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose
@@ -17,8 +17,6 @@ from armsight.errors import UsageError
 from armsight.geometry.kernels import rotvec
 from armsight.records import Motion
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 AT_REST = 1e-6
 """Joints slower than this (rad/s or m/s) stand."""

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
+from armsight.arrays import Array
 from armsight.control.play.timing import quats
 from armsight.errors import Inconsistent, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
@@ -84,8 +85,6 @@ def _zigzag(phase: Array) -> Array:
     rows = [(-1) ** k * np.sin((2 * k + 1) * angle) / (2 * k + 1) ** 2 for k in range(HARMONICS)]
     return np.asarray(np.sum(rows, axis=0) / sum(1.0 / (2 * k + 1) ** 2 for k in range(HARMONICS)))
 
-
-Array = NDArray[np.float64]
 
 TURN_M = 0.02
 """Turning by a radian counts as so much of a path: one degree per 0.35 mm, and less is only as long as it is."""

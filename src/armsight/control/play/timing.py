@@ -17,6 +17,7 @@ from scipy.interpolate import BSpline, CubicSpline
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.control.guard.kernels import BELOW_ACCELERATION
 from armsight.control.guard.limits import JointBounds, Limits
 from armsight.control.play.kernels import reachable_speeds
@@ -179,8 +180,6 @@ def quats(R: Array) -> Array:
     out[1:] *= np.cumprod(flips)[:, None]
     return np.asarray(out)
 
-
-Array = NDArray[np.float64]
 
 SPEED_SHARE, ACCELERATION_SHARE, JERK_SHARE = 0.95, 0.7, 0.7
 """Of the limits, which a plan uses: the guard keeps 3 % of each back, and the rest is for pauses and overrides."""

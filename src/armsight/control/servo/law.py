@@ -15,9 +15,9 @@ from statistics import median
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.guard.space import pose_difference
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
@@ -91,8 +91,6 @@ def on_axis(T_flange_frame: RigidTransform, distance_m: float) -> RigidTransform
         )
     return T_flange_frame * RigidTransform.from_translation([0.0, 0.0, distance_m])
 
-
-Array = NDArray[np.float64]
 
 OVERSHOOT_SLACK = 1.001
 """A gain is told to overshoot beyond so many times the limit: a gain given in four digits is meant to be at it."""

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.defaults import TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
 from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.errors import Inconsistent
-
-Array = NDArray[np.float64]
 
 STATE_BYTES = 48
 ANSWER_BYTES = 26

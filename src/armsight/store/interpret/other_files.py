@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import scipy  # loads its io where it is used: every command imports this
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import BadFile, NotEnoughData
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret.raw import MATRIX, RawTable, is_number, table_of
@@ -171,8 +171,6 @@ def looks_like_records(text: str) -> bool:
         return bool(colon) and "," not in key and not is_number(key)
     return False
 
-
-Array = NDArray[np.float64]
 
 MAT_BYTES = 200_000_000
 """Of a file, and of what its variables unpack to."""
