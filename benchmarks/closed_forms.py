@@ -12,8 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.kernels import closed_forms as kernels
-from armsight.calibrate.handeye.pairs import Array, Arrays
+from armsight.calibrate.handeye.pairs import Arrays
 from armsight.errors import Degenerate
 
 ClosedForm = tuple[Array, Array, Array, Array]

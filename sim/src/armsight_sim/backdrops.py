@@ -10,10 +10,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import is_utf8
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight_sim.camera import SimCamera
 from armsight_sim.lens import Lens
@@ -25,8 +25,6 @@ from armsight_sim.rooms.room import MOVING_STEP, Room, eye_of, furnished, layout
 from armsight_sim.rooms.scene import Panel, Texture, View
 from armsight_sim.scenario_keys import OccluderKeys, PanelKeys, RoomKeys
 from armsight_sim.scene import Light, Rest
-
-Array = NDArray[np.float64]
 
 SEED_LAYOUT = 32
 """Stream of random numbers of a room's size, beside those of sim.cell."""

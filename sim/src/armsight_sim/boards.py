@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight_sim.kernels import cast_board
 from armsight_sim.lens import Lens
 from armsight_sim.render import LightImage
-
-Array = NDArray[np.float64]
 
 SAMPLES = (89, 55)
 """Rays per pixel on a Fibonacci lattice (two neighbours of the series): 89 different places along either axis, so

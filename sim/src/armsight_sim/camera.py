@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight_sim.lens import Lens
 from armsight_sim.pipeline import IDEAL, LensLosses, Picture, Pipeline
@@ -18,8 +18,6 @@ from armsight_sim.render import LightImage, LightSource, Patch, PointSource, Reg
 from armsight_sim.rooms.occluders import Occluder
 from armsight_sim.scene import Ghost, Light, Path
 from armsight_sim.sensor import Sensor
-
-Array = NDArray[np.float64]
 
 EDGE_NODES = (32, 720)
 """Least and most nodes on a disc's outline; between them, one per EDGE_STEP_SIGMA of the blur."""

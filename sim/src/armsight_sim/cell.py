@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.geometry import xyz_quat
 from armsight.records import Frame
 from armsight_sim.boards import Board, board_light, corner_rays
@@ -72,7 +72,6 @@ def sensor_chosen(sensor: Sensor) -> str:
     )
 
 
-Array = NDArray[np.float64]
 Truth = tuple[float, Array, Array]
 
 SEED_PATH, SEED_BACKDROP, SEED_NOISE, SEED_BOARD = range(4)

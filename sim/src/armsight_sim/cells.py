@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight_sim.backdrops import make_occluders, make_room, stand_in_room
 from armsight_sim.boards import Board, random_board_pose
@@ -37,8 +37,6 @@ from armsight_sim.rigs import SIDES, Pair, converging_webcams, parallel_pair
 from armsight_sim.scenario_keys import RoomKeys, checked_pipeline, checked_room
 from armsight_sim.scene import Event, Light, SmoothTrajectory, planned_events
 from armsight_sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
-
-Array = NDArray[np.float64]
 
 PLACES, EYE_M = 40, 1.1
 """Moments at which it is asked where the target is, so that no furniture stands there; height of the cameras."""

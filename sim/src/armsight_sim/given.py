@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.geometry import pose_from_quat
 from armsight_sim.boards import Board
@@ -21,8 +21,6 @@ from armsight_sim.pipeline import IDEAL
 from armsight_sim.rigs import SIDES, Mirrors, Pair, mirror_views
 from armsight_sim.scene import Light
 from armsight_sim.sensor import Sensor, ambient
-
-Array = NDArray[np.float64]
 
 GROUND = 10.0
 """Grey levels behind the lights."""

@@ -8,9 +8,9 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.drivers import Skew
 from armsight.errors import DeviceFailed, Inconsistent
@@ -26,8 +26,6 @@ from armsight_sim.scenario_keys import EventKeys
 from armsight_sim.scenario_schema import Scenario
 from armsight_sim.scene import Path
 from armsight_sim.world import World, behind_arm
-
-Array = NDArray[np.float64]
 
 BACKDROP_M, BACKDROP_RAD = 5e-4, 2e-4
 """The room is drawn anew where the rig moved further: at 1000 px and a metre or more of room, half a pixel."""

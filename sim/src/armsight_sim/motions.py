@@ -7,15 +7,14 @@ from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.records import frozen_array
 from armsight_sim.scene import Path, Rest
-
-Array = NDArray[np.float64]
 
 TREMOR_HZ = (0.7, 9.0)
 """Frequencies of a hand that tries to hold still: slow sway to physiological tremor (8 to 12 Hz at the fingers)."""

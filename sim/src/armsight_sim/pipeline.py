@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight_sim.kernels import apply_curve
 from armsight_sim.render import LightImage, Patch
 from armsight_sim.sensor import RAW_STEPS, Sensor
 
-Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 Curve = Literal["linear", "srgb", "gamma"]
 

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight_sim.kernels import REACH_SIGMA, add_gaussians, add_regions
 
-Array = NDArray[np.float64]
 LightImage = NDArray[np.float32]
 """Light (h, w, c) in grey levels; c = 1 for a grey camera, 3 (BGR) for one that sees colour."""
 

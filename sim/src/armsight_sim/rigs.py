@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.geometry import xyz_quat
 from armsight_sim.lens import Lens
@@ -77,8 +78,6 @@ def rig_mapping(pair: Mapping[str, tuple[Lens, RigidTransform]]) -> dict[str, An
         cameras[side] = lens.mapping() | {"T_rig_camera": {"xyz_m": xyz.tolist(), "quat_xyzw": quat.tolist()}}
     return {"kind": "stereo", "cameras": cameras}
 
-
-Array = NDArray[np.float64]
 
 SLANT = np.sqrt(0.5)
 

@@ -10,17 +10,16 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, StaleData, UsageError
 from armsight.records import JointReading
 from armsight_sim.arms import Drive, FlangeLimits, Servo, SimArm
 from armsight_sim.motions import JointMotion, smooth_step
-
-Array = NDArray[np.float64]
 
 STALE_CYCLES = 3.5
 """A reading older than so many cycles is stale: two packets in a row may be late, a third is a fault."""

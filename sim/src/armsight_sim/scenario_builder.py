@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.errors import Inconsistent, UsageError
 from armsight_sim.arms import Drive, FlangeLimits, Servo, SimArm, SimJoint
@@ -29,8 +29,6 @@ from armsight_sim.scenario_schema import (
 )
 from armsight_sim.scene import Light, Path, Rest
 from armsight_sim.world import Carried, Timing, World
-
-Array = NDArray[np.float64]
 
 SEED_ARM, SEED_TREMOR, SEED_VIBRATION = 20, 21, 22
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight_sim.backdrops import MovingBackdrops, make_occluders, make_room, stand_in_room
 from armsight_sim.camera import SimCamera
@@ -148,9 +148,6 @@ def set_room(
         return stand_in_room(cameras, room, T_world_room.inv() * T_world_rig, occluders), None
     carried = {side: replace(camera, occluders=occluders) for side, camera in cameras.items()}
     return carried, MovingBackdrops.of(carried, room, T_world_room)
-
-
-Array = NDArray[np.float64]
 
 
 def events_of(scenario: Scenario, kinds: tuple[str, ...]) -> tuple[Event, ...]:

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 LEAST_SIGMA_PX = 0.3
 """Below this a lens would be sharper than its pixels by far and a disc's outline would need thousands of nodes."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.records import Frame
 from armsight_sim.arms import Servo, SimArm, covered
 from armsight_sim.backdrops import MovingBackdrops
@@ -23,8 +24,6 @@ from armsight_sim.motions import Vibration
 from armsight_sim.render import LightImage
 from armsight_sim.rigs import SIDES
 from armsight_sim.scene import Event, Light, Path, ghosts_seen, hidden_lights
-
-Array = NDArray[np.float64]
 
 SEED_JITTER, SEED_DROP = 10, 11
 """Further streams of random numbers beside those of sim.cell."""

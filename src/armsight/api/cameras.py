@@ -16,13 +16,14 @@ from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, 
 from armsight.app.calibrate.mirrors import mirrors_output
 from armsight.app.calibrate.zoom import add_setting
 from armsight.app.requests.calibrate_cameras import CameraJob, MirrorsJob, StereoJob, ZoomFlags, ZoomValue
+from armsight.arrays import Image
 from armsight.calibrate import cameras as solvers
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.mirrors import calibration as mirror_solver
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.boards import DETECTORS, find_two_boards
-from armsight.ops.arrays import Image, ImageLike, as_images
+from armsight.ops.arrays import ImageLike, as_images
 from armsight.ops.checks import speaks_python
 from armsight.optics import Camera, Rig
 from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Target, require_kind

@@ -22,10 +22,11 @@ from armsight.app.convert import (
 )
 from armsight.app.requests.shared import FileUnits
 from armsight.app.tables import convert_table
+from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
-from armsight.ops.arrays import Array, as_path
+from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import Given, PathText, as_table
 from armsight.optics import Camera, Rig

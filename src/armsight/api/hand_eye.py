@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.api.results import Result, Row, pose_rows
 from armsight.app.calibrate.handeye import Solved, solve_handeye
 from armsight.app.requests.calibrate_robot import HandEyeJob
+from armsight.arrays import Array
 from armsight.calibrate.handeye import (
     HandEye,
     PosePairs,
@@ -26,7 +27,7 @@ from armsight.calibrate.handeye import (
 )
 from armsight.errors import Inconsistent
 from armsight.geometry import euler_rad
-from armsight.ops.arrays import Array, Poses, as_poses
+from armsight.ops.arrays import Poses, as_poses
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import Given, PathText, Source, TableLike
 from armsight.optics import Camera

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.api.results import Result, Row, pose_rows
 from armsight.api.tracks import PoseTrack
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.geometry import euler_rad
@@ -21,7 +22,7 @@ from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import DEFAULTS, SpotSettings
-from armsight.ops.arrays import Array, ImageLike, as_frame, as_image
+from armsight.ops.arrays import ImageLike, as_frame, as_image
 from armsight.ops.checks import speaks_python
 from armsight.optics import Rig, RigKind
 from armsight.records import (

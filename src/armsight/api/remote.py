@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight.api.results import Result, Row
+from armsight.arrays import Array
 from armsight.drivers.remote import Heart, Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed
-from armsight.ops.arrays import Array
 from armsight.records import real_array, require_kind
 from armsight.units import MS
 

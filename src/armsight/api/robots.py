@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from armsight.api.results import Result, Row, pose_rows
 from armsight.app.calibrate.arm import in_view, world_of
 from armsight.app.requests.calibrate_robot import ArmJob
+from armsight.arrays import Array
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
@@ -26,7 +27,7 @@ from armsight.calibrate.arm import calibrate_arm as solve_arm
 from armsight.errors import UsageError
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
-from armsight.ops.arrays import Array, Poses, as_poses, as_rotations
+from armsight.ops.arrays import Poses, as_poses, as_rotations
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import ArmLike, as_arm
 from armsight.optics import Rig

@@ -23,11 +23,12 @@ from armsight.app.requests.measure import MeasureJob, RecordJob
 from armsight.app.requests.verify import PlanJob, VerifyJob
 from armsight.app.verify.plan import VerifyPlanOutput, run_plan
 from armsight.app.verify.run import run_verify
+from armsight.arrays import Array
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.file_names import ERRORS, POSES
 from armsight.measure.results import MeasureOutput
-from armsight.ops.arrays import Array, as_path
+from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import (
     ArmLike,

@@ -16,9 +16,10 @@ from armsight.app.simulate.cells import load_cell, room_choice
 from armsight.app.simulate.run import CELL_FRAMES, SimulateOutput
 from armsight.app.simulate.run import simulate as write_files
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_model, scenario_names
+from armsight.arrays import Array, Image
 from armsight.drivers import CELLS, known
 from armsight.kinematics import Arm
-from armsight.ops.arrays import Array, Image, as_path
+from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
 from armsight.optics import Rig
 from armsight.records import ByValue, Progress, Target, require_kind

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.api.results import Result, Row
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.geometry import euler_rad
-from armsight.ops.arrays import Array
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses, write_tum
 from armsight.store.saving import file_to_write

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.calibrate.cameras import calibrate_stereo
 from armsight.app.measure.collector import About
@@ -17,6 +16,7 @@ from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.calibrate_cameras import StereoJob
 from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.fields import Doc
 from armsight.file_names import DEMO, RIG
@@ -67,9 +67,6 @@ def measure_pictures(out: Path, progress: Progress) -> PicturesOutput:
         n_ok=measured.n_ok,
         out=str(out),
     )
-
-
-Array = NDArray[np.float64]
 
 
 @output

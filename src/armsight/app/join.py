@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.arm_files import given_arm
 from armsight.app.requests.files import JoinJob
+from armsight.arrays import Array
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.columns import POSITION, QUATERNION
 from armsight.errors import NotEnoughData, UsageError
@@ -26,8 +27,6 @@ from armsight.store.verify_files import MeasuredFile, read_commanded, read_measu
 from armsight.verify import Align, Measured, Paired, Reported
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import pair, pair_at
-
-Array = NDArray[np.float64]
 
 KINDS = ("points", "observed", "pairs")
 STILL_RAD_S = 2e-3

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.app.arm_files import NOTES, arm_notes, load_arm
 from armsight.app.sources.bags import joint_states
 from armsight.app.sources.joint_names import columns_of
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import (
@@ -39,9 +39,6 @@ from armsight.store import read_joints, read_poses, write_joints, write_poses, w
 from armsight.store.bags import JointStates, is_bag
 from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
 from armsight.store.tables import cells, number
-
-Array = NDArray[np.float64]
-
 
 ROWS_AT_ONCE = 4096
 """Derivatives by all parameters take some 2 kB a row."""

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from armsight.arrays import Array
 from armsight.fitting.quantiles import NORMAL_95, chi2_sf, t_ppf
-
-Array = NDArray[np.float64]
 
 SHARES = (0.2, 0.4, 0.6, 0.75, 0.87, 0.95, 0.99, 0.999)
 """Shares of the errors' variance that drift, of the models that are weighed against each other. Without the last one,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.correlation import regions, widened
 from armsight.calibrate.tooltip_places import FAR, MIN_POSES, place_numbers, places_of
 from armsight.calibrate.tooltip_premises import require_one_tool, require_point_there
@@ -27,8 +28,6 @@ from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
 from armsight.geometry.poses import skew
 from armsight.records import NamedCovariance, frozen_array
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 NAMES = ("tip.x_m", "tip.y_m", "tip.z_m", "point.x_m", "point.y_m", "point.z_m")
 

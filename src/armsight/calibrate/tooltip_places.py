@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.errors import NotEnoughData
 from armsight.fitting.groups import means, repeats
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 MIN_POSES = 4
 FAR = 8.0

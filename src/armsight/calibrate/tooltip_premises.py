@@ -7,13 +7,12 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.calibrate.tooltip_stream import slopes
 from armsight.errors import Inconsistent
 from armsight.fitting.quantiles import chi2_isf
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-6
 """Chance that a well measured point is told to be elsewhere."""

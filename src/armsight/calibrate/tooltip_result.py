@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.correlation import Correlation
 from armsight.columns import POSITION
 from armsight.fields import Doc
@@ -21,7 +22,6 @@ from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
 from armsight.shown import Bars, Shown, Table, digits, point_rows
 from armsight.units import DEG, MM
 
-Array = NDArray[np.float64]
 Vector = Annotated[Array, Shape((3,))]
 
 TURNED_RAD = 20.0 * DEG

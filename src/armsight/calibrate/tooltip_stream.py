@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.correlation import Averaged, Correlation, fit_averaged, time_blocks
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 FEWEST_KEPT = 4
 """Poses that must stay where a block of time is left out."""

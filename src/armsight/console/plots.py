@@ -11,7 +11,8 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
-from armsight.console.tracks import Array, Point, Ticks
+from armsight.arrays import Array
+from armsight.console.tracks import Point, Ticks
 from armsight.units import MM
 
 GREY = "#7b8794"

@@ -10,7 +10,6 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 from nicegui.events import SceneClickEventArguments
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
@@ -18,6 +17,7 @@ from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
 from armsight.app.operator.cell_poses import arm_points, read_placement
 from armsight.app.operator.identify_run import SweepFit
+from armsight.arrays import Array
 from armsight.console import texts
 from armsight.console.plots import Curve, Ruler
 from armsight.console.state import Console
@@ -28,8 +28,6 @@ from armsight.records import Target
 from armsight.store import read_rig
 from armsight.store.cell_file import cell_path
 from armsight.store.handeye_file import read_tip
-
-Array = NDArray[np.float64]
 
 FRUSTUM_M = 0.12
 """Length of the pyramids that stand for cameras."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.guided.boards import BoardCalibration
 from armsight.app.guided.cell import CellStep
@@ -31,6 +30,7 @@ from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach_controller import TeachController, teach_controller
 from armsight.app.requests.calibrate_cameras import MirrorsJob
+from armsight.arrays import Array
 from armsight.calibrate.handeye import Setup
 from armsight.console.tracks import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
@@ -38,8 +38,6 @@ from armsight.optics import RigKind
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile, CellMirrors, cell_path, read_cell, write_cell
 from armsight.verify.supervision import Seen
-
-Array = NDArray[np.float64]
 
 HISTORY = 1800
 """Moments kept for the curves: a minute at 30 a second."""

@@ -6,11 +6,10 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.units import MM
 
-Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 POINTS = 1500

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.identify import Sweeps
 from armsight.clock import Clock
 from armsight.defaults import SWEEP_SPEED
 from armsight.drivers import Robot, RobotState
 from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent
 from armsight.records import JointReading, Progress
-
-Array = NDArray[np.float64]
 
 LOOK_S = 0.2
 """Time between two looks at the beacon while a joint moves: at a tenth of its travel a second 2 % of it, blindly."""

@@ -15,8 +15,8 @@ from contextlib import contextmanager
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Decision, Guard, GuardState, Inputs, TargetState
@@ -25,8 +25,6 @@ from armsight.control.status import Jitter, RobotStatus, Timing
 from armsight.drivers import Pace, Paced, Robot, RobotState, RobotTraits, Sent
 from armsight.errors import ArmsightError, DeviceFailed, StaleData
 from armsight.records import JointReading
-
-Array = NDArray[np.float64]
 
 SWITCH_S = 2e-4
 """How long another Python thread may keep the loop from running; Python's own 5 ms is longer than a cycle."""

@@ -10,16 +10,14 @@ from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.geometry import moved_parent_covariance
 from armsight.kinematics import Arm
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 from armsight.records.motion import JointHistory
-
-Array = NDArray[np.float64]
 
 
 class RigPose(Protocol):

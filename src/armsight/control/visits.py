@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.control.joint_sweep import HELD_BACK_S, REST_FRAMES, REST_STEP, REST_TIMEOUT_S, STUCK
 from armsight.drivers import Robot, RobotState
 from armsight.errors import Cancelled, DeviceFailed, DeviceLost, NotEnoughData
 from armsight.records import PoseStatus, Progress, TargetPose
-
-Array = NDArray[np.float64]
 
 THERE = 1e-6
 """Joint readings (rad, m) so near to where the track has them are there."""

@@ -15,9 +15,9 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import Clock, StandStill
 from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals, between
@@ -28,8 +28,6 @@ from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
 from armsight.priority import bound_control
 from armsight.records import JointReading
 from armsight.units import MS
-
-Array = NDArray[np.float64]
 
 END_S = 1.5
 """Closing a link that something is wrong with waits so long at most for the arm to stand."""

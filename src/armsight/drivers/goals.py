@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 LEAD_S = 0.5
 """Time at full speed by which a goal may be ahead of the arm: where the arm is held up, it must not leap when freed."""

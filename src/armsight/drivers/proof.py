@@ -16,12 +16,10 @@ from enum import StrEnum
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.drivers.proof_causes import Evidence, cause_of
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 PROBE_RAD = (0.04 * DEG, 0.025 * DEG)
 """Amplitudes of the first and of the last axis; those between are spaced geometrically, so that no two are alike."""

@@ -8,9 +8,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 0.06
 """Share by which an axis may move more or less than sent. A scale of 1.1 is found, in 20 of 20 trials of each link."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.controller_clock import ENOUGH
 from armsight.drivers.cyclic import CyclicRobot
@@ -26,7 +26,6 @@ from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsiste
 from armsight.priority import control_first
 from armsight.records import JointReading
 
-Array = NDArray[np.float64]
 Sender = tuple[str, int]
 
 LARGEST_PACKET = 4096

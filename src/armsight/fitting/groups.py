@@ -8,11 +8,9 @@ intervals.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from armsight.arrays import Array, Index
 
 GAP = 4.0
 """Places are further apart than readings of one place by this factor at least: of 1000 recordings of 10 to 60 rows

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.fitting.kernels import schur_complement
-
-Array = NDArray[np.float64]
 
 PIVOT_FLOOR = 1e-15
 """Smallest pivot, squared, of a local block scaled to a unit diagonal: rounding leaves as much of a zero."""

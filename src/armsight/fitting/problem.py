@@ -13,12 +13,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.fitting.normal import NormalEquations
-
-Array = NDArray[np.float64]
 
 
 class LossKind(StrEnum):
@@ -163,7 +161,7 @@ class Problem:
         object.__setattr__(self, "guess", guess)
         object.__setattr__(self, "local_guess", local)
 
-    def normal_equations(self, evaluation: Evaluation, shared: Array, free: NDArray[np.intp]) -> NormalEquations:
+    def normal_equations(self, evaluation: Evaluation, shared: Array, free: Index) -> NormalEquations:
         """Return the normal equations of the free parameters, weighted by the loss, with the priors at shared (S,)."""
         every = self._all_equations(evaluation)
         A, b = every.A[np.ix_(free, free)], every.b[free]

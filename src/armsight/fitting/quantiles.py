@@ -7,11 +7,11 @@ arrays, whose shapes broadcast to that of what is returned; without degrees of f
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import special
 from scipy.special import erfc
 
-Array = NDArray[np.float64]
+from armsight.arrays import Array, Mask
 
 
 def chi2_sf(x: ArrayLike, dof: ArrayLike) -> Array:
@@ -56,7 +56,7 @@ def _array(values: ArrayLike) -> Array:
 # Chauvenet's criterion for readings that do not belong to the rest.
 
 
-def chauvenet(values: Array) -> NDArray[np.bool_]:
+def chauvenet(values: Array) -> Mask:
     """Return which of the values (n,) or rows (n, k) Chauvenet's criterion keeps, applied once, column by column.
 
     Holman, Experimental Methods for Engineers (1994): a reading goes where fewer than half a reading as far away is

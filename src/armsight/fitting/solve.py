@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Cancelled, NotConverged, Undetermined
 from armsight.fitting.normal import FLOOR, NormalEquations
 from armsight.fitting.problem import Evaluation, Problem
 from armsight.records import NamedCovariance, Progress, Silent
-
-Array = NDArray[np.float64]
 
 
 class StopReason(StrEnum):
@@ -173,7 +171,7 @@ def _cost(problem: Problem, evaluation: Evaluation, shared: Array) -> float:
     return float(cost)
 
 
-def _iterate(problem: Problem, settings: Settings, state: _State, free: NDArray[np.intp]) -> StopReason | None:
+def _iterate(problem: Problem, settings: Settings, state: _State, free: Index) -> StopReason | None:
     """Take one accepted step; return why to stop, or None to go on."""
     normal = problem.normal_equations(state.evaluation, state.shared, free)
     if _scaled_gradient(normal) <= settings.gradient_tolerance * max(1.0, np.sqrt(2.0 * state.cost)):
@@ -229,7 +227,7 @@ def _fit(
     problem: Problem,
     settings: Settings,
     state: _State,
-    free: NDArray[np.intp],
+    free: Index,
     iterations: int,
     reason: StopReason,
 ) -> Fit:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.geometry.poses import pose_from_matrix
-
-Array = NDArray[np.float64]
 
 COLLINEAR_RATIO = 1e-6
 """Points whose second principal spread is below this share of the first lie on one line."""

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
-
-Array = NDArray[np.float64]
 
 QUAT_NORM_TOLERANCE = 1e-3
 """Quaternions further from unit length than this are refused: typing errors, not rounding."""

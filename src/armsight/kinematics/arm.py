@@ -9,9 +9,10 @@ from types import NoneType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.chain_table import chain_table
 from armsight.kinematics.convention import Convention
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
     from armsight.kinematics.path import JointPath
 
-Array = NDArray[np.float64]
 
 LARGEST_ANGLE_RAD = 1e4
 """Joint angles beyond this are not angles of an arm: degrees, encoder counts or a fault."""
@@ -135,7 +135,7 @@ class Arm(Saveable):
         return self.chain[1:-1, 10]
 
     @property
-    def revolute(self) -> NDArray[np.bool_]:
+    def revolute(self) -> Mask:
         """Which joints turn (n,)."""
         return np.asarray(self.chain[1:-1, 0] == 0.0)
 
@@ -368,7 +368,7 @@ class Arm(Saveable):
             require_number(name, by)
         return moved(self, changes)
 
-    def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
+    def within_limits(self, q: ArrayLike) -> Mask:
         """Tell for joint values (n,) or (m, n) whether all are within their limits, () or (m,); raises as `checked`."""
         values = self.checked(q)
         inside = (values >= self.lower - LIMIT_SLACK) & (values <= self.upper + LIMIT_SLACK)

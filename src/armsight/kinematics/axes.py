@@ -7,17 +7,15 @@ from dataclasses import dataclass, field, replace
 from math import atan2, inf
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention, link_matrix
 from armsight.kinematics.forward_kinematics import in_convention, link_frames
 from armsight.kinematics.joints import Joint, JointType
 from armsight.kinematics.lines import link_to_line, unit_direction
-
-Array = NDArray[np.float64]
 
 SAME = 1e-12
 """Frames that agree to this (m, rad) are the same to rounding."""

@@ -6,15 +6,13 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.kinematics.convention import distal_rows
 from armsight.kinematics.joints import JointType
 
 if TYPE_CHECKING:
     from armsight.kinematics.arm import Arm
-
-Array = NDArray[np.float64]
 
 
 def chain_table(arm: Arm) -> Array:

@@ -7,12 +7,10 @@ from enum import StrEnum
 from math import atan2, hypot
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import link_matrix
-
-Array = NDArray[np.float64]
 
 EXACT = 1e-10
 """A twist (rad) or offset (m) this close to the family's is the family's: an error of 0.1 nm at a metre's reach."""

@@ -12,9 +12,9 @@ from enum import StrEnum
 from math import cos, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from armsight.arrays import Array
+
 Link = tuple[float, float, float]
 """a in m, alpha and beta in rad."""
 

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.kinematics.joints import Joint
-
-Array = NDArray[np.float64]
 
 MOST_SHARE, MOST_FOLLOWED = 2.0, 1e3
 """Largest shares of couplings: of a joint's own reading and another's, and of a joint without a drive (rad per m)."""

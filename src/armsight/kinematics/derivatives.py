@@ -6,16 +6,15 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.columns import DH_ROW, POSE6
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention
 from armsight.kinematics.kernels.derivatives import PER_JOINT, many_parameter_columns
-
-Array = NDArray[np.float64]
 
 
 def parameter_names(arm: Arm) -> tuple[str, ...]:

@@ -6,9 +6,10 @@ import dataclasses
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention, distal_rows, proximal_rows
@@ -20,7 +21,6 @@ from armsight.kinematics.kernels.chain import (
     one_pose_jacobian,
 )
 
-Array = NDArray[np.float64]
 Axes = Literal["world", "base", "tool"]
 
 ALL_CORES_FROM = 16_384

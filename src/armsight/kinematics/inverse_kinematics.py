@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
 from armsight.kinematics.closed_form import Family, family_of
@@ -33,8 +34,6 @@ from armsight.kinematics.numeric import MAX_STEPS, Attempt, Stop, attempt_from, 
 from armsight.kinematics.singular import motions, near_singularities
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 SAME_SOLUTION = 1e-5
 """Numeric solutions closer than this (rad or m) are one."""

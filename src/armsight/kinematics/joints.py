@@ -9,15 +9,13 @@ from numbers import Real
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.columns import DH_ROW
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array, require_kind, require_number
 from armsight.records.fields import Shape
-
-Array = NDArray[np.float64]
 
 SAME_DIRECTION = 1e-12
 """Share (squared) of an axis along another below which they are square to each other."""

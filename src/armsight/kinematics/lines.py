@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
-
-Array = NDArray[np.float64]
 
 PARALLEL_SINE = 1e-12
 """Axes that differ by less are parallel to rounding: their common normal would be noise, and 1e-12 rad is nothing."""

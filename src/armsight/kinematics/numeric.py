@@ -8,9 +8,10 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array, Mask
 from armsight.errors import NotConverged, UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.kernels.numeric import (
@@ -26,8 +27,6 @@ from armsight.kinematics.kernels.numeric import (
 )
 from armsight.kinematics.target import Task, Tolerance, size_m, start_values, target_matrices, task_of
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 MAX_STEPS = 60
 """Damped least squares takes 3 to 10 steps where it succeeds (benchmarks/kinematics.py)."""
@@ -189,7 +188,7 @@ def solve_numeric_many(
     task: Task | str | None = None,
     tolerance: Tolerance | None = None,
     max_steps: int = MAX_STEPS,
-) -> tuple[Array, NDArray[np.bool_], Array]:
+) -> tuple[Array, Mask, Array]:
     """Improve each start (m, n) for its pose by damped least squares, once each: for tracks and warm starts.
 
     Returns q (m, n), which rows are solutions (m,), and the errors (m, 2) in m and rad. Rows that are no solution hold

@@ -8,9 +8,10 @@ from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array, Mask
 from armsight.errors import NotConverged, UsageError
 from armsight.fields import Doc
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
@@ -22,8 +23,6 @@ from armsight.kinematics.singular import NEAR, UNNAMED, motions, singular_values
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import Motion, frozen_array
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 JUMP = 0.35
 """A joint that moves more than this (20 degrees, 0.35 m) in one step has jumped, or the path is too coarse to tell."""
@@ -192,7 +191,7 @@ def _weight(issue: Issue) -> float:
     )
 
 
-def _runs(bad: NDArray[np.bool_]) -> Iterable[tuple[int, int]]:
+def _runs(bad: Mask) -> Iterable[tuple[int, int]]:
     """Yield first and last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
     return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
 from armsight.kinematics.forward_kinematics import fk
 from armsight.kinematics.kernels.derivatives import PER_JOINT
-
-Array = NDArray[np.float64]
 
 POSTURES = 500
 """Drawn in the joints' ranges: ten times as many numbers as an arm has parameters."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.closed_form import Wrist, family_of
 from armsight.kinematics.forward_kinematics import jacobian, link_frames
 from armsight.kinematics.target import Task, task_of
-
-Array = NDArray[np.float64]
 
 NEAR = 0.035
 """Sine (or share of the reach) below which a singularity counts as near: two degrees, where joint speeds have grown

@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.kernels.checks import NO_ROTATION, NOT_FINITE, check_poses, farthest
 from armsight.records import for_kernels, real_array
-
-Array = NDArray[np.float64]
 
 TOLERANCE_M = 1e-6
 TOLERANCE_RAD = 1e-6

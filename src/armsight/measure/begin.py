@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.measure.motion.states import View
 from armsight.measure.poses.from_spots import measure_spots
@@ -19,8 +19,6 @@ from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pipeline import measure_pair
 from armsight.measure.poses.setup import Setup
 from armsight.records import CameraTiming, Frame, PoseStatus, Spots
-
-Array = NDArray[np.float64]
 
 SLACKS_PX = (1.0, 3.0)
 """What views of two moments may add to a spot's standard deviation when a track begins, tried after the setup's own
@@ -135,8 +133,6 @@ def _measured(setup: Setup, left: AnyFrame, right: AnyFrame) -> Measured:
         return measure_spots(setup, 0.5 * (left.t_s + right.t_s), left.spots, right.spots)
     raise Inconsistent("one camera gives images and the other one spots", cure="Give both alike")
 
-
-Index = NDArray[np.intp]
 
 MAX_SPOTS = 16
 """Among more it is guesswork which of them went where."""

@@ -12,8 +12,8 @@ from functools import cache
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame, Beginner, Beginning
 from armsight.measure.motion.estimate import MAX_GAP_S, MotionFilter, Start
@@ -25,8 +25,6 @@ from armsight.measure.poses.setup import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import track_spots
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, trusted
-
-Array = NDArray[np.float64]
 
 LEAST_WINDOW_PX, MOST_WINDOW_PX = 8.0, 64.0
 SPOT_REACH = 4.0
@@ -212,9 +210,7 @@ class Follower:
         return trusted(View, t_s=t_s, side=side, lights=light, uv_px=uv, cov_px2=cov, tau_s=tau)
 
 
-def _spots_near(
-    frame: AnyFrame, uv_px: Array, half_px: float, settings: SpotSettings
-) -> tuple[Spots, NDArray[np.intp]]:
+def _spots_near(frame: AnyFrame, uv_px: Array, half_px: float, settings: SpotSettings) -> tuple[Spots, Index]:
     """Return the spots in windows about uv_px (n, 2), and the row of uv_px that each belongs to."""
     if isinstance(frame, Frame):
         return track_spots(frame.image, uv_px, half_px, settings)

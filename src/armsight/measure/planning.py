@@ -7,17 +7,15 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Degenerate, Inconsistent
 from armsight.fields import Doc
 from armsight.measure.poses.kernels import rig_covariance
 from armsight.optics import PackedRig, Rig, RigKind, at_zoom, mean_axes, triangulate
 from armsight.optics.zoom import ZoomLens
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 IMAGE_SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Places along each side of the left image at which points are taken: the picture without its outermost tenth."""

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import bdtr
 
+from armsight.arrays import Array, Index, Mask
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 SCALE = np.array([MM] * 3 + [DEG] * 3)
 """From m and rad to mm and degrees, by division."""
@@ -49,12 +47,12 @@ class Series:
         """What an axis of t_s is called."""
         return "time, s" if self.timed else "frame"
 
-    def where(self, status: PoseStatus) -> NDArray[np.bool_]:
+    def where(self, status: PoseStatus) -> Mask:
         """Return the mask (n,) of the frames with this status."""
         return np.array([s is status for s in self.status], dtype=bool)
 
     @property
-    def whole(self) -> NDArray[np.bool_]:
+    def whole(self) -> Mask:
         """The mask (n,) of the frames with a full pose, doubtful ones too."""
         return self.where(PoseStatus.OK) | self.where(PoseStatus.DOUBTFUL)
 
@@ -93,15 +91,15 @@ def series_of(poses: Sequence[TargetPose], *, timed: bool = True, apart: bool = 
     )
 
 
-def _ok(poses: Sequence[TargetPose]) -> NDArray[np.intp]:
+def _ok(poses: Sequence[TargetPose]) -> Index:
     return np.array([i for i, pose in enumerate(poses) if pose.status.size == 6], dtype=np.intp)
 
 
-def _matrices(poses: Sequence[TargetPose], ok: NDArray[np.intp]) -> Array:
+def _matrices(poses: Sequence[TargetPose], ok: Index) -> Array:
     return np.array([poses[i].T_parent_target for i in ok], dtype=float).reshape(-1, 4, 4)
 
 
-def _covariances(poses: Sequence[TargetPose], ok: NDArray[np.intp]) -> Array:
+def _covariances(poses: Sequence[TargetPose], ok: Index) -> Array:
     return np.array([poses[i].covariance for i in ok], dtype=float).reshape(-1, 6, 6)
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Mask
 from armsight.errors import UsageError
 from armsight.records import Colour, require_count, require_kind, require_numbers
 
@@ -39,7 +40,7 @@ class SpotSettings:
 
     threshold: float | None = None
     inverted: bool = False
-    mask: NDArray[np.bool_] | None = None
+    mask: Mask | None = None
     min_pixels: int = 3
     max_radius_px: float = 32.0
     max_spots: int = 64

@@ -13,13 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight._files import read_file
+from armsight.arrays import Array, Image
 from armsight.drivers.images import LARGEST_BYTES, LEAST_BITS, image_of_8_bits, too_large
 from armsight.errors import ArmsightError, BadImage, Inconsistent, UsageError
 from armsight.ops.commands import in_python
 from armsight.records import Frame, checked_array, real_array, require_count, require_kind, require_rigid
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 ImageLike = ArrayLike | str | PathLike[str] | Frame
 Poses = RigidTransform | ArrayLike | Sequence[RigidTransform]
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import NotEnoughData
 from armsight.ops.action import Given
 from armsight.ops.arrays import as_poses
@@ -27,8 +27,6 @@ from armsight.store import read_poses, read_rig, read_spot_track, read_target
 from armsight.store.covariances import uncorrelated_note
 from armsight.store.interpret import OURS
 from armsight.store.targets import parse_board
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,8 +7,9 @@ from enum import StrEnum
 from types import NoneType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight.defaults import GLASS
 from armsight.errors import Inconsistent
 from armsight.optics.kernels.camera import FISHEYE, project_many, undistort_many
@@ -23,8 +24,6 @@ from armsight.records import (
     require_kind,
     require_number,
 )
-
-Array = NDArray[np.float64]
 
 SIDES = ("left", "right")
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.columns import POSITION
 from armsight.defaults import MIRROR_GAP_M, PLATE_NEAR_M
 from armsight.errors import Inconsistent, NotConverged
@@ -23,8 +24,6 @@ from armsight.optics.camera import INTRINSICS, SIDES, Camera, Plate
 from armsight.optics.kernels.camera import plate_shift
 from armsight.optics.rig import Rig, RigKind
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 HALF_RIGHT_ANGLE = 0.25 * np.pi
 SLANT = np.sqrt(0.5)

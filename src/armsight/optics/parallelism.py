@@ -6,16 +6,15 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.fields import Doc
 from armsight.optics.camera import INTRINSICS
 from armsight.optics.rig import RIGHT_POSE, Rig
 from armsight.records import NamedCovariance, frozen_array
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 DERIVATIVE_STEPS = (1e-3,) * 5 + (1e-6,) * 5
 """Steps of the central differences by INTRINSICS, in px and without unit."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.optics.camera import SIDES
@@ -14,8 +14,6 @@ from armsight.optics.rig import Rig
 from armsight.optics.triangulate import triangulate
 from armsight.records.fields import Shape
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 CENTROID_SIGMA_PX = 0.1
 """Standard deviation of a spot's centre where the caller gives none: MATH 2.3 uses it for webcams."""

@@ -7,9 +7,10 @@ from enum import StrEnum
 from types import NoneType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import pose_from_rotvec
 from armsight.optics.camera import INTRINSICS, SIDES, Camera
@@ -26,8 +27,6 @@ from armsight.records import (
     require_kind,
     require_numbers,
 )
-
-Array = NDArray[np.float64]
 
 RIGHT_POSE = tuple(f"right.{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
 """Names of the pose parameters in a rig's covariance: T_rig_right moved as t + dt, Exp(dw) R."""

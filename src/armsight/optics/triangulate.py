@@ -8,12 +8,11 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.arrays import Array, Mask
 from armsight.errors import Degenerate, Inconsistent
 from armsight.optics.kernels import triangulation as kernels
 from armsight.optics.rig import PackedRig, Rig
 from armsight.records import checked_array, checked_rows, real_array, require_kind
-
-Array = NDArray[np.float64]
 
 
 class Verdict(IntEnum):
@@ -45,7 +44,7 @@ class Triangulation:
     verdict: NDArray[np.int8]
 
     @property
-    def found(self) -> NDArray[np.bool_]:
+    def found(self) -> Mask:
         """Which rows (n,) are points."""
         return np.asarray(self.verdict == Verdict.FOUND)
 

@@ -8,16 +8,14 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.optics.camera import INTRINSICS, Camera, LensKind
 from armsight.optics.zoom_curves import Curves, curves
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 N = len(INTRINSICS)
 

@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from armsight.arrays import Array
 from armsight.fitting.quantiles import NORMAL_95
-
-Array = NDArray[np.float64]
 
 BEND_LENGTHS = np.geomspace(0.45, 4.0, 12)
 """Lengths over which a curve may bend, in ranges of the settings. Cams bend over about half their stroke or more; of

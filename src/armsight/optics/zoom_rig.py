@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics.camera import INTRINSICS, SIDES
 from armsight.optics.rig import RIGHT_POSE, MountedZoom, Rig, RigKind
 from armsight.optics.zoom import SURE, ZoomLens, ZoomState
 from armsight.records import NamedCovariance
-
-Array = NDArray[np.float64]
 
 SAME_FOCAL = 2e-3
 """Share by which a lens's focal length may differ from the rig's at the same zoom, beyond what both claim: motors come

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Index
 from armsight.errors import Inconsistent
 from armsight.records.checks import frozen_array
 from armsight.records.target import Target, TargetKind
@@ -22,7 +23,7 @@ class BoardView:
     """
 
     uv_px: NDArray[np.float64]
-    index: NDArray[np.intp]
+    index: Index
     sigma_px: float
     width: int
     height: int
@@ -40,9 +41,6 @@ class BoardView:
 
     def __len__(self) -> int:
         return len(self.index)
-
-
-Index = NDArray[np.intp]
 
 
 def grid_turns(board: Target) -> dict[int, Index]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Index
 from armsight.errors import Inconsistent, Unseen, UsageError
 from armsight.records.checks import checked_array, frozen_array, real_array, require_kind, require_texts, trusted
 
@@ -80,7 +81,7 @@ class Spots:
             model=("gaussian",) * n,
         )
 
-    def take(self, index: NDArray[np.intp] | list[int]) -> Spots:
+    def take(self, index: Index | list[int]) -> Spots:
         """Return the spots at the given positions, in that order."""
         i = np.asarray(index)
         if i.ndim != 1 or (i.size and i.dtype.kind not in "iu") or (i.size and not 0 <= i.min() <= i.max() < len(self)):

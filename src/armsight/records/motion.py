@@ -9,6 +9,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, StaleData
 from armsight.records.checks import frozen_array, require_kind, require_numbers
 
@@ -48,8 +49,6 @@ class Motion:
                 cure="Give each time once, in order",
             )
 
-
-Array = NDArray[np.float64]
 
 KEPT = 2000
 """Readings remembered: four seconds at 500 Hz, more than any camera is late."""

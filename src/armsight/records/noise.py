@@ -7,15 +7,14 @@ from math import inf
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.fields import Bounds, Doc
 from armsight.records.checks import frozen_array
 from armsight.records.fields import Shape
 from armsight.records.output import Output, figure, output
-
-Array = NDArray[np.float64]
 
 ROUNDING_LEVELS2 = 1.0 / 12.0
 """Variance of rounding to whole grey levels (EMVA 1288: sigma_q^2 = 1/12 DN^2). No pixel is known better."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.records.by_value import Saveable
 from armsight.records.checks import checked_array, checked_poses, frozen_array, real_array, require_kind, require_texts
-
-Array = NDArray[np.float64]
 
 WELD_ON, WELD_OFF = "weld_on", "weld_off"
 """Tags that playing acts on; any other word, or none, is kept and means nothing to it."""

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.records.covariance import NamedCovariance
-
-Array = NDArray[np.float64]
 
 PPM = 1e-6
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.records.checks import frozen_array
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -22,7 +20,7 @@ class SpotTrack:
     """
 
     t_s: Array
-    frame: NDArray[np.intp]
+    frame: Index
     names: tuple[str, ...]
     uv_px: Array
     covariance_px2: Array
@@ -55,7 +53,7 @@ class SpotTrack:
         """Whether no frame holds more than one spot."""
         return len(np.unique(self.frame)) == len(self.frame)
 
-    def light(self, name: str) -> NDArray[np.intp]:
+    def light(self, name: str) -> Index:
         """Return the rows of the spots of one light."""
         return np.flatnonzero([each == name for each in self.names])
 

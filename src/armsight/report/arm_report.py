@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
 from armsight.report.html import Card, Page, bullets, page_unit, table
 from armsight.units import MM, displayed_name, figure_of, with_deviation
-
-Array = NDArray[np.float64]
 
 CLOUD = 600
 """Joint positions at which the tool's uncertainty is drawn."""

@@ -7,15 +7,14 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight.kinematics import Arm, JointType, link_frames, near_singularities, singularity_distance
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, spread
 from armsight.report.html import Card, Page, page_unit, table, text
 from armsight.units import DEG, MM, displayed, figure_of
-
-Array = NDArray[np.float64]
 
 ARROW = 0.08
 """Length of a frame's axes as a share of the arm's size in the picture."""

@@ -6,15 +6,13 @@ import base64
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.report.figures import BLUE, INK, Figure, layout, short_names
 from armsight.report.html import Page, text
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.scene import line, pyramid, scene_axes
 from armsight.units import MM, figure_of
-
-Array = NDArray[np.float64]
 
 MAX_PICTURES = 12
 """Pictures of boards in a report: 15 kB each, and all are seen without scrolling for long."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cell import CellCalibration
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT
 from armsight.calibrate.cell.result import UNLEARNED_BITS, Learned
@@ -30,8 +30,6 @@ from armsight.report.figures import (
 from armsight.report.html import Card, Page, bullets, page_unit, table, text
 from armsight.report.scene import camera_line, line, scene_axes
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
-
-Array = NDArray[np.float64]
 
 STRONGEST = 16
 """Parameters whose correlations are drawn: those that take part in the strongest ones."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.measure.series import SCALE, Series
 from armsight.records import PoseStatus
 from armsight.records.result_parts import Difference
@@ -17,8 +17,6 @@ from armsight.report.figures import BLUE, RED, Figure, axis, bars, layout, named
 from armsight.report.html import Card, Page, bullets, table
 from armsight.report.track import deviation_figure
 from armsight.units import figure_of, with_deviation
-
-Array = NDArray[np.float64]
 
 CARDS = 4
 BEYOND = 3.0

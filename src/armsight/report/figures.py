@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from armsight.arrays import Array, Index
 
 Plot = dict[str, Any]
 """A trace, a layout, or a part of one, as plotly takes it."""
-Index = NDArray[np.intp]
 
 BLUE, ORANGE, GREEN, RED, GREY, INK = "#1f5fa8", "#d9822b", "#2e7d4f", "#c23b3b", "#9aa7b4", "#1c2733"
 BAND = "rgba(31,95,168,0.22)"

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, ImageComparison, Part
@@ -31,8 +30,6 @@ from armsight.report.figures import (
 from armsight.report.html import Card, Page, bullets, page_unit, table
 from armsight.report.run import BoardViews
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
-
-Array = NDArray[np.float64]
 
 AXIS_COLOURS = (RED, GREEN, BLUE)
 AXIS_SHARE = 0.06

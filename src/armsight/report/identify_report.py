@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.identify import Identification, Sweeps
 from armsight.columns import DH_ROW
 from armsight.kinematics import Arm
@@ -28,8 +28,6 @@ from armsight.report.figures import (
 )
 from armsight.report.html import Card, Page, bullets, table
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
-
-Array = NDArray[np.float64]
 
 ENTRIES = tuple((name, displayed_name(name)[2]) for name in DH_ROW)
 TITLES = ("a, mm", "alpha, °", "d, mm", "theta, °", "beta, °")

@@ -8,14 +8,12 @@ from datetime import datetime
 from pathlib import PurePath
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.report.figures import BLUE, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
 from armsight.report.html import Card, Page, add_recordings, bullets, table
 from armsight.units import DEG, MM, figure_of
 from armsight.verify.results import VerifyLiveOutput
-
-Array = NDArray[np.float64]
 
 COURSE = (
     "Length of the error of place and angle of the error of rotation; dotted: three standard deviations of what "

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.measure.results import ConsistencyOutput, OtherCause
 from armsight.measure.series import Errors, Series, errors_of, losses_of, median_columns, series_of
 from armsight.optics import SIDES, Camera
@@ -20,8 +20,6 @@ from armsight.report.run import MeasureRun
 from armsight.report.scene import scene_figure
 from armsight.report.track import NEIGHBOURS, deviation_figure, scatter_of, time_figure, track_figure
 from armsight.units import MM, figure_of
-
-Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 

@@ -8,8 +8,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.control.guard import Box, Limits
 from armsight.control.guard.limits import joint_bounds
 from armsight.control.paths import PathCheck, PathIssue, PathTrouble
@@ -21,8 +21,6 @@ from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, thinned
 from armsight.report.html import Card, Page, table, text
 from armsight.units import MM, figure_of
-
-Array = NDArray[np.float64]
 
 COLOURS: Mapping[PathTrouble, tuple[str, str]] = MappingProxyType(
     {

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout
 from armsight.report.html import Card, Page, bullets, table, text
@@ -14,8 +13,6 @@ from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso
 from armsight.units import MM, figure_of
 from armsight.verify import Measured, Repeats
 from armsight.verify.results import IsoFigure, VerifyOutput
-
-Array = NDArray[np.float64]
 
 CARD_NAMES: Mapping[str, str] = {
     "RP_m": "RP, repeatability of a pose",

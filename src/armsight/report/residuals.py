@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, bars, layout, spread, subplot
-
-Array = NDArray[np.float64]
 
 BINS = 41
 

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.measure.results import ConsistencyOutput
 from armsight.optics import SIDES, Camera, Rig
 from armsight.records import Spots, Target, TargetPose, frozen_array
 from armsight.records.verdict import Verdict
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.optics import SIDES, Camera, Rig
 from armsight.report.figures import GREEN, GREY, INK, ORANGE, Figure, Plot, axis, layout
 from armsight.report.run import MeasureRun
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 NAMED = 12
 """Lights up to which each gets its name and its rays; a board has too many."""

@@ -7,11 +7,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.report.figures import Plot
-
-Array = NDArray[np.float64]
 
 TAN = math.tan(math.radians(22.5))
 """Half the height of plotly's view over the distance of the eye."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import scipy  # loads its ndimage where it is used
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.measure.series import Series
 from armsight.optics import SIDES
 from armsight.records import PoseStatus
@@ -31,8 +31,6 @@ from armsight.report.figures import (
 from armsight.report.run import MeasureRun
 from armsight.report.scene import camera_line, line, scene_axes
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 TITLES = ("x, mm", "y, mm", "z, mm", "rx, °", "ry, °", "rz, °")
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
@@ -19,8 +19,6 @@ from armsight.verify import Verification
 from armsight.verify.iso9283.figure import unit_of
 from armsight.verify.pairing import bare_arm
 from armsight.verify.results import IsoFigure, VerifyOutput
-
-Array = NDArray[np.float64]
 
 PRINT = """@page{{size:A4;margin:12mm}}
 @media print{{section:nth-of-type(n+{first}){{display:none}}main{{zoom:{zoom}}}.verdict{{font-size:15px}}

@@ -11,13 +11,11 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Mask
 from armsight.columns import POSITION, QUATERNION
 from armsight.errors import NotEnoughData
-from armsight.store.tables import Array, Table, filled, known, zeros
-
-Mask = NDArray[np.bool_]
+from armsight.store.tables import Table, filled, known, zeros
 
 LEADS = ("", "base_flange_", "camera_target_")
 EMPTY, PARTLY, ZEROS, NO_ROTATION, AGAIN, FILLED, JOINT_ZERO = (

@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
 from armsight.store.tables import MAX_BYTES, parse_table
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import BadFile, NotEnoughData
 from armsight.store.atomic import read_bytes
 
@@ -26,7 +27,6 @@ FAR_FILLED = 3.0
 MOST_ROWS = 2_000_000
 """Half an hour at 1 kHz. Measured: 0.7 GB of memory for a million rows of four columns."""
 
-Array = NDArray[np.float64]
 
 NO_NUMBER = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "missing", "-", "--", "---"))
 """What programs write where they have no number, in small letters."""

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from armsight.arrays import Array
 from armsight.errors import BadFile, UsageError
 from armsight.records import Colour, NamedCovariance, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.records.target import BLUE, GREEN, RED
@@ -28,8 +28,6 @@ from armsight.store.codec import (
 )
 from armsight.store.schema import Origin, read_document, write_document
 from armsight.store.yamls import read_yaml
-
-Array = NDArray[np.float64]
 
 TARGET_FORMAT = "armsight/target"
 

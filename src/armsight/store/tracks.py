@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.timing.sampling import without_seams
 from armsight.clock import Clock
 from armsight.columns import POSE6_STD, POSITION, QUATERNION
@@ -32,7 +33,7 @@ from armsight.store.covariances import (
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.lost import lost_rows, lost_words, without_lost
-from armsight.store.tables import MAX_BYTES, Array, Table, cells, in_time, number, parse_table, word
+from armsight.store.tables import MAX_BYTES, Table, cells, in_time, number, parse_table, word
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 POINT_COLUMNS = ("t_s", "spot", *POSITION, *POSE6_STD[:3])

@@ -8,8 +8,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.kinematics import Arm, Coupling, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes
@@ -19,8 +19,6 @@ from armsight.store.interpret import looks_like_mm
 from armsight.store.urdf_elements import Mass, inertials, mass_of, numbers, root_of, text_of, together
 from armsight.store.urdf_limits import NO_LIMIT, limits_of
 from armsight.store.urdf_tree import WORLD, Tree, UrdfJoint, chain_of, tree_of
-
-Array = NDArray[np.float64]
 
 MAX_BYTES = 5_000_000
 """Larger than any arm's description; meshes are kept in files of their own."""

@@ -10,12 +10,10 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.store.interpret import looks_like_degrees
-
-Array = NDArray[np.float64]
 
 DECLARED = re.compile(rb"""^\s*(?:<!--.*?-->\s*)*<\?xml\s[^>]*?encoding\s*=\s*["']([\w.:-]{1,40})["']""", re.DOTALL)
 DECLARATION = re.compile(r"<\?xml\s[^>]*\?>")

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.store.urdf_elements import origin_of
-
-Array = NDArray[np.float64]
 
 MOST_TOLD = 20
 """Links named in a message; a robot's description can have hundreds."""

@@ -8,16 +8,14 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, JointType
 from armsight.kinematics.axes import axes_of
 from armsight.store.atomic import disk_errors, write_text
 from armsight.store.urdf import MAX_BYTES
 from armsight.store.urdf_limits import NO_LIMIT
-
-Array = NDArray[np.float64]
 
 OURS = re.compile(rb'<joint name="world_base" .*<joint name="to_flange" .*<joint name="to_tool" ', re.DOTALL)
 """What every URDF of urdf_text holds, in this order."""

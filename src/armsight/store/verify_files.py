@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array, Index
 from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
@@ -35,9 +35,6 @@ from armsight.store.interpret import OURS, TableFormat, check_joint_values, stan
 from armsight.store.lost import NOTHING_LEFT, lost_rows, lost_words, without_rare_rotations
 from armsight.store.tables import Table, no_rows, parse_table
 from armsight.verify import Measured, Repeats, Reported
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag", "approach", "arrival", "robot")
 GOAL = tuple(f"goal_{name}" for name in (*POSITION, *QUATERNION))

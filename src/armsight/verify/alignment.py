@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import is_tool_turn
 from armsight.calibrate.arm.initial_guess import ENOUGH, mounts_by_turns, placed
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
@@ -16,8 +17,6 @@ from armsight.fitting.quantiles import MEDIAN_3
 from armsight.units import DEG, MM
 from armsight.verify.model import Model, ModelFit, Mounts, fit_model, mount_names, nothing_more
 from armsight.verify.records import Measured, Rejected
-
-Array = NDArray[np.float64]
 
 GROSS = 8.0
 """Errors beyond so many robust standard deviations are gross: a wrong zero's errors reach 4 of theirs, a normal

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Degenerate
 from armsight.geometry.alignment import align_points
 from armsight.units import MM
 from armsight.verify.records import Measured, Repeats
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 FEWEST = 3
 """Points that fix a pose."""

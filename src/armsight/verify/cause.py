@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.parameter_selection import APART
 from armsight.calibrate.correlation import regions
 from armsight.errors import NotConverged
@@ -22,8 +23,6 @@ from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_line
 from armsight.verify.evidence import falls as fall_by_chance
 from armsight.verify.geometry_prior import Account, GeometryPrior
 from armsight.verify.model import ModelFit
-
-Array = NDArray[np.float64]
 
 FEWEST_POSES = 12
 """With fewer, poses left out say nothing."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.kinematics import fk_jacobian
 from armsight.verify.evidence import Case
 from armsight.verify.model import Model, ModelFit
 from armsight.verify.records import Measured
-
-Array = NDArray[np.float64]
 
 DECIDING_POSES = 6
 CANDIDATES, SEED = 400, 11

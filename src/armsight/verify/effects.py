@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.kinematics import Arm, link_frames
-
-Array = NDArray[np.float64]
 
 STILL_RAD = 0.05
 """A joint that moved less (rad, or of the mean link) cannot be told from the geometry beside it."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm import ArmModel, Tolerance
 from armsight.fitting.quantiles import chi2_sf, t_sf
 from armsight.geometry.poses import skew
@@ -15,8 +16,6 @@ from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_
 from armsight.verify.effects import Effect
 from armsight.verify.model import Expected, Model, ModelFit, Mounts, Noise, fit_model
 from armsight.verify.records import Measured, inflation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,14 +13,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.verify.effects import Effect, Kind
 from armsight.verify.evidence import Case, Evidence
 from armsight.verify.model import ModelFit, Noise, extra_noise
 from armsight.verify.records import inflation
-
-Array = NDArray[np.float64]
 
 LENGTH_M, ANGLE_RAD = 1e-3, 1e-3
 """What nominal lengths are believed to, as in a cell from one recording, and axes and zeros of an arm that was

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
 from armsight.units import DEG, MM, displayed
@@ -24,8 +25,6 @@ from armsight.verify.geometry_prior import GeometryPrior
 from armsight.verify.model import ModelFit, Mounts, mount_names
 from armsight.verify.pairing import bare_arm
 from armsight.verify.records import Measured, Rejected
-
-Array = NDArray[np.float64]
 
 POSES = 10
 FEWEST = 8

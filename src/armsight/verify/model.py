@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
 from armsight.geometry.poses import skew
 from armsight.verify.records import Measured
 
-Array = NDArray[np.float64]
 Expected = Callable[[Array], tuple[Array, Array]]
 """More parameters (k,) -> F (m, 4, 4), base to flange, and its derivative (m, 6, k): (dt, dw) of the flange in base
 axes."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.points import ArmPoints, check_scale
 from armsight.calibrate.arm.rotations import computed
 from armsight.calibrate.timing.sampling import SamplingTimes, sampling_times, without_seams
@@ -18,8 +18,6 @@ from armsight.verify.alignment import Align, left_handed
 from armsight.verify.model import Mounts
 from armsight.verify.records import Measured, Rejected
 from armsight.verify.synchronise import Clock, JointStream, PoseStream, Stream, covered, gap_s, synchronise
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.geometry.lengths import check_spread
 from armsight.records import frozen_array
 from armsight.records.output import Output, output
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Rejected = tuple[tuple[int, str], ...]
 """(row of the file from 1, why)."""
 

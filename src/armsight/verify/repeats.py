@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array, Index
 from armsight.calibrate.timing.sampling import SHARED
 from armsight.errors import Inconsistent
 from armsight.verify.body import FEWEST, Bodies, bodies_of
@@ -16,9 +16,6 @@ from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, Pat
 from armsight.verify.iso9283.observations import random_part
 from armsight.verify.iso9283.pose import pose_figures
 from armsight.verify.records import Measured, Repeats
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 SAME_COMMAND_M = 1e-3
 """Commands of one pose's visits that lie further apart are not of one pose."""

@@ -11,9 +11,9 @@ from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.fields import Doc
 from armsight.fitting.quantiles import chi2_ppf
@@ -23,8 +23,6 @@ from armsight.records import PoseStatus, TargetPose
 from armsight.records.motion import JointsAt
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-9
 """Probability that noise alone lifts one decision over a level: at 60 a second one in half a year."""

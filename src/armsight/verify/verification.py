@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.plausibility import MOST_SHARE, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.arm.senses import other_senses
@@ -36,8 +37,6 @@ from armsight.verify.pairing import (
     without_computed,
 )
 from armsight.verify.records import Measured, Rejected
-
-Array = NDArray[np.float64]
 
 CAUSE_ROWS = 1200
 """Rows that a cause is looked for with, evenly chosen: more of one motion tell the same."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, jacobian
 from armsight.records import Motion
@@ -12,8 +12,6 @@ from armsight.units import DEG
 from armsight_lab.cell_plan.path import SHARE, MotionBounds
 from armsight_lab.cell_plan.plan import PlanSettings
 from armsight_lab.cell_plan.scene import Free
-
-Array = NDArray[np.float64]
 
 CAUTIOUS_M, CAUTIOUS_RAD = 0.16, 45.0 * DEG
 """How far the flange goes, and each joint turns, in a motion about the place where the arm stands; from 0.1 m and

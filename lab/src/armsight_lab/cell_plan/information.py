@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.fit import gauge
 from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, default_knowledge, shape_information
 from armsight.calibrate.cell.model import CAMERA_POSE, PER_CAMERA, CellModel
@@ -25,8 +26,6 @@ from armsight.optics import INTRINSICS, SIDES
 from armsight.records import Motion, Target
 from armsight.units import DEG
 from armsight_lab.cell_plan.scene import Scene
-
-Array = NDArray[np.float64]
 
 LOOKS_HZ = 4.0
 """Frames a second that are looked at in place of all; each counts for those between."""

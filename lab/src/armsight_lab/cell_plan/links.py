@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array, Mask
 from armsight.kinematics import Arm, Convention, fk, in_convention
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SHORT_M = 1e-3
 """A part of the chain that is shorter is none."""

@@ -11,10 +11,9 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.kinematics import Arm, fk
 from armsight.records import Motion
-
-Array = NDArray[np.float64]
 
 PARTS = 3
 """Pieces of a straight way between two places; the curve leaves it by a sixth of what its ends' pieces are apart."""

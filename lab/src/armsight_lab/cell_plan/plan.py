@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.knowledge import ArmTolerance
 from armsight.calibrate.cell.model import CellModel
@@ -32,8 +32,6 @@ from armsight_lab.cell_plan.path import MotionBounds
 from armsight_lab.cell_plan.push import Pusher
 from armsight_lab.cell_plan.scene import Free, Roadmap, Scene, places, roadmap
 from armsight_lab.cell_plan.tour import LOOKED_HZ, Tour, by_worth, longest, tour
-
-Array = NDArray[np.float64]
 
 MOST_PLACES, TYPICAL_PLACES = 70, 35
 """Places that are chosen at most, and among how many the time is thought to be shared."""

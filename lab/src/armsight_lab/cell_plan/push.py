@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.kinematics import fk
 from armsight_lab.cell_plan.information import Known, inverse, rests
 from armsight_lab.cell_plan.scene import Scene
 from armsight_lab.cell_plan.tour import Tour, smooth
-
-Array = NDArray[np.float64]
 
 CANDIDATES = 10
 """Readings that are drawn about each place that is to be moved."""

@@ -15,6 +15,7 @@ from armsight.app.arm_files import arm_file, load_arm
 from armsight.app.calibrate.cell_priors import read_priors
 from armsight.app.kinematics import reading_values
 from armsight.app.measure.run import target_of
+from armsight.arrays import Array
 from armsight.calibrate.cell.knowledge import Knowledge, TargetShape, with_priors
 from armsight.calibrate.cell.model import CellModel, start_vector
 from armsight.control.guard import Limits, joint_bounds
@@ -38,8 +39,6 @@ from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, check_bounds, ch
 from armsight_lab.cell_plan.request import CellPlanJob
 from armsight_lab.cell_plan.scene import Free, Scene
 from armsight_lab.design.request import Box
-
-Array = NDArray[np.float64]
 
 EDGE_PX = 10.0
 """What lights keep from the images' edges, beside what the cameras may stand elsewhere."""

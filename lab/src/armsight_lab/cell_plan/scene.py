@@ -11,14 +11,13 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array, Mask
 from armsight.calibrate.cell.model import CellModel
 from armsight.errors import NotEnoughData
 from armsight.kinematics import Arm, family_of, ik_many
 from armsight.units import DEG
 from armsight_lab.cell_plan.path import MotionBounds
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Free = Callable[[Array], Mask]
 """Readings (m, n) -> at which of them the arm touches nothing and is where it may be."""
 

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.records import Motion
 from armsight_lab.cell_plan.information import Known, inverse
 from armsight_lab.cell_plan.path import Way, way_through
 from armsight_lab.cell_plan.scene import Roadmap, Scene
-
-Array = NDArray[np.float64]
 
 PARTS = (3, 6, 12)
 """Pieces of the straight ways, tried until the smooth way keeps clear: the more, the sharper its corners."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array, Mask
 from armsight.geometry.poses import skew
 from armsight.measure.poses.kernels.whole_pose import FOLDED_FROM
 from armsight.measure.poses.pose import NamedSpots, solve_pose
@@ -24,8 +25,6 @@ from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 from armsight.records import PoseStatus, Target, TargetPose
 from armsight.units import DEG
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 SpotNoise = Callable[[Array, int], Array]
 """Standard deviation in px of lights of so many px across, on a side (0: left), in their shape."""
 

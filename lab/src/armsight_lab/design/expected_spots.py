@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from armsight.arrays import Array
 from armsight.records import NoiseModel
-
-Array = NDArray[np.float64]
 
 LEVEL = 180.0
 """Grey levels of a wide light above its surroundings: bright, and not clipped."""

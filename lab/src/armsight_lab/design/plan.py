@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.arm_files import load_arm
@@ -21,8 +20,6 @@ from armsight.store import parse_board, read_rig, read_world
 from armsight.units import DEG, MM
 from armsight_lab.design.planned_handeye import RobotNoise
 from armsight_lab.design.request import Box, DesignJob
-
-Array = NDArray[np.float64]
 
 SPOT_PX = 0.1
 """Standard deviation of a light's centre or a corner's place where nobody says: what webcams reach (MATH 2.3)."""

@@ -20,8 +20,6 @@ from armsight.optics import SIDES, Rig, RigKind, mean_axes
 from armsight.records import NamedCovariance, Target
 from armsight.units import DEG
 
-Array = NDArray[np.float64]
-
 CANDIDATES, ROUNDS = 4000, 8
 """Poses of the board that are drawn at a time, and how often before it is said not to fit into both views."""
 SPAN = (0.25, 0.75)

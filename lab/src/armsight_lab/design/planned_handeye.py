@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.known_noise import linearise, whitener
-from armsight.calibrate.handeye.pairs import Array, components
+from armsight.calibrate.handeye.pairs import components
 from armsight.errors import Degenerate
 from armsight.fitting import inverse_information
 from armsight.geometry.poses import skew

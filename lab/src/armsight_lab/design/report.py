@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.report.figures import GREY, INK, Figure, Plot, axis, layout
 from armsight.report.html import Card, Page, bullets, table
 from armsight.units import DEG, MM, figure_of
 from armsight_lab.design.records import DesignChange, DesignOutput
-
-Array = NDArray[np.float64]
 
 COLOURS = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")
 """Viridis in eight steps, the least deviation dark: told apart by the colour-blind, and in grey."""

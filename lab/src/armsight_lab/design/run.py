@@ -6,8 +6,8 @@ from collections import Counter
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.pairing import baseline_std
 from armsight.records import Progress, Silent
 from armsight.store import write_text
@@ -29,8 +29,6 @@ from armsight_lab.design.records import (
 from armsight_lab.design.report import DesignMap, DesignRun, design_report
 from armsight_lab.design.request import DesignJob
 from armsight_lab.design.volume import NOISE, RIG, Foretold, foretell, size_of
-
-Array = NDArray[np.float64]
 
 SUMMARY, REPORT, MAP = "design.json", "report.html", "map.csv"
 COLUMNS = (

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.pairs import components
 from armsight.drivers import SCENARIOS, known
 from armsight.errors import DeviceNotFound, NotEnoughData, UsageError
@@ -30,8 +31,6 @@ from armsight_lab.design.records import DesignSimulation, SimulatedPlace
 from armsight_lab.design.request import DesignJob
 from armsight_lab.design.simulated_run import ArmSpec, Errors, Spec, simulate_run
 from armsight_lab.design.volume import NOISE, Foretold, moving, rigid_part, size_of, spot_noise
-
-Array = NDArray[np.float64]
 
 PLACES = 24
 """Of the measured cells so many are measured in each run, evenly chosen."""

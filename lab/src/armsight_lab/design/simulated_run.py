@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras import BoardOptions, calibrate_stereo
 from armsight.calibrate.handeye import PosePairs, calibrate_eye_to_hand
 from armsight.calibrate.mirrors.calibration import calibrate_mirrors
@@ -25,7 +25,6 @@ from armsight.store import parse_board, rig_from_mapping, target_from_mapping
 from armsight_lab.batch.jobs import Ended, Job
 from armsight_lab.design.planned_handeye import RobotNoise
 
-Array = NDArray[np.float64]
 Rows = Sequence[Sequence[float]]
 """Poses: x, y, z in m, and the quaternion, scalar last."""
 

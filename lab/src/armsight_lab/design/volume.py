@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent
 from armsight.geometry.poses import skew
 from armsight.kinematics import ik
@@ -19,9 +19,6 @@ from armsight_lab.design.expected_spots import centre_deviation
 from armsight_lab.design.plan import ArmPlan, Plan
 from armsight_lab.design.planned_cameras import PlannedViews, planned_rig, planned_views
 from armsight_lab.design.planned_handeye import PlannedHandEye, planned_handeye, tool_slopes
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 NOISE, RIG, TARGET, ARM = "noise of one frame", "calibration of the rig", "measures of the target", "poses of the arm"
 """What a deviation is made of."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 # not armsight.fitting.quantiles: its package takes longer to load than a history to be judged
 from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
-Array = NDArray[np.float64]
+from armsight.arrays import Array
 
 SLACK = 1.0
 """Of the CUSUM, in deviations of one run, taken off each score: half of SMALLEST_STEP."""

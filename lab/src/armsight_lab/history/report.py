@@ -9,13 +9,12 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned
 from armsight.report.html import Card, Page, bullets, in_degrees, table
 from armsight.units import figure_of, with_deviation
 from armsight_lab.history.drift import SMALLEST_STEP, Chart, Limits
-
-Array = NDArray[np.float64]
 
 MOST_DRAWN = 24
 """Figures that are drawn; further ones stand in the table."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy import Connection
 
+from armsight.arrays import Array
 from armsight.columns import POSE6, POSITION
 from armsight.errors import Inconsistent
 from armsight_lab.history import queries
@@ -19,8 +19,6 @@ from armsight_lab.history.entry import InputFile, Quantity, StoredPose
 from armsight_lab.history.figures import UNITS
 from armsight_lab.history.looking import one_of, pose_change, wrapped
 from armsight_lab.history.queries import Run
-
-Array = NDArray[np.float64]
 
 POSES = "".join(rf"|{axis}" for axis in POSE6)[1:]
 GROUPS: Mapping[str, str] = {

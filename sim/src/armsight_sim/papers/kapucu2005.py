@@ -9,13 +9,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.fitting.quantiles import chauvenet
 from armsight.kinematics.lines import Link, link_to_line
 from armsight.optics import Rig
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 WINDOW_PX = 90
 """Side of the window that is searched pixel by pixel (paper, section 2.2)."""

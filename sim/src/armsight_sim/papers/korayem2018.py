@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from armsight.arrays import Array
 from armsight.errors import Degenerate, NotEnoughData
-
-Array = NDArray[np.float64]
 
 HALF_PX = 14
 """Half of the window about the LED."""

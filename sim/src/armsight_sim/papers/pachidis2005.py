@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from armsight.arrays import Array
 from armsight.errors import Degenerate, NotEnoughData
-
-Array = NDArray[np.float64]
 
 CROSS_PX = 5
 """Side of the cross that must fit into an area for a seed. The paper takes 9 or, where areas are small, 5 pixels."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.app.identify.sweep_files import seen_in_frames
 from armsight.app.requests.identify import IdentifyJob
+from armsight.arrays import Array
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.drivers import read_image
 from armsight.errors import Inconsistent
@@ -24,8 +25,6 @@ from armsight_sim.papers import kapucu2005 as paper
 from armsight_sim.papers.kapucu2005 import PathJoint
 from armsight_sim.reproduce.page import ComparedRow, ComparisonTable, Curve, Panel, PaperFigure, Reproduction
 from armsight_sim.reproduce.stage import Stage
-
-Array = NDArray[np.float64]
 
 SCENARIO = "kapucu2005-rrp"
 READINGS = 30

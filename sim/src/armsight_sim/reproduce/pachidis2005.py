@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.app.measure.run import measure
 from armsight.app.requests.measure import MeasureJob
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
@@ -34,8 +34,6 @@ from armsight_sim.reproduce.tracks import (
     statistic_rows,
     time_panel,
 )
-
-Array = NDArray[np.float64]
 
 EXPERIMENTS = ("static", "circle", "trapezium")
 LEAST_FRAMES = 6

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.records.verdict import Verdict
 from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, layout, subplot
 from armsight.report.html import Card, Page, bullets, page_unit, table
 from armsight.units import displayed, figure_of
-
-Array = NDArray[np.float64]
 
 WANTED_SHARE = 1.0 / 3.0
 """armsight's error over the paper's that is wanted in each row where the paper's figure can be believed."""

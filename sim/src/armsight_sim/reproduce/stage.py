@@ -6,15 +6,10 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import VIEWS, load_scenario
 from armsight.errors import Cancelled, UsageError
 from armsight.records import Progress
-
-Array = NDArray[np.float64]
 
 SOURCED = re.compile(r"^\s*(?:- )?(?P<text>[^#]*\S)\s*#\s*(?P<source>(?:paper|derived|chosen)[:;].*)$")
 

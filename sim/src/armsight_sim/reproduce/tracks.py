@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.errors import NotEnoughData
 from armsight.geometry import pose_difference
@@ -18,8 +19,6 @@ from armsight.store import read_poses
 from armsight.store.tables import read_table
 from armsight.store.tracks import SPOT_COLUMNS
 from armsight_sim.reproduce.page import ComparedRow, Curve, Panel
-
-Array = NDArray[np.float64]
 
 SHOWN = ("x", "y", "z", "rx", "ry", "rz")
 LEAST_SEEN = 0.9

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight_sim.rooms import textures as tx
 from armsight_sim.rooms.scene import EXPONENT, Panel, Texture
 from armsight_sim.scene import Light
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 AHEAD, LEFT, RIGHT, DOWN, UP, BACK = (

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array
 from armsight_sim.lens import Lens
@@ -17,8 +18,6 @@ from armsight_sim.rooms import textures as tx
 from armsight_sim.rooms.kernels import meet_scene
 from armsight_sim.rooms.room import eye_of, view_of
 from armsight_sim.rooms.scene import Panel, Scene
-
-Array = NDArray[np.float64]
 
 KINDS = ("hand", "cable", "card")
 

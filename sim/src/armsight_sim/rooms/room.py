@@ -11,9 +11,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight_sim.lens import Lens
 from armsight_sim.render import LightImage
@@ -237,8 +237,6 @@ def _litter(made: Furnisher, layout: Layout, count: int) -> None:
         else:
             made.panel(position, turn, (0.8 * tall, tall), tx.metal(rng, (0.45, 0.46, 0.46)), gloss=1.5, exponent=60.0)
 
-
-Array = NDArray[np.float64]
 
 SEED_ROOM = 30
 """Stream of random numbers of rooms, beside those of sim.cell."""

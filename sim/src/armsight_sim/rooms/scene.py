@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight_sim.lens import Lens
 from armsight_sim.rigs import MirrorLens
 from armsight_sim.rooms.kernels import LEVELS, SQUARE, cast_scene, light_scene
 
-Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight_sim.arms import SimArm, SimJoint, pose_mapping
 from armsight_sim.sets.dataset import Dataset, Table, checked_size
-
-Array = NDArray[np.float64]
 
 USUAL, LEAST, HOLDOUT, OBSERVED = 60, 30, 20, 24
 LENGTH_M, ANGLE_RAD = 0.0006, 0.0006

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight_sim.arms import SimArm, pose_mapping
 from armsight_sim.lens import Lens
 from armsight_sim.sets.arm import NOMINAL
 from armsight_sim.sets.dataset import Dataset, Table, checked_size
-
-Array = NDArray[np.float64]
 
 USUAL, LEAST = 1350, 600
 """Frames of each camera: 45 s at 30 a second; 20 s are the least that is calibrated."""

@@ -7,14 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
 from armsight.geometry import xyz_quat
 from armsight.records import Frame
-
-Array = NDArray[np.float64]
 
 Table = tuple[Sequence[str], Sequence[Sequence[float | str]]]
 """Names of the columns, and the rows."""

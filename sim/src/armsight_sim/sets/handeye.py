@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
@@ -17,8 +16,6 @@ from armsight_sim.pipeline import IDEAL
 from armsight_sim.rigs import converging_webcams
 from armsight_sim.sensor import Sensor, ambient
 from armsight_sim.sets.dataset import QUATERNION, Dataset, Table, checked_size, row_of, with_noise
-
-Array = NDArray[np.float64]
 
 USUAL, LEAST = 20, 6
 BOARD = Board(columns=9, rows=6, square_m=0.02)

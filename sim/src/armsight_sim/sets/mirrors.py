@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.records import Frame
 from armsight_sim.boards import Board, board_light_at
@@ -20,8 +20,6 @@ from armsight_sim.rigs import MirrorLens, Mirrors, mirror_rig, mirror_views
 from armsight_sim.scene import Light
 from armsight_sim.sensor import Sensor, ambient
 from armsight_sim.sets.dataset import Dataset, checked_size
-
-Array = NDArray[np.float64]
 
 USUAL, LEAST, LIT, COVERED = 20, 8, 12, 8
 """Images of the board, the least of them, images of the lit target, and places seen with one path covered."""

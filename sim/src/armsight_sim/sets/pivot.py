@@ -6,15 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.records import Frame
 from armsight_sim.cells import hand_cell
 from armsight_sim.rigs import SIDES
 from armsight_sim.sets.dataset import QUATERNION, Dataset, checked_size, row_of, with_noise
-
-Array = NDArray[np.float64]
 
 USUAL, LEAST = 60, 12
 TIP_M = np.array([0.004, 0.118, 0.021])

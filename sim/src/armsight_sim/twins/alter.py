@@ -17,15 +17,14 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight_sim.arms import Drive, Servo, SimArm
 from armsight_sim.twins.base import RIGHT, Wrong, note_silence, twin_arm, twin_drive, twin_home
-
-Array = NDArray[np.float64]
 
 CYCLE_S = 0.028
 BYTE_S = 10 / 38400

@@ -9,13 +9,11 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight_sim.arms import Drive, SimArm, SimJoint
-
-Array = NDArray[np.float64]
 
 BEHIND_S = 0.1
 """A twin that wakes so late has been silent for longer than its driver may wait (rtde: 0.1 s): it says so."""

@@ -16,16 +16,15 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight_sim.arms import Drive, Servo, SimArm
 from armsight_sim.twins.base import RIGHT, Wrong, host_port, note_silence, twin_arm, twin_drive, twin_home
 from armsight_sim.twins.protobuf_wire import BadWire, doubles, fields, message, real, whole
-
-Array = NDArray[np.float64]
 
 COMM_TIMEOUT_S = 1.0
 """Silence of the sensor after which guidance ends: CommTimeout of EGMSetupUC."""

@@ -18,14 +18,13 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.errors import Inconsistent, UsageError
 from armsight_sim.arms import Drive, Servo, SimArm
 from armsight_sim.twins.base import RIGHT, Wrong, clipped, host_port, note_silence, twin_arm, twin_drive, twin_home
-
-Array = NDArray[np.float64]
 
 LATE_LIMIT = 100
 """Late answers in a row after which RSI ends: the ETHERNET object's Timeout."""

@@ -7,14 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight_sim.arms import Drive, Servo, SimArm
 from armsight_sim.twins.base import RIGHT, Wrong
 from armsight_sim.twins.rtde_wire import INPUTS, OUTPUTS, REGISTERS
 from armsight_sim.twins.urscript import Program, Routine, ScriptError
-
-Array = NDArray[np.float64]
 
 STOPPED, PLAYING = 1, 2
 """runtime_state."""

@@ -14,6 +14,7 @@ from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.requests.calibrate_robot import ArmJob
+from armsight.arrays import Array
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
@@ -40,8 +41,6 @@ from armsight.store.tables import cells
 from armsight.store.urdf_writer import delete_urdf, urdf_text
 from armsight.store.worlds import write_world
 from armsight.units import displayed
-
-Array = NDArray[np.float64]
 
 BESIDE = (".corrections.csv", ".urdf", ".proposed.csv", ".report.html")
 """Endings of what is written beside arm.yaml."""

@@ -7,17 +7,15 @@ from pathlib import PurePath
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.handeye import HandEye
 from armsight.optics import SIDES, Camera
 from armsight.records import BoardView, Frame, Target
 from armsight.report.run import BoardPicture, BoardViews
-
-Array = NDArray[np.float64]
 
 WIDTH_PX = 360
 """Width of a kept picture: the report shows them 340 px wide."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight._files import real_path
 from armsight.app.arm_files import arm_file, load_arm
@@ -15,6 +14,7 @@ from armsight.app.calibrate.spots_of_frames import SpotSearch, spots_of_frames
 from armsight.app.requests.calibrate_cell import CellJob
 from armsight.app.requests.shared import point_of
 from armsight.app.sources.frames import is_recording, recording_path
+from armsight.arrays import Array
 from armsight.calibrate.cell import ArmTolerance, CellCalibration, CellOptions, calibrate_cell
 from armsight.drivers import is_live
 from armsight.errors import Inconsistent, UsageError
@@ -30,7 +30,6 @@ from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints
 from armsight.store.worlds import write_world
 
-Array = NDArray[np.float64]
 Size = tuple[int, int]
 
 OFF_CENTRE = 0.1

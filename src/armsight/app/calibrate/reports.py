@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.records import NamedCovariance
@@ -16,8 +16,6 @@ from armsight.report import CalibrationRun, CameraFit, Parameter, calibration_re
 from armsight.report.run import BoardViews
 from armsight.store import write_text
 from armsight.units import with_deviation
-
-Array = NDArray[np.float64]
 
 
 def camera_run(done: CameraCalibration, board: str, boards: BoardViews | None = None) -> CalibrationRun:

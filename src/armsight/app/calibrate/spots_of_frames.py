@@ -6,17 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.sources.frames import camera_source
+from armsight.arrays import Array
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.errors import Cancelled
 from armsight.measure.poses.beacon import without_standing
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.records import Frame, Progress, Spots, SpotTrack
-
-Array = NDArray[np.float64]
 
 LIVE_S = 20.0
 """For how long live cameras are watched where --frames says nothing."""

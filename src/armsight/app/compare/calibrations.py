@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.compare.parameters import Value, differences
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
@@ -23,8 +23,6 @@ from armsight.records.result_parts import Difference
 from armsight.store.arm_file import read_arm
 from armsight.store.handeye_file import read_handeye
 from armsight.store.rigs import read_camera_file, read_rig
-
-Array = NDArray[np.float64]
 
 GRID = 9
 """Points along each side of the image at which cameras are compared, its corners among them."""

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtr
 
+from armsight.arrays import Array
 from armsight.records import NamedCovariance
 from armsight.records.result_parts import Difference
-
-Array = NDArray[np.float64]
 
 BY_CHANCE = 0.01
 """Two results disagree where chance alone would part them so far less often than this."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import bdtr
 
 from armsight.app.compare.calibrations import Compared, Effect
 from armsight.app.verify.run import MAX_SUMMARY_BYTES, read_run
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.errors import BadFile, NotEnoughData
 from armsight.file_names import MEASURE
@@ -86,8 +86,6 @@ def _made_with(path: Path) -> MadeWith | None:
             cure="Give the folder that `armsight measure -o` wrote, or poses.csv copied out of it",
         ) from error
 
-
-Array = NDArray[np.float64]
 
 TOO_FEW_INSIDE = 0.005
 """Two measurements disagree where chance leaves so few differences inside their ellipsoid less often than this."""

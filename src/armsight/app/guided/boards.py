@@ -25,8 +25,6 @@ from armsight.optics import SIDES
 from armsight.records import BoardView, Frame, NotSeen, Progress, Target
 from armsight.store import parse_board
 
-Array = NDArray[np.float64]
-
 CELLS = 3
 """A picture is parted into so many columns and rows."""
 ENOUGH = 15

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
@@ -32,8 +31,6 @@ from armsight.optics import SIDES
 from armsight.records import Progress
 from armsight.store.handeye_file import write_handeye_poses
 from armsight.units import DEG, MM, displayed
-
-Array = NDArray[np.float64]
 
 PREFIX = "cell-"
 """Of the folder of a recording and its result, before the time of its beginning."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.live.station import Shown, Station
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.defaults import LOOK_S, LOST_LOOKS
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
@@ -19,7 +20,6 @@ from armsight.optics import SIDES
 from armsight.records import JointReading, Motion
 from armsight.store.tracks import write_joints
 
-Array = NDArray[np.float64]
 ReadJoints = Callable[[], JointReading]
 """Returns the robot's newest joints in rad or m. Raises DeviceFailed."""
 

@@ -32,8 +32,6 @@ from armsight.records import BoardView, Frame, NotSeen, Progress, TargetPose
 from armsight.store import parse_board, read_target
 from armsight.store.cell_file import CellMirrors
 
-Array = NDArray[np.float64]
-
 ENOUGH_LIT = 15
 IMAGES = "image"
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.arm_files import load_arm
@@ -18,6 +17,7 @@ from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import Station
 from armsight.app.operator.cell_poses import flange_pose
 from armsight.app.requests.calibrate_robot import ArmJob, HandEyeJob
+from armsight.arrays import Array
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.calibrate.tooltip_result import TURNED_RAD
 from armsight.clock import Clock, SystemClock
@@ -33,7 +33,6 @@ from armsight.store.handeye_file import write_pairs
 from armsight.store.tables import cells
 from armsight.units import DEG
 
-Array = NDArray[np.float64]
 ReadJoints = Callable[[], JointReading]
 """Returns the robot's newest joints in rad or m, their time on the machine's clock. Raises DeviceFailed."""
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.drivers import read_image
@@ -16,8 +16,6 @@ from armsight.errors import DeviceLost, NotEnoughData
 from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.records import Frame, PoseStatus, Target
-
-Array = NDArray[np.float64]
 
 LOST_FRAMES = 3
 """Frames in a row without the beacon that mean it is lost: single ones are lost to flicker."""

@@ -8,16 +8,14 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.sweeps import HELD
 from armsight.drivers import Robot, RobotState, Sent
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.kinematics import Arm, Convention, in_convention, link_frames
 from armsight.records import JointReading
-
-Array = NDArray[np.float64]
 
 
 def swept_joints(n: int, left_out: Sequence[int]) -> int:

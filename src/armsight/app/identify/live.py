@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
 from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_note, beacon_settings
@@ -21,6 +20,7 @@ from armsight.app.requests.identify import IdentifyJob, LiveJob
 from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
+from armsight.arrays import Array
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
@@ -37,8 +37,6 @@ from armsight.store.interpret import largest, looks_like_degrees
 from armsight.store.sweeps import write_sweeps
 from armsight.store.yamls import read_yaml
 from armsight.units import DEG, MM, displayed, read_value
-
-Array = NDArray[np.float64]
 
 SIM = "sim:"
 LARGEST_SHARE = 0.4

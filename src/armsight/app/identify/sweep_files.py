@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
 from armsight.app.calibrate.cameras import report_path
@@ -33,8 +32,6 @@ from armsight.report.identify_report import identify_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
-
-Array = NDArray[np.float64]
 
 
 def run_identify(job: IdentifyJob, progress: Progress | None = None) -> IdentifyOutput:

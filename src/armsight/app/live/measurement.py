@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.live.followed import FollowedCell, FollowedPairs
 from armsight.app.live.pace import live_pace
@@ -19,6 +18,7 @@ from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_v
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import target_of
 from armsight.app.sources.frames import open_pairs, open_source
+from armsight.arrays import Mask
 from armsight.clock import Clock
 from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, by_side, is_live
 from armsight.errors import Inconsistent, UsageError
@@ -31,7 +31,6 @@ from armsight.records import Frame, PoseStatus, Spots, TargetPose
 from armsight.store import World, read_rig, read_world
 
 Pair = tuple[Frame, Frame]
-Mask = NDArray[np.bool_]
 Rectangle = tuple[float, float, float, float]
 
 NOT_CALIBRATED = "the cameras are not calibrated yet, or no target is chosen: lights are found, not measured"

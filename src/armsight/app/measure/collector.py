@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import MeasureOutput
 from armsight.optics import SIDES
@@ -20,8 +20,6 @@ from armsight.report import (
     measure_report,
 )
 from armsight.store import write_text
-
-Array = NDArray[np.float64]
 
 MAX_RESIDUALS = 20_000
 """Residual vectors kept per camera: a cloud of more is no clearer; beyond it every second one goes."""

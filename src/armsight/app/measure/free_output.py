@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.measure.free_running import KINDS, FreeRun, MovingPose, measure_free_running
 from armsight.app.measure.outputs import consistency_output, made_with, moved_pose
@@ -35,8 +34,6 @@ from armsight.units import MM, MS
 
 if TYPE_CHECKING:
     from armsight.app.requests.measure import MeasureJob
-
-Array = NDArray[np.float64]
 
 
 def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: Progress) -> MeasureOutput:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.measure.streams import Stream, timing_of
+from armsight.arrays import Array
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
@@ -27,8 +28,6 @@ from armsight.records import CameraTiming, PoseStatus, Progress, TargetPose
 from armsight.records.result_parts import BothCounts, BothSeconds
 from armsight.records.timing import PPM
 from armsight.units import MS
-
-Array = NDArray[np.float64]
 
 FOLLOWING = "measuring"
 MAX_POSITION_STD_M, MAX_ROTATION_STD_RAD = 0.05, 0.3

@@ -13,9 +13,10 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.errors import Unseen
 from armsight.file_names import POINTS, POSES, SPOTS, TUM
@@ -39,8 +40,6 @@ from armsight.records import PoseStatus, Target, TargetPose
 from armsight.records.result_parts import PoseStd, Skew
 from armsight.store import PointsWriter, PosesWriter, SpotsWriter, restate_points, write_poses, write_tum
 from armsight.store.atomic import RowFile
-
-Array = NDArray[np.float64]
 
 REASONS_KEPT = 20
 """Different reasons for lost frames that are counted apart; the rest is summed."""

@@ -8,9 +8,9 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.sources.frames import camera_source, is_recording
+from armsight.arrays import Array
 from armsight.calibrate.timing.stamps import FEWEST_FRAMES, camera_clock
 from armsight.drivers import is_live
 from armsight.errors import Inconsistent, UsageError
@@ -18,8 +18,6 @@ from armsight.measure.begin import AnyFrame, SpotFrame
 from armsight.optics import SIDES, Camera, Rig
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
 from armsight.store import read_spot_track
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

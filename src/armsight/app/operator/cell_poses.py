@@ -7,17 +7,15 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye import Setup
 from armsight.errors import NotEnoughData
 from armsight.kinematics import Arm, link_frames
 from armsight.store import World, read_world
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import HandEyeFile, read_handeye
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

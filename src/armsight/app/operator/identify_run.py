@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.identify.left_out import consequence
@@ -21,6 +20,7 @@ from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.operator.station_observer import StationObserver, around_px
 from armsight.app.requests.identify import LiveJob
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.columns import DH_ROW
 from armsight.control.joint_sweep import Pace
@@ -32,8 +32,6 @@ from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.sweeps import read_sweeps
 from armsight.units import DEG, MM, displayed_name
-
-Array = NDArray[np.float64]
 
 JOB_NAME = "identify"
 FOLDER = "identify"

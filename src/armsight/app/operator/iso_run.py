@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
@@ -21,6 +20,7 @@ from armsight.app.operator.session_robot import SessionRobot
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.mastering import seen_whole
 from armsight.app.verify.run import run_verify
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.control.visits import Leg, PoseObserver, Visit, Visitor
 from armsight.defaults import LOOK_S, TOOL_SPEED_M_S
@@ -38,8 +38,6 @@ from armsight.units import MM
 from armsight.verify.iso9283 import PlannedMotion, TestPlan
 from armsight.verify.iso9283.motions import PLANES, POSE_ORDER, SIDES_M, TestCube
 from armsight.verify.results import VerifyOutput
-
-Array = NDArray[np.float64]
 
 JOB_NAME = "iso"
 SMALL_SIDES_M = (0.16, 0.1, 0.063)

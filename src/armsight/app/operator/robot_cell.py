@@ -7,9 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armsight.app.live.followed import FollowedCell
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.requests.motion import RobotJob
@@ -19,6 +16,7 @@ from armsight.app.robot.opening import SIM, open_to_all
 from armsight.app.robot.recorder import RecordingLog, default_log, require_recorded
 from armsight.app.simulate.run import write_set_up
 from armsight.app.simulate.scenarios import build_world, load_scenario
+from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.control.session.channels import JointTrack
 from armsight.control.session.operator_session import OperatorSession
@@ -29,8 +27,6 @@ from armsight.records import JointReading
 from armsight.store.atomic import disk_errors
 from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
 from armsight.store.limits_file import read_limits
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

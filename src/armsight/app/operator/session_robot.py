@@ -7,9 +7,9 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.control.session.authority import EnableLost
 from armsight.control.session.operator_session import OperatorSession
@@ -18,8 +18,6 @@ from armsight.drivers import RobotState, Sent
 from armsight.errors import ArmsightError, DeviceFailed, StaleData, UsageError
 from armsight.records import JointReading
 from armsight.store.arm_file import arm_mapping
-
-Array = NDArray[np.float64]
 
 STALE_S = 0.1
 

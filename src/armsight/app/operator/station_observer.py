@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.live.station import Shown, Station
 from armsight.app.live.views import SideView
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.defaults import LOOK_S, LOST_LOOKS
 from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.optics import Rig, triangulate
-
-Array = NDArray[np.float64]
 
 WAIT_S = 10.0
 """A station that shows nothing new for so long is taken for lost."""

@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armsight.app.arm_files import load_arm
 from armsight.app.kinematics import reading_values
 from armsight.app.play.play_job import tipped
+from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.control.paths import PathIssue, check_path
 from armsight.control.paths.check import SLOWED
@@ -26,8 +24,6 @@ from armsight.report.path_report import path_report
 from armsight.store.atomic import write_text
 from armsight.store.limits_file import read_limits
 from armsight.store.path_file import read_path
-
-Array = NDArray[np.float64]
 
 
 @output

@@ -6,10 +6,10 @@ import math
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.requests.files import PicksJob
+from armsight.arrays import Array
 from armsight.control.paths.along import along_edges, path_through_points
 from armsight.drivers.images import read_image
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
@@ -22,8 +22,6 @@ from armsight.store.path_file import write_path
 from armsight.store.picks_file import read_picks
 from armsight.store.rigs import read_rig
 from armsight.store.worlds import read_world
-
-Array = NDArray[np.float64]
 
 TOLD = 3
 """Picks that a refusal tells."""

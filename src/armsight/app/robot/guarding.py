@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.arm_files import load_arm
 from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.opening import open_robot, open_to_all
+from armsight.arrays import Array
 from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.guard.limits import JOINT_SPEED, SLIDE_SPEED_M_S, check_fit
@@ -23,8 +23,6 @@ from armsight.kinematics import Arm, Joint
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.limits_file import read_limits
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 BLIND_TURN_RAD_S = 0.1
 """Where the arm's lengths are not known, all joints together turn no faster: 0.1 m/s at one metre."""

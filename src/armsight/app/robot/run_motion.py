@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.app.arm_files import given_arm
 from armsight.app.record.free_cameras import CameraRecorded, FreeCameras, FreeJob
@@ -16,6 +15,7 @@ from armsight.app.robot.guarding import standing
 from armsight.app.robot.opening import robot_of
 from armsight.app.robot.recorder import require_new
 from armsight.app.robot.robot_run import Confirm, CycleTally, RobotRun, RunOutput, run_output
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
@@ -30,8 +30,6 @@ from armsight.store.atomic import write_json
 from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints, write_joints
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 RECORDING, READINGS, SUMMARY, FRAMES = "motion.mcap", "joints.csv", "motion.json", "frames.mcap"
 CHECKED_S = 0.02

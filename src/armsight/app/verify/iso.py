@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.store.verify_files import CommandedFile, MeasuredFile
 from armsight.verify import Align, Measured, Reported, Verification
@@ -12,8 +13,6 @@ from armsight.verify.iso9283 import CommandedPath, evaluate
 from armsight.verify.iso9283.drift import trend
 from armsight.verify.repeats import PATH, Command, iso9283_test, polyline
 from armsight.verify.results import IsoFigure
-
-Array = NDArray[np.float64]
 
 SAME_GOAL_M = 1e-6
 """Rows of one commanded pose's name that differ by more (m) contradict each other."""

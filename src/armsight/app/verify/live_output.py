@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.records import PoseStatus, TargetPose
 from armsight.report.live_report import LiveSeries
@@ -15,8 +16,6 @@ from armsight.store.tables import cells, number, word
 from armsight.units import DEG, MM, figure_of
 from armsight.verify.results import DecisionTime, LiveAlarm, LiveErrors, VerifyLiveOutput
 from armsight.verify.supervision import Alarm, Compared, Level, Limits
-
-Array = NDArray[np.float64]
 
 ERROR_COLUMNS = (*POSE6, "error_m", "error_rad", "std_m", "std_rad")
 HEADER = ("t_s", "level", *ERROR_COLUMNS, "decision_ms", "lost")

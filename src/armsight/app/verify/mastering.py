@@ -13,6 +13,7 @@ from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.requests.verify import MasteringJob
 from armsight.app.verify.run import in_world
+from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.file_names import MASTERING, REPORT, VERIFY
 from armsight.kinematics import Arm, JointType, fk
@@ -30,9 +31,6 @@ from armsight.verify.mastering import CANDIDATES, SPAN_M, Mastering, Proposal, c
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import Reported, pair
 from armsight.verify.results import MasteringJoint, MasteringOutput, MasteringPlanOutput, MasteringPose
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 DRAWN, SEED = 40_000, 7
 """Joint positions drawn about the middle one, candidates are those in view; the same call proposes the same."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.kinematics import Arm
 from armsight.records.result_parts import RejectedRow
@@ -23,8 +23,6 @@ from armsight.verify.results import (
     VerifyOutput,
     VerifyTime,
 )
-
-Array = NDArray[np.float64]
 
 
 def verify_output(

@@ -14,6 +14,7 @@ from armsight.app.arm_files import load_arm
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
+from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.file_names import ERRORS, REPORT, VERIFY
 from armsight.kinematics import Arm
@@ -28,7 +29,6 @@ from armsight.verify import Align, Measured, Repeats, Reported, verify
 from armsight.verify.repeats import Command
 from armsight.verify.results import ComparedRun, VerifyOutput
 
-Array = NDArray[np.float64]
 Other = VerifyOutput | None
 
 MAX_SUMMARY_BYTES = 100_000_000

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, with_held_geometry
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm, limits_reached, tool_points
 from armsight.calibrate.arm.initial_guess import start
@@ -42,8 +43,6 @@ from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import Arm
 from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
-
-Array = NDArray[np.float64]
 
 GROSS = float(np.sqrt(chi2_ppf(0.99999, 3)))
 """Errors of position beyond so many standard deviations are gross."""

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ArmFit, Tolerance
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.parameter_selection import orthonormal_basis
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.correlation import Averaged, Correlation, fit_averaged, score_covariance
 from armsight.records import NamedCovariance
-
-Array = NDArray[np.float64]
 
 ALIKE = 0.1
 """Rows whose errors are alike by more than this from one moment to the next are samples of a stream."""

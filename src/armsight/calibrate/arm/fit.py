@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.columns import POSITION, ROTATION_VECTOR
@@ -19,8 +19,6 @@ from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solv
 from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
 from armsight.kinematics import ToolPoint
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 """Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
 FIT_ROUNDS = 4

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate
 from armsight.geometry import align_points
 from armsight.kinematics import fk
-
-Array = NDArray[np.float64]
 
 TURNS = 60
 """Turns of placing the base with the tools held, then the tools with the base held."""

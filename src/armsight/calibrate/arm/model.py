@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.columns import DH_ROW, POSE6
 from armsight.fitting import Evaluation
 from armsight.kinematics import Arm, Convention, Coupling, fk, parameter_jacobian, parameter_names
-
-Array = NDArray[np.float64]
 
 THETA, D = DH_ROW.index("theta_rad"), DH_ROW.index("d_m")
 PARALLEL_RAD = 0.1

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, estimate_noise, fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
@@ -18,8 +19,6 @@ from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate, NotConverged, NotEnoughData
 from armsight.fields import Doc
 from armsight.fitting.quantiles import t_ppf
-
-Array = NDArray[np.float64]
 
 
 class CoupledReading(NamedTuple):

@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
@@ -25,8 +25,6 @@ from armsight.fields import Doc
 from armsight.kinematics import PRESETS, Arm, in_convention, preset
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 OPEN = Tolerance(length_m=0.03, angle_rad=0.05, scale=0.01)
 """Belief in the nominal arm here: 20 rows overrule it by 190 mm; with none at all directions would be left open."""

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import Tolerance
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
-
-Array = NDArray[np.float64]
 
 WORTH = 2.0
 """A parameter is freed where the measurements alone would know it to a half of its tolerance."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.initial_guess import mounts_by_turns, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.other_arm import explained
@@ -18,8 +19,6 @@ from armsight.calibrate.arm.senses import other_senses
 from armsight.errors import Degenerate, Inconsistent
 from armsight.kinematics import Arm, fk
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 MOST_SHARE = 0.1
 """Errors of a larger share of how far the tool moved are not of this arm: 2 degrees of all zeros give 0.02 to 0.04."""

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.geometry.lengths import check_spread
 from armsight.kinematics import Arm, fk
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 MOST_TURNS_RAD = 40.0
 """A turning joint's reading beyond six turns is in degrees or counts."""

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, is_tool_turn
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.parameter_selection import choose
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import NotEnoughData
-
-Array = NDArray[np.float64]
 
 CANDIDATES = 1500
 """Joint positions looked at, drawn evenly within the limits."""

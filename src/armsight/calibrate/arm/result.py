@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ArmFit, LimitReached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import Couplings
@@ -17,8 +17,6 @@ from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
 from armsight.records.verdict import MEANING, Verdict
-
-Array = NDArray[np.float64]
 
 
 @output

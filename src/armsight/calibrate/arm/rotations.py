@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.fit import LEAST_TURN_RAD, ArmFit
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
@@ -26,8 +26,6 @@ from armsight.errors import Degenerate, Inconsistent
 from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
 from armsight.kinematics import fk
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 ENOUGH_ROWS = 400
 """Rows that the question is asked with."""

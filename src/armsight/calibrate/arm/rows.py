@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.fitting.groups import means, repeats
-
-Array = NDArray[np.float64]
 
 SAME_PLACE = 1e-3
 """Readings of one place differ by no more (rad, m): what a controller holds a joint to is a tenth of it."""

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import ArmsightError, Inconsistent
 from armsight.kinematics import Arm, fk
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 ROWS = 60
 """Rows that senses are looked for with; fewer than FEWEST fit one of so many choices by chance."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import stdtr
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import ALIKE, FEWEST_TIMED
 from armsight.calibrate.arm.fit import added_noise
 from armsight.calibrate.arm.initial_guess import placed
@@ -32,7 +33,6 @@ from armsight.records.result_parts import PoseStd, RejectedRow
 from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
 from armsight.units import MM
 
-Array = NDArray[np.float64]
 _Refined = tuple[RigidTransform, NamedCovariance, tuple[str, ...]]
 
 GROSS = float(np.sqrt(chi2_ppf(1.0 - 1e-7, 3)))

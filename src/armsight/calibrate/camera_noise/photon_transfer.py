@@ -16,14 +16,14 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image
 from armsight.calibrate.camera_noise.stationary import Survey, survey
-from armsight.calibrate.camera_noise.stills import BLOCK_PX, Image, Stills, block_sums, require_change, to_pixels
+from armsight.calibrate.camera_noise.stills import BLOCK_PX, Stills, block_sums, require_change, to_pixels
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.fields import Doc
 from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.output import extended, output
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 KNOTS = 9

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.camera_noise.stills import BLOCK_PX, Stills, block_sums
 from armsight.errors import Degenerate
 from armsight.records.noise import LEVELS
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 MOVES_ONCE = 2.0

@@ -17,12 +17,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image
 from armsight.errors import BadImage, Degenerate, Inconsistent, NotEnoughData
 from armsight.records.noise import LEVELS
 
-Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Number = TypeVar("Number", np.float32, np.float64, np.int64)
 

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import BoardEquations, bundle_of, problem_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import Fit
 from armsight.records import NamedCovariance
-
-Array = NDArray[np.float64]
 
 LENGTHS = (0.0, 0.15, 1.0)
 """Shares of the board's diagonal over which its errors go together: a printer's jitter, waves of paper, a bend."""

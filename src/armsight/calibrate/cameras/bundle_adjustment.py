@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.kernels import move_poses, view_normal_equations
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
@@ -16,8 +17,6 @@ from armsight.optics import INTRINSICS, SIDES, LensKind
 from armsight.optics.camera import INTRINSICS_OF
 from armsight.optics.kernels.camera import FISHEYE
 from armsight.records import Progress
-
-Array = NDArray[np.float64]
 
 EMPTY = np.empty((0, 0, 0))
 EMPTY.setflags(write=False)

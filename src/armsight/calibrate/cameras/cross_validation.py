@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, names_of, residuals_px, start_at
 from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import LAST_TERMS, RobustFit, fit_without_outliers
@@ -20,7 +21,6 @@ from armsight.optics import Rig
 from armsight.optics.camera import INTRINSICS_OF
 from armsight.optics.triangulate import epipolar_distance, triangulate
 
-Array = NDArray[np.float64]
 MetricKey = Literal["expected_m", "mean_m", "rms_m", "board_rms_m"]
 
 NEIGHBOUR = 1.01

@@ -6,15 +6,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import Bundle
 from armsight.calibrate.cameras.kernels import matrices_of, poses_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Degenerate
 from armsight.optics import Camera, LensKind
-
-Array = NDArray[np.float64]
 
 GUESS_OVER_WIDTH = 1.0
 """Focal length over image width (53 degrees of view) where the views do not tell it."""

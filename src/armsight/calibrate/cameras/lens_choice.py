@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
@@ -22,8 +21,6 @@ from armsight.calibrate.cameras.pairing import camera_of
 from armsight.calibrate.cameras.preconditions import DOUBTFUL_TILT_DEG
 from armsight.errors import DataRefused, Inconsistent
 from armsight.optics import LensKind
-
-Array = NDArray[np.float64]
 
 OTHER = {LensKind.PINHOLE: LensKind.FISHEYE, LensKind.FISHEYE: LensKind.PINHOLE}
 MUCH_BETTER, BETTER = 0.7, 0.9

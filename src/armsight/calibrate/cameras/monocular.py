@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
@@ -21,8 +22,6 @@ from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughDat
 from armsight.optics import LensKind
 from armsight.records import BoardView, NamedCovariance, Progress, Target, TargetKind
 from armsight.records.result_parts import RejectedFile
-
-Array = NDArray[np.float64]
 
 NOT_SQUARE = 0.015
 """Share by which fx and fy of cameras do not differ, beyond SURE deviations of theirs."""

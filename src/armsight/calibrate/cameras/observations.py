@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.defaults import FOLDS
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import LensKind
 from armsight.optics.camera import INTRINSICS_OF
 from armsight.records import BoardView, Target, require_count
-
-Array = NDArray[np.float64]
 
 SIGMA_FLOOR_PX = 0.02
 """No view is believed to be better than this: print, paper and JPEG leave more, whatever the detector's fit says."""

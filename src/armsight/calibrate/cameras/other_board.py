@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.lens_choice import KEPT, lens_alone
 from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import RobustFit
@@ -19,8 +19,6 @@ from armsight.errors import Inconsistent
 from armsight.optics import LensKind
 from armsight.records import Target, TargetKind
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 ASKED = 8.0
 """Median miss over the corners' noise from which it is asked: of printed boards on real cameras it is 2 to 6."""

@@ -24,8 +24,6 @@ from armsight.fitting import Fit
 from armsight.optics import SIDES, WIDEST_RAD, LensKind
 from armsight.records import Progress
 
-Array = NDArray[np.float64]
-
 POINT_LIMIT = 6.0
 """A point further off than this many robust standard deviations is wrong: 1.5e-8 by chance, and real lenses and boards
 scatter less."""

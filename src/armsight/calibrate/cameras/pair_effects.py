@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import BoardEquations, bundle_of, problem_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import Fit
 from armsight.records import NamedCovariance
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 EFFECTS = {"shift": ("right.cx", "right.cy"), "turn": ("right.rx", "right.ry", "right.rz")}
 """What may differ from pair to pair, as a step of parameters of the right camera: its image, or how it stands."""

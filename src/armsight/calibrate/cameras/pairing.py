@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array, Index
 from armsight.calibrate.cameras.bundle_adjustment import Bundle
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.kernels import matrices_of
@@ -20,9 +21,6 @@ from armsight.geometry.kernels import rotvec
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.records import NamedCovariance, Target
 from armsight.records.board import symmetries
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 SAME_ANGLE_RAD = 0.12
 """Relative orientations closer than this agree: starting poses without distortion are off by up to 0.05 rad."""

@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Degenerate, NotEnoughData
-
-Array = NDArray[np.float64]
 
 LEAST_VIEWS = 3
 """Two views fix the intrinsics without redundancy only; the third is what can contradict."""

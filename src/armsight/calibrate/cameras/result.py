@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from armsight.arrays import Array
 from armsight.calibrate.cameras.cross_validation import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.cameras.verdict import images_doubted, images_verdict
@@ -19,8 +17,6 @@ from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import RejectedFile
 from armsight.records.verdict import MEANING, Verdict
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 UNITS = {
     **dict.fromkeys(("fx", "fy", "cx", "cy", "skew"), "px"),

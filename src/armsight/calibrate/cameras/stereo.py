@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out, metric_of
@@ -33,9 +33,6 @@ from armsight.fitting import Fit
 from armsight.optics import SIDES, LensKind
 from armsight.records import BoardView, NamedCovariance, Progress, Target
 from armsight.records.result_parts import RejectedFile
-
-Array = NDArray[np.float64]
-
 
 NO_PAIR = "the two images do not show the board at one moment: they are no pair, or it moved"
 

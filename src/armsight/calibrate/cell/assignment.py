@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.observations import Spots
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry import align_points
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 NEAR = 0.35
 """Of the smallest distance between a target's lights: pieces nearer to each other are of one light."""

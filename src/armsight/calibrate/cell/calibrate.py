@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.checks import Cause, alarming, refusal
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.knowledge import ArmTolerance, CellPriors, shape_terms
@@ -31,8 +31,6 @@ from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.records import Motion, Progress, Silent, SpotTrack, Target
 from armsight.records.result_parts import BothPixels, BothSeconds
-
-Array = NDArray[np.float64]
 
 SAMPLES = 60
 """Joint positions of the recording at which the tip's deviation is told."""

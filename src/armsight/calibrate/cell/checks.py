@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT, BlockNormals, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S
@@ -22,8 +23,6 @@ from armsight.errors import Inconsistent
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.poses import skew
 from armsight.optics import SIDES
-
-Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-7
 """Chance by which pure noise raises one of the alarms of a recording, over all moments tried."""

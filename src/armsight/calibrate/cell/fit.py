@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, shape_information, shape_terms
 from armsight.calibrate.cell.model import BlockNormals, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S, Spots
 from armsight.calibrate.cell.wander import Wander, learned_wander
 from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.normal import NormalEquations
-
-Array = NDArray[np.float64]
 
 APART = 1e-4
 """Share of an arm's parameter's effect that must be its own; of one that base, target and others take up wholly,

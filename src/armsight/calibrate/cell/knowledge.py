@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.model import PER_CAMERA, POSE_AT, CellModel
 from armsight.defaults import ANGLE_RAD, CELL_LENGTH_M, SAG
 from armsight.geometry import align_points
 from armsight.geometry.poses import skew
 from armsight.optics import RIGHT_POSE, Camera
 from armsight.records import NamedCovariance, Target
-
-Array = NDArray[np.float64]
 
 CENTRE = 0.05
 """Of the image's width: the principal point is about so far from the middle, where nothing else is known."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.arm.model import THETA, ArmModel, D
 from armsight.calibrate.cell.kernels import see_points
 from armsight.calibrate.cell.observations import CellRecording, Spots, robot_time
@@ -17,8 +18,6 @@ from armsight.geometry.poses import skew
 from armsight.kinematics import parameter_jacobian
 from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.records.timing import PPM
-
-Array = NDArray[np.float64]
 
 CAMERA_POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 """T_base_camera: its position in m and its rotation vector, moved as t + dt, Exp(dw) R in base axes."""

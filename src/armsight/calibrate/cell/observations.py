@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array, Index
 from armsight.calibrate.timing.stamps import SteadyStamps, camera_clock
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.records import Motion, SpotTrack
 from armsight.records.timing import PPM
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 LOG_GAP_S = 0.2
 """Readings further apart than this leave open where the arm was between them."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.knowledge import pair_slopes
 from armsight.calibrate.cell.model import CLOCK_AT, POSE_AT, CellModel
@@ -18,8 +18,6 @@ from armsight.kinematics import Arm, ToolPoint
 from armsight.optics import Rig, RigKind
 from armsight.records import CameraTiming, NamedCovariance, Target
 from armsight.records.timing import PPM
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

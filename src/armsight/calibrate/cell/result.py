@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.pairing import baseline_std
 from armsight.calibrate.cell.checks import Suspicion
 from armsight.calibrate.cell.parts import CellParts
@@ -19,8 +18,6 @@ from armsight.records import Target
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
 from armsight.records.verdict import MEANING, Verdict
-
-Array = NDArray[np.float64]
 
 UNLEARNED_BITS = 0.2
 """Of a parameter that the recording says so little about, only what was known before is known."""

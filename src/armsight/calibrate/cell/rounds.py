@@ -6,9 +6,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array, Index
 from armsight.calibrate.cell.assignment import NEAR, NamedLights, assign, name_lights, places_on_flange
 from armsight.calibrate.cell.checks import CURES, Cause, Suspicion, gives_way, refusal, suspicions
 from armsight.calibrate.cell.fit import (
@@ -37,9 +37,6 @@ from armsight.calibrate.cell.wander import Wander
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import SIDES
 from armsight.records import Progress, Target
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 FIRST_GATE_PX, FIRST_GATE = 3.0, 12.0
 """Of the first assignment: px, and times what the start leaves in the median; a straightened lens and a nominal arm

@@ -13,16 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array, Index
 from armsight.calibrate.cell.observations import JointLog, Spots
 from armsight.calibrate.cell.tracklets import extent_px
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, fk
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 GRID_S = 0.02
 LEVER_M = 0.15

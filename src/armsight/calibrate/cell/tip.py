@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.model import CellModel
 from armsight.geometry.poses import skew
-
-Array = NDArray[np.float64]
 
 FEWEST_SEEN = 3
 """Lights in both images by which a pose is measured."""

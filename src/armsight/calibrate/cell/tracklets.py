@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from armsight.arrays import Array, Index
 from armsight.calibrate.cell.observations import Spots
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 GATE_PX = 15.0
 """A spot further than this from where its way leads is another one's."""

@@ -15,9 +15,8 @@ import scipy.linalg
 import scipy.optimize
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.cell.model import BlockNormals
-
-Array = NDArray[np.float64]
 
 RANGES = ((1e-7, 1e-2), (0.5, 60.0))
 """Of the standard deviation in rad and the time in s that are looked for."""

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.consensus import LEAST_SHARE
 from armsight.calibrate.handeye.image_model import poses_of_views
 from armsight.calibrate.handeye.kernels import closed_forms
-from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Setup, stack
+from armsight.calibrate.handeye.pairs import MIN_PAIRS, Setup, stack
 from armsight.optics import Camera
 from armsight.records import BoardView, Target
 from armsight.records.board import symmetries

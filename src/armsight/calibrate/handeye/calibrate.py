@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
 from armsight.calibrate.handeye.drifting import fit_drifting, left_out_blocks
 from armsight.calibrate.handeye.noise import noise_of_pairs
 from armsight.calibrate.handeye.pairs import (
     MIN_PAIRS,
-    Array,
     Arrays,
     PosePairs,
     Setup,

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.kernels import closed_forms as starts
-from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup
+from armsight.calibrate.handeye.pairs import Arrays, Poses, Setup
 from armsight.errors import Inconsistent
 from armsight.units import DEG
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.correlation import Correlation, fit_averaged, time_blocks
 from armsight.calibrate.handeye.known_noise import moved, whitener
-from armsight.calibrate.handeye.pairs import Array, Arrays, Poses
+from armsight.calibrate.handeye.pairs import Arrays, Poses
 from armsight.calibrate.handeye.solution import residuals
 
 STEP = 1e-6

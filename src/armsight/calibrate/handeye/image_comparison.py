@@ -10,11 +10,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 FEWEST_JUDGED = 4
 """Images left out below which the spread of what changes between two calibrations says nothing."""

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import EMPTY, Bundle, adjust, problem_of
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.handeye.known_noise import Restricted, left_out, linearise, restricted_variances, whitener
-from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup, components
+from armsight.calibrate.handeye.pairs import Arrays, Poses, Setup, components
 from armsight.calibrate.handeye.result import NAMES, HandEye
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.calibrate import (
     HandEyeOptions,
@@ -21,7 +22,7 @@ from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison, 
 from armsight.calibrate.handeye.image_model import ImageModel, ViewPoses, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.known_noise import Restricted
 from armsight.calibrate.handeye.noise import noise_beside
-from armsight.calibrate.handeye.pairs import Array, PosePairs, Poses, Setup, pose
+from armsight.calibrate.handeye.pairs import PosePairs, Poses, Setup, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye
 from armsight.calibrate.handeye.solution import residuals, solve_pairs
 from armsight.errors import DataRefused, Inconsistent

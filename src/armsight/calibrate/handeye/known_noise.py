@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.kernels import fit as kernels
-from armsight.calibrate.handeye.pairs import Array, Arrays
+from armsight.calibrate.handeye.pairs import Arrays
 from armsight.geometry.poses import skew
 
 Pose = tuple[Array, Array]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from armsight.calibrate.handeye.pairs import Array
+from armsight.arrays import Array
 from armsight.calibrate.handeye.solution import Solution
 from armsight.fields import Doc
 from armsight.records.output import Output, figure, output

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry.lengths import FAR_M, check_metres
 from armsight.records import frozen_array
 from armsight.units import DEG
 
-Array = NDArray[np.float64]
 Arrays = tuple[Array, Array, Array, Array]
 """RF (n, 3, 3), tF (n, 3), RB (n, 3, 3), tB (n, 3) of F X B = Z: what the kernels work on."""
 Poses = tuple[Array, Array, Array, Array]

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.kernels import fit as kernels
-from armsight.calibrate.handeye.pairs import Array, Arrays, Setup, components
+from armsight.calibrate.handeye.pairs import Arrays, Setup, components
 from armsight.calibrate.handeye.result import HandEye, Proposal
 from armsight.errors import Inconsistent
 from armsight.units import DEG

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.correlation import Correlation
 from armsight.calibrate.handeye.image_comparison import ImageComparison
 from armsight.calibrate.handeye.noise import Noise
-from armsight.calibrate.handeye.pairs import Array, PosePairs, RotationExcitation, Setup
+from armsight.calibrate.handeye.pairs import PosePairs, RotationExcitation, Setup
 from armsight.calibrate.handeye.stream_pairing import TimeOffset
 from armsight.columns import POSE6, POSITION, ROTATION_VECTOR
 from armsight.fields import Doc

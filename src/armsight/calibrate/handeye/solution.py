@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
 from armsight.calibrate.handeye.known_noise import BELIEVED, Fitted, Weighing, fit_weighed, left_out
-from armsight.calibrate.handeye.pairs import Array, Arrays, Poses, Setup
+from armsight.calibrate.handeye.pairs import Arrays, Poses, Setup
 from armsight.errors import NotConverged
 from armsight.fitting.quantiles import NORMAL_95, t_ppf
 

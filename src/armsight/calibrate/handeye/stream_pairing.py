@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, PosePairs
+from armsight.arrays import Array
+from armsight.calibrate.handeye.pairs import MIN_PAIRS, PosePairs
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.units import DEG
 

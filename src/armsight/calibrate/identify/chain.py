@@ -7,17 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.kernels import chain_beacon
 from armsight.calibrate.identify.path_fit import Tilt, basis
 from armsight.calibrate.identify.sweeps import SweepResiduals, rig_shifts
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import f_sf
 from armsight.optics import Rig
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_chain, moved_by, suggest_coupling
 from armsight.calibrate.identify.joint_paths import LOST_SHARE, JointPath
 from armsight.calibrate.identify.kernels import axis_costs, settle_axis
@@ -18,8 +19,6 @@ from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Fit
 from armsight.optics import Rig
 from armsight.records import NamedCovariance
-
-Array = NDArray[np.float64]
 
 SLOPES = {
     1.0: "",

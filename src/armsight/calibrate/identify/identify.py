@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis, at_home, moved_by, suggest_coupling
 from armsight.calibrate.identify.global_fit import (
     GlobalFit,
@@ -43,8 +43,6 @@ from armsight.calibrate.identify.sweeps import (
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry.lengths import check_spread
 from armsight.optics import PackedRig, Rig
-
-Array = NDArray[np.float64]
 
 METHODS = ("ml", "paper")
 INCREMENTS = ("known", "order")

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtrc
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis
 from armsight.calibrate.identify.path_fit import GROSS, PathFit, basis, circle_starts, fit_circle, fit_line, line_misfit
 from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.fitting.quantiles import chauvenet
-
-Array = NDArray[np.float64]
 
 DECIDED = 1e-4
 """A line is rejected below this probability: one slide in ten thousand is then called a turning joint."""

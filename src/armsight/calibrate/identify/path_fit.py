@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.kernels import arc_positions
 from armsight.calibrate.identify.sweeps import SweepResiduals
 from armsight.columns import POSITION
@@ -17,7 +17,6 @@ from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings,
 from armsight.geometry.poses import skew
 from armsight.records import NamedCovariance
 
-Array = NDArray[np.float64]
 Start = tuple[float, Array, Array, float]
 
 SWUNG = 8

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.result import KEYS, assign_frames, degeneracy_notes, deviations, propagate_covariance
 from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, pixel_slopes, prior_information
 from armsight.defaults import SWEEP_READINGS
@@ -21,8 +22,6 @@ from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.poses import skew
 from armsight.optics import PackedRig, Rig
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 PROBE_SHARE = 0.05
 """Share of a joint's travel that a probe moves it: small beside what a free working position allows."""

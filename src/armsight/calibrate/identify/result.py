@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis, ChainModel
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, Joint, JointType, link_to_line
 from armsight.records import NamedCovariance
 from armsight.records.verdict import Verdict
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

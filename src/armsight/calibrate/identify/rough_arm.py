@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis, ChainModel
 from armsight.calibrate.identify.kernels import see_many
 from armsight.calibrate.identify.result import Identification
 from armsight.kinematics import Arm, JointType, link_frames
 from armsight.optics import PackedRig, Rig
-
-Array = NDArray[np.float64]
 
 PRIOR_RAD, PRIOR_M = 1.0, 3.0
 """Standard deviations before any reading: an axis may point anywhere, within metres. Keeps every information

@@ -9,13 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.identify.kernels import see_many
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.optics import SIDES, PackedRig, Rig, triangulate
 from armsight.optics.parallelism import moved_rig
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 FEWEST = 3
 """Three points lie on a circle always; from four on something is left to judge by."""

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.light_target import kernels
 from armsight.calibrate.light_target.frames import Layout
 from armsight.fitting import Evaluation, Fit, Problem, solve
 from armsight.geometry.poses import skew
 from armsight.optics import RIG_PARAMETERS, PackedRig, Rig
 from armsight.optics.parallelism import moved_rig
-
-Array = NDArray[np.float64]
 
 POSE = ("tx_m", "ty_m", "tz_m", "rx_rad", "ry_rad", "rz_rad")
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.calibrate.light_target.adjustment import LightBundle, LightObservations, fit_bundle
 from armsight.calibrate.light_target.advice import advise
 from armsight.calibrate.light_target.checks import (
@@ -44,7 +45,6 @@ from armsight.optics import Rig, triangulate
 from armsight.records import NamedCovariance
 from armsight.units import MM
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Rejected = list[tuple[int, str]]
 

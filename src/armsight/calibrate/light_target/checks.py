@@ -16,7 +16,6 @@ from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, 
 from armsight.fitting.quantiles import chi2_isf
 from armsight.units import DEG, MM
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 MIN_FRAMES = 3

@@ -10,12 +10,10 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.optics import SIDES, Rig, Triangulation, triangulate
 from armsight.records import NotSeen, Spots
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MAX_CHOICES = 150
 """Choices of lights searched in one frame: of the brightest pairs, as many as give no more; ten for three lights."""

@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array, Index
 from armsight.calibrate.light_target.frames import Sight
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.poses import skew
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 HYPOTHESES = 600
 """Shapes tried, each what one choice in one frame shows; every one is held against all frames. All choices of a frame

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.light_target.naming import pairs_of
 from armsight.fields import Doc
 from armsight.records import NamedCovariance, Target, frozen_array, spot_target
@@ -17,7 +17,6 @@ from armsight.records.verdict import MEANING, Verdict
 from armsight.shown import REJECTED_SHOWN, Shown, Table, digits
 from armsight.units import DEG, MM
 
-Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
 
 GOOD_FRAMES = 10

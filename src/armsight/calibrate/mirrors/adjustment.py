@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.mirrors.diagnosis import MIRRORS, POSE, STEP_RAD, predicted_change, relative_rig
 from armsight.errors import NotEnoughData
 from armsight.fields import Doc
@@ -22,8 +22,6 @@ from armsight.optics.mirrors import Mirrors
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, Target
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 ROUNDS = 4
 CERTAIN = 16.3

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import fdtrc
 
@@ -22,8 +21,6 @@ from armsight.errors import DataRefused, Inconsistent, UsageError
 from armsight.optics import Camera, Plate, Rig, RigKind
 from armsight.optics.kernels.camera import plate_shift
 from armsight.records import BoardView, Progress, Target
-
-Array = NDArray[np.float64]
 
 TRIED_M = 1e-3
 """Thickness at which the plate's part is worked out; it grows in proportion."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.monocular import rms, view_rms
@@ -25,8 +25,6 @@ from armsight.optics.mirrors import Mirrors
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, NamedCovariance, Target, TargetPose
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 LEAST_LIT = 5
 """Views of a lit target below which the mirrors' position is not asked for."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.timing.coarse import MIN_COMMON_S, coarse_delay
 from armsight.calibrate.timing.fit import (
     DISTANCE_M,
@@ -29,8 +30,6 @@ from armsight.fitting import Fit, Prior
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import NamedCovariance, SpotTrack
 from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
-
-Array = NDArray[np.float64]
 
 OUTLIER = 6.0
 """Whitened residuals beyond this many times the robust scale are other lights or touched spots."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.optics import SIDES, Rig
 from armsight.records import SpotTrack
-
-Array = NDArray[np.float64]
 
 MAX_DELAY_S = 30.0
 STEP_S = 0.01

@@ -11,12 +11,11 @@ import scipy  # loads its interpolation, a tenth of a second, where it is used: 
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from armsight.arrays import Array
 from armsight.calibrate.timing import kernels
 from armsight.calibrate.timing.views import Views
 from armsight.errors import Inconsistent
 from armsight.fitting import Evaluation, Fit, Prior, Problem, Settings, solve
-
-Array = NDArray[np.float64]
 
 PPM = 1e-6
 TIMES = ("delay_s", "drift_ppm", "left.readout_s", "right.readout_s")

@@ -12,16 +12,13 @@ from itertools import permutations
 
 import numpy as np
 import scipy  # loads its optimize where it is used
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.calibrate.timing.coarse import MAX_GAP, coarse_delay
 from armsight.errors import NotEnoughData
 from armsight.optics import Rig
 from armsight.optics.triangulate import epipolar_distance
 from armsight.records import SpotTrack
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MEAN = "mean"
 MOST_LIGHTS = 6

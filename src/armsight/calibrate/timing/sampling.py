@@ -11,11 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Mask
 from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
 from armsight.errors import DataRefused, Inconsistent
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SHARED = 0.2
 """Share of rows stamped as the row before from which the stamps are those of deliveries, not of samples."""

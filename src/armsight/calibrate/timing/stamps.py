@@ -10,10 +10,9 @@ import scipy  # loads its optimize where it is used
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 FEWEST_FRAMES = 30
 MAD = 1.4826

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.calibrate.timing.stamps import SteadyStamps
 from armsight.errors import NotEnoughData
 from armsight.optics import SIDES, Rig
 from armsight.records import SpotTrack
-
-Array = NDArray[np.float64]
 
 STEP_PX = 0.5
 """For the derivative of a ray by its pixel: a lens bends over hundreds of pixels."""

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import StandStill
 from armsight.control.guard.decision import GuardState, Inputs, TargetState
 from armsight.control.guard.limits import JointBounds, Limits
@@ -16,8 +16,6 @@ from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint,
 from armsight.drivers import RobotState
 from armsight.records import JointReading
 from armsight.units import MS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

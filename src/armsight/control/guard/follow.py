@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.guard.decision import GuardState
 from armsight.control.guard.faults import Fault, hold_reason
 from armsight.control.guard.kernels import ceilings
@@ -20,8 +20,6 @@ from armsight.control.setpoints import Finished, Hold, JointGoal, JointVelocity,
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 BRAKE_SAMPLES = 16
 """Positions along the way to rest that are checked."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.control.guard.decision import Decision, GuardEvent, GuardState, Inputs
 from armsight.control.guard.faults import Fault, Watch
 from armsight.control.guard.follow import Follower, Move
@@ -21,8 +21,6 @@ from armsight.control.setpoints import (
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.records import JointReading
-
-Array = NDArray[np.float64]
 
 CUT_SHARE = 0.1
 """Share of the following tolerance by which a robot may round a command; more is a command that was cut."""

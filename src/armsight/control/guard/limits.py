@@ -8,8 +8,8 @@ from numbers import Real
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.clock import STALL_S
 from armsight.control.guard.plausible import check_corners, check_units
 from armsight.defaults import TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
@@ -19,8 +19,6 @@ from armsight.kinematics import Arm
 from armsight.records import Saveable, frozen_array, require_kind
 from armsight.records.fields import NotNegative, Positive, Shape, require_bounds
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 MOST_TURN_RAD = 4.0 * math.pi
 """Two turns either way: only an endless joint has a wider range, and degrees are wider with most arms."""

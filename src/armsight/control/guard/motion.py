@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
 
-Array = NDArray[np.float64]
+from armsight.arrays import Array
 
 REST_SPEED = 1e-9
 """Joints slower than this (rad/s or m/s) are at rest: rounding."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.control.guard.kernels import (
     FACES,
     TOOL,
@@ -19,8 +20,6 @@ from armsight.control.guard.limits import Box, JointBounds, Limits
 from armsight.geometry.kernels import rotvec
 from armsight.kinematics import Arm, fk_jacobian
 from armsight.records import for_kernels
-
-Array = NDArray[np.float64]
 
 NEWTON_STEPS = 4
 """For the way of one cycle two are enough; a pose not met by then is not reached."""

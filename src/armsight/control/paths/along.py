@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.records import TaughtPath
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 CORNER_RAD = 40.0 * DEG
 """A path that turns by more than this within twice the window has a corner there."""

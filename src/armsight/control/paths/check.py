@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.control.guard.limits import Limits, joint_bounds
 from armsight.control.paths.outliers import path_jumps
 from armsight.errors import NotEnoughData, UsageError
@@ -19,8 +20,6 @@ from armsight.kinematics.path import JUMP
 from armsight.kinematics.singular import singularity_distance
 from armsight.records import TaughtPath, frozen_array
 from armsight.records.output import Output, output
-
-Array = NDArray[np.float64]
 
 SLACK = 1e-9
 """What is beyond a limit by less (rad, m, or per s) is at it."""

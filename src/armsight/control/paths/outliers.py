@@ -12,14 +12,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.control.paths.along import positive
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.records import TaughtPath
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 SIDE = 5
 """Rows on one side that foretell a row; a run of outliers may be one shorter."""

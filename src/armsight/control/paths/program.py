@@ -8,14 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath, frozen_array
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,23}")
 """KRL names have at most 24 letters, digits and underscores."""

@@ -9,16 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_splprep
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.control.paths.along import corners, moving, poses_at, positions_at, positive, with_poses
 from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.records import TaughtPath
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 STEP_RAD = 5.0 * DEG
 """Between two rows of an arc: its chords stay within a thousandth of the radius."""

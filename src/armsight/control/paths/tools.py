@@ -6,15 +6,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.control.paths.along import WINDOW_M, moving, positions_at
 from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 GAP_M = 1e-3
 GAP_RAD = 5.0 * DEG

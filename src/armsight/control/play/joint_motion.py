@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from armsight.arrays import Array
 from armsight.control.setpoints import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint
 from armsight.errors import UsageError
 from armsight.records import Motion
-
-Array = NDArray[np.float64]
 
 CLOSE = 2e-3
 """rad or m: an arm so near to the motion goes along with it; one further off goes there first."""

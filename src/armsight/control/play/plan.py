@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.control.guard.limits import Limits, joint_bounds
 from armsight.control.paths import PathCheck, check_path
 from armsight.control.paths.check import SLOWED
@@ -24,8 +25,6 @@ from armsight.kinematics import Arm, fk_jacobian
 from armsight.kinematics.target import target_matrices
 from armsight.records import TaughtPath
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 LEG_STEP_M = 1e-3
 """Between two samples of the way to a path, and at least LEG_SAMPLES."""

@@ -8,9 +8,9 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.servo import Mount
 from armsight.control.servo.delay import ArmLag
 from armsight.control.servo.premise import PremiseWatch
@@ -21,8 +21,6 @@ from armsight.kinematics import Arm
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 KEPT = 4000
 """Cycles remembered: 16 s at 4 ms, more than any camera is late."""

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
+from armsight.arrays import Array
 from armsight.control.play.track import quats
 from armsight.control.play.weave import Weave, WeaveKind
 from armsight.errors import Inconsistent, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 TURN_M = 0.02
 """Turning by a radian counts as so much of a path: one degree per 0.35 mm, and less is only as long as it is."""

@@ -15,13 +15,12 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.control.guard.kernels import BELOW_ACCELERATION
 from armsight.control.guard.limits import JointBounds, Limits
 from armsight.control.play.kernels import reachable_speeds
 from armsight.control.play.track import Samples, TimeLaw
 from armsight.kinematics import Arm, fk_jacobian
-
-Array = NDArray[np.float64]
 
 SPEED_SHARE, ACCELERATION_SHARE, JERK_SHARE = 0.95, 0.7, 0.7
 """Of the limits, which a plan uses: the guard keeps 3 % of each back, and the rest is for pauses and overrides."""

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.geometry import pose_difference
-
-Array = NDArray[np.float64]
 
 ARM_M = 0.1
 """Turning by a radian counts as so much of a leg, so that one that only turns has a length: 20 mm/s are 0.2 rad/s."""

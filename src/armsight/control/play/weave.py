@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
-
-Array = NDArray[np.float64]
 
 MOST_M = {"amplitude_m": 0.025, "wavelength_m": 0.1}
 """Wider or longer weaves are millimetres taken for metres: welding robots weave by 25 mm at most."""

@@ -6,9 +6,8 @@ from collections import deque
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from armsight.arrays import Array
 
 FRAMES = 100
 """Frames of which the delay is the median."""

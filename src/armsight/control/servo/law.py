@@ -13,16 +13,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.control.guard.space import pose_difference
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.geometry.kernels import rotvec
 from armsight.records.output import Output, output
 from armsight.units import MS
-
-Array = NDArray[np.float64]
 
 OVERSHOOT_SLACK = 1.001
 """A gain is told to overshoot beyond so many times the limit: a gain given in four digits is meant to be at it."""

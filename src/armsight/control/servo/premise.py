@@ -18,10 +18,9 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.control.servo.premise_bank import UNMOVED, Premise, bank, late_by
 from armsight.units import DEG
-
-Array = NDArray[np.float64]
 
 FRAMES, FEWEST = 40, 7
 """Frames that are looked at: 1.3 s of a webcam; of fewer than FEWEST nothing is told."""

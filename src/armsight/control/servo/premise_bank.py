@@ -7,14 +7,12 @@ from enum import StrEnum
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.geometry.poses import skew
 from armsight.records import PoseStatus
 from armsight.units import DEG, MM, MS
-
-Array = NDArray[np.float64]
 
 HONEST_RAD, HONEST_SCALE, HONEST_M = 0.6 * DEG, 0.007, 0.005
 """Standard deviations of a good hand-eye calibration and of a rig's scale: no wrong premise."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.guard import TargetState
 from armsight.control.guard.space import pose_difference
 from armsight.control.servo.delay import ArmLag, CameraDelay
@@ -32,8 +32,6 @@ from armsight.optics import Rig
 from armsight.records import JointReading, PoseStatus, Target, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.units import DEG, MM, MS
-
-Array = NDArray[np.float64]
 
 STALE_S = 0.15
 """A target whose last frame is older is not followed: four frames of a webcam."""

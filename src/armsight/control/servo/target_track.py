@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.control.guard.space import pose_difference
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.poses import skew
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.optics import PackedRig, Rig
-
-Array = NDArray[np.float64]
 
 MOST_MAHALANOBIS2 = float(chi2_isf(1e-6, 6))
 """Squared Mahalanobis distance from where even a knock would have put the target, beyond which it jumped."""

@@ -8,9 +8,9 @@ from threading import RLock
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.guard import GuardState
 from armsight.control.session.loop_host import LoopHost, flange_pose, synchronized
 from armsight.control.setpoints import (
@@ -34,8 +34,6 @@ from armsight.drivers import RobotState
 from armsight.drivers.remote.protocol import RobotDescription
 from armsight.errors import DeviceFailed, Inconsistent, StaleData, UsageError
 from armsight.units import MS
-
-Array = NDArray[np.float64]
 
 SILENT_S = 10.0
 """A driver who sent no heartbeat for so long may be replaced by another; held the robot has been long since."""

@@ -15,12 +15,10 @@ from multiprocessing import RawArray
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.clock import StandStill
 from armsight.errors import ArmsightError, StaleData, UsageError, rebuilt
-
-Array = NDArray[np.float64]
 
 FAILED = "failed"
 _HEAD = 16

@@ -8,18 +8,15 @@ from functools import wraps
 from threading import RLock
 from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, cast
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.session.channels import LineChannels
 from armsight.control.setpoints import SetPoint
 from armsight.control.status import RobotStatus
 from armsight.drivers.remote.protocol import RobotDescription
 from armsight.kinematics import Arm
 from armsight.records import JointReading
-
-Array = NDArray[np.float64]
 
 
 class HasLock(Protocol):

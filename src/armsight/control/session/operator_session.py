@@ -9,9 +9,9 @@ from threading import RLock
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.control.session.authority import EnableLost, Lease
 from armsight.control.session.loop_host import flange_pose, synchronized
 from armsight.control.session.service import Service
@@ -31,8 +31,6 @@ from armsight.control.sources import JogFrame, JogSource
 from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.kinematics import Arm
-
-Array = NDArray[np.float64]
 
 LOST_S = 1.0
 """A browser that held the enable and says nothing for so long is lost: the robot is stopped until it is reset."""

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import serial
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.defaults import STALE_CYCLES
 from armsight.drivers.alter.frames import SEQUENCES, AlterCounts, FrameSplitter, StateFrame, answer
@@ -28,9 +28,6 @@ from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageErr
 from armsight.priority import control_first
 from armsight.records import JointReading
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
-
 
 SILENT_CYCLES = 10.0
 """A link that was silent for so many cycles is lost, and stays so until it is opened again: the controller ends path

@@ -7,12 +7,10 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
-
-Array = NDArray[np.float64]
 
 STATE_BYTES = 48
 ANSWER_BYTES = 26

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.drivers.controller_clock import ControllerClock
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
@@ -16,8 +15,6 @@ from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import Positive, UdpSettings
 from armsight.drivers.udp import Sender, UdpRobot
 from armsight.units import MS
-
-Array = NDArray[np.float64]
 
 
 class EgmSettings(UdpSettings):

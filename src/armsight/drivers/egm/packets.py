@@ -15,14 +15,12 @@ from typing import Any
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.drivers.readings import LARGEST_M, LARGEST_RAD
 from armsight.errors import Inconsistent
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 FIELD = descriptor_pb2.FieldDescriptorProto
 UINT32, UINT64, BOOL, DOUBLE, ENUM = (

@@ -9,9 +9,9 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.defaults import STALE_CYCLES
 from armsight.drivers.protocols import RobotState, Sent
@@ -21,8 +21,6 @@ from armsight.drivers.remote.wire import ServerAddress
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, Inconsistent, StaleData, UsageError
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import JointReading
-
-Array = NDArray[np.float64]
 
 STALE_S = 0.1
 """A reading older than either is stale, its way through the network included: the larger counts."""

@@ -13,16 +13,14 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight._files import read_file
+from armsight.arrays import Array
 from armsight.drivers.readings import LARGEST_M, LARGEST_RAD
 from armsight.errors import BadFile, Inconsistent
 from armsight.records import frozen_array
 from armsight.units import MM
-
-Array = NDArray[np.float64]
 
 JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")

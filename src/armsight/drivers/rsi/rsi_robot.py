@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.drivers.goals import between
 from armsight.drivers.link_settings import Positive, UdpSettings
@@ -19,8 +19,6 @@ from armsight.drivers.rsi.messages import RobMessage, RsiTags, answer, correctio
 from armsight.drivers.udp import NEW_SESSION_CYCLES, Sender, UdpRobot
 from armsight.errors import DeviceFailed, UsageError
 from armsight.units import DEG, MS
-
-Array = NDArray[np.float64]
 
 CORRECTED_RAD = 0.1 * DEG
 """Joints farther from their set point than this at rest stand under another program's correction."""

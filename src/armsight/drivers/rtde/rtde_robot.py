@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from armsight.clock import Clock, SystemClock
@@ -24,8 +23,6 @@ from armsight.drivers.rtde.link import ControllerState, Worker, address, unreach
 from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent
 from armsight.priority import control_first
-
-Array = NDArray[np.float64]
 
 JOINTS = 6
 

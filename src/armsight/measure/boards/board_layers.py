@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy  # loads its ndimage where it is used
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Mask
 from armsight.measure.boards.checkerboard import (
     EXPLAINED,
     LAST_HALF_PX,
@@ -22,9 +22,6 @@ from armsight.measure.boards.gridmap import GridMap, fit_map, monomials
 from armsight.measure.boards.kernels.render_board import render_pattern
 from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
 from armsight.records import Target
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 PART_SHARE = 0.25
 """So much of a board is told as a board in part."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array, Image, Mask
 from armsight.errors import BadImage, Unseen
 from armsight.measure.boards.gridmap import GridMap, fit_map, most_upright
 from armsight.measure.boards.kernels.gridmap import median
@@ -14,9 +15,6 @@ from armsight.measure.boards.miscount import levels_at, outer_lines, refuse_misc
 from armsight.measure.boards.saddle_grid import grid_at_a_glance, shrunk
 from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 REACH = 0.5
 """Half window in squares: the edges run on past it, and the next corner's blur stays out (0.4 to 0.7 do as well)."""
@@ -157,7 +155,7 @@ def _first_square_is_black(image: Image | Array, board: Target, uv: Array) -> bo
     return bool(alike.all() or level[alike].mean() < level[~alike].mean())
 
 
-def _squares_alike(board: Target) -> NDArray[np.bool_]:
+def _squares_alike(board: Target) -> Mask:
     """Tell which of the squares between the corners (rows - 1, columns - 1) have the first one's colour."""
     return np.asarray(np.add.outer(np.arange(board.rows - 1), np.arange(board.columns - 1)) % 2 == 0)
 
@@ -220,7 +218,7 @@ def _fit(
     return fitted
 
 
-def _refuse_unclear(source: str, good: NDArray[np.bool_], quality: Array, size: Array) -> None:
+def _refuse_unclear(source: str, good: Mask, quality: Array, size: Array) -> None:
     """Raise BadImage where too many corners are no corners, or too blurred to be placed."""
     lost = int(np.count_nonzero(~good))
     if lost > LOST_SHARE * len(good):
@@ -244,7 +242,7 @@ def _refuse(
     board: Target,
     source: str,
     smooth: GridMap,
-    good: NDArray[np.bool_],
+    good: Mask,
     quality: Array,
     size: Array,
     sign: Array,

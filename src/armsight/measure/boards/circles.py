@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from armsight.arrays import Array, Image, Index, Mask
 from armsight.errors import BadImage
 from armsight.measure.boards.gridmap import axis_px, fit_map
 from armsight.measure.boards.kernels.subpixel import TRIALS, fit_dots
@@ -24,10 +24,6 @@ from armsight.measure.boards.lattice import (
     round_dots,
 )
 from armsight.records import BoardView, Target, TargetKind
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Image = NDArray[np.uint8]
 
 BIG_DOT = 1.7
 """A dot whose area is this many times its neighbours' marks the origin (printed twice as wide, so four times)."""
@@ -319,13 +315,13 @@ def _radius(quality: Array, shape: Array) -> Array:
     return np.asarray(quality[:, 3] / np.sqrt(np.abs(np.linalg.det(shape))))
 
 
-def _as_large(quality: Array, shape: Array, radius: float) -> NDArray[np.bool_]:
+def _as_large(quality: Array, shape: Array, radius: float) -> Mask:
     """Tell which fitted dots (n,) are as large as the usual one, whose radius over the expected one is given."""
     size = _radius(quality, shape) / radius
     return np.asarray((size < AS_LARGE) & (size > 1.0 / AS_LARGE))
 
 
-def _clean(uv: Array, quality: Array, guess: Array, shape: Array, contrast: float) -> NDArray[np.bool_]:
+def _clean(uv: Array, quality: Array, guess: Array, shape: Array, contrast: float) -> Mask:
     """Tell which fitted dots (n,) are dots of the board: explained by the model, as dark, and where they should be."""
     good = (quality[:, 0] > EXPLAINED) & (quality[:, 1] * np.sign(contrast) > LOW_CONTRAST * abs(contrast))
     near = np.maximum(1.0, 0.3 * np.linalg.norm(shape, axis=1).min(axis=1))

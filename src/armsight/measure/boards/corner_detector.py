@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # loads its ndimage where it is used
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index, Mask
 from armsight.measure.boards.gridmap import GridMap, fit_map
 
-Array = NDArray[np.float64]
 Cell = tuple[int, int]
 
 SCALE_PX = 2.0
@@ -103,7 +102,7 @@ class Grid:
     corners that were met outside the board's size.
     """
 
-    cells: NDArray[np.intp]
+    cells: Index
     uv: Array
     strength: Array
     first: float
@@ -138,7 +137,7 @@ def find_saddles(image: Array) -> Saddles:
     return Saddles(uv=_peaks(strength, row, col), response=mixed[row, col], axes=axes)
 
 
-def _peaks(strength: Array, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
+def _peaks(strength: Array, row: Index, col: Index) -> Array:
     """Return the positions (n, 2) of maxima, by a parabola along each axis."""
     out = []
     for dv, du in ((0, 1), (1, 0)):
@@ -183,7 +182,7 @@ def find_grids(saddles: Saddles, columns: int, rows: int) -> tuple[Grid, ...]:
     return best
 
 
-def _starts(saddles: Saddles) -> Iterator[NDArray[np.intp]]:
+def _starts(saddles: Saddles) -> Iterator[Index]:
     """Yield quadruples of saddles (4,) that may be corners of one square, round it, the strongest first."""
     uv, sign = saddles.uv, np.sign(saddles.response)
     for p in range(min(SEEDS, len(uv))):
@@ -212,9 +211,7 @@ def _near(size_px: Array | float) -> Array:
     return np.clip(NEAR * np.asarray(size_px), *NEAR_PX)
 
 
-def _grow(
-    saddles: Saddles, start: NDArray[np.intp], columns: int, rows: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _grow(saddles: Saddles, start: Index, columns: int, rows: int) -> tuple[Index, Index]:
     """Return the cells (n, 2) and the saddles (n,) of the grid that one square grows into, each step by prediction."""
     uv, sign = saddles.uv, np.sign(saddles.response)
     cells = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
@@ -244,9 +241,7 @@ def _grow(
         members = np.concatenate([members, near[met][once]])
 
 
-def _windows(
-    saddles: Saddles, cells: NDArray[np.intp], members: NDArray[np.intp], columns: int, rows: int
-) -> tuple[Grid, ...]:
+def _windows(saddles: Saddles, cells: Index, members: Index, columns: int, rows: int) -> tuple[Grid, ...]:
     """Return the part of a grown grid that is the board's size, where its corners are strongest; two parts where the
     corners are those of two boards, doubled where both are.
 
@@ -277,7 +272,7 @@ def _windows(
     return (_grid(saddles, cells, members, masks[0], ~masks[0], corners[0], size, size == (columns, rows)),)
 
 
-def _inside(cells: NDArray[np.intp], corner: Cell, size: tuple[int, int]) -> NDArray[np.bool_]:
+def _inside(cells: Index, corner: Cell, size: tuple[int, int]) -> Mask:
     """Tell which cells (n, 2) are in a window."""
     start = np.array(corner)
     return np.asarray(((cells >= start) & (cells < start + np.array(size))).all(axis=1))
@@ -309,10 +304,10 @@ def _best_windows(worth: Array, size: tuple[int, int], pad: int) -> Iterator[tup
 
 def _grid(
     saddles: Saddles,
-    cells: NDArray[np.intp],
-    members: NDArray[np.intp],
-    inside: NDArray[np.bool_],
-    outside: NDArray[np.bool_],
+    cells: Index,
+    members: Index,
+    inside: Mask,
+    outside: Mask,
     corner: Cell,
     size: tuple[int, int],
     upright: bool,

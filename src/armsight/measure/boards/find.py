@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image
 from armsight.errors import BadImage, Inconsistent, Unseen, UsageError
 from armsight.measure.boards.board_layers import (
     PART_SHARE,
@@ -107,10 +108,6 @@ def check_exposure(grey: NDArray[np.uint8], source: str) -> None:
         f"{source}: {what} (grey levels {low:.0f} to {high:.0f})", consequence="The image is not used", cure=cure
     )
 
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 SEEN_SHARE = 0.5
 """A board of which fewer corners are seen than this is refused,"""

@@ -9,13 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.measure.boards.kernels.gridmap import fit_grid_map, map_derivatives, map_points
 from armsight.records import BoardView, Target
 from armsight.records.board import symmetries
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +54,7 @@ def fit_map(grid: Array, uv_px: Array) -> tuple[GridMap, Array]:
     return GridMap(H=H, cubic=cubic, centre=centre, half=half), distance
 
 
-def axis_px(uv: Array, index: NDArray[np.intp], board: Target) -> Array:
+def axis_px(uv: Array, index: Index, board: Target) -> Array:
     """Return the image direction (2,) of the board's x axis, by a linear fit of pixels on board coordinates."""
     xy = board.xyz_m[index, :2]
     xy = xy - xy.mean(axis=0)

@@ -12,14 +12,11 @@ from itertools import product
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from armsight.arrays import Array, Image, Index
 from armsight.measure.boards.gridmap import GridMap, fit_map
 from armsight.measure.boards.kernels.lattice import chain, fullest, grow_lattice, seed_steps
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 NEIGHBOURS = 8
 OPPOSITE = 0.2
@@ -208,8 +205,6 @@ def _goes_on(sides: tuple[Index, ...], dots: Dots, smooth: GridMap, usual_px2: f
     return any(np.count_nonzero(side) >= FULL_SIDE * len(side) for side in np.split(held, ends))
 
 
-Image = NDArray[np.uint8]
-
 LEAST_RADIUS_PX = 1.5
 ROUNDNESS = 0.12
 """A dot's area may differ from its ellipse's by this share (pixel stairs of the smallest dots: 0.1)."""
@@ -307,7 +302,7 @@ def round_dots(image: Image, block: int, *, dark: bool) -> Dots:
     )
 
 
-def _moments(xy: Array, begin: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+def _moments(xy: Array, begin: Index) -> tuple[Array, Array, Array]:
     """Return area (n,), centre (n, 2) and second central moments over area (n, 2, 2) of polygons.
 
     xy (m, 2): the vertices of all, one polygon after the other; begin (n,): where each begins. Green's theorem;

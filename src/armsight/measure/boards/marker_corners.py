@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards.checkerboard import LOW_CONTRAST
 from armsight.measure.boards.gridmap import fit_map
@@ -21,7 +22,6 @@ from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS
 from armsight.records import BoardView, Target, TargetKind
 from armsight.records.target import board_target
 
-Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 MARGIN_SHARE = 0.9
@@ -55,7 +55,7 @@ class MarkerCorners:
     def fit(
         self,
         image: Grey,
-        index: NDArray[np.intp],
+        index: Index,
         uv: Array,
         *,
         grid: Array,
@@ -171,7 +171,7 @@ def _detector(board: Target, *, old_layout: bool = False) -> Any:
     return cv2.aruco.CharucoDetector(charuco)
 
 
-def _refined(image: NDArray[np.uint8], board: Target, index: NDArray[np.intp], uv: Array, source: str) -> BoardView:
+def _refined(image: NDArray[np.uint8], board: Target, index: Index, uv: Array, source: str) -> BoardView:
     """Fit the corners in windows that stop short of the markers."""
     grid = board.xyz_m[index, :2] / board.pitch_m
     return CHARUCO.fit(
@@ -271,9 +271,7 @@ def _grown(quad: Array, px: float) -> Array:
     return np.asarray(quad + np.sqrt(2.0) * px * out / np.linalg.norm(out, axis=1)[:, None])
 
 
-def _refined_tags(
-    image: Grey, board: Target, index: NDArray[np.intp], uv: Array, border: int, source: str
-) -> BoardView:
+def _refined_tags(image: Grey, board: Target, index: Index, uv: Array, border: int, source: str) -> BoardView:
     """Fit the corners, where two black corners meet, in windows within the gap and the tag's border."""
     across = 2 * board.columns
     # black lies along the diagonal from a tag's lower left and upper right corners, white along that from the others

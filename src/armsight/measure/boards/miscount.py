@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image
 from armsight.errors import BadImage
 from armsight.measure.boards.gridmap import GridMap, fit_map
 from armsight.measure.boards.kernels.gridmap import off_line
 from armsight.records import Target
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 OFF_LINE = 0.3
 """An outer row or column further than this from where the rest of the board puts it, in squares, is not the board's:

@@ -7,13 +7,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image, Index
 from armsight.measure.boards.kernels.saddles import grow_grids, saddle_corners, saddle_pixels
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Image = NDArray[np.uint8]
 
 SMALLEST_SIDE_PX = 100
 """The shorter side of the smallest copy that is looked at: a board's squares are then of five pixels and more."""

@@ -20,11 +20,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image, Index, Mask
 from armsight.measure.boards.gridmap import fit_map
 from armsight.measure.boards.kernels.xtemplate import RINGS, place_corners
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Cell = tuple[int, int]
 """Column and row on the grid, counted from where the ordering began."""
 
@@ -71,7 +70,7 @@ class Squares:
     """Squares of one image: corners (n, 4, 2) px in order round each, colour (n,) +1 light, -1 dark, score (n, 4)."""
 
     corners: Array
-    colour: NDArray[np.intp]
+    colour: Index
     score: Array
 
     def __len__(self) -> int:
@@ -179,12 +178,12 @@ def _quad(labels: NDArray[np.int32], label: int, stats: NDArray[Any], margin_px:
     return np.asarray(quad + np.array([left, top]))
 
 
-def _by_distance(squares: Squares, point: Array) -> NDArray[np.intp]:
+def _by_distance(squares: Squares, point: Array) -> Index:
     """Return the squares' positions by their distance from a point, the nearest first."""
     return np.argsort(np.linalg.norm(squares.corners.mean(axis=1) - point, axis=1))
 
 
-def order_squares(squares: Squares, start: int, used: NDArray[np.bool_]) -> dict[Cell, tuple[int, int]]:
+def order_squares(squares: Squares, start: int, used: Mask) -> dict[Cell, tuple[int, int]]:
     """Return the squares that hang together with the one to start from, by their cell on the grid.
 
     Each is looked for where the corners and slope of a square before it say (the paper's ordered segmentation; it

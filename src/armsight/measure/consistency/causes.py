@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.columns import POSITION
 from armsight.measure.poses.setup import Setup
 from armsight.optics import RIG_PARAMETERS, RigKind
-
-Array = NDArray[np.float64]
 
 LEFT, RIGHT = 0, 10  # where each camera's intrinsics begin among RIG_PARAMETERS: fx, fy, cx, cy, skew, k1 ...
 K1 = 5

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Unseen
 from armsight.measure.consistency import kernels
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE, causes_of
@@ -169,8 +169,6 @@ def refit(setup: Setup, measured: Measured) -> Measured | None:
             return replace(measured, pose=solved.pose, left=at_left, right=at_right, names=best.names)
     return None
 
-
-Array = NDArray[np.float64]
 
 SETTLED_VIEWS = 8
 """Views after a start whose chi-square says nothing: the state they are held against is a guess."""

@@ -13,15 +13,13 @@ from dataclasses import dataclass, field, replace
 from math import log, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri
 
+from armsight.arrays import Array
 from armsight.measure.consistency.causes import TURNS, Cause, causes_of, parameter_widths
 from armsight.measure.consistency.evidence import Block, Evidence
 from armsight.measure.poses.setup import Setup
 from armsight.optics import RIG_PARAMETERS
-
-Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-5
 """Chance at which the gain of one cause passes without a fault, the noise being known from the residuals alone."""

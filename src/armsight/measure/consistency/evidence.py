@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.measure.consistency import kernels
 from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.poses.outcome import Measured
@@ -16,8 +16,6 @@ from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.tracking import positions_of
 from armsight.optics import RIG_PARAMETERS
 from armsight.records import Spots
-
-Array = NDArray[np.float64]
 
 MOST_LIGHTS = 12
 """Lights up to which each one's place is a parameter; of larger targets and boards only the scale is."""
@@ -75,7 +73,7 @@ class Frame:
     """
 
     t_s: float
-    lights: NDArray[np.intp]
+    lights: Index
     T: Array
     uv_px: Array
     cov_px2: Array

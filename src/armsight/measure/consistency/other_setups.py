@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import DataRefused
 from armsight.geometry.lengths import LARGEST_BASELINE_M
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
@@ -19,8 +19,6 @@ from armsight.measure.poses.pairs import Pairs, pair_spots
 from armsight.measure.poses.setup import Setup
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus
-
-Array = NDArray[np.float64]
 
 MOST = 0.7
 """Share of the moments that another setup must fit to be named; ... and"""

@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.defaults import PICK_STD_PX
 from armsight.errors import Ambiguous, DataRefused, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.correspondence.refine import Patch, Refined, StereoViews, correlation, refined
 from armsight.optics import triangulate
 from armsight.optics.triangulate import epipolar_curve
-
-Array = NDArray[np.float64]
 
 LEAST_CONTRAST = 4.0
 """Standard deviation of a patch in grey levels; noise of ordinary cameras is 1 to 2."""

@@ -14,10 +14,9 @@ import numpy as np
 import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Degenerate, Inconsistent, NotConverged, UsageError
 from armsight.optics import SIDES, Rig
-
-Array = NDArray[np.float64]
 
 STEPS = 30
 SETTLED_PX = np.array([1e-3, 2e-2, 2e-2, 1e-3])

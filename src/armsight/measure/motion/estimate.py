@@ -13,6 +13,7 @@ import numpy as np
 import scipy  # loads its ndimage where it is used
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent
 from armsight.measure.motion.kernels import levels, smoothing
 from armsight.measure.motion.kernels.state import STATE, N, P, R, V
@@ -20,8 +21,6 @@ from armsight.measure.motion.states import NO_TIMING, MotionState, View, state_o
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior, estimate_timing
 from armsight.optics import PackedRig
 from armsight.records import for_kernels, frozen_array, trusted
-
-Array = NDArray[np.float64]
 
 JERK_LEVELS = 10.0 ** np.arange(-3.0, 4.1)
 """m^2/s^5: from a target at rest to one that is knocked."""
@@ -95,7 +94,7 @@ def smooth(
 _Rig = tuple[Array, Array, Array]
 """Both cameras as kernels take them: k, R, t."""
 
-_Begin = tuple[Array, Array, NDArray[np.bool_]]
+_Begin = tuple[Array, Array, Mask]
 """States (n, 24) and covariances (n, 18, 18) with which rows begin anew, and which rows (n,) do."""
 
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # loads its ndimage where it is used
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index, Mask
 from armsight.fitting.quantiles import chi2_sf
 from armsight.measure.motion.estimate import Start
 from armsight.measure.motion.kernels.state import N
 from armsight.measure.motion.kernels.views import observe
 from armsight.measure.motion.states import MotionState, View
 from armsight.optics import PackedRig
-
-Array = NDArray[np.float64]
 
 VIEW_CHANCE = 1e-6
 """Chance below which a view is not of the target as it moves."""
@@ -33,20 +31,20 @@ class MotionResiduals:
     dof: of two coordinates, what the motion did not take from the spot itself.
     """
 
-    view: NDArray[np.intp]
-    side: NDArray[np.intp]
+    view: Index
+    side: Index
     residual_px: Array
     chi2: Array
     dof: Array
 
-    def outliers(self, n_views: int) -> NDArray[np.bool_]:
+    def outliers(self, n_views: int) -> Mask:
         """Tell which views lie further from the motion than chance and the recording's own scatter explain."""
         chi2 = np.bincount(self.view, self.chi2, n_views)
         dof = np.maximum(np.bincount(self.view, self.dof, n_views), LEAST_DOF)
         scale = max(float(np.median(chi2 / dof)), 1.0) if n_views else 1.0
         return np.asarray(chi2_sf(chi2 / scale, dof) < VIEW_CHANCE)
 
-    def of_views(self, chosen: NDArray[np.bool_]) -> MotionResiduals:
+    def of_views(self, chosen: Mask) -> MotionResiduals:
         """Return the residuals of the chosen views (n_views,)."""
         rows = chosen[self.view]
         return MotionResiduals(

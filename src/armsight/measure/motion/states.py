@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.measure.motion.kernels import state as kernels
 from armsight.records import frozen_array, trusted
-
-Array = NDArray[np.float64]
 
 BEGIN_POSITION_M, BEGIN_ROTATION_RAD = 0.02, 0.15
 """Standard deviations added to the pose with which a track begins: its views may not be of one moment."""
@@ -29,7 +27,7 @@ class View:
 
     t_s: float
     side: int
-    lights: NDArray[np.intp]
+    lights: Index
     uv_px: Array
     cov_px2: Array
     tau_s: Array

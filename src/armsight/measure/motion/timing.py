@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.measure.motion.states import View
 from armsight.records import CameraTiming, frozen_array
 from armsight.records.timing import CLOCK, PPM
-
-Array = NDArray[np.float64]
 
 UNKNOWNS = ("right.delay_s", "right.drift_ppm", "left.readout_s", "right.readout_s")
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from armsight.arrays import Array, Index, Mask
 from armsight.errors import Unseen
 from armsight.measure.poses.kernels import correspondence as kernels
 from armsight.measure.poses.outcome import PREDICTION_RATIO, Assignment, Match, Prediction
@@ -111,7 +112,7 @@ def _lights(pairs: Pairs) -> str:
     return f"{n} light{'s' if n > 1 else ''} of the beacon's colour {'are' if n > 1 else 'is'}"
 
 
-def _radius_px(spots: Spots, index: NDArray[np.intp]) -> NDArray[np.float64]:
+def _radius_px(spots: Spots, index: Index) -> NDArray[np.float64]:
     """Return the radius (n,) at half of their height of the spots of index."""
     flat = np.array([model in ("ellipse", "centroid") for model in spots.model])
     return np.asarray((spots.size_px * np.where(flat, 1.0, GAUSSIAN_RADIUS))[index])
@@ -124,7 +125,7 @@ def _wanted_px(setup: Setup, pairs: Pairs) -> NDArray[np.float64]:
     return np.array([f * setup.model.radius_m / depth for f, depth in zip(focal_px, depth_m, strict=True)])
 
 
-def _only(pairs: Pairs, kept: NDArray[np.bool_]) -> Pairs:
+def _only(pairs: Pairs, kept: Mask) -> Pairs:
     return replace(
         pairs,
         index=pairs.index[kept],
@@ -134,8 +135,6 @@ def _only(pairs: Pairs, kept: NDArray[np.bool_]) -> Pairs:
         cov_m2=pairs.cov_m2[kept],
     )
 
-
-Array = NDArray[np.float64]
 
 LABEL_MARGIN_PX = 2.0
 """Lights closer than this in column (or row) have no order in the image that could name them."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.measure.boards import find_board, find_two_boards
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pose import NamedSpots, lost, no_points, solve_pose
 from armsight.measure.poses.setup import Setup
 from armsight.records import BoardView, Frame, PoseStatus, Spots, TargetKind
-
-Array = NDArray[np.float64]
 
 LEAST_POINTS = 4
 """Points of a board seen by both cameras below which its pose is not asked for."""
@@ -63,7 +61,7 @@ def pose_of_views(setup: Setup, left: BoardView, right: BoardView, t_s: float) -
     return replace(measured, left_seen=_all(left), right_seen=_all(right))
 
 
-def _fit(setup: Setup, t_s: float, index: NDArray[np.intp], uv: Array, cov: Array) -> Measured:
+def _fit(setup: Setup, t_s: float, index: Index, uv: Array, cov: Array) -> Measured:
     """Return the pose of the points `index` of the board, wrong corners left out, or LOST where too many are."""
     kept = np.arange(len(index))
     dropped: list[str] = []

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index, Mask
 from armsight.errors import Unseen
 from armsight.measure.poses.kernels import correspondence as kernels
 from armsight.measure.poses.outcome import Assignment, Match, Prediction
@@ -14,9 +14,6 @@ from armsight.measure.poses.pairs import Pairs, Scope, search_arrangements
 from armsight.measure.poses.setup import Setup, TargetModel
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Spots
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MARGIN = 16.0
 """A second assignment counts as possible while its chi-square is within this of the best (odds of 3000 to 1)."""
@@ -119,7 +116,7 @@ def _search(
     return [_assignment(model, rows, chi2, pose) for rows, chi2, pose in every], found.passed
 
 
-def _outlines(model: TargetModel, left: Spots, right: Spots) -> NDArray[np.bool_]:
+def _outlines(model: TargetModel, left: Spots, right: Spots) -> Mask:
     """Return (2, n): which spots of each side are outlines of flat lights whose centre the perspective shifts."""
     flags = np.zeros((2, max(len(left), len(right))), np.bool_)
     if model.radius_m > 0.0:

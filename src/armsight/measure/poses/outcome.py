@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Unseen
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.setup import TargetModel
 from armsight.records import NotSeen, Points, Spots, TargetPose, frozen_array
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,8 +74,6 @@ class Measured:
         """Why the pose is not whole."""
         return NotSeen(self.pose.why, self.cause)
 
-
-Index = NDArray[np.intp]
 
 PREDICTION_RATIO = 3.0
 """A prediction decides between assignments where the next one is this many times further from it."""

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from itertools import combinations, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index, Mask
 from armsight.measure.poses.kernels import correspondence as kernels
 from armsight.measure.poses.setup import SLACK_PX, Setup
 from armsight.optics import PackedRig
 from armsight.records import Spots
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 PAIR_GATE = 16.0
 """Square, in standard deviations, allowed to an epipolar distance and to a distance between two lights (4 sigma)."""
@@ -135,7 +132,7 @@ class Arrangements:
 def search_arrangements(
     setup: Setup,
     pairs: Pairs,
-    outlines: NDArray[np.bool_],
+    outlines: Mask,
     *,
     radius_m: float,
     slack_px: float,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
@@ -25,8 +25,6 @@ from armsight.records import Frame, NamedCovariance, NotSeen, PoseStatus, Spots,
 
 __all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_up"]
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Pair = tuple[Frame, Frame]
 
 NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring stops here"

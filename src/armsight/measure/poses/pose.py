@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Unseen
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.kernels import rig_covariance, whole_pose
 from armsight.measure.poses.setup import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Points, PoseStatus, TargetPose, trusted
-
-Array = NDArray[np.float64]
 
 PARENT = "rig"
 

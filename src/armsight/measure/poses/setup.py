@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Mask
 from armsight.errors import Degenerate
 from armsight.geometry import align_points
 from armsight.measure.pace import BATCH, Pace
@@ -15,8 +15,6 @@ from armsight.measure.settings import SpotSettings
 from armsight.optics import INTRINSICS, RIG_PARAMETERS, PackedRig, Rig, mean_axes, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 from armsight.records import NoiseModel, Target, frozen_array
-
-Array = NDArray[np.float64]
 
 SLACK_PX = 0.25
 """What calibration, the target's measures and the shutters' skew may add to a spot's own standard deviation, in each
@@ -137,7 +135,7 @@ class Setup:
     settings: SpotSettings = field(default_factory=SpotSettings)
     slack_px: float = SLACK_PX
     overlaid: bool = False
-    masks: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None)
+    masks: tuple[Mask | None, Mask | None] = (None, None)
     pace: Pace = BATCH
     packed: PackedRig = field(init=False, repr=False)
     model: TargetModel = field(init=False, repr=False)

@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Index, Mask
 from armsight.measure.poses.kernels import correspondence as kernels
 from armsight.measure.poses.pairs import PAIR_GATE, Pairs, Scope, search_arrangements
 from armsight.measure.poses.setup import Setup
 from armsight.measure.spots import Candidates
 from armsight.optics import SIDES
 from armsight.records import Spots
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 SHORTLIST_STEPS = (96, 384)
 """Candidates of each image among which arrangements are searched, strongest first; the next number where none is."""
@@ -168,7 +165,7 @@ def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, a
     )
 
 
-def _alike(left: Candidates, right: Candidates, i: Index, j: Index) -> NDArray[np.bool_]:
+def _alike(left: Candidates, right: Candidates, i: Index, j: Index) -> Mask:
     """Tell of pairs (n,) whether both images can be of one light, in size and in brightness."""
     a, b = left.radius_px[i], right.radius_px[j]
     size = np.maximum(a, b) <= ALIKE * np.minimum(a, b) + LOOSE_PX
@@ -176,7 +173,7 @@ def _alike(left: Candidates, right: Candidates, i: Index, j: Index) -> NDArray[n
     return np.asarray(size & (np.maximum(a, b) <= ALIKE * np.minimum(a, b)))
 
 
-def _sized(setup: Setup, left: Candidates, right: Candidates, i: Index, j: Index, P: Array) -> NDArray[np.bool_]:
+def _sized(setup: Setup, left: Candidates, right: Candidates, i: Index, j: Index, P: Array) -> Mask:
     """Tell of pairs (n,) whether they are as large as a flat light of the target's diameter would be at P (n, 3)."""
     if not setup.model.radius_m > 0.0:
         return np.ones(len(i), np.bool_)

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image, Index, Mask
 from armsight.errors import Unseen
 from armsight.geometry.kernels import rotvec
 from armsight.measure.poses.correspondence import OUTLINE
@@ -33,8 +33,6 @@ from armsight.measure.poses.pose import (
 from armsight.measure.poses.setup import Setup
 from armsight.optics import PackedRig
 from armsight.records import Frame, NotSeen, PoseStatus, Spots, frozen_array
-
-Array = NDArray[np.float64]
 
 TIGHT_PX = 0.05
 """What a good calibration leaves; residuals beyond it are reason enough to try left and right exchanged."""
@@ -131,7 +129,7 @@ def misfit_chi2(solved: Solved, left: Spots, right: Spots) -> float:
     return float(kernels.slack_chi2(np.array(solved.pose.residual_px).reshape(uv.shape), cov, TIGHT_PX**2))
 
 
-def take_spots(spots: Spots, index: NDArray[np.intp]) -> Spots:
+def take_spots(spots: Spots, index: Index) -> Spots:
     """Return the spots in the order of index; itself where that changes nothing."""
     if len(index) == len(spots) and (index[:-1] < index[1:]).all():
         return spots
@@ -191,8 +189,6 @@ def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots
     )
 
 
-Image = NDArray[np.uint8]
-
 LEAST_STEP_PX = 1e-3
 SHARES = (1.0, 0.5, 0.25)
 """Of what may be hidden, the shares by which a centre is moved until the target still fits."""
@@ -239,7 +235,7 @@ def solve_seen(
     verdict, out = compare(setup, solved, left, right, frames)
     if verdict == outlines.NO_DOUBT:
         return Seen(names, left, right, solved)
-    odd: NDArray[np.bool_] = np.asarray(out[:, :, outlines.ODD].any(axis=0))
+    odd: Mask = np.asarray(out[:, :, outlines.ODD].any(axis=0))
     if not odd.any():
         widened = widen(setup, t_s, names, left, right, solved, out)
         if widened is not None:

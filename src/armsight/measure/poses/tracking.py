@@ -6,8 +6,8 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.kernels import pose as kernels
@@ -15,8 +15,6 @@ from armsight.measure.poses.outcome import Prediction, Track
 from armsight.measure.poses.pose import Solved
 from armsight.measure.poses.setup import Setup
 from armsight.records import Spots, trusted
-
-Array = NDArray[np.float64]
 
 MAX_GAP_S = 0.5
 """A track older than this predicts nothing: hand-held targets turn round in less than a second."""

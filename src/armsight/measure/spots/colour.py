@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image, Index
 from armsight.errors import BadImage
 from armsight.measure.pace import Pace
 from armsight.measure.settings import SpotSettings
@@ -17,10 +18,7 @@ from armsight.measure.spots.grey import (
     GROWN_SHARE,
     MOST,
     MOST_GROWN,
-    Array,
     Candidates,
-    Image,
-    Index,
     checked_mask,
     fresh_state,
     is_dark,
@@ -135,7 +133,7 @@ def coloured_candidates(image: Image, settings: SpotSettings, pace: Pace) -> Can
 
 def track_coloured(
     image: Image, predicted: Array, half_window_px: float, settings: SpotSettings
-) -> tuple[Spots, NDArray[np.intp]]:
+) -> tuple[Spots, Index]:
     """Return the beacon nearest to each of predicted (n, 2) within half_window_px, and the prediction of each."""
     bgr = _coloured_image(image)
     checked_mask(settings, bgr)

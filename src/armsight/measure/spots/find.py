@@ -6,17 +6,16 @@ That is: threshold, mask, inversion, a seed by the cross, propagation, the mean.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armsight.arrays import Array, Image, Index
 from armsight.errors import Inconsistent
 from armsight.measure.pace import BATCH, Pace
 from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.measure.spots.colour import coloured_candidates, track_coloured
 from armsight.measure.spots.grey import (
     FIT_S,
-    Array,
     Candidates,
-    Image,
     fresh_state,
     grey_candidates,
     searchable,
@@ -60,7 +59,7 @@ def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, pace: Pace 
 
 def track_spots(
     image: Image, predicted_uv_px: ArrayLike, half_window_px: float, settings: SpotSettings = DEFAULTS
-) -> tuple[Spots, NDArray[np.intp]]:
+) -> tuple[Spots, Index]:
     """Return the spots in windows around predicted_uv_px (n, 2), and the prediction that each belongs to.
 
     In each window of half_window_px to either side, the bright area nearest to the prediction is measured as in
@@ -132,9 +131,7 @@ def find_seeded(image: Image, settings: SpotSettings) -> Spots:
     return _seeded(searchable(image, settings), settings)
 
 
-def track_seeded(
-    image: Image, predicted: Array, half_window_px: float, settings: SpotSettings
-) -> tuple[Spots, NDArray[np.intp]]:
+def track_seeded(image: Image, predicted: Array, half_window_px: float, settings: SpotSettings) -> tuple[Spots, Index]:
     """Return the shape nearest to each prediction (n, 2) within half_window_px, and the prediction of each."""
     spots = find_seeded(image, settings)
     if not len(spots):

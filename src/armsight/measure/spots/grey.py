@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.arrays import Array, Image, Index
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.pace import Pace
 from armsight.measure.settings import SpotSettings
@@ -35,8 +36,6 @@ from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
 from armsight.measure.spots.kernels.processed import add_background_variance
 from armsight.records import Spots, trusted
 
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
 Rejected = tuple[tuple[float, float, str], ...]
 Located = tuple[Array, NDArray[np.int64], Array, int]
 """What `locate` returns of an image: areas, their state, the survey, outcome."""
@@ -121,9 +120,7 @@ def _too_bright(outcome: int, number: float) -> str:
     return f"{100.0 * number:.0f} % of the image lies above the threshold"
 
 
-def track_grey(
-    image: Image, predicted: Array, half_window_px: float, settings: SpotSettings
-) -> tuple[Spots, NDArray[np.intp]]:
+def track_grey(image: Image, predicted: Array, half_window_px: float, settings: SpotSettings) -> tuple[Spots, Index]:
     """Return the spots in windows around predicted (n, 2), and the prediction of each; see track_spots."""
     grey = searchable(image, settings)
     half = int(half_window_px + 0.5)
@@ -217,8 +214,6 @@ def record(columns: tuple[Array, ...], refused: Array) -> Spots:
         rejected=rejections(refused) if len(refused) else (),
     )
 
-
-Index = NDArray[np.intp]
 
 MOST = 1024
 """Candidates kept of one image, strongest first."""

@@ -7,15 +7,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_matrix
 from armsight.geometry.lengths import LARGEST_BASELINE_M
 from armsight.store.codec import LARGEST
-
-Array = NDArray[np.float64]
 
 ROTATION_TOLERANCE = 1e-4
 """Largest entry of R R^T - 1: files with five decimals stay below it, wrong matrices do not."""

@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
@@ -44,8 +44,6 @@ from armsight.store.foreign.numbers import (
 )
 from armsight.store.foreign.rectification import rectification
 from armsight.store.foreign.storage import read_storage
-
-Array = NDArray[np.float64]
 
 PAIR_NAMES = (("M1", "D1", "M2", "D2"), ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"))
 PAIR_NAMES_ALSO = (

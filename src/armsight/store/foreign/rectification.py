@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.geometry.poses import skew
 from armsight.optics import LensKind, Rig
 from armsight.store.foreign.numbers import relative
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

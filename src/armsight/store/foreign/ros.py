@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
@@ -36,8 +36,6 @@ from armsight.store.foreign.numbers import (
 from armsight.store.foreign.rectification import rectification
 from armsight.store.foreign.storage import read_storage
 from armsight.store.yamls import dump_yaml
-
-Array = NDArray[np.float64]
 
 ROS_MODEL = {LensKind.PINHOLE: "plumb_bob", LensKind.FISHEYE: "equidistant"}
 """sensor_msgs/distortion_models."""

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array, Mask
 from armsight.errors import Ambiguous, BadFile, Inconsistent
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.store.interpret.names import Meaning
@@ -24,9 +24,6 @@ from armsight.store.interpret.plausibility import (
 from armsight.store.interpret.rotations import EulerOrder
 from armsight.store.interpret.table_format import UNITS, TableFormat
 from armsight.store.tables import filled, zeros
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 ORTHOGONAL = 2e-3
 """Largest entry of R R^T - 1: matrices with three decimals stay below it."""

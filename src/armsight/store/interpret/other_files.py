@@ -12,14 +12,12 @@ from typing import Any
 
 import numpy as np
 import scipy  # loads its io where it is used: every command imports this
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import BadFile, NotEnoughData
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret.raw import MATRIX, RawTable, table_of
 from armsight.store.interpret.table_format import column_names
-
-Array = NDArray[np.float64]
 
 MAT_BYTES = 200_000_000
 """Of a file, and of what its variables unpack to."""

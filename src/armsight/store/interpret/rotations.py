@@ -11,14 +11,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 _ORDER = re.compile(r"([xyz]{3})(?:-(fixed|rotating))?", re.IGNORECASE)
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.columns import POSITION, QUATERNION
 from armsight.errors import Ambiguous, BadFile
 from armsight.store.interpret.assemble import Column, Found, angles_rad, pose_of
@@ -17,8 +17,6 @@ from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.roles import PAIR_FRAMES, Role
 from armsight.store.interpret.table_format import SKIPPED, UNITS, TableFormat
 from armsight.store.tables import bare, known, number, number_column, word
-
-Array = NDArray[np.float64]
 
 EPOCHS = ((1e17, 1e-9, "ns"), (1e14, 1e-6, "us"), (1e11, 1e-3, "ms"))
 """Stamps beyond the first number are counts since 1970 in this unit: 1e11 s is the year 5138."""

@@ -7,14 +7,12 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Image
 from armsight.drivers.images import too_large
 from armsight.errors import BadFile, BadImage
 from armsight.store.recording.protobuf import compressed_image_head, fields, raw_image_head
 from armsight.store.recording.schemas import COMPRESSED_IMAGE, RAW_IMAGE
-
-Image = NDArray[np.uint8]
 
 
 class ImageFormat(StrEnum):

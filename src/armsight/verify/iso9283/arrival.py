@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.verify.iso9283.figure import SIGMAS, Estimate, Figure, too_few, withheld
 from armsight.verify.iso9283.observations import ArrivalTest, random_part, stamps_fault
 from armsight.verify.iso9283.pose import figure_of
-
-Array = NDArray[np.float64]
 
 ARRIVALS = 3
 """Arrivals that the standard asks for."""

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from armsight.arrays import Array
 from armsight.verify.iso9283.observations import CommandedPath, PathRun
-
-Array = NDArray[np.float64]
 
 PLANES = 50
 """Planes along a path, however many corners it has."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armsight.units import MM
 from armsight.verify.iso9283.figure import (
@@ -22,8 +21,6 @@ from armsight.verify.iso9283.figure import (
 )
 from armsight.verify.iso9283.observations import PoseVisits
 from armsight.verify.iso9283.pose import barycentre_covariance, figure_of
-
-Array = NDArray[np.float64]
 
 GROUP = 10
 """Visits at the beginning, and as many at the end, between which dAP and dRP are taken."""

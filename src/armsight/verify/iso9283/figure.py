@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from math import exp, lgamma, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.verify.results import IsoFigure
 
@@ -140,7 +140,6 @@ def noted(figure: Figure, note: str) -> Figure:
 
 # How far a figure of few repeats may be off: distances of Gaussian points, and what the measurement adds to them.
 
-Array = NDArray[np.float64]
 
 NODES = 24
 """Gauss-Legendre nodes per angle: the moments are exact to 1e-4 even for points on a line or in a plane."""

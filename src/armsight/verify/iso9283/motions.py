@@ -8,16 +8,14 @@ from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.fields import Doc
 from armsight.records import frozen_array
 from armsight.records.fields import Shape
 from armsight.records.output import Output, figure, output
 from armsight.verify.iso9283 import arrival, path, pose
-
-Array = NDArray[np.float64]
 
 POSE_ORDER = ("P1", "P5", "P4", "P3", "P2", "P1")
 """One cycle of AP and RP: every pose is always reached from the same one before, from one direction."""

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array
-
-Array = NDArray[np.float64]
 
 CORNER_RAD = np.pi / 9
 """A commanded path that turns by more at one vertex has a corner there: circles are drawn with far smaller turns."""

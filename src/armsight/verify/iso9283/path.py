@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.verify.iso9283.crossings import Crossings, Planes, cross, planes_of, planes_of_run
 from armsight.verify.iso9283.figure import (
     SIGMAS,
@@ -23,8 +24,6 @@ from armsight.verify.iso9283.figure import (
 )
 from armsight.verify.iso9283.observations import CommandedPath, PathRun, PathTest, random_part, stamps_fault
 from armsight.verify.iso9283.pose import MIN_ACCURACY, MIN_REPEATABILITY, TURNS, figure_of, turns_from
-
-Array = NDArray[np.float64]
 
 RUNS = 10
 """Runs that the standard asks for along every path."""

@@ -8,9 +8,9 @@ from functools import partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Cancelled, DataRefused, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointPath, Solution, ik, link_frames, singularity_distance, track_path
@@ -18,8 +18,6 @@ from armsight.records import Progress, Silent
 from armsight.records.fields import Shape
 from armsight.records.output import Output, extended, output
 from armsight.verify.iso9283.motions import PLANES, SIDES_M, Motion, TestCube, motions_of
-
-Array = NDArray[np.float64]
 
 STEPS_PER_SIDE = 25
 """Points at which a motion is checked over the cube's side."""

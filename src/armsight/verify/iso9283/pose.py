@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.arrays import Array
 from armsight.verify.iso9283.figure import (
     Estimate,
     Figure,
@@ -21,8 +21,6 @@ from armsight.verify.iso9283.figure import (
     withheld,
 )
 from armsight.verify.iso9283.observations import PoseVisits
-
-Array = NDArray[np.float64]
 
 VISITS = 30
 """Visits that the standard asks for at every pose."""
