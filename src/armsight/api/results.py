@@ -12,7 +12,7 @@ from armsight.records.output import as_html, as_text, with_std
 from armsight.units import displayed_name
 
 if TYPE_CHECKING:
-    from armsight.records.verdict import Verdict
+    from armsight.records.result_parts import Verdict
 
 
 class Result(ByValue):

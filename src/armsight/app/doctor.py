@@ -22,7 +22,7 @@ from armsight.fields import Doc
 from armsight.geometry.lengths import wide_rig
 from armsight.measure.planning import LEAST_COMMON, Choice, plan
 from armsight.optics import Rig, resolution
-from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
+from armsight.optics.parallelism import CENTROID_SIGMA_PX, Resolution
 from armsight.records import Progress
 from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig

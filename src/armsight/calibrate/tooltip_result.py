@@ -15,10 +15,9 @@ from armsight.columns import POSITION
 from armsight.fields import Doc
 from armsight.records import NamedCovariance, TargetPose, frozen_array
 from armsight.records.by_value import Saveable
-from armsight.records.fields import Shape
+from armsight.records.checks import Shape
 from armsight.records.output import Output, Row, figure, output, with_std
-from armsight.records.result_parts import PointStd, RejectedRow
-from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
+from armsight.records.result_parts import MANY_REJECTED, MEANING, PointStd, RejectedRow, Verdict
 from armsight.shown import Bars, Shown, Table, digits, point_rows
 from armsight.units import DEG, MM
 

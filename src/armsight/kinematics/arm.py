@@ -14,12 +14,18 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent, UsageError
-from armsight.kinematics.chain_table import chain_table
-from armsight.kinematics.convention import Convention
-from armsight.kinematics.couplings import Coupling, check_couplings, gearing, gearing_back, require_followed
-from armsight.kinematics.joints import Joint, ToolPoint
+from armsight.kinematics.convention import Convention, chain_table
+from armsight.kinematics.joints import (
+    Coupling,
+    Joint,
+    ToolPoint,
+    check_couplings,
+    gearing,
+    gearing_back,
+    require_followed,
+)
 from armsight.kinematics.kernels.chain import one_pose
-from armsight.kinematics.kernels.gravity import many_torques, settle_under_weight
+from armsight.kinematics.kernels.derivatives import many_torques, settle_under_weight
 from armsight.records import (
     NamedCovariance,
     Saveable,

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
-from armsight.kinematics.closed_form import Family, family_of
+from armsight.kinematics.closed_form import Family, family_of, motions, near_singularities
 from armsight.kinematics.kernels.closed import (
     AT_ELBOW,
     AT_SHOULDER,
@@ -30,8 +30,13 @@ from armsight.kinematics.kernels.closed import (
     solve_closed_many,
 )
 from armsight.kinematics.kernels.numeric import solve_damped_least_squares
-from armsight.kinematics.numeric import MAX_STEPS, Attempt, Stop, attempt_from, search_starts
-from armsight.kinematics.singular import motions, near_singularities
+from armsight.kinematics.numeric import (
+    MAX_STEPS,
+    Attempt,
+    Stop,
+    attempt_from,
+    search_starts,
+)
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import frozen_array
 

@@ -5,16 +5,19 @@ Compiled code checks no index: an array of another shape makes it read, and writ
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from math import isfinite
 from numbers import Integral, Real
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent, UsageError
+from armsight.fields import Bounds
 
 Record = TypeVar("Record")
 Choice = TypeVar("Choice", bound=StrEnum)
@@ -22,7 +25,7 @@ Choice = TypeVar("Choice", bound=StrEnum)
 
 FLOAT64 = np.dtype(np.float64)
 
-Shape = tuple[int | None, ...]
+Dimensions = tuple[int | None, ...]
 """Lengths of the axes, None for any."""
 
 REAL = "iuf"
@@ -32,7 +35,7 @@ ROTATION_TOLERANCE = 1e-3
 """Rotation matrices further from orthonormal than this (largest entry of R^T R - I) are refused: not rounding."""
 
 
-def frozen_array(name: str, value: ArrayLike, shape: Shape) -> NDArray[np.float64]:
+def frozen_array(name: str, value: ArrayLike, shape: Dimensions) -> NDArray[np.float64]:
     """Return a read-only float64 copy of value; None in shape stands for any length.
 
     Raises Inconsistent, naming the field, where it is no numbers, the shape differs or an entry is not finite.
@@ -44,7 +47,7 @@ def frozen_array(name: str, value: ArrayLike, shape: Shape) -> NDArray[np.float6
     return array
 
 
-def checked_array(name: str, value: ArrayLike, shape: Shape, *, nan: bool = False) -> NDArray[np.float64]:
+def checked_array(name: str, value: ArrayLike, shape: Dimensions, *, nan: bool = False) -> NDArray[np.float64]:
     """Return value as C-contiguous float64 for compiled code, not copied where it can be; raises as frozen_array.
 
     nan: entries may be NaN (never infinite), for functions whose answer is then NaN in that row.
@@ -189,7 +192,7 @@ def _no_numbers(name: str, why: str) -> Inconsistent:
     )
 
 
-def _require_shape(name: str, array: NDArray[np.float64], shape: Shape) -> None:
+def _require_shape(name: str, array: NDArray[np.float64], shape: Dimensions) -> None:
     fits = len(array.shape) == len(shape)
     for have, want in zip(array.shape, shape, strict=False):
         fits = fits and (want is None or have == want)
@@ -230,3 +233,54 @@ def trusted(kind: type[Record], **fields: object) -> Record:
             value.setflags(write=False)
         object.__setattr__(record, name, value)
     return record
+
+
+# What a record's field may hold, said once beside the field: `speed_m_s: Positive = 0.1`. Files follow it too.
+
+MOST = 1e6
+"""No speed, length, time or count of a limit is larger: a unit gone wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Lengths of an array's axes, None for any; endless: entries may be infinite, which files hold as null."""
+
+    lengths: tuple[int | None, ...]
+    endless: bool = False
+
+
+Positive = Annotated[float, Bounds(above=0.0, most=MOST)]
+NotNegative = Annotated[float, Bounds(least=0.0, most=MOST)]
+
+
+@cache
+def _bounds(kind: Any) -> tuple[tuple[str, Bounds], ...]:
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple((name, limit) for name, hint in hints.items() for limit in _in(hint))
+
+
+def _in(hint: Any) -> Iterator[Bounds]:
+    """Yield the bounds of a number, also of one that may be None."""
+    for part in (hint, *get_args(hint)):
+        if get_origin(part) is Annotated and get_args(part)[0] in (float, int):
+            yield from (one for one in get_args(part)[1:] if isinstance(one, Bounds))
+
+
+def require_bounds(record: object, of: str = "") -> None:
+    """Raise UsageError where a field of a record is no number, Inconsistent where it is not within its Bounds.
+
+    None is let through.
+    """
+    kind: Any = type(record)  # a class can be hashed
+    for name, limit in _bounds(kind):
+        value = getattr(record, name)
+        if value is None:
+            continue
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            require_number(of + name, value)
+        if not limit.holds(value):
+            raise Inconsistent(
+                f"{of}{name} is {value:g}, which must be {limit}",
+                consequence="It cannot be used",
+                cure="Give one, or leave the key away for the default",
+            )

@@ -9,7 +9,7 @@ import numpy as np
 
 from armsight.errors import Inconsistent
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel
-from armsight.records.timing import TIMING
+from armsight.records.camera import TIMING
 from armsight.store.codec import (
     Finite,
     mapping,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadFile
-from armsight.records.tracks import SpotTrack
+from armsight.records.views import SpotTrack
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import LARGEST
 from armsight.store.tables import MAX_BYTES, Table, cells, number, parse_table, word

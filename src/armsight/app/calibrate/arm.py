@@ -28,7 +28,7 @@ from armsight.calibrate.arm import (
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
-from armsight.kinematics.rigid import nearest_rigid
+from armsight.kinematics.derivatives import nearest_rigid
 from armsight.optics import Rig
 from armsight.records.output import extended, output
 from armsight.report.arm_report import arm_report

@@ -19,14 +19,13 @@ from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_
 from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower, systematic_covariance
 from armsight.measure.motion.estimate import Start, smooth
 from armsight.measure.motion.residuals import MotionResiduals, fitting_stretches, motion_residuals, without_outliers
-from armsight.measure.motion.states import MotionState, View
-from armsight.measure.motion.timing import TimingEstimate, TimingPrior
+from armsight.measure.motion.states import MotionState, TimingEstimate, TimingPrior, View
 from armsight.measure.poses.setup import Setup
 from armsight.measure.results import FreeRunning
 from armsight.optics import SIDES
 from armsight.records import CameraTiming, PoseStatus, Progress, TargetPose
+from armsight.records.camera import PPM
 from armsight.records.result_parts import BothCounts, BothSeconds
-from armsight.records.timing import PPM
 from armsight.units import MS
 
 FOLLOWING = "measuring"

@@ -29,12 +29,12 @@ from armsight.measure.results import (
     ConsistencyOutput,
     Estimated,
     FrameTime,
+    Grounds,
     MadeWith,
     MeasureOutput,
     OtherCause,
     PoseDeviations,
 )
-from armsight.measure.verdict import Grounds
 from armsight.optics import SIDES, Rig
 from armsight.records import PoseStatus, Target, TargetPose
 from armsight.records.result_parts import PoseStd, Skew

@@ -39,10 +39,9 @@ from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.poses.setup import SLACK_PX, rig_slack_px
-from armsight.measure.results import MeasureOutput
+from armsight.measure.results import MeasureOutput, grounds_of
 from armsight.measure.settings import SpotSettings
 from armsight.measure.tracker import TargetTracker
-from armsight.measure.verdict import grounds_of
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
 from armsight.store import World, parse_board, read_target, read_world

@@ -16,7 +16,7 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, Verdict
 
 
 @output

@@ -29,8 +29,7 @@ from armsight.kinematics import Arm, fk
 from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import PoseStd, RejectedRow
-from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
+from armsight.records.result_parts import MANY_REJECTED, MEANING, PoseStd, RejectedRow, Verdict
 from armsight.units import MM
 
 _Refined = tuple[RigidTransform, NamedCovariance, tuple[str, ...]]

@@ -14,8 +14,7 @@ from armsight.optics import SIDES, Camera, LensKind, Rig
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import RejectedFile
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, RejectedFile, Verdict
 from armsight.units import MM
 
 UNITS = {

@@ -17,7 +17,7 @@ from armsight.fitting.groups import whitener
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.records import Motion, SpotTrack
-from armsight.records.timing import PPM
+from armsight.records.camera import PPM
 
 LOG_GAP_S = 0.2
 """Readings further apart than this leave open where the arm was between them."""

@@ -16,8 +16,7 @@ from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import Target
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, BothPixels, BothSeconds, PoseStd, Verdict
 
 UNLEARNED_BITS = 0.2
 """Of a parameter that the recording says so little about, only what was known before is known."""

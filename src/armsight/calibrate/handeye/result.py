@@ -19,8 +19,7 @@ from armsight.fields import Doc
 from armsight.fitting.quantiles import t_ppf
 from armsight.records import NamedCovariance, frozen_array
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import PoseStd
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, PoseStd, Verdict
 from armsight.units import DEG, MM
 
 Vector3 = tuple[float, float, float]

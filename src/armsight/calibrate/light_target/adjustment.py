@@ -119,6 +119,7 @@ def _judge(
     step = np.zeros((g, len(information)))
     if g > 1:
         step = without(information, S, (Js.transpose(0, 2, 1) @ e[:, :, None])[:, :, 0])
+    # the pose of a frame follows the shape that the others give: e and Js are by what is left of both
     left_out = (e + (Js @ step[:, :, None])[:, :, 0])[:, : 4 * n].reshape(g, n, 2, 2)
     share = np.zeros_like(covariance)
     if rig.covariance is not None:

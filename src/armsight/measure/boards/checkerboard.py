@@ -8,10 +8,17 @@ from numpy.typing import ArrayLike
 
 from armsight.arrays import Array, Image, Mask
 from armsight.errors import BadImage, Unseen
-from armsight.measure.boards.gridmap import GridMap, fit_map, most_upright
+from armsight.measure.boards.gridmap import (
+    GridMap,
+    fit_map,
+    levels_at,
+    most_upright,
+    outer_lines,
+    refuse_miscount,
+    too_few,
+)
 from armsight.measure.boards.kernels.gridmap import median
 from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
-from armsight.measure.boards.miscount import levels_at, outer_lines, refuse_miscount, too_few
 from armsight.measure.boards.saddle_grid import grid_at_a_glance, shrunk
 from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target

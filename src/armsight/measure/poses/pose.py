@@ -10,7 +10,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.errors import Unseen
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.kernels import rig_covariance, whole_pose
+from armsight.measure.poses.kernels import rig_covariance
 from armsight.measure.poses.setup import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Points, PoseStatus, TargetPose, trusted
@@ -35,9 +35,9 @@ _CAUSE = {
 _MISFIT = "one of the spots is off, and it is not clear which: only the position is known"
 _FOLDED = "the spots fit tilts to either side of the line of sight: only the position is known"
 _DOUBT = {
-    whole_pose.NO_DOUBT: (_WHY[kernels.OPEN], Unseen.ROTATION_OPEN),
-    whole_pose.ONE_OFF: (_MISFIT, Unseen.ONE_OFF),
-    whole_pose.FOLDED: (_FOLDED, Unseen.ROTATION_OPEN),
+    rig_covariance.NO_DOUBT: (_WHY[kernels.OPEN], Unseen.ROTATION_OPEN),
+    rig_covariance.ONE_OFF: (_MISFIT, Unseen.ONE_OFF),
+    rig_covariance.FOLDED: (_FOLDED, Unseen.ROTATION_OPEN),
 }
 
 
@@ -109,7 +109,7 @@ def fit_pose(packed: PackedRig, spots: NamedSpots, limit: float, slack_px: float
     xyz_m.setflags(write=False)  # lights left out or not: one compilation serves both
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
     T, C, systematic = np.empty((4, 4)), np.empty((6, 6)), np.empty((6, 6))
-    state, factor, doubt = whole_pose.solve_whole(
+    state, factor, doubt = rig_covariance.solve_whole(
         packed.arrays,
         (uv_px, cov_px2),
         (slack_px**2, limit),
@@ -142,9 +142,9 @@ def solve_pose(
     carried = packed.covariance if covariance is None else covariance
     fit = fit_pose(packed, spots, limit, slack_px, carried)
     state, factor, doubt, P, S, T, C, residual, systematic = fit
-    if state == whole_pose.UNLIKE:
+    if state == rig_covariance.UNLIKE:
         return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
-    if state == whole_pose.UNCERTAIN:
+    if state == rig_covariance.UNCERTAIN:
         seen, (why, cause) = _placed(packed, spots.names, P, S, spots.cov_px2, residual), _DOUBT[doubt]
         return Solved(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
     if state != kernels.SOLVED:
@@ -186,7 +186,7 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     T, C = np.eye(4), np.empty((6, 6))
     if (
         not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C)
-        or not max(C[3, 3], C[4, 4], C[5, 5]) <= whole_pose.MAX_ROTATION_SIGMA**2
+        or not max(C[3, 3], C[4, 4], C[5, 5]) <= rig_covariance.MAX_ROTATION_SIGMA**2
     ):
         pose = position_only(t_s, seen, "the three lights lie on one line")
         return Solved(pose=pose, points=seen.points, cause=Unseen.ROTATION_OPEN)

@@ -15,7 +15,7 @@ from armsight.geometry.kernels import rotvec
 from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.kernels.whole_pose import MAX_DOUBTFUL_SIGMA
+from armsight.measure.poses.kernels.rig_covariance import MAX_DOUBTFUL_SIGMA
 from armsight.measure.poses.outcome import Assignment
 from armsight.measure.poses.pairs import Pairs
 from armsight.measure.poses.pose import (
