@@ -25,9 +25,9 @@ from armsight.defaults import TIP_GOAL_M
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.groups import leave_one_out, regions, whitener
 from armsight.fitting.quantiles import f_isf, student_factor
-from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
 from armsight.geometry.poses import skew
 from armsight.records import NamedCovariance, frozen_array
+from armsight.records.checks import FAR_M, TOOL_M, check_metres, check_spread
 from armsight.units import DEG, MM
 
 NAMES = ("tip.x_m", "tip.y_m", "tip.z_m", "point.x_m", "point.y_m", "point.z_m")

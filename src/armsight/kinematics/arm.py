@@ -393,12 +393,3 @@ def _unit(down: Array) -> Array:
     down /= size
     down.setflags(write=False)
     return down
-
-
-def dh_arm(name: str, rows: Sequence[Sequence[float]], **fields: object) -> Arm:
-    """Return an arm of revolute joints j1..jn from rows (a_m, alpha_rad, d_m, theta_rad), standard convention."""
-    joints = tuple(
-        Joint(name=f"j{i}", a_m=a, alpha_rad=alpha, d_m=d, theta_rad=theta)
-        for i, (a, alpha, d, theta) in enumerate(rows, start=1)
-    )
-    return Arm(name=name, joints=joints, **fields)  # type: ignore[arg-type]  # passed on as they are

@@ -10,9 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
-from armsight.geometry.lengths import PITCH_M, TARGET_M, check_metres
 from armsight.records.by_value import Saveable
-from armsight.records.checks import frozen_array, one_of, require_count, require_kind, require_numbers, require_texts
+from armsight.records.checks import (
+    PITCH_M,
+    TARGET_M,
+    check_metres,
+    frozen_array,
+    one_of,
+    require_count,
+    require_kind,
+    require_numbers,
+    require_texts,
+)
 
 
 class TargetKind(StrEnum):

@@ -10,8 +10,8 @@ import numpy as np
 from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
-from armsight.geometry.lengths import check_spread
 from armsight.records import frozen_array
+from armsight.records.checks import check_spread
 from armsight.records.output import Output, output
 
 Rejected = tuple[tuple[int, str], ...]

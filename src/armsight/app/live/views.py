@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.fields import Doc
 from armsight.geometry import euler_rad
-from armsight.measure.aiming import aiming_hint
+from armsight.measure.planning import aiming_hint
 from armsight.measure.poses.pipeline import Measured
 from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig

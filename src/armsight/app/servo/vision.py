@@ -27,8 +27,7 @@ from armsight.control.servo.delay import CameraDelay
 from armsight.drivers import CameraSettings, is_live
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
-from armsight.measure.poses.pipeline import Measured, Setup
-from armsight.measure.tracker import TargetTracker, lost_pair
+from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, lost_pair
 from armsight.optics import Rig
 from armsight.records import Frame, PoseStatus, Target, TargetPose
 

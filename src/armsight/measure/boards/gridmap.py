@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armsight.arrays import Array, Image, Index
-from armsight.errors import BadImage
+from armsight.errors import BadImage, unused_image
 from armsight.measure.boards.kernels.gridmap import fit_grid_map, map_derivatives, map_points, off_line
 from armsight.records import BoardView, Target
 from armsight.records.views import symmetries
@@ -103,9 +103,8 @@ def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> N
     grid = np.rint(board.xyz_m[:, :2] / board.pitch_m)
     smooth, _ = fit_map(grid, guess)
     if alternating_share(image, board, smooth) < ALTERNATE:
-        raise BadImage(
+        raise unused_image(
             f"{source}: the grid of {board.columns}x{board.rows} corners that is there has no squares between them",
-            consequence="The image is not used",
             cure="Count the inner corners again, or show the whole board, sharp and evenly lit",
         )
     for side, axis, line in outer_lines(board):

@@ -42,7 +42,7 @@ _DOUBT = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solved:
+class PoseSolution:
     """A pose with the points it came from; its matrix T (4, 4), None where it is not complete.
 
     fits: whether the residuals agree with the target, slack allowed. cause: of what the pose says is not known.
@@ -130,7 +130,7 @@ def solve_pose(
     limit: float,
     slack_px: float = SLACK_PX,
     covariance: Array | None = None,
-) -> Solved:
+) -> PoseSolution:
     """Return the pose of greatest likelihood on both images from n >= 3 named spots, started by Kabsch.
 
     limit: largest chi-square, slack included, that is believed (fit_limit).
@@ -146,7 +146,7 @@ def solve_pose(
         return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
     if state == rig_covariance.UNCERTAIN:
         seen, (why, cause) = _placed(packed, spots.names, P, S, spots.cov_px2, residual), _DOUBT[doubt]
-        return Solved(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
+        return PoseSolution(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
     if state != kernels.SOLVED:
         return _unsolved(state, packed, t_s, spots, P, S, residual)
     if packed.covariance.size:
@@ -158,13 +158,13 @@ def solve_pose(
 
 def _unsolved(
     state: int, packed: PackedRig, t_s: float, spots: NamedSpots, P: Array, S: Array, residual: Array
-) -> Solved:
+) -> PoseSolution:
     """Return what is left where the fit did not come to a pose: the position of the points, if there are any."""
     if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
         return _lost(t_s, _WHY[state], Unseen.NO_POINT)
     seen = _placed(packed, spots.names, P, S, spots.cov_px2, residual)
     pose, cause = position_only(t_s, seen, _WHY[state]), _CAUSE.get(state, Unseen.NO_POINT)
-    return Solved(pose=pose, points=seen.points, fits=state == kernels.OPEN, cause=cause)
+    return PoseSolution(pose=pose, points=seen.points, fits=state == kernels.OPEN, cause=cause)
 
 
 def _not_the_target(residual: Array) -> str:
@@ -175,7 +175,7 @@ def _not_the_target(residual: Array) -> str:
     )
 
 
-def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
+def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> PoseSolution:
     """Return the frame of three lights A, B, C nobody has measured (Pachidis 2005, eqs. 7-8), with its covariance.
 
     uv_px, cov_px2: as in NamedSpots. The lights' own triangle is not assumed to keep its shape.
@@ -189,7 +189,7 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
         or not max(C[3, 3], C[4, 4], C[5, 5]) <= rig_covariance.MAX_ROTATION_SIGMA**2
     ):
         pose = position_only(t_s, seen, "the three lights lie on one line")
-        return Solved(pose=pose, points=seen.points, cause=Unseen.ROTATION_OPEN)
+        return PoseSolution(pose=pose, points=seen.points, cause=Unseen.ROTATION_OPEN)
     systematic = None
     if seen.systematic_m2 is not None:
         systematic = np.empty((6, 6))
@@ -239,7 +239,7 @@ def _whole(
     residual: Array,
     systematic: Array | None = None,
     factor: float = 1.0,
-) -> Solved:
+) -> PoseSolution:
     """Return the pose T (4, 4) with its covariance C (6, 6), widened by a factor for its residuals."""
     pose = trusted(
         TargetPose,
@@ -254,7 +254,9 @@ def _whole(
         systematic_covariance=systematic,
         origin_known=True,
     )
-    return Solved(pose=pose, points=points, T=T, cause=Unseen.BEYOND_CLAIMS if factor > BEYOND_CLAIMS else Unseen.OTHER)
+    return PoseSolution(
+        pose=pose, points=points, T=T, cause=Unseen.BEYOND_CLAIMS if factor > BEYOND_CLAIMS else Unseen.OTHER
+    )
 
 
 def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_px2: Array, residual: Array) -> Placed:
@@ -279,7 +281,7 @@ def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
     return A
 
 
-def with_covariance(solved: Solved, C: Array) -> Solved:
+def with_covariance(solved: PoseSolution, C: Array) -> PoseSolution:
     """Return a solved pose with another covariance (6, 6), which is used by nobody else."""
     fields = {name: getattr(solved.pose, name) for name in TargetPose.__slots__}
     return replace(solved, pose=trusted(TargetPose, **(fields | {"covariance": C})))
@@ -290,8 +292,8 @@ def lost(t_s: float, why: str) -> TargetPose:
     return TargetPose(t_s=t_s, status=PoseStatus.LOST, parent=PARENT, why=why)
 
 
-def _lost(t_s: float, why: str, cause: Unseen) -> Solved:
-    return Solved(pose=lost(t_s, why), points=no_points(), fits=False, cause=cause)
+def _lost(t_s: float, why: str, cause: Unseen) -> PoseSolution:
+    return PoseSolution(pose=lost(t_s, why), points=no_points(), fits=False, cause=cause)
 
 
 def no_points() -> Points:

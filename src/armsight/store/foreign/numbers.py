@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_matrix
-from armsight.geometry.lengths import LARGEST_BASELINE_M
+from armsight.records.checks import LARGEST_BASELINE_M
 from armsight.store.codec import LARGEST
 
 ROTATION_TOLERANCE = 1e-4
