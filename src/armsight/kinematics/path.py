@@ -28,7 +28,7 @@ from armsight.kinematics.inverse_kinematics import branch_names, ik, in_range
 from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
 from armsight.kinematics.numeric import FROM_START_ONLY, solve_numeric
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
-from armsight.records import Motion, frozen_array
+from armsight.records import Motion, freeze, frozen_array
 from armsight.records.output import Output, output
 
 JUMP = 0.35
@@ -77,7 +77,7 @@ class JointPath:
     issues: tuple[Issue, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", frozen_array("q", self.q, (None, None)))
+        freeze(self, q=(None, None))
 
     @property
     def complete(self) -> bool:

@@ -47,6 +47,12 @@ def frozen_array(name: str, value: ArrayLike, shape: Dimensions) -> NDArray[np.f
     return array
 
 
+def freeze(record: object, **shapes: Dimensions) -> None:
+    """Keep read-only copies of a frozen record's arrays, by their names; raises as frozen_array."""
+    for name, shape in shapes.items():
+        object.__setattr__(record, name, frozen_array(name, getattr(record, name), shape))
+
+
 def checked_array(name: str, value: ArrayLike, shape: Dimensions, *, nan: bool = False) -> NDArray[np.float64]:
     """Return value as C-contiguous float64 for compiled code, not copied where it can be; raises as frozen_array.
 

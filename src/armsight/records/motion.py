@@ -16,6 +16,7 @@ from armsight.records.by_value import Saveable
 from armsight.records.checks import (
     checked_array,
     checked_poses,
+    freeze,
     frozen_array,
     real_array,
     require_kind,
@@ -34,7 +35,7 @@ class JointReading:
     source: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", frozen_array("q", self.q, (None,)))
+        freeze(self, q=(None,))
         require_numbers(self, "sequence")
         require_kind("t_s", self.t_s, Real)
         if not np.isfinite(self.t_s):
@@ -49,8 +50,8 @@ class Motion:
     q: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_s", frozen_array("t_s", self.t_s, (None,)))
-        object.__setattr__(self, "q", frozen_array("q", self.q, (len(self.t_s), None)))
+        freeze(self, t_s=(None,))
+        freeze(self, q=(len(self.t_s), None))
         if (np.diff(self.t_s) <= 0.0).any():
             row = int(np.argmax(np.diff(self.t_s) <= 0.0)) + 1
             raise Inconsistent(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array, Index
 from armsight.errors import BadImage, Inconsistent
-from armsight.records.checks import frozen_array, require_numbers
+from armsight.records.checks import freeze, require_numbers
 from armsight.records.target import Target, TargetKind
 
 
@@ -31,7 +31,7 @@ class BoardView:
 
     def __post_init__(self) -> None:
         index = np.array(self.index, dtype=np.intp)
-        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (len(index), 2)))
+        freeze(self, uv_px=(len(index), 2))
         if len(set(index.tolist())) != len(index) or (len(index) and index.min() < 0):
             raise Inconsistent(f"{self.source}: a point of the board is named twice")
         index.setflags(write=False)
@@ -145,9 +145,7 @@ class SpotTrack:
     def __post_init__(self) -> None:
         m = len(self.names)
         object.__setattr__(self, "names", tuple(self.names))
-        object.__setattr__(self, "t_s", frozen_array("t_s", self.t_s, (None,)))
-        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (m, 2)))
-        object.__setattr__(self, "covariance_px2", frozen_array("covariance_px2", self.covariance_px2, (m, 2, 2)))
+        freeze(self, t_s=(None,), uv_px=(m, 2), covariance_px2=(m, 2, 2))
         frame = np.array(self.frame, dtype=np.intp)
         frame.setflags(write=False)
         object.__setattr__(self, "frame", frame)

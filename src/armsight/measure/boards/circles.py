@@ -194,7 +194,7 @@ class _Search:
         return unused_image(
             f"{self.source}: no grid of {wanted} circles was found{instead}",
             cure="Show the whole grid, sharp and evenly lit, and count its circles",
-            size=_whole_size(self.largest, self.board),
+            size=_complete_size(self.largest, self.board),
         )
 
 
@@ -354,7 +354,7 @@ def _instead(lattice: Lattice | None, board: Target, *, beyond: bool) -> str:
     """Return words on the grid that was found, if it is large enough to mean anything."""
     if lattice is None or len(lattice) < 9:
         return ""
-    size = _whole_size(lattice, board)
+    size = _complete_size(lattice, board)
     if size is not None:
         return f", but one of {size[0]}x{size[1]} was"
     if beyond:
@@ -362,7 +362,7 @@ def _instead(lattice: Lattice | None, board: Target, *, beyond: bool) -> str:
     return f" (the largest grid has {len(lattice)} circles of {len(board.names)})"
 
 
-def _whole_size(lattice: Lattice | None, board: Target) -> tuple[int, int] | None:
+def _complete_size(lattice: Lattice | None, board: Target) -> tuple[int, int] | None:
     """Return counts of a whole grid of another size, or None: of a symmetric one the larger first, of an asymmetric one
     columns and rows exchanged."""
     if lattice is None or len(lattice) < 9:

@@ -159,7 +159,7 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
         for part, other in zip(grids, layers[::-1], strict=True):
             _check_size(part, other, board, source)
     else:
-        _check_whole(grids[0], board, source)
+        _check_complete(grids[0], board, source)
         first = first_layer(grids[0], board)
         grid = _second(light, saddles, first, board)
         if grid is None:
@@ -172,7 +172,7 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
         layers = first, first_layer(grid, board)
         for part, other in ((grids[0], layers[1]), (grid, first)):
             _check_size(part, other, board, source)
-        _check_whole(grid, board, source)
+        _check_complete(grid, board, source)
     rest = saddles
     for layer in layers:
         _check_inside(layer, light, board, source)
@@ -203,7 +203,7 @@ def _second(light: Array, saddles: Saddles, first: Layer, board: Target) -> Grid
     return found[0] if found and len(found[0].cells) >= PART_SHARE * len(board.names) else None
 
 
-def _check_whole(grid: Grid, board: Target, source: str) -> None:
+def _check_complete(grid: Grid, board: Target, source: str) -> None:
     """Raise BadImage for a grid that shows a part of the board only, or one of another size."""
     size = np.ptp(grid.cells, axis=0) + 1
     usual = np.median(grid.strength)

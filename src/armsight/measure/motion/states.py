@@ -10,7 +10,7 @@ import numpy as np
 
 from armsight.arrays import Array, Index
 from armsight.measure.motion.kernels import state as kernels
-from armsight.records import CameraTiming, frozen_array, trusted
+from armsight.records import CameraTiming, freeze, frozen_array, trusted
 from armsight.records.camera import CLOCK, PPM
 
 BEGIN_POSITION_M, BEGIN_ROTATION_RAD = 0.02, 0.15
@@ -60,9 +60,7 @@ class MotionState:
     by_timing: Array = field(default_factory=lambda: NO_TIMING)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "x", frozen_array("x", self.x, (kernels.STATE,)))
-        object.__setattr__(self, "C", frozen_array("C", self.C, (kernels.N, kernels.N)))
-        object.__setattr__(self, "by_timing", frozen_array("by_timing", self.by_timing, (kernels.N, None)))
+        freeze(self, x=(kernels.STATE,), C=(kernels.N, kernels.N), by_timing=(kernels.N, None))
 
     @property
     def T_rig_target(self) -> Array:
@@ -137,7 +135,7 @@ class TimingPrior:
     readout_s: tuple[float, float]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (4, 4)))
+        freeze(self, covariance=(4, 4))
 
     @classmethod
     def of(cls, timing: Sequence[CameraTiming], mid_s: float, stamps: Sequence[Array]) -> TimingPrior:
@@ -184,8 +182,7 @@ class TimingEstimate:
     covariance: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "change", frozen_array("change", self.change, (4,)))
-        object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (4, 4)))
+        freeze(self, change=(4,), covariance=(4, 4))
 
     @property
     def mahalanobis2(self) -> float:

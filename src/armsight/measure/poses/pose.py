@@ -153,7 +153,7 @@ def solve_pose(
         A = _slopes(packed, spots.cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
     points = trusted(Points, names=spots.names, xyz_m=P, covariance_m2=S)
-    return _whole(t_s, points, T, C, residual, systematic if carried.size else None, factor)
+    return _full_pose(t_s, points, T, C, residual, systematic if carried.size else None, factor)
 
 
 def _unsolved(
@@ -194,7 +194,7 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     if seen.systematic_m2 is not None:
         systematic = np.empty((6, 6))
         kernels.pachidis_frame(seen.points.xyz_m, seen.systematic_m2, np.eye(4), systematic)
-    return _whole(t_s, seen.points, T, C, seen.residual_px, systematic)
+    return _full_pose(t_s, seen.points, T, C, seen.residual_px, systematic)
 
 
 def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Placed | NotSeen:
@@ -231,7 +231,7 @@ def _of_mean(joint_m2: Array, n: int) -> Array:
     return np.asarray(joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2)
 
 
-def _whole(
+def _full_pose(
     t_s: float,
     points: Points,
     T: Array,
