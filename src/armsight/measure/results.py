@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -15,9 +15,6 @@ from armsight.records import TargetPose
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import MEANING, BothCounts, BothSeconds, PoseStd, Skew, Verdict
 from armsight.units import figure_of
-
-if TYPE_CHECKING:
-    from armsight.measure.results import ConsistencyOutput, MeasureOutput
 
 
 @output
