@@ -259,7 +259,7 @@ def widened(covariance: Array, slopes: Array, noise: Array, errors: Array, part:
     pull = np.einsum("mrk,mrs->mks", slopes, np.linalg.inv(noise))
     own = np.array([np.einsum("mks,msl->kl", pull[part == k], slopes[part == k]) for k in range(g)])
     gradient = np.array([np.einsum("mks,ms->k", pull[part == k], errors[part == k]) for k in range(g)])
-    steps = without(np.linalg.inv(covariance), own, gradient)
+    steps = without(np.asarray(np.linalg.inv(covariance), np.float64), own, gradient)
     root = np.linalg.cholesky(covariance)
     off = np.linalg.solve(root, (steps - steps.mean(axis=0)).T)
     W = (g - 1.0) / g * (off @ off.T)  # one where rows are independent
