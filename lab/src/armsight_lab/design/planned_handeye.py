@@ -8,10 +8,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
-from armsight.calibrate.handeye.known_noise import linearise, whitener
+from armsight.calibrate.handeye.known_noise import CONDITION, linearise
 from armsight.calibrate.handeye.pairs import components
 from armsight.errors import Degenerate
 from armsight.fitting import inverse_information
+from armsight.fitting.groups import whitener
 from armsight.geometry.poses import skew
 
 UNKNOWN = tuple(
@@ -62,7 +63,7 @@ def planned_handeye(
     unit = np.zeros((6, 6))
     unit[:3, :3] = np.eye(3)
     V = random + robot.position_m**2 * unit + robot.orientation_rad**2 * at.L  # (n, 6, 6)
-    W = whitener(V)
+    W = whitener(V, CONDITION)
     J = W @ at.J[:, :, :12]
     information = np.einsum("nia,nib->ab", J, J)
     C, open_ = inverse_information(information, np.diag(information), UNKNOWN)
