@@ -19,7 +19,7 @@ import numpy as np
 from armsight.errors import BadImage
 from armsight.measure.boards import find_board, warm_up
 from armsight.records import Target, TargetKind, board_target
-from armsight.records.board import symmetries
+from armsight.records.views import symmetries
 from bench import machine, table, test_scene
 
 scene = test_scene("circle_composites")

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from armsight.app.live.pace import live_pace
 from armsight.errors import ArmsightError
-from armsight.measure.pace import BATCH, Pace
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
+from armsight.measure.settings import BATCH, Pace
 from armsight.records import Frame, PoseStatus, spot_target, unmeasured_target
 from bench import machine, table
 from pose import RIG, TARGETS, see

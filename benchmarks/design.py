@@ -26,7 +26,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, Plate, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
-from armsight.records.noise import LinearNoise, NeighbourCorrelation, NoiseModel
+from armsight.records.camera import LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.target import spot_target
 from armsight.store import parse_board, rig_mapping, target_mapping, write_rig, write_target
 from armsight.store.worlds import World, write_world

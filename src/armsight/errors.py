@@ -67,6 +67,15 @@ class UsageError(ArmsightError):
     exit_code = 2
 
 
+def not_one_of(name: str, value: object, words: Iterable[str]) -> UsageError:
+    """Return the error of a value that is none of the words."""
+    return UsageError(
+        f"{name} is {value!r}, which is not known",
+        consequence="It cannot be used",
+        cure=f"Use one of: {', '.join(words)}",
+    )
+
+
 class DataRefused(ArmsightError):
     """The data cannot carry the answer asked for."""
 
@@ -151,6 +160,17 @@ class BadImage(DataRefused):
         self.unseen = unseen
         self.size = size
         super().__init__(cause, consequence=consequence, cure=cure)
+
+
+def unused_image(
+    cause: str,
+    *,
+    cure: str = "Show the whole board, sharp and evenly lit, and count its inner corners",
+    unseen: Unseen = Unseen.OTHER,
+    size: tuple[int, int] | None = None,
+) -> BadImage:
+    """Return the error of an image that is not used, such as one of a board."""
+    return BadImage(cause, consequence="The image is not used", cure=cure, unseen=unseen, size=size)
 
 
 class NotEnoughData(DataRefused):

@@ -36,7 +36,7 @@ from armsight.fields import Bounds
 from armsight.ops.checks import bounds_of_parameters
 from armsight.ops.commands import parameter
 from armsight.optics import Plate
-from armsight.optics.resolution import CENTROID_SIGMA_PX
+from armsight.optics.parallelism import CENTROID_SIGMA_PX
 from armsight.store.cell_file import CellMirrors
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -24,13 +24,13 @@ from armsight.drivers.images import ImageReading, image_of_8_bits
 from armsight.drivers.opening import open_source
 from armsight.drivers.remote.wire import ServerAddress
 from armsight.kinematics import preset
-from armsight.kinematics.couplings import Coupling
-from armsight.measure.pace import Pace
+from armsight.kinematics.joints import Coupling
+from armsight.measure.settings import Pace
 from armsight.optics import Camera, Plate
 from armsight.records import Motion, Spots, TaughtPath
+from armsight.records.camera import CameraTiming
 from armsight.records.checks import require_rigid
 from armsight.records.target import Colour, TargetKind, board_target
-from armsight.records.timing import CameraTiming
 from armsight.server.waiting import listening
 from armsight.server.web_server import ServeOptions, check_options
 from armsight.store import read_rig, read_target
@@ -197,12 +197,12 @@ TRIED = {
         lambda: IRB.fk([90.0, 0, 0, 0, 0, 0]),
         lambda: IRB.fk(np.radians([90.0, 0, 0, 0, 0, 0])),
     ),
-    ("kinematics/couplings.py", "Give a share of about one"): (coupled(57.3), coupled(1.0)),
+    ("kinematics/joints.py", "Give a share of about one"): (coupled(57.3), coupled(1.0)),
     ("kinematics/target.py", "Give metres: the numbers"): (
         lambda: IRB.ik(RigidTransform.from_translation([300.0, 0.0, 400.0])),
         lambda: IRB.ik(RigidTransform.from_translation([0.3, 0.0, 0.4])),
     ),
-    ("measure/pace.py", "Give seconds, or none"): (
+    ("measure/settings.py", "Give seconds, or none"): (
         lambda: Pace(deadline_s=0.0),
         each(lambda: Pace(deadline_s=0.01), Pace),
     ),
@@ -231,7 +231,7 @@ TRIED = {
         lambda: Colour(hue_deg=(-20.0, 20.0)),
         lambda: Colour(hue_deg=(340.0, 20.0)),
     ),
-    ("records/timing.py", "0.005 to 0.05"): (
+    ("records/camera.py", "0.005 to 0.05"): (
         lambda: CameraTiming(readout_s=20.0),
         lambda: CameraTiming(readout_s=0.02),
     ),

@@ -34,7 +34,7 @@ from armsight.errors import BadFile
 from armsight.kinematics import Arm, pose, preset
 from armsight.kinematics.symbolic import python_source
 from armsight.records import PoseStatus, Spots, TargetPose, TaughtPath
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.report import html as pages
 from armsight.report.arm_view import arm_report
 from armsight.report.html import Card, Page, bullets, table

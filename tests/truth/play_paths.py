@@ -24,7 +24,7 @@ from armsight.drivers import RobotState
 from armsight.drivers.protocols import Sent
 from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import preset
-from armsight.kinematics.singular import singularity_distance
+from armsight.kinematics.closed_form import singularity_distance
 from armsight.records import JointReading, TaughtPath
 
 Array = NDArray[np.float64]

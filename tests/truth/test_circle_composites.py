@@ -13,7 +13,7 @@ from armsight.errors import BadImage
 from armsight.measure.boards import find_board
 from armsight.measure.boards.lattice import round_dots
 from armsight.records import Target, TargetKind, board_target
-from armsight.records.board import symmetries
+from armsight.records.views import symmetries
 
 sys.path.insert(0, str(Path(__file__).parent))
 from circle_composites import PITCH_M, composite, photographs

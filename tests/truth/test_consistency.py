@@ -17,7 +17,7 @@ from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency, Finding
 from armsight.measure.consistency.evidence import target_basis
 from armsight.measure.poses.from_spots import measure_spots
-from armsight.measure.poses.kernels.whole_pose import misfit_factor
+from armsight.measure.poses.kernels.rig_covariance import misfit_factor
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
 from armsight.optics.parallelism import moved_rig

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import Inconsistent
 from armsight.measure.motion.estimate import MotionFilter, Start, smooth
-from armsight.measure.motion.states import MotionState, View
-from armsight.measure.motion.timing import TimingEstimate, TimingPrior
+from armsight.measure.motion.states import MotionState, TimingEstimate, TimingPrior, View
 from armsight.optics import Camera, PackedRig, parallel_rig
 from refusals import refuses
 

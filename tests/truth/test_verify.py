@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.correlation import regions
 from armsight.calibrate.timing.sampling import sampling_times
 from armsight.errors import Ambiguous, Inconsistent
+from armsight.fitting.groups import regions
 from armsight.kinematics import Arm, Joint, JointType, dh_arm, fk, preset
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses

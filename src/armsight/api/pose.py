@@ -16,7 +16,7 @@ from armsight.columns import POSE6
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
-from armsight.measure.consistency.check import RunCheck, settled
+from armsight.measure.consistency.check import RunCheck, finalise
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured, Track
@@ -352,7 +352,7 @@ class PoseTracker:
     def track(self) -> PoseTrack:
         """The poses so far; all are doubtful once the run is found inconsistent."""
         doubted = self._check is not None and self._check.inconsistent
-        return PoseTrack(poses=tuple(settled(pose, inconsistent=doubted) for pose in self._poses))
+        return PoseTrack(poses=tuple(finalise(pose, inconsistent=doubted) for pose in self._poses))
 
     @property
     def consistency(self) -> Consistency | None:

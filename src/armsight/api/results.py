@@ -11,7 +11,7 @@ from armsight.records.output import as_html, as_text
 from armsight.records.output import pose_rows as pose_rows
 
 if TYPE_CHECKING:
-    from armsight.records.verdict import Verdict
+    from armsight.records.result_parts import Verdict
 
 
 class Result(ByValue):

@@ -14,7 +14,7 @@ from armsight.kinematics import (
     preset,
 )
 from armsight.kinematics.axes import links_told
-from armsight.kinematics.rigid import nearest_rigid
+from armsight.kinematics.derivatives import nearest_rigid
 from armsight.records.output import Output, output
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.urdf import read_urdf, write_urdf

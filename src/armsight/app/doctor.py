@@ -19,11 +19,11 @@ from armsight.drivers import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, cameras_th
 from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
 from armsight.fields import Doc
-from armsight.geometry.lengths import wide_rig
 from armsight.measure.planning import LEAST_COMMON, Choice, plan
 from armsight.optics import Rig, resolution
-from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
+from armsight.optics.parallelism import CENTROID_SIGMA_PX, Resolution
 from armsight.records import Progress
+from armsight.records.checks import wide_rig
 from armsight.records.output import Output, output
 from armsight.store import read_zoom_rig
 from armsight.units import MM

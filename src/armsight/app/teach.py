@@ -28,9 +28,8 @@ from armsight.drivers import CameraSettings, PairSource
 from armsight.errors import StaleData, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
-from armsight.measure.poses.pipeline import Setup
+from armsight.measure.poses.pipeline import Setup, TargetTracker
 from armsight.measure.settings import SpotSettings
-from armsight.measure.tracker import TargetTracker
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent, Target, TargetPose
 from armsight.records.output import Output, output

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from armsight.arrays import Array
-from armsight.fitting.quantiles import NORMAL_95, chi2_sf, t_ppf
+from armsight.fitting.groups import without
+from armsight.fitting.quantiles import chi2_sf, student_factor
 
 SHARES = (0.2, 0.4, 0.6, 0.75, 0.87, 0.95, 0.99, 0.999)
 """Shares of the errors' variance that drift, of the models that are weighed against each other. Without the last one,
@@ -239,31 +240,11 @@ def _solved(normal: Array, logdet: float, free: int, k: int, prior: tuple[Array,
 #
 # The scatter of the residuals says nothing of it; fits without each region do (delete-a-group jackknife, Kott 2001).
 
-HALVINGS = 3
-"""Eight regions: each takes an eighth away from what determines an answer."""
 FEWEST_ROWS = 24
 """Three a region: fewer leave answers without one region that hang on single rows."""
 RARE = 0.01
 """Probability by chance of the scatter of answers without a region, from which on it is what is believed: of a Panda's
 nominal arm 0.005, 2e-9 and 1e-12; of independent rows one recording in ten is believed less than it could be."""
-
-
-def regions(values: Array) -> NDArray[np.intp]:
-    """Return (m,) which part of their space each row of values (m, n) is in, of 2^HALVINGS about equal ones.
-
-    Halved again and again across the value that spreads most, so that a part is near in all of them.
-    """
-    out = np.zeros(len(values), dtype=np.intp)
-    size = np.maximum(np.ptp(values, axis=0), 1e-300)
-    for _ in range(HALVINGS):
-        for part in range(out.max() + 1):
-            rows = np.flatnonzero(out == part)
-            if len(rows) < 2:
-                continue
-            own = values[rows, int(np.argmax((values[rows] / size).std(axis=0)))]
-            out[rows[own > np.median(own)]] += len(values)  # the upper half, numbered anew below
-        out = np.unique(out, return_inverse=True)[1].astype(np.intp)
-    return out
 
 
 def widened(covariance: Array, slopes: Array, noise: Array, errors: Array, part: NDArray[np.intp]) -> Array:
@@ -276,17 +257,15 @@ def widened(covariance: Array, slopes: Array, noise: Array, errors: Array, part:
     if len(errors) < FEWEST_ROWS:
         return covariance
     pull = np.einsum("mrk,mrs->mks", slopes, np.linalg.inv(noise))
-    H = np.linalg.inv(covariance)
-    without = np.empty((g, size))
-    for k in range(g):
-        own, at = part == k, np.einsum("mks,ms->k", pull[part == k], errors[part == k])
-        without[k] = np.linalg.solve(H - np.einsum("mks,msl->kl", pull[own], slopes[own]), at)
+    own = np.array([np.einsum("mks,msl->kl", pull[part == k], slopes[part == k]) for k in range(g)])
+    gradient = np.array([np.einsum("mks,ms->k", pull[part == k], errors[part == k]) for k in range(g)])
+    steps = without(np.asarray(np.linalg.inv(covariance), np.float64), own, gradient)
     root = np.linalg.cholesky(covariance)
-    off = np.linalg.solve(root, (without - without.mean(axis=0)).T)
+    off = np.linalg.solve(root, (steps - steps.mean(axis=0)).T)
     W = (g - 1.0) / g * (off @ off.T)  # one where rows are independent
     if chi2_sf((g - 1.0) * float(np.trace(W)), size * (g - 1)) > RARE:
         return covariance
     share, axes = np.linalg.eigh(W)
-    wide = np.maximum(share * (float(t_ppf(0.975, g - 1)) / NORMAL_95) ** 2, 1.0)
+    wide = np.maximum(share * student_factor(g - 1) ** 2, 1.0)
     axes = root @ axes
     return np.asarray((axes * wide) @ axes.T)

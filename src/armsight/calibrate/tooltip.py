@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
-from armsight.calibrate.correlation import regions, widened
+from armsight.calibrate.correlation import widened
 from armsight.calibrate.tooltip_premises import require_one_tool, require_point_there
 from armsight.calibrate.tooltip_result import ToolTipResult
 from armsight.calibrate.tooltip_rows import (
@@ -31,16 +31,20 @@ from armsight.calibrate.tooltip_rows import (
 )
 from armsight.defaults import TIP_GOAL_M
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
-from armsight.fitting.quantiles import NORMAL_95, f_isf, t_ppf
-from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
+from armsight.fitting.groups import leave_one_out, regions, whitener
+from armsight.fitting.quantiles import f_isf, student_factor
 from armsight.geometry.poses import skew
 from armsight.records import NamedCovariance, frozen_array
+from armsight.records.checks import FAR_M, TOOL_M, check_metres, check_spread
 from armsight.units import DEG, MM
 
 NAMES = ("tip.x_m", "tip.y_m", "tip.z_m", "point.x_m", "point.y_m", "point.z_m")
 
 LEAST_TURN_RAD = 2.5 * DEG
 """Least root-mean-square turn about the second axis: below it noise is blown up more than 20 times."""
+
+LEAST_NOISE_M2 = 1e-24
+"""Variance that exact poses have all the same."""
 
 LEAST_SHARE = 0.6
 FALSE_ALARM = 1e-5
@@ -152,14 +156,15 @@ def _weighed(R: Array, t: Array, C: Array | None, keep: NDArray[np.bool_], point
     # what is not known of the ratio of the noises widens the answer, and Student's factor what is not of their size;
     # the ratio, where it is looked for, costs a degree of freedom: without that 92.7 % of four or five poses are inside
     _, likeliest, e, V, scale2, dof = models[0][2]
-    student = (float(t_ppf(0.975, dof - (len(models) > 1))) / NORMAL_95) ** 2
+    student = float(student_factor(dof - (len(models) > 1))) ** 2
     spread = steps - x
     cov = student * np.einsum("k,kab->ab", weight, np.array([fit[1] for _, _, fit in models]))
     cov = cov + (spread.T * weight) @ spread
     part = regions(R[keep].reshape(-1, 9))
     once = student * likeliest
     cov = cov + widened(once, slopes(R[keep]), V[keep] * scale2, e[keep], part) - once
-    grown = np.where(keep[:, None], _left_out(R, e, V * scale2, likeliest, keep) - e, 0.0)
+    step, _ = _left_out(R, e, V * scale2, likeliest, keep)
+    grown = np.einsum("nia,na->ni", slopes(R), step)
     return TipFit(x=x, C=cov, left_out_m=grown, correlation=None)
 
 
@@ -174,7 +179,7 @@ def _agreed(R: Array, t: Array, C: Array | None, point: MeasuredPoint | None) ->
     for _ in range(TIP_ROUNDS):
         fit = _fit(R, t, C, keep, point)
         _, cov, e, V, scale2, dof = fit
-        q = _distance(R, e, V, cov, keep, scale2)
+        _, q = _left_out(R, e, V * scale2, cov, keep)
         limit = 3.0 * float(f_isf(FALSE_ALARM / n, 3, dof))
         fitting = q <= limit
         if (fitting == keep).all():
@@ -300,22 +305,11 @@ def _fit(R: Array, t: Array, C: Array, keep: NDArray[np.bool_], point: MeasuredP
     return x, np.linalg.inv(H) * scale2, e, V, scale2, dof
 
 
-def _distance(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_], scale2: float) -> Array:
-    """Return (n,): squared length of each residual, as left out, against its own noise and the answer's."""
-    J = slopes(R)
-    M = J @ cov @ J.transpose(0, 2, 1)
-    # a kept pose's own noise less what it shares with the fit; of another, its noise and the fit's
-    S = V * scale2 + np.where(keep[:, None, None], -M, M)
-    S = S + 1e-24 * np.eye(3)
-    return np.asarray(np.einsum("ni,ni->n", e, np.linalg.solve(S, e[:, :, None])[:, :, 0]))
-
-
-def _left_out(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_]) -> Array:
-    """Return (n, 3): each residual by the fit to the other kept poses; V (n, 3, 3): their covariances."""
-    J = slopes(R)
-    own = J @ cov @ J.transpose(0, 2, 1) @ np.linalg.inv(V + 1e-24 * np.eye(3))  # the share of itself in its fit
-    others = np.eye(3) - np.where(keep[:, None, None], own, 0.0)
-    return np.asarray(np.linalg.solve(others + 1e-12 * np.eye(3), e[:, :, None])[:, :, 0])
+def _left_out(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the steps (n, 6) to the fits without each pose, and the squared length (n,) of each residual by them,
+    against its own noise V (n, 3, 3) and the answer's."""
+    W = whitener(V + LEAST_NOISE_M2 * np.eye(3))
+    return leave_one_out(np.einsum("nij,nj->ni", W, e), W @ slopes(R), cov, keep)
 
 
 def _consensus(R: Array, t: Array) -> NDArray[np.bool_]:

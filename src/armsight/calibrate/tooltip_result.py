@@ -13,10 +13,9 @@ from armsight.calibrate.correlation import Correlation
 from armsight.columns import POSITION
 from armsight.fields import Doc
 from armsight.records import NamedCovariance, TargetPose, frozen_array
-from armsight.records.fields import Shape
+from armsight.records.checks import Shape
 from armsight.records.output import Row, TitledOutput, figure, output, with_std
-from armsight.records.result_parts import PointStd, RejectedRow
-from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
+from armsight.records.result_parts import MANY_REJECTED, MEANING, PointStd, RejectedRow, Verdict
 from armsight.shown import Bars, Shown, Table, digits, point_rows
 from armsight.units import DEG, MM
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from armsight.records.output import Output
-    from armsight.records.verdict import Verdict
+    from armsight.records.result_parts import Verdict
 
 UNFORESEEN = 1
 PRIVATE = 0o600

@@ -1,7 +1,6 @@
 """The one least-squares engine: problem, solve, covariance, robust loss, report."""
 
-from armsight.fitting.normal import NormalEquations
-from armsight.fitting.problem import Evaluation, Loss, LossKind, Prior, Problem
+from armsight.fitting.problem import Evaluation, Loss, LossKind, NormalEquations, Prior, Problem
 from armsight.fitting.solve import Fit, Settings, StopReason, inverse_information, solve
 
 __all__ = [

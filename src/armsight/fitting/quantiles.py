@@ -49,6 +49,11 @@ def t_ppf(part: ArrayLike, dof: ArrayLike) -> Array:
     return _array(special.stdtrit(_array(dof), _array(part)))
 
 
+def student_factor(dof: ArrayLike) -> Array:
+    """Return by how much a 95 % interval of Student's t is wider than a Gaussian's."""
+    return t_ppf(0.975, dof) / NORMAL_95
+
+
 def _array(values: ArrayLike) -> Array:
     return np.asarray(values, dtype=np.float64)
 

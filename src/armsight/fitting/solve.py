@@ -9,8 +9,7 @@ import numpy as np
 
 from armsight.arrays import Array, Index
 from armsight.errors import Cancelled, NotConverged, Undetermined
-from armsight.fitting.normal import FLOOR, NormalEquations
-from armsight.fitting.problem import Evaluation, Problem
+from armsight.fitting.problem import FLOOR, Evaluation, NormalEquations, Problem
 from armsight.records import NamedCovariance, Progress, Silent
 
 

@@ -1,7 +1,8 @@
 """Rotations, poses, their uncertainty, and alignment, on scipy's Rotation and RigidTransform."""
 
-from armsight.geometry.alignment import Alignment, align_points
 from armsight.geometry.poses import (
+    Alignment,
+    align_points,
     compose_covariance,
     euler_rad,
     inverse_covariance,

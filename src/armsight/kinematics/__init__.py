@@ -1,24 +1,32 @@
 """Joints <-> pose: chains, forward and inverse kinematics, Jacobians, singularities, tracks along paths."""
 
-from armsight.kinematics.arm import Arm, dh_arm
-from armsight.kinematics.closed_form import Family, Wrist, family_of
-from armsight.kinematics.convention import Convention
-from armsight.kinematics.couplings import Coupling
-from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
-from armsight.kinematics.forward_kinematics import fk, fk_jacobian, in_convention, jacobian, link_frames, pose
-from armsight.kinematics.inverse_kinematics import Inverse, Solution, Status, branch_names, ik, ik_many, singular_names
-from armsight.kinematics.joints import Joint, JointType, ToolPoint
-from armsight.kinematics.lines import Link, link_to_line
-from armsight.kinematics.numeric import Attempt, Effort, Method, Stop, solve_numeric, solve_numeric_many
-from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
-from armsight.kinematics.presets import PRESETS, preset
-from armsight.kinematics.singular import (
+from armsight.kinematics.arm import Arm
+from armsight.kinematics.axes import Link, link_to_line
+from armsight.kinematics.closed_form import (
+    Family,
+    Wrist,
+    family_of,
     near_singularities,
     singularity_distance,
     singularity_measures,
 )
+from armsight.kinematics.convention import Convention
+from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
+from armsight.kinematics.forward_kinematics import fk, fk_jacobian, in_convention, jacobian, link_frames, pose
+from armsight.kinematics.inverse_kinematics import (
+    Inverse,
+    Solution,
+    Status,
+    branch_names,
+    ik,
+    ik_many,
+    singular_names,
+)
+from armsight.kinematics.joints import Coupling, Joint, JointType, ToolPoint
+from armsight.kinematics.numeric import Attempt, Effort, Method, Stop, solve_numeric, solve_numeric_many
+from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
+from armsight.kinematics.presets import PRESETS, dh_arm, preset, warm_up
 from armsight.kinematics.target import Task, Tolerance
-from armsight.kinematics.warmup import warm_up
 
 __all__ = [
     "PRESETS",

@@ -14,12 +14,18 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent, UsageError
-from armsight.kinematics.chain_table import chain_table
-from armsight.kinematics.convention import Convention
-from armsight.kinematics.couplings import Coupling, check_couplings, gearing, gearing_back, require_followed
-from armsight.kinematics.joints import Joint, ToolPoint
+from armsight.kinematics.convention import Convention, chain_table
+from armsight.kinematics.joints import (
+    Coupling,
+    Joint,
+    ToolPoint,
+    check_couplings,
+    gearing,
+    gearing_back,
+    require_followed,
+)
 from armsight.kinematics.kernels.chain import one_pose
-from armsight.kinematics.kernels.gravity import many_torques, settle_under_weight
+from armsight.kinematics.kernels.derivatives import many_torques, settle_under_weight
 from armsight.records import (
     NamedCovariance,
     Saveable,
@@ -387,12 +393,3 @@ def _unit(down: Array) -> Array:
     down /= size
     down.setflags(write=False)
     return down
-
-
-def dh_arm(name: str, rows: Sequence[Sequence[float]], **fields: object) -> Arm:
-    """Return an arm of revolute joints j1..jn from rows (a_m, alpha_rad, d_m, theta_rad), standard convention."""
-    joints = tuple(
-        Joint(name=f"j{i}", a_m=a, alpha_rad=alpha, d_m=d, theta_rad=theta)
-        for i, (a, alpha, d, theta) in enumerate(rows, start=1)
-    )
-    return Arm(name=name, joints=joints, **fields)  # type: ignore[arg-type]  # passed on as they are

@@ -40,7 +40,7 @@ def fk(arm: Arm, q: ArrayLike, *, all_cores: bool = True) -> Array:
         return T
     T = np.empty((len(values), 4, 4))
     if all_cores and len(values) >= ALL_CORES_FROM:
-        from armsight.kinematics.kernels.parallel import many_poses_on_all_cores
+        from armsight.kinematics.kernels.chain import many_poses_on_all_cores
 
         many_poses_on_all_cores(arm.chain, values, T)
     else:
@@ -83,7 +83,7 @@ def fk_jacobian(
     if values.ndim == 1:
         one_pose_jacobian(arm.chain, values, T, J)
     elif all_cores and len(values) >= ALL_CORES_FROM:
-        from armsight.kinematics.kernels.parallel import many_poses_jacobians_on_all_cores
+        from armsight.kinematics.kernels.chain import many_poses_jacobians_on_all_cores
 
         many_poses_jacobians_on_all_cores(arm.chain, values, T, J)
     else:

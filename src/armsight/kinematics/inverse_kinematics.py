@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
-from armsight.kinematics.closed_form import Family, family_of
+from armsight.kinematics.closed_form import Family, family_of, motions, near_singularities
 from armsight.kinematics.kernels.closed import (
     AT_ELBOW,
     AT_SHOULDER,
@@ -30,10 +30,15 @@ from armsight.kinematics.kernels.closed import (
     solve_closed_many,
 )
 from armsight.kinematics.kernels.numeric import solve_damped_least_squares
-from armsight.kinematics.numeric import MAX_STEPS, Attempt, Stop, attempt_from, search_starts
-from armsight.kinematics.singular import motions, near_singularities
+from armsight.kinematics.numeric import (
+    MAX_STEPS,
+    Attempt,
+    Stop,
+    attempt_from,
+    search_starts,
+)
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
-from armsight.records import frozen_array
+from armsight.records import freeze
 
 SAME_SOLUTION = 1e-5
 """Numeric solutions closer than this (rad or m) are one."""
@@ -82,7 +87,7 @@ class Solution:
     error_rad: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", frozen_array("q", self.q, (None,)))
+        freeze(self, q=(None,))
 
     @classmethod
     def of_solver(
@@ -342,7 +347,7 @@ def _of_few_joints(arm: Arm, T: Array, q_seed: Array, tolerance: Tolerance) -> I
     return Inverse(solutions=tuple(found), beyond_limits=(), status=Status.POSITION_ONLY, why=why, complete=False)
 
 
-def whole_turns(arm: Arm) -> Array:
+def full_turns(arm: Arm) -> Array:
     """Return by how much each joint value changes in a whole turn (n,); 1, without meaning, for slides."""
     return np.where(arm.revolute, 2.0 * np.pi / np.abs(arm.chain[1:-1, 1]), 1.0)
 
@@ -350,8 +355,8 @@ def whole_turns(arm: Arm) -> Array:
 def _gap(arm: Arm, a: Array, b: Array) -> float:
     """Return the largest difference of two joint vectors, whole turns apart being the same."""
     difference = a - b
-    turns = np.where(arm.revolute, np.round(difference / whole_turns(arm)), 0.0)
-    return float(np.abs(difference - turns * whole_turns(arm)).max())
+    turns = np.where(arm.revolute, np.round(difference / full_turns(arm)), 0.0)
+    return float(np.abs(difference - turns * full_turns(arm)).max())
 
 
 def _sorted_out(arm: Arm, found: list[Solution], within: list[bool], complete: bool, why_none: str) -> Inverse:

@@ -26,7 +26,7 @@ from armsight.kinematics.kernels.numeric import (
     solve_newton,
 )
 from armsight.kinematics.target import Task, Tolerance, size_m, start_values, target_matrices, task_of
-from armsight.records import frozen_array
+from armsight.records import freeze
 
 MAX_STEPS = 60
 """Damped least squares takes 3 to 10 steps where it succeeds (benchmarks/kinematics.py)."""
@@ -88,7 +88,7 @@ class Attempt:
     starts: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "closest_q", frozen_array("closest_q", self.closest_q, (None,)))
+        freeze(self, closest_q=(None,))
 
     @property
     def converged(self) -> bool:

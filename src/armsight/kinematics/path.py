@@ -15,13 +15,20 @@ from armsight.arrays import Array, Mask
 from armsight.errors import NotConverged, UsageError
 from armsight.fields import Doc
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
-from armsight.kinematics.closed_form import Family, family_of
+from armsight.kinematics.closed_form import (
+    NEAR,
+    UNNAMED,
+    Family,
+    family_of,
+    motions,
+    singular_values,
+    singularity_measures,
+)
 from armsight.kinematics.inverse_kinematics import branch_names, ik, in_range
 from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
 from armsight.kinematics.numeric import FROM_START_ONLY, solve_numeric
-from armsight.kinematics.singular import NEAR, UNNAMED, motions, singular_values, singularity_measures
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
-from armsight.records import Motion, frozen_array
+from armsight.records import Motion, freeze, frozen_array
 from armsight.records.output import Output, output
 
 JUMP = 0.35
@@ -70,7 +77,7 @@ class JointPath:
     issues: tuple[Issue, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", frozen_array("q", self.q, (None, None)))
+        freeze(self, q=(None, None))
 
     @property
     def complete(self) -> bool:

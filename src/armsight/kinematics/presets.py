@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import inf, pi
 from types import MappingProxyType
+
+import numpy as np
 
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention
+from armsight.kinematics.derivatives import parameter_jacobian
+from armsight.kinematics.forward_kinematics import fk, fk_jacobian, link_frames
+from armsight.kinematics.inverse_kinematics import ik, ik_many, in_range
 from armsight.kinematics.joints import Joint, JointType
+from armsight.kinematics.numeric import Method, solve_numeric, solve_numeric_many
 from armsight.records import require_kind
 from armsight.units import DEG
 
@@ -291,3 +297,33 @@ def preset(name: str) -> Arm:
     if name not in PRESETS:
         raise UsageError(f"there is no arm named {name!r}", consequence="There is nothing to move", cure=known)
     return PRESETS[name]()
+
+
+def dh_arm(name: str, rows: Sequence[Sequence[float]], **fields: object) -> Arm:
+    """Return an arm of revolute joints j1..jn from rows (a_m, alpha_rad, d_m, theta_rad), standard convention."""
+    joints = tuple(
+        Joint(name=f"j{i}", a_m=a, alpha_rad=alpha, d_m=d, theta_rad=theta)
+        for i, (a, alpha, d, theta) in enumerate(rows, start=1)
+    )
+    return Arm(name=name, joints=joints, **fields)  # type: ignore[arg-type]  # passed on as they are
+
+
+def warm_up() -> None:
+    """Compile, or load from the cache, everything that this package runs but the kernels for all cores.
+
+    Half a minute the first time, a second from the cache. Kernels do not depend on the arm.
+    """
+    arm = ur10()
+    q = np.array([0.3, -1.0, 1.2, 0.4, 0.9, 0.1])
+    T = fk(arm, q)
+    fk(arm, q[None])
+    fk_jacobian(arm, q)
+    fk_jacobian(arm, q[None])
+    link_frames(arm, q)
+    parameter_jacobian(arm, q)
+    ik(arm, T, q)
+    ik_many(arm, T)
+    in_range(arm, q, q)
+    solve_numeric_many(arm, T, q[None])
+    for method in Method:
+        solve_numeric(arm, T, q, method=method)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.kernels.checks import NO_ROTATION, NOT_FINITE, check_poses, farthest
+from armsight.kinematics.kernels.numeric import NO_ROTATION, NOT_FINITE, check_poses, farthest
 from armsight.records import for_kernels, real_array
 
 TOLERANCE_M = 1e-6

@@ -1,10 +1,11 @@
-"""What the search for spots is told."""
+"""What the search for spots is told, and how long it may take."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import NoneType
-from typing import Literal
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,3 +110,48 @@ class SpotSettings:
 
 
 DEFAULTS = SpotSettings()
+
+
+# How long a pair may take, and on how many cores: what a caller with a live rate says, and a batch does not.
+
+T = TypeVar("T")
+
+LIVE_S = 0.1
+"""Deadline of a picture before which somebody waits."""
+
+
+class Both(Protocol):
+    """Does a piece of work for both sides, 0 and 1, and returns what comes of them."""
+
+    def __call__(self, work: Callable[[int], T], /) -> tuple[T, T]:
+        """Return (work(0), work(1))."""
+
+
+def in_turn(work: Callable[[int], T]) -> tuple[T, T]:
+    """Do it for one side after the other."""
+    return work(0), work(1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pace:
+    """deadline_s: for a pair, on a machine like that of the benchmarks; None: as long as it takes. both: side by side
+    on two cores where the caller has them."""
+
+    deadline_s: float | None = None
+    both: Both = in_turn
+
+    def __post_init__(self) -> None:
+        if self.deadline_s is not None and not self.deadline_s > 0.0:
+            raise UsageError(f"a deadline of {self.deadline_s:g} s is not positive", cure="Give seconds, or none")
+
+    @property
+    def live(self) -> bool:
+        """Whether somebody waits: what cannot be looked at in time is refused."""
+        return self.deadline_s is not None
+
+    def most(self, whole: int, each_s: float, share: float) -> int:
+        """Return how many pieces of work of each_s fit into a share of the deadline; `whole` where there is none."""
+        return whole if self.deadline_s is None else min(whole, int(share * self.deadline_s / each_s))
+
+
+BATCH = Pace()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, get_args, get_origin
 
 from armsight.drivers import CameraSettings
-from armsight.errors import ArmsightError, UsageError
+from armsight.errors import ArmsightError, UsageError, not_one_of
 from armsight.fields import Bounds, Flag, Flags, bare, bounds_of, known_hints, marks
 from armsight.ops.action import OUT, Action
 from armsight.ops.commands import in_python, parameter
@@ -157,11 +157,7 @@ def _or_none(check: Check, name: str, value: object) -> None:
 
 def _one_of(words: tuple[str, ...], name: str, value: object) -> None:
     if not isinstance(value, str) or value not in words:
-        raise UsageError(
-            f"{name} is {value!r}, which is not known",
-            consequence="It cannot be used",
-            cure=f"Use one of: {', '.join(words)}",
-        )
+        raise not_one_of(name, value, words)
 
 
 def _kind(*kinds: type) -> Check:

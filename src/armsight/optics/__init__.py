@@ -1,8 +1,7 @@
 """Pixel <-> ray: cameras, rigs, triangulation."""
 
 from armsight.optics.camera import FISHEYE_INTRINSICS, INTRINSICS, SIDES, WIDEST_RAD, Camera, LensKind, Plate
-from armsight.optics.parallelism import Parallelism, moved_rig, parallelism
-from armsight.optics.resolution import Resolution, mean_axes, resolution
+from armsight.optics.parallelism import Parallelism, Resolution, mean_axes, moved_rig, parallelism, resolution
 from armsight.optics.rig import (
     RIG_PARAMETERS,
     RIGHT_POSE,

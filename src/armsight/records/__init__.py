@@ -1,12 +1,13 @@
 """The nouns that flow through armsight: frozen, checked, copied, read-only."""
 
-from armsight.records.board import BoardView
 from armsight.records.by_value import ByValue, Saveable
+from armsight.records.camera import AT_ONCE, CameraTiming, LinearNoise, NoiseModel
 from armsight.records.checks import (
     checked_array,
     checked_poses,
     checked_rows,
     for_kernels,
+    freeze,
     frozen_array,
     one_of,
     real_array,
@@ -18,16 +19,12 @@ from armsight.records.checks import (
     require_texts,
     trusted,
 )
-from armsight.records.covariance import NamedCovariance
-from armsight.records.frames import Frame
 from armsight.records.measured import NotSeen, Points, PoseStatus, Spots, TargetPose
-from armsight.records.motion import JointReading, Motion
-from armsight.records.noise import LinearNoise, NoiseModel
-from armsight.records.path import WELD_OFF, WELD_ON, TaughtPath
+from armsight.records.motion import WELD_OFF, WELD_ON, JointReading, Motion, TaughtPath
 from armsight.records.progress import Progress, Silent
+from armsight.records.result_parts import NamedCovariance
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
-from armsight.records.timing import AT_ONCE, CameraTiming
-from armsight.records.tracks import SpotTrack
+from armsight.records.views import BoardView, Frame, SpotTrack
 
 __all__ = [
     "AT_ONCE",
@@ -60,6 +57,7 @@ __all__ = [
     "checked_poses",
     "checked_rows",
     "for_kernels",
+    "freeze",
     "frozen_array",
     "one_of",
     "real_array",

@@ -5,16 +5,19 @@ Compiled code checks no index: an array of another shape makes it read, and writ
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from math import isfinite
 from numbers import Integral, Real
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import Inconsistent, UsageError, not_one_of
+from armsight.fields import Bounds
 
 Record = TypeVar("Record")
 Choice = TypeVar("Choice", bound=StrEnum)
@@ -22,7 +25,7 @@ Choice = TypeVar("Choice", bound=StrEnum)
 
 FLOAT64 = np.dtype(np.float64)
 
-Shape = tuple[int | None, ...]
+Dimensions = tuple[int | None, ...]
 """Lengths of the axes, None for any."""
 
 REAL = "iuf"
@@ -32,7 +35,7 @@ ROTATION_TOLERANCE = 1e-3
 """Rotation matrices further from orthonormal than this (largest entry of R^T R - I) are refused: not rounding."""
 
 
-def frozen_array(name: str, value: ArrayLike, shape: Shape) -> NDArray[np.float64]:
+def frozen_array(name: str, value: ArrayLike, shape: Dimensions) -> NDArray[np.float64]:
     """Return a read-only float64 copy of value; None in shape stands for any length.
 
     Raises Inconsistent, naming the field, where it is no numbers, the shape differs or an entry is not finite.
@@ -44,7 +47,13 @@ def frozen_array(name: str, value: ArrayLike, shape: Shape) -> NDArray[np.float6
     return array
 
 
-def checked_array(name: str, value: ArrayLike, shape: Shape, *, nan: bool = False) -> NDArray[np.float64]:
+def freeze(record: object, **shapes: Dimensions) -> None:
+    """Keep read-only copies of a frozen record's arrays, by their names; raises as frozen_array."""
+    for name, shape in shapes.items():
+        object.__setattr__(record, name, frozen_array(name, getattr(record, name), shape))
+
+
+def checked_array(name: str, value: ArrayLike, shape: Dimensions, *, nan: bool = False) -> NDArray[np.float64]:
     """Return value as C-contiguous float64 for compiled code, not copied where it can be; raises as frozen_array.
 
     nan: entries may be NaN (never infinite), for functions whose answer is then NaN in that row.
@@ -123,11 +132,7 @@ def one_of(kind: type[Choice], name: str, value: Any) -> Choice:
     try:
         return kind(value)
     except ValueError:
-        raise UsageError(
-            f"{name} is {value!r}, which is not known",
-            consequence="It cannot be used",
-            cure=f"Use one of: {', '.join(kind)}",
-        ) from None
+        raise not_one_of(name, value, kind) from None
 
 
 def checked_poses(name: str, value: ArrayLike, rows: int | None = None) -> NDArray[np.float64]:
@@ -189,7 +194,7 @@ def _no_numbers(name: str, why: str) -> Inconsistent:
     )
 
 
-def _require_shape(name: str, array: NDArray[np.float64], shape: Shape) -> None:
+def _require_shape(name: str, array: NDArray[np.float64], shape: Dimensions) -> None:
     fits = len(array.shape) == len(shape)
     for have, want in zip(array.shape, shape, strict=False):
         fits = fits and (want is None or have == want)
@@ -230,3 +235,107 @@ def trusted(kind: type[Record], **fields: object) -> Record:
             value.setflags(write=False)
         object.__setattr__(record, name, value)
     return record
+
+
+# What a record's field may hold, said once beside the field: `speed_m_s: Positive = 0.1`. Files follow it too.
+
+MOST = 1e6
+"""No speed, length, time or count of a limit is larger: a unit gone wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Lengths of an array's axes, None for any; endless: entries may be infinite, which files hold as null."""
+
+    lengths: tuple[int | None, ...]
+    endless: bool = False
+
+
+Positive = Annotated[float, Bounds(above=0.0, most=MOST)]
+NotNegative = Annotated[float, Bounds(least=0.0, most=MOST)]
+
+
+@cache
+def _bounds(kind: Any) -> tuple[tuple[str, Bounds], ...]:
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple((name, limit) for name, hint in hints.items() for limit in _in(hint))
+
+
+def _in(hint: Any) -> Iterator[Bounds]:
+    """Yield the bounds of a number, also of one that may be None."""
+    for part in (hint, *get_args(hint)):
+        if get_origin(part) is Annotated and get_args(part)[0] in (float, int):
+            yield from (one for one in get_args(part)[1:] if isinstance(one, Bounds))
+
+
+def require_bounds(record: object, of: str = "") -> None:
+    """Raise UsageError where a field of a record is no number, Inconsistent where it is not within its Bounds.
+
+    None is let through.
+    """
+    kind: Any = type(record)  # a class can be hashed
+    for name, limit in _bounds(kind):
+        value = getattr(record, name)
+        if value is None:
+            continue
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            require_number(of + name, value)
+        if not limit.holds(value):
+            raise Inconsistent(
+                f"{of}{name} is {value:g}, which must be {limit}",
+                consequence="It cannot be used",
+                cure="Give one, or leave the key away for the default",
+            )
+
+
+# Whether lengths can be metres at all: one rule for whatever is calibrated, identified or verified.
+
+FAR_M = 50.0
+"""No robot's flange is so far from its base, no camera sees a target and no tip rests on a point so far away: such
+numbers are millimetres."""
+SPREAD_M = 25.0
+"""Positions that an arm brought its tool to lie no further from their middle: those of a gantry 20 m long lie 10 m from
+it. In millimetres an arm reaches it that moves by 25 mm."""
+TOOL_M = 10.0
+"""No tool's end is so far from its flange, nor from the target on it: 10 mm taken as metres."""
+PITCH_M = 1.0
+"""No board's points are so far apart."""
+TARGET_M = 15.0
+"""No target's lights are so far apart: 15 mm taken as metres."""
+LARGEST_BASELINE_M = 1.0
+"""A pair further apart than this has its unit said: centimetres (7.5), millimetres (60) and squares of a board (2.4)
+look like wide rigs, and no rig of cameras that see a tool has been met that is wider than 0.6 m."""
+
+
+def wide_rig(baseline_m: float) -> str:
+    """Return what to look for where a rig is wider than any that sees an arm, else ''."""
+    if baseline_m <= LARGEST_BASELINE_M:
+        return ""
+    return (
+        f"The rig's cameras are {baseline_m:.3g} m apart: lengths in centimetres, millimetres or squares look so. "
+        "Where they stand closer, calibrate with the board's square in metres, or convert the rig's file with --unit."
+    )
+
+
+def check_metres(length_m: ArrayLike, most_m: float, what: str) -> None:
+    """Raise Inconsistent where the middle of lengths that are said to be metres is beyond what any is. what: they are,
+    in words that a length follows."""
+    array = np.atleast_1d(np.asarray(length_m, float))
+    middle = float(np.median(array)) if array.size else 0.0
+    if middle > most_m:
+        raise Inconsistent(
+            f"{what} {middle:.4g} m: these are millimetres (mm, or another unit) given as metres",
+            consequence="Every distance in the result would be wrong",
+            cure="Divide the lengths by 1000, or name the right unit when exporting them",
+        )
+
+
+def check_spread(xyz_m: ArrayLike, what: str) -> None:
+    """Raise Inconsistent where positions (m, 3) that an arm brought its tool to lie too far from their middle for
+    metres.
+
+    Where they are seen from does not count: a tracker or a map has its origin anywhere.
+    """
+    array = np.asarray(xyz_m, float).reshape(-1, 3)
+    if len(array):
+        check_metres(np.linalg.norm(array - np.median(array, axis=0), axis=1), SPREAD_M, f"{what} spread over")

@@ -16,7 +16,15 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Index
 from armsight.errors import Inconsistent, Unseen, UsageError
-from armsight.records.checks import checked_array, frozen_array, real_array, require_kind, require_texts, trusted
+from armsight.records.checks import (
+    checked_array,
+    freeze,
+    frozen_array,
+    real_array,
+    require_kind,
+    require_texts,
+    trusted,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,10 +47,7 @@ class Spots:
         object.__setattr__(self, "model", require_texts("model", self.model))
         require_kind("rejected", self.rejected, tuple, cure="Give a tuple of (u, v, why)")
         n = len(self.model)
-        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (n, 2)))
-        object.__setattr__(self, "covariance_px2", frozen_array("covariance_px2", self.covariance_px2, (n, 2, 2)))
-        object.__setattr__(self, "peak", frozen_array("peak", self.peak, (n,)))
-        object.__setattr__(self, "size_px", frozen_array("size_px", self.size_px, (n,)))
+        freeze(self, uv_px=(n, 2), covariance_px2=(n, 2, 2), peak=(n,), size_px=(n,))
 
     def __len__(self) -> int:
         return len(self.model)
@@ -112,8 +117,7 @@ class Points:
 
     def __post_init__(self) -> None:
         n = len(self.names)
-        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (n, 3)))
-        object.__setattr__(self, "covariance_m2", frozen_array("covariance_m2", self.covariance_m2, (n, 3, 3)))
+        freeze(self, xyz_m=(n, 3), covariance_m2=(n, 3, 3))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -168,8 +172,8 @@ class TargetPose:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen_array(name, getattr(self, name), (size, size)))
         if self.T_parent_target is not None:
-            object.__setattr__(self, "T_parent_target", frozen_array("T_parent_target", self.T_parent_target, (4, 4)))
-        object.__setattr__(self, "residual_px", frozen_array("residual_px", self.residual_px, (None,)))
+            freeze(self, T_parent_target=(4, 4))
+        freeze(self, residual_px=(None,))
 
     @property
     def pose(self) -> RigidTransform | None:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armsight.fields import Doc
+from armsight.records.checks import frozen_array
 from armsight.records.output import Output, figure, output
 
 
@@ -126,3 +131,47 @@ class Skew(Output):
     largest_s: Annotated[float, Doc("Largest, s.")]
     n_pairs: int
     n_dropped: Annotated[int, Doc("Frames without a partner.")]
+
+
+MEANING = "What it comes to: the words of the report."
+"""Of the key `verdict_` of a result; results of versions before it lack it."""
+MANY_REJECTED = 0.1
+"""Share of the rows left out beyond which those that agree are only a part of what happened."""
+
+
+@output
+class Verdict(Output):
+    """Whether a result may be relied on, why, and what to do next."""
+
+    level: Annotated[str, Doc("good, care, bad or refused.")]
+    headline: Annotated[str, Doc("In a word or two.")]
+    reasons: Annotated[list[str], Doc("Why, in sentences.")]
+    next: Annotated[list[str], Doc("What to do.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NamedCovariance:
+    """Covariance (n, n) of the named parameters, in the parameters' own units squared."""
+
+    names: tuple[str, ...]
+    matrix: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "matrix", frozen_array("covariance", self.matrix, (n, n)))
+
+    def std(self) -> dict[str, float]:
+        """Return the standard deviation by name."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
+
+    def block(self, names: tuple[str, ...]) -> NDArray[np.float64]:
+        """Return the covariance of the given names in their order; KeyError for an unknown one."""
+        index = [self._position(name) for name in names]
+        return np.asarray(self.matrix[np.ix_(index, index)])
+
+    def _position(self, name: str) -> int:
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise KeyError(f"no covariance for {name!r}; there is one for {', '.join(self.names)}") from None

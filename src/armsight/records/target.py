@@ -10,9 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
-from armsight.geometry.lengths import PITCH_M, TARGET_M, check_metres
 from armsight.records.by_value import Saveable
-from armsight.records.checks import frozen_array, one_of, require_count, require_kind, require_numbers, require_texts
+from armsight.records.checks import (
+    PITCH_M,
+    TARGET_M,
+    check_metres,
+    freeze,
+    frozen_array,
+    one_of,
+    require_count,
+    require_kind,
+    require_numbers,
+    require_texts,
+)
 
 
 class TargetKind(StrEnum):
@@ -85,10 +95,10 @@ class Target(Saveable):
         require_numbers(self, "diameter_m", "pitch_m", "marker_m")
         for count in ("columns", "rows"):
             require_count(count, getattr(self, count))
-        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (len(self.names), 3)))
+        freeze(self, xyz_m=(len(self.names), 3))
         if self.covariance is not None:
             size = 3 * len(self.names)
-            object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (size, size)))
+            freeze(self, covariance=(size, size))
         if not self.names or len(set(self.names)) != len(self.names):
             raise Inconsistent(
                 "a target needs at least one spot, and every spot a name of its own",

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from armsight.arrays import Array
 from armsight.kinematics import Arm, JointType, link_frames, near_singularities, singularity_distance
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, spread
 from armsight.report.html import Card, Page, page_unit, table, text
 from armsight.units import DEG, MM, displayed, figure_of

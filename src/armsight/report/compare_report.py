@@ -11,8 +11,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.measure.series import SCALE, Series
 from armsight.records import PoseStatus
-from armsight.records.result_parts import Difference
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Difference, Verdict
 from armsight.report.figures import BLUE, RED, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, bullets, table
 from armsight.report.track import deviation_figure

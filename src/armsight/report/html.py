@@ -14,7 +14,7 @@ from datetime import datetime
 from importlib import resources
 
 from armsight._version import __version__
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.report.figures import Figure, Plot, fitted_scene, json_text
 
 PANEL_PX = 300

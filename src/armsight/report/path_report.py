@@ -15,7 +15,7 @@ from armsight.control.paths import PathCheck, PathIssue, PathTrouble
 from armsight.kinematics import Arm
 from armsight.kinematics.target import start_values
 from armsight.records import TaughtPath
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.report.arm_view import arm_figure, line_mm
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, thinned
 from armsight.report.html import Card, Page, table, text

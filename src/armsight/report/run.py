@@ -14,7 +14,7 @@ from armsight.errors import Inconsistent
 from armsight.measure.results import ConsistencyOutput
 from armsight.optics import SIDES, Camera, Rig
 from armsight.records import Spots, Target, TargetPose, frozen_array
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -11,7 +11,7 @@ from armsight.arrays import Array
 from armsight.calibrate.arm import ArmResult
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, JointType
-from armsight.kinematics.rigid import nearest_rigid
+from armsight.kinematics.derivatives import nearest_rigid
 from armsight.store.arm_file import write_arm
 from armsight.store.atomic import disk_errors, write_text
 from armsight.store.tables import cells

@@ -21,7 +21,7 @@ from armsight.errors import BadFile, DataRefused
 from armsight.fields import Bounds
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import NamedCovariance
-from armsight.records.fields import Shape
+from armsight.records.checks import Shape
 from armsight.records.output import Output, field_keys, is_output, keys
 from armsight.store.atomic import plain
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array
 from armsight.errors import BadFile
-from armsight.records.tracks import SpotTrack
+from armsight.records.views import SpotTrack
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import LARGEST
 from armsight.store.tables import MAX_BYTES, Table, parse_table

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, ZoomLens, ZoomSetting
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel
-from armsight.records.timing import TIMING
+from armsight.records.camera import TIMING
 from armsight.store.codec import (
     Count,
     CovarianceModel,

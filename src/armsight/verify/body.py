@@ -8,7 +8,7 @@ import numpy as np
 
 from armsight.arrays import Array, Index
 from armsight.errors import Degenerate
-from armsight.geometry.alignment import align_points
+from armsight.geometry.poses import align_points
 from armsight.units import MM
 from armsight.verify.records import Measured, Repeats
 

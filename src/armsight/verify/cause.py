@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.parameter_selection import APART
-from armsight.calibrate.correlation import regions
 from armsight.errors import NotConverged
+from armsight.fitting.groups import regions
 from armsight.kinematics import Arm
 from armsight.verify.drift import drifting
 from armsight.verify.effects import Effect, JointVerdict, Kind, effects, shown, still

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
+from armsight.fitting.groups import inflation
 from armsight.kinematics import fk
 from armsight.units import MM
 from armsight.verify.evidence import Case, Evidence, by_chance, fit_linear, placement, solved
 from armsight.verify.model import Noise
-from armsight.verify.records import inflation
 
 COURSES = (0.2, 0.6, np.inf)
 """Time constants by which a drift is tried to settle, as shares of the run; inf: it goes on evenly."""

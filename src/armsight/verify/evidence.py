@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array
 from armsight.calibrate.arm import ArmModel, Tolerance
+from armsight.fitting.groups import inflation, without
 from armsight.fitting.quantiles import chi2_sf, t_sf
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
 from armsight.verify.effects import Effect
 from armsight.verify.model import Expected, Model, ModelFit, Mounts, Noise, fit_model
-from armsight.verify.records import Measured, inflation
+from armsight.verify.records import Measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -230,13 +231,12 @@ def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fit
     """
     n_fixed, rows = problem.fixed.shape[2], problem.residual.shape[1]
     _, theta, X, y, size, H, A = solved(problem, added, prior)
-    b = X.T @ y
     squares = float(((y - X @ theta) ** 2).sum())
     block = np.repeat(problem.block, rows)
     left = np.zeros(problem.block.max() + 1)
     for k in range(len(left)):
         part, own = X[block == k], y[block == k]
-        rest = np.linalg.solve(H - part.T @ part, b - part.T @ own)
+        rest = theta + without(H, part.T @ part, part.T @ (part @ theta - own))
         left[k] = float(((own - part @ rest) ** 2).sum())
     inverse = np.linalg.inv(H) / np.outer(size, size)
     rank = int(np.linalg.matrix_rank(A, tol=1e-8 * len(A), hermitian=True)) if len(A) else 0

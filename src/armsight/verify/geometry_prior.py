@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armsight.arrays import Array
+from armsight.fitting.groups import inflation
 from armsight.verify.effects import Effect, Kind
 from armsight.verify.evidence import Case, Evidence
 from armsight.verify.model import ModelFit, Noise, extra_noise
-from armsight.verify.records import inflation
 
 LENGTH_M, ANGLE_RAD = 1e-3, 1e-3
 """What nominal lengths are believed to, as in a cell from one recording, and axes and zeros of an arm that was

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
+from armsight.fitting.groups import whitener
 from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
 from armsight.geometry.poses import skew
 from armsight.verify.records import Measured
@@ -142,8 +143,7 @@ class Noise:
         if self.covariance is not None:
             floor = np.repeat(np.maximum(self.extra, LEAST_SIGMA) ** 2, 3)
             own = self.covariance * (1.0 + ROUNDING * np.eye(6))  # (m, 6, 6)
-            lower = np.linalg.cholesky(own + np.diag(floor))
-            object.__setattr__(self, "_whitener", np.linalg.inv(lower))
+            object.__setattr__(self, "_whitener", whitener(own + np.diag(floor)))
 
     @classmethod
     def of(cls, measured: Measured, extra: Array) -> Noise:

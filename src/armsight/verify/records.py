@@ -10,8 +10,8 @@ import numpy as np
 from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
-from armsight.geometry.lengths import check_spread
 from armsight.records import frozen_array
+from armsight.records.checks import check_spread
 from armsight.records.output import Output, output
 
 Rejected = tuple[tuple[int, str], ...]
@@ -145,23 +145,3 @@ class Figures(Output):
             sd=float(errors.std(ddof=1)) if len(errors) > 1 else 0.0,
             rms=float(np.sqrt(np.mean(errors**2))),
         )
-
-
-def inflation(residual: Array) -> float:
-    """Return how many rows of residuals (m, k) are worth one independent row, at least 1.
-
-    One plus twice the sum of the autocorrelation up to where it first falls below zero (Geyer's initial sequence).
-    """
-    m = len(residual)
-    if m < 8:
-        return 1.0
-    centred = residual - residual.mean(axis=0)
-    size = 1 << (2 * m - 1).bit_length()
-    power = np.abs(np.fft.rfft(centred, size, axis=0)) ** 2
-    correlation = np.fft.irfft(power.sum(axis=1), size)[: m // 2]
-    if not correlation[0] > 0.0:
-        return 1.0
-    correlation = correlation / correlation[0]
-    noise = 2.0 / np.sqrt(m * residual.shape[1])
-    end = int(np.argmax(np.append(correlation, -1.0) < noise))
-    return float(max(1.0, 1.0 + 2.0 * correlation[1:end].sum()))

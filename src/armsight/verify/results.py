@@ -8,8 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import RejectedRow
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, RejectedRow, Verdict
 from armsight.units import figure_of, with_deviation
 from armsight.verify.records import Figures
 from armsight.verify.supervision import Limits

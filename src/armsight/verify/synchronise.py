@@ -16,11 +16,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from armsight.arrays import Array
 from armsight.errors import Ambiguous, ArmsightError, Degenerate, Inconsistent, NotConverged, NotEnoughData
+from armsight.fitting.groups import inflation
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, fk_jacobian
 from armsight.verify.alignment import SENSELESS, STARTS_M, Align, closed_form, free_names
 from armsight.verify.model import Expected, Model, Mounts, fit_model
-from armsight.verify.records import Measured, inflation
+from armsight.verify.records import Measured
 
 LAG_S = 0.04
 """Step of the lags looked at: at 0.5 m/s the arm moves 20 mm, which a fit gets over."""

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
-from armsight.geometry.alignment import align_points
+from armsight.geometry.poses import align_points
 from armsight.records import frozen_array
 
 

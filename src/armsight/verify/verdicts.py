@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.units import MM
 from armsight.verify.alignment import FOREIGN
 from armsight.verify.effects import Kind

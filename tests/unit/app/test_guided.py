@@ -27,7 +27,7 @@ from armsight.kinematics import presets
 from armsight.ops.calibrate_cameras import calibrate_stereo
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import BoardView, JointReading, PoseStatus, Silent, Spots, TargetPose
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.store import parse_board
 from armsight.store.handeye_file import read_handeye, read_tip
 from refusals import refuses

@@ -16,7 +16,7 @@ from armsight.app.print_report import BROWSERS, print_report
 from armsight.app.sources.frames import recordings_in
 from armsight.cli.commands import app
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, DeviceNotFound, UsageError
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.report.figures import Figure, layout, points_in_space
 from armsight.report.html import Page, add_recordings
 from refusals import refuses

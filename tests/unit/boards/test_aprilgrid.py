@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from armsight.errors import BadFile, BadImage, UsageError
 from armsight.measure.boards import find_board
 from armsight.records import Target, TargetKind
-from armsight.records.board import symmetries
+from armsight.records.views import symmetries
 from armsight.store.targets import board_text, parse_board, read_target, target_from_mapping, target_mapping
 from refusals import refuses
 

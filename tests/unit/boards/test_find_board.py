@@ -15,7 +15,7 @@ from armsight.measure.boards import circles, find_board, same_way_up
 from armsight.measure.boards.kernels.edge_models import CHUNK, REST, ROWS, V, X, Y, corner_rows, dot_rows
 from armsight.measure.boards.saddle_grid import grid_at_a_glance
 from armsight.records import Target, TargetKind, board_target, spot_target
-from armsight.records.board import symmetries
+from armsight.records.views import symmetries
 from refusals import refuses
 
 SIZE = (480, 360)

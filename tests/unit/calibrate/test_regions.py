@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.correlation import regions, widened
+from armsight.calibrate.correlation import widened
+from armsight.fitting.groups import regions
 
 Array = NDArray[np.float64]
 

@@ -19,10 +19,10 @@ from armsight.kinematics import fk, preset, solve_numeric
 from armsight.measure.boards.kernels import subpixel
 from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.spots.kernels import light_models
+from armsight.measure.spots.kernels.columns import Picture
 from armsight.measure.spots.kernels.leastsquares import fit_model
 from armsight.measure.spots.kernels.light_models import STREAK, grid_of
 from armsight.measure.spots.kernels.patch import Patch
-from armsight.measure.spots.kernels.picture import Picture
 from armsight.measure.spots.kernels.round_gaussian import (
     COV,
     DOF,

@@ -160,7 +160,7 @@ def test_half_a_turn_of_error_is_solved() -> None:
 
 def test_nothing_is_left_to_compile_after_the_warm_up() -> None:
     from armsight.kinematics import warm_up
-    from armsight.kinematics.kernels import chain, checks, closed, derivatives, numeric
+    from armsight.kinematics.kernels import chain, closed, derivatives, numeric
 
     warm_up()
     used = (
@@ -169,8 +169,8 @@ def test_nothing_is_left_to_compile_after_the_warm_up() -> None:
         chain.many_poses,
         chain.many_poses_jacobians,
         chain.joint_frames,
-        checks.check_poses,
-        checks.farthest,
+        numeric.check_poses,
+        numeric.farthest,
         closed.solve_closed,
         closed.solve_closed_many,
         closed.settle,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armsight.kinematics import fk, preset
-from armsight.kinematics.rigid import nearest_rigid
+from armsight.kinematics.derivatives import nearest_rigid
 from armsight.store.urdf import arm_from_urdf, urdf_text
 
 

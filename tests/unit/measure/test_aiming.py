@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from armsight.measure.aiming import Aiming, aiming_hint
+from armsight.measure.planning import Aiming, aiming_hint
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.records import Frame

@@ -11,7 +11,7 @@ from armsight.measure.poses.setup import Setup
 from armsight.optics import Camera, moved_rig, parallel_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS
 from armsight.records import NamedCovariance
-from armsight.records.noise import LinearNoise, NeighbourCorrelation, NoiseModel
+from armsight.records.camera import LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.target import spot_target
 from armsight.store import parse_board
 from armsight_lab.design.expected_poses import centre_deviation, expected_poses, look

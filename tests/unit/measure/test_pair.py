@@ -14,13 +14,11 @@ from armsight.app.live.pace import SideBySide
 from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.geometry import pose_difference
 from armsight.measure.motion.kernels import levels
-from armsight.measure.pace import BATCH, LIVE_S, Pace
 from armsight.measure.poses import board_pose as boardpair
 from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.kernels import correspondence
-from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
-from armsight.measure.settings import SpotSettings
-from armsight.measure.tracker import TargetTracker
+from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, Track, measure_pair, warm_up
+from armsight.measure.settings import BATCH, LIVE_S, Pace, SpotSettings
 from armsight.optics import Camera, converged_rig, parallel_rig
 from armsight.records import (
     BoardView,
@@ -33,7 +31,7 @@ from armsight.records import (
     spot_target,
     unmeasured_target,
 )
-from armsight.records.noise import NeighbourCorrelation
+from armsight.records.camera import NeighbourCorrelation
 from refusals import names_it, refuses
 
 CAMERA = Camera.pinhole(640, 480, 560.0, 562.0, 322.0, 236.0, distortion=(-0.1, 0.02, 0.0, 0.0, 0.0))

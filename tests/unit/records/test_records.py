@@ -21,7 +21,7 @@ from armsight.records import (
     board_target,
     spot_target,
 )
-from armsight.records.noise import NeighbourCorrelation
+from armsight.records.camera import NeighbourCorrelation
 from refusals import refuses
 
 

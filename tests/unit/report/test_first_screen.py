@@ -15,7 +15,7 @@ from armsight.calibrate.identify.sweeps import leaning
 from armsight.cli.tables import figure
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.report.figures import Figure, axis, layout
 from armsight.report.html import STYLE, Page, table
 from armsight.units import with_deviation

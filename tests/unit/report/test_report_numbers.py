@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.measure.series import Series, series_of
 from armsight.records import PoseStatus, TargetPose
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.report.figures import MAX_PLOTTED, band, fitted_scene, json_text, spread, thinned
 from armsight.report.html import Page
 from armsight.report.scene import chosen_views

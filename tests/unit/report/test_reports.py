@@ -19,12 +19,11 @@ from armsight.calibrate.cameras.verdict import images_doubted, images_verdict
 from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.kinematics import preset
+from armsight.measure.results import grounds_of, measure_verdict
 from armsight.measure.series import errors_of, losses_of
-from armsight.measure.verdict import grounds_of, measure_verdict
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
-from armsight.records.result_parts import Difference
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Difference, Verdict
 from armsight.report import (
     CalibrationRun,
     CameraFit,

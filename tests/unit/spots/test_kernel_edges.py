@@ -9,8 +9,8 @@ from scipy import ndimage
 
 from armsight.measure.poses.kernels.correspondence import Best, _keep
 from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.columns import Picture
 from armsight.measure.spots.kernels.peaks import MOST_PEAKS, PEAK_PX, nearest_peaks
-from armsight.measure.spots.kernels.picture import Picture
 from armsight.measure.spots.kernels.round_gaussian import MOST, REACH, set_box
 from armsight.measure.spots.kernels.scan import (
     BLOCK,

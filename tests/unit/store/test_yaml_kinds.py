@@ -25,7 +25,7 @@ from armsight.records import (
     unmeasured_target,
 )
 from armsight.records.by_value import same_value
-from armsight.records.noise import NeighbourCorrelation
+from armsight.records.camera import NeighbourCorrelation
 from armsight.records.target import GREEN
 from armsight.store.schema import read_document
 from armsight.store.yamls import parse_yaml

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array, Mask
 from armsight.geometry.poses import skew
-from armsight.measure.poses.kernels.whole_pose import FOLDED_FROM
+from armsight.measure.poses.kernels.rig_covariance import FOLDED_FROM
 from armsight.measure.poses.pose import NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup, symmetries
 from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, SIDES, Rig, moved_rig

@@ -15,10 +15,11 @@ from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import LAST_TERMS, fixed_names
 from armsight.calibrate.cameras.pairing import in_frame, of_one_lens, rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS
-from armsight.calibrate.handeye.known_noise import linearise, whitener
+from armsight.calibrate.handeye.known_noise import CONDITION, linearise
 from armsight.calibrate.handeye.pairs import components
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.fitting import Problem, inverse_information
+from armsight.fitting.groups import whitener
 from armsight.geometry.poses import skew
 from armsight.optics import SIDES, Rig, RigKind, mean_axes
 from armsight.records import NamedCovariance, Target
@@ -229,7 +230,7 @@ def planned_handeye(
     unit = np.zeros((6, 6))
     unit[:3, :3] = np.eye(3)
     V = random + robot.position_m**2 * unit + robot.orientation_rad**2 * at.L  # (n, 6, 6)
-    W = whitener(V)
+    W = whitener(V, CONDITION)
     J = W @ at.J[:, :, :12]
     information = np.einsum("nia,nib->ab", J, J)
     C, open_ = inverse_information(information, np.diag(information), UNKNOWN)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, Verdict
 
 MOSTLY = 0.95
 """Share of the volume from which on it counts as measured."""

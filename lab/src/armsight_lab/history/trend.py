@@ -11,7 +11,7 @@ import numpy as np
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.records.output import Output, figure, output
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, Verdict
 from armsight.store.atomic import write_json, write_text
 from armsight.units import displayed, displayed_name
 from armsight_lab.history.database import reading

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from armsight.arrays import Array
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.fitting.quantiles import chauvenet
-from armsight.kinematics.lines import Link, link_to_line
+from armsight.kinematics.axes import Link, link_to_line
 from armsight.optics import Rig
 from armsight.records import frozen_array
 

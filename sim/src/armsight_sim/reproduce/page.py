@@ -10,7 +10,7 @@ from datetime import datetime
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, Plot, axis, layout, subplot
 from armsight.report.html import Card, Page, bullets, page_unit, table
 from armsight.units import displayed, figure_of

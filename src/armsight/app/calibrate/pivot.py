@@ -12,8 +12,7 @@ from armsight.calibrate.tooltip import TipRecording
 from armsight.calibrate.tooltip_result import PivotCalibration
 from armsight.drivers import PairSource
 from armsight.errors import NotEnoughData
-from armsight.measure.poses.pipeline import Setup
-from armsight.measure.tracker import TargetTracker
+from armsight.measure.poses.pipeline import Setup, TargetTracker
 from armsight.records import PoseStatus, Progress, TargetPose
 from armsight.records.output import extended
 

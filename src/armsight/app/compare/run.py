@@ -23,8 +23,7 @@ from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.file_names import ARM, COMPARE, HANDEYE, POSES, REPORT, RIG, VERIFY
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import Difference
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, Difference, Verdict
 from armsight.report.compare_report import CompareRun, Course, compare_report
 from armsight.report.html import page_unit
 from armsight.shown import Shown, Table, digits

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 from armsight.app.live.station import Station
 from armsight.records import Progress
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 
 
 class Next(StrEnum):

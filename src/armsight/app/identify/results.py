@@ -6,8 +6,7 @@ from typing import Annotated
 
 from armsight.fields import Doc
 from armsight.records.output import Output, output
-from armsight.records.result_parts import RejectedRow
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, RejectedRow, Verdict
 
 Vector = tuple[float, float, float]
 

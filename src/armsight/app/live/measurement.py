@@ -24,10 +24,9 @@ from armsight.clock import Clock
 from armsight.control.session.channels import JointTrack
 from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, Skew, by_side, is_live
 from armsight.errors import Inconsistent, UsageError
-from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
+from armsight.measure.poses.pipeline import Measured, Setup, Track, lost_pair, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
-from armsight.measure.tracker import lost_pair
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, Spots, TargetPose
 from armsight.store import World, read_rig, read_world

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 from armsight.drivers import cores, is_live
-from armsight.measure.pace import BATCH, LIVE_S, Pace, T
+from armsight.measure.settings import BATCH, LIVE_S, Pace, T
 
 
 class SideBySide:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from armsight.arrays import Array
 from armsight.fields import Doc
 from armsight.geometry import euler_rad
-from armsight.measure.aiming import aiming_hint
+from armsight.measure.planning import aiming_hint
 from armsight.measure.poses.pipeline import Measured
 from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig

@@ -23,8 +23,7 @@ from armsight.errors import NotEnoughData
 from armsight.file_names import MEASURE, POINTS, POSES, REPORT, SPOTS, TUM
 from armsight.geometry import quat_of_matrix
 from armsight.measure.poses.setup import Setup
-from armsight.measure.results import FrameTime, MeasureOutput
-from armsight.measure.verdict import believed, grounds_of
+from armsight.measure.results import FrameTime, MeasureOutput, believed, grounds_of
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report

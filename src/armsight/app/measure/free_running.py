@@ -14,19 +14,18 @@ from armsight.arrays import Array
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
-from armsight.measure.consistency.check import DOUBT, MovingCheck, check_motion, settled
+from armsight.measure.consistency.check import DOUBT, MovingCheck, check_motion, finalise
 from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_RAD, Consistency
 from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower, systematic_covariance
 from armsight.measure.motion.estimate import Start, smooth
 from armsight.measure.motion.residuals import MotionResiduals, fitting_stretches, motion_residuals, without_outliers
-from armsight.measure.motion.states import MotionState, View
-from armsight.measure.motion.timing import TimingEstimate, TimingPrior
+from armsight.measure.motion.states import MotionState, TimingEstimate, TimingPrior, View
 from armsight.measure.poses.setup import Setup
 from armsight.measure.results import FreeRunning
 from armsight.optics import SIDES
 from armsight.records import CameraTiming, PoseStatus, Progress, TargetPose
+from armsight.records.camera import PPM
 from armsight.records.result_parts import BothCounts, BothSeconds
-from armsight.records.timing import PPM
 from armsight.units import MS
 
 FOLLOWING = "measuring"
@@ -280,7 +279,7 @@ class _PoseBuilder:
             systematic_covariance=systematic,
         )
         std = np.sqrt(self.wider * np.diag(state.velocity_covariance))
-        return MovingPose(pose=settled(pose, inconsistent=self.doubted), velocity=state.velocity, velocity_std=std)
+        return MovingPose(pose=finalise(pose, inconsistent=self.doubted), velocity=state.velocity, velocity_std=std)
 
     def _systematic(self, state: MotionState) -> Array:
         """Return the covariance (6, 6) of what repeats from pose to pose."""

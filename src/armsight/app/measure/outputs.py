@@ -21,7 +21,7 @@ from armsight.columns import POSE6
 from armsight.errors import Unseen
 from armsight.file_names import POINTS, POSES, SPOTS, TUM
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
-from armsight.measure.consistency.check import advice, sentence, settled
+from armsight.measure.consistency.check import advice, finalise, sentence
 from armsight.measure.consistency.diagnosis import Consistency, Finding
 from armsight.measure.poses.pipeline import Measured
 from armsight.measure.results import (
@@ -29,12 +29,12 @@ from armsight.measure.results import (
     ConsistencyOutput,
     Estimated,
     FrameTime,
+    Grounds,
     MadeWith,
     MeasureOutput,
     OtherCause,
     PoseDeviations,
 )
-from armsight.measure.verdict import Grounds
 from armsight.optics import SIDES, Rig
 from armsight.records import PoseStatus, Target, TargetPose
 from armsight.records.result_parts import PoseStd, Skew
@@ -131,7 +131,7 @@ class Outputs:
         """
         changed = 0
         for i, pose in enumerate(poses):
-            poses[i] = settled(pose, inconsistent=inconsistent)
+            poses[i] = finalise(pose, inconsistent=inconsistent)
             changed += poses[i] is not pose
         if not changed:
             return

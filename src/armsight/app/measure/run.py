@@ -39,17 +39,15 @@ from armsight.drivers import (
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.file_names import MEASURE, REPORT
-from armsight.geometry.lengths import wide_rig
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
-from armsight.measure.poses.pipeline import Measured, Setup
+from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
 from armsight.measure.poses.setup import SLACK_PX, rig_slack_px
-from armsight.measure.results import MeasureOutput, ZoomAt
+from armsight.measure.results import MeasureOutput, ZoomAt, grounds_of
 from armsight.measure.settings import SpotSettings
-from armsight.measure.tracker import TargetTracker
-from armsight.measure.verdict import grounds_of
 from armsight.optics import SIDES, Rig, RigKind, ZoomState, at_zoom
 from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
+from armsight.records.checks import wide_rig
 from armsight.store import World, parse_board, read_target, read_world, read_zoom_rig
 from armsight.store.atomic import write_json
 

@@ -26,8 +26,7 @@ from armsight.control.status import QueueSink
 from armsight.drivers import CameraSettings, PairSource, Robot, is_live
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
-from armsight.measure.poses.pipeline import Measured, Setup
-from armsight.measure.tracker import TargetTracker, lost_pair
+from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, lost_pair
 from armsight.optics import Rig
 from armsight.records import Frame, PoseStatus, Target, TargetPose
 

@@ -22,8 +22,7 @@ from armsight.defaults import BLIND_S
 from armsight.drivers import PairSource, Robot
 from armsight.errors import DeviceFailed, StaleData
 from armsight.file_names import LIVE
-from armsight.measure.poses.pipeline import Measured, Setup
-from armsight.measure.tracker import TargetTracker
+from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter

@@ -18,6 +18,7 @@ from armsight.calibrate.arm.parameter_selection import Choice, choose, orthonorm
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate, NotConverged, NotEnoughData
 from armsight.fields import Doc
+from armsight.fitting.groups import without
 from armsight.fitting.quantiles import t_ppf
 
 
@@ -209,9 +210,7 @@ def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
     step from the fit: what levels are compared by. What is claimed comes from full refits (cross_validation).
 
     All rows of one joint position, or of one block of time, are left out together: what one of them has wrong the
-    others have too. Leaving rows
-    out moves the fit by (H - H_k)^-1 g_k, H the information and g_k the gradient of those rows: one
-    Gauss-Newton step from the fit to all rows, which is at its minimum for the rest to second order.
+    others have too.
     """
     evaluation = model.evaluate(fitted.p, points, fitted.sigma_m, fitted.sigma_rad)
     index = [model.names.index(name) for name in fitted.free]
@@ -220,17 +219,14 @@ def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
     J = evaluation.shared[0][:, index].reshape(m, -1, len(index)) * root[:, :, None]
     r = evaluation.residuals.reshape(m, -1) * root
     H = np.einsum("mki,mkj->ij", J, J) + np.diag(fitted.prior_weight)
-    scale = np.sqrt(np.diag(H))
-    scale[scale == 0.0] = 1.0
     out = np.empty(m)
     none = np.zeros((1, 0))
     fold = points.group % FOLDS
     for k in range(fold.max() + 1):
         rows = np.flatnonzero(fold == k)
         flat = J[rows].reshape(-1, len(index))
-        rest = (H - flat.T @ flat) / np.outer(scale, scale) + RIDGE * np.eye(len(index))
         step = np.zeros(len(fitted.p))
-        step[index] = np.linalg.solve(rest, (flat.T @ r[rows].ravel()) / scale) / scale
+        step[index] = without(H, flat.T @ flat, flat.T @ r[rows].ravel(), RIDGE)
         moved, _ = model.retract(fitted.p, none, step, none)
         out[rows] = np.linalg.norm(model.errors(moved, points.take(rows))[0], axis=1)
     return out

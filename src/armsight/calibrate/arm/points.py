@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting.groups import means, repeats
-from armsight.geometry.lengths import check_spread
 from armsight.kinematics import Arm, fk
 from armsight.records import frozen_array
+from armsight.records.checks import check_spread
 
 MOST_TURNS_RAD = 40.0
 """A turning joint's reading beyond six turns is in degrees or counts."""

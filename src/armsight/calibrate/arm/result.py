@@ -26,8 +26,7 @@ from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import NamedCovariance, checked_array, require_count, require_kind, require_rigid
 from armsight.records.output import Output, Row, TitledOutput, figure, output, pose_rows
-from armsight.records.result_parts import PoseStd, RejectedRow
-from armsight.records.verdict import MANY_REJECTED, MEANING, Verdict
+from armsight.records.result_parts import MANY_REJECTED, MEANING, PoseStd, RejectedRow, Verdict
 from armsight.shown import REJECTED_SHOWN, Bars, Shown, Table, digits, parameter_row, point_rows, rotation_rows
 from armsight.units import MM
 

@@ -21,7 +21,7 @@ from armsight.calibrate.correlation import Correlation, fit_averaged
 from armsight.columns import POSE6
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
-from armsight.fitting.quantiles import MEDIAN_3, NORMAL_95, chi2_ppf, t_ppf
+from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf, student_factor
 from armsight.geometry import align_points
 from armsight.kinematics import Arm, fk
 from armsight.kinematics.axes import links_told
@@ -254,7 +254,7 @@ def _believed(points: ArmPoints, r: Array, J: Array, C: Array) -> tuple[Array, A
         drift = fit_averaged(r, J, t_s)
         step, C, worth = drift.step, drift.C, drift.correlation.n_effective
         told = _drift_told(points, t_s, drift.correlation)
-    student = float(t_ppf(0.975, max(3.0 * worth - len(POSE6), 1.0))) / NORMAL_95
+    student = float(student_factor(max(3.0 * worth - len(POSE6), 1.0)))
     return step, student**2 * C, told
 
 

@@ -21,7 +21,7 @@ from armsight.calibrate.camera_noise.stationary import Survey, survey
 from armsight.calibrate.camera_noise.stills import BLOCK_PX, Stills, block_sums, require_change, to_pixels
 from armsight.errors import Degenerate, NotEnoughData
 from armsight.fields import Doc
-from armsight.records.noise import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
+from armsight.records.camera import LAGS, LEVELS, ROUNDING_LEVELS2, LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.output import Output, extended, output
 from armsight.shown import WRITTEN, Shown
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armsight.arrays import Array
 from armsight.calibrate.camera_noise.stills import BLOCK_PX, Stills, block_sums
 from armsight.errors import Degenerate
-from armsight.records.noise import LEVELS
+from armsight.records.camera import LEVELS
 
 Flags = NDArray[np.bool_]
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array, Image
 from armsight.errors import BadImage, Degenerate, Inconsistent, NotEnoughData
-from armsight.records.noise import LEVELS
+from armsight.records.camera import LEVELS
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]

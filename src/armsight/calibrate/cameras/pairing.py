@@ -20,7 +20,7 @@ from armsight.errors import Inconsistent
 from armsight.geometry.kernels import rotvec
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.records import NamedCovariance, Target
-from armsight.records.board import symmetries
+from armsight.records.views import symmetries
 
 SAME_ANGLE_RAD = 0.12
 """Relative orientations closer than this agree: starting poses without distortion are off by up to 0.05 rad."""

@@ -20,8 +20,7 @@ from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import NamedCovariance, NoiseModel
 from armsight.records.by_value import Saveable
 from armsight.records.output import Output, Row, extended, figure, output, with_std
-from armsight.records.result_parts import RejectedFile
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, RejectedFile, Verdict
 from armsight.shown import WRITTEN, Shown, Table, digits, rejected_lines
 from armsight.units import MM
 

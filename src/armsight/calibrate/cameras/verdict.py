@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.preconditions import COVERED, image_share
 from armsight.optics import Camera
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 
 OVERFITTED = 1.5
 """Left-out error over fitted error: above it the fit follows its own images more than the camera."""

@@ -26,6 +26,7 @@ from armsight.calibrate.cell.result import (
 from armsight.calibrate.cell.rounds import Solved, require_lit, solve_cell
 from armsight.calibrate.cell.tip import TipSlopes, tip_slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.fitting.groups import without
 from armsight.geometry import align_points
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
@@ -234,9 +235,7 @@ def _left_out(solved: Solved, residual: BothPixels) -> BothPixels:
         rows = np.flatnonzero(fold == number)
         part = normals.take(rows)
         own = wander.take(rows).reduced(part)
-        rest = H - own.A[np.ix_(free, free)]
-        # at the minimum all gradients add up to zero: without this fold that of the rest is left, minus the fold's
-        step = np.linalg.solve(rest, own.g[free])
+        step = without(H, own.A[np.ix_(free, free)], own.g[free])
         A, g = part.A.sum(axis=0)[np.ix_(free, free)], part.g.sum(axis=0)[free]
         before += float(part.chi2.sum())
         after += float(part.chi2.sum() + 2.0 * g @ step + step @ A @ step)

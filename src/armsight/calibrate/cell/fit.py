@@ -14,7 +14,7 @@ from armsight.calibrate.cell.model import BlockNormals, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S, Spots
 from armsight.calibrate.cell.wander import Wander, learned_wander
 from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
-from armsight.fitting.normal import NormalEquations
+from armsight.fitting.problem import NormalEquations
 
 APART = 1e-4
 """Share of an arm's parameter's effect that must be its own; of one that base, target and others take up wholly,

@@ -17,7 +17,7 @@ from armsight.columns import POSITION
 from armsight.geometry.poses import skew
 from armsight.kinematics import parameter_jacobian
 from armsight.optics import INTRINSICS, SIDES, Camera
-from armsight.records.timing import PPM
+from armsight.records.camera import PPM
 
 CAMERA_POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 """T_base_camera: its position in m and its rotation vector, moved as t + dt, Exp(dw) R in base axes."""

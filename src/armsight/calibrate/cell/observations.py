@@ -13,10 +13,11 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array, Index
 from armsight.calibrate.timing.stamps import SteadyStamps, camera_clock
 from armsight.errors import Inconsistent, NotEnoughData
+from armsight.fitting.groups import whitener
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.records import Motion, SpotTrack
-from armsight.records.timing import PPM
+from armsight.records.camera import PPM
 
 LOG_GAP_S = 0.2
 """Readings further apart than this leave open where the arm was between them."""
@@ -88,8 +89,7 @@ class Spots:
 
     def whitening(self, scale: Sequence[float] = (1.0, 1.0)) -> Array:
         """Return W (m, 2, 2) by which a residual becomes one of unit variance; scale: of each side's deviations."""
-        L = np.linalg.cholesky(self.covariance_px2)
-        return np.asarray(np.linalg.inv(L) / np.asarray(scale)[self.side][:, None, None])
+        return np.asarray(whitener(self.covariance_px2) / np.asarray(scale)[self.side][:, None, None])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,7 +17,7 @@ from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, ToolPoint
 from armsight.optics import Rig, RigKind
 from armsight.records import CameraTiming, NamedCovariance, Target
-from armsight.records.timing import PPM
+from armsight.records.camera import PPM
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,8 +17,7 @@ from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import Target
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import BothPixels, BothSeconds, PoseStd
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, BothPixels, BothSeconds, PoseStd, Verdict
 from armsight.shown import Shown, Table, digits, parameter_row, pose_rows
 from armsight.units import MM
 

@@ -22,7 +22,7 @@ from armsight.calibrate.handeye.kernels import closed_forms
 from armsight.calibrate.handeye.pairs import MIN_PAIRS, Setup, stack
 from armsight.optics import Camera
 from armsight.records import BoardView, Target
-from armsight.records.board import symmetries
+from armsight.records.views import symmetries
 from armsight.units import DEG
 
 SAMPLE, SAMPLES, SEED = 4, 30, 17

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array
 from armsight.calibrate.correlation import Correlation, fit_averaged, time_blocks
-from armsight.calibrate.handeye.known_noise import moved, whitener
+from armsight.calibrate.handeye.known_noise import CONDITION, moved
 from armsight.calibrate.handeye.pairs import Arrays, Poses
 from armsight.calibrate.handeye.solution import residuals
+from armsight.fitting.groups import whitener
 
 STEP = 1e-6
 """Of the numerical derivatives, m and rad."""
@@ -36,7 +37,7 @@ def fit_drifting(
         size = np.maximum(size, 1e-12)
         r, J = r / size, J / size[:, None]
     else:
-        W = whitener(noise[keep])
+        W = whitener(noise[keep], CONDITION)
         r, J = np.einsum("nij,nj->ni", W, r), W @ J
     found = fit_averaged(r, J, t_s[keep])
     return _moved(start, found.step), found.C, found.correlation

@@ -17,11 +17,18 @@ from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import EMPTY, Bundle, adjust, problem_of
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.observations import Observations, pack
-from armsight.calibrate.handeye.known_noise import Restricted, left_out, linearise, restricted_variances, whitener
+from armsight.calibrate.handeye.known_noise import (
+    CONDITION,
+    Restricted,
+    left_out,
+    linearise,
+    restricted_variances,
+)
 from armsight.calibrate.handeye.pairs import Arrays, Poses, Setup, components
 from armsight.calibrate.handeye.result import NAMES, HandEyeResult
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
+from armsight.fitting.groups import whitener
 from armsight.optics import Camera
 from armsight.records import BoardView, Target
 
@@ -66,7 +73,7 @@ class ImageModel:
         """Return (n, 6): each pose against its prediction from the other used ones, V (n, 6, 6) the noise of each."""
         X, Z, to_hand = (at[0], at[1]), (at[2], at[3]), self.setup is Setup.EYE_TO_HAND
         _, J, _ = self.linearised(at)
-        J = (whitener(V) @ J)[self.used]
+        J = (whitener(V, CONDITION) @ J)[self.used]
         C = np.linalg.inv(np.einsum("nia,nib->ab", J, J))
         return left_out(self.arrays, X, Z, 1.0, V, self.used, C, to_hand=to_hand)[0]
 
@@ -84,7 +91,7 @@ class ImageModel:
         used = np.flatnonzero(self.used)
         sightings = self.seen.sightings.take(used)
         F = self.arrays[0][used], self.arrays[1][used]
-        whiten = np.linalg.inv(np.linalg.cholesky(V))  # (n, 6, 6)
+        whiten = whitener(V)  # (n, 6, 6)
         G = len(used)
         poses = self.seen.centred[used]
         boards = problem_of(

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.arrays import Array
+from armsight.arrays import Array, Mask
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.pairs import Arrays
+from armsight.fitting.groups import leave_one_out, whitener
 from armsight.geometry.poses import skew
 
 Pose = tuple[Array, Array]
@@ -32,8 +33,6 @@ corners of the real recording in benchmarks/handeye.py grow 15 times and its pos
 covariances that are all 9 times too small or too large are found out none the less."""
 CONDITION = 1e-12
 """Noise below this share of a pair's own in some direction is added to it, so that every pair can be whitened."""
-LEAST_SPARE = 1e-9
-"""Least share of a pair's noise that the other pairs must leave to it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,13 +68,6 @@ def linearise(arrays: Arrays, X: Pose, Z: Pose, gamma: float, *, to_hand: bool) 
     return Linear(e=e, J=J, L=at @ at.transpose(0, 2, 1), lever=np.linalg.norm(reach, axis=1))
 
 
-def whitener(V: Array) -> Array:
-    """Return (n, 6, 6): what makes errors of covariances V (n, 6, 6) independent, of unit size."""
-    size = np.sqrt(np.diagonal(V, axis1=1, axis2=2))
-    one = V / (size[:, :, None] * size[:, None, :]) + CONDITION * np.eye(V.shape[1])
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(one)) / size[:, None, :])
-
-
 def fit_weighed(
     arrays: Arrays,
     known: Array,
@@ -104,7 +96,7 @@ def fit_weighed(
         J = at.J[:, :, :n_free]
         try:
             found = restricted_variances(at.e, J, np.zeros_like(known), Q, keep, floor, theta, BELIEVED)
-            W = whitener(found.V)
+            W = whitener(found.V, CONDITION)
             e, J = np.einsum("nij,nj->ni", W, at.e), W @ J
             e[~keep], J[~keep] = 0.0, 0.0
             C = np.linalg.inv(np.einsum("nia,nib->ab", J, J))
@@ -125,27 +117,21 @@ def fit_weighed(
 
 
 def left_out(
-    arrays: Arrays, X: Pose, Z: Pose, gamma: float, V: Array, keep: NDArray[np.bool_], C: Array, *, to_hand: bool
+    arrays: Arrays, X: Pose, Z: Pose, gamma: float, V: Array, keep: Mask, C: Array, *, to_hand: bool
 ) -> tuple[Array, Array]:
     """Return the error (n, 6) of each pair as predicted from the other kept ones, and its squared length (n,) against
     its own noise V (n, 6, 6) and that of the unknowns, C (m, m). NaN where a pair alone fixes some unknown."""
-    m = len(C)
     at = linearise(arrays, X, Z, gamma, to_hand=to_hand)
-    W = whitener(V)
-    e, J = np.einsum("nij,nj->ni", W, at.e), W @ at.J[:, :, :m]
-    M = J @ C @ J.transpose(0, 2, 1)
-    out, q = np.full((len(e), 6), np.nan), np.full(len(e), np.nan)
-    e1, J1, reach = np.empty((1, 6)), np.empty((1, 6, 13)), np.empty((1, 3))
-    for i in range(len(e)):
-        S = np.eye(6) - M[i] if keep[i] else np.eye(6) + M[i]
-        if not np.linalg.eigvalsh(S)[0] > LEAST_SPARE:
-            continue
-        y = np.linalg.solve(S, e[i])
-        step = C @ J[i].T @ y if keep[i] else np.zeros(m)
-        one = tuple(a[i : i + 1] for a in arrays)
-        kernels.linearise(moved(X, Z, gamma, step), one, to_hand, e1, J1, reach)
-        out[i], q[i] = e1[0], e[i] @ y
-    return out, q
+    W = whitener(V, CONDITION)
+    steps, q = leave_one_out(np.einsum("nij,nj->ni", W, at.e), W @ at.J[:, :, : len(C)], C, keep)
+    return residuals_after(arrays, X, Z, gamma, steps), q
+
+
+def residuals_after(arrays: Arrays, X: Pose, Z: Pose, gamma: float, steps: Array) -> Array:
+    """Return the residual (n, 6) of each pair, in camera axes, after a step (n, 12) or (n, 13) of its own."""
+    out = np.empty((len(steps), 6))
+    kernels.residuals_after((X, Z, gamma), arrays, steps, out)
+    return out
 
 
 def moved(X: Pose, Z: Pose, gamma: float, step: Array) -> tuple[Pose, Pose, float]:

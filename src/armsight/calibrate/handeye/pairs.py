@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
-from armsight.geometry.lengths import FAR_M, check_metres
 from armsight.records import frozen_array
+from armsight.records.checks import FAR_M, check_metres
 from armsight.units import DEG
 
 Arrays = tuple[Array, Array, Array, Array]

@@ -25,8 +25,7 @@ from armsight.optics import Camera
 from armsight.records import NamedCovariance, frozen_array, require_count
 from armsight.records.by_value import Saveable
 from armsight.records.output import Output, Row, figure, output, with_std
-from armsight.records.result_parts import PoseStd
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, PoseStd, Verdict
 from armsight.shown import REJECTED_SHOWN, Bars, Shown, Table, digits, pose_rows
 from armsight.units import DEG, MM, displayed_name
 

@@ -12,10 +12,11 @@ from armsight.arrays import Array
 from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
-from armsight.calibrate.handeye.known_noise import BELIEVED, Fitted, Weighing, fit_weighed, left_out
+from armsight.calibrate.handeye.known_noise import BELIEVED, Fitted, Weighing, fit_weighed, left_out, residuals_after
 from armsight.calibrate.handeye.pairs import Arrays, Poses, Setup
 from armsight.errors import NotConverged
-from armsight.fitting.quantiles import NORMAL_95, t_ppf
+from armsight.fitting.groups import leave_one_out
+from armsight.fitting.quantiles import student_factor
 
 FLOOR = np.array([1e-22, 1e-22, 1e-24])
 """Variances are kept above (0.01 nm)^2 and (1e-11 rad)^2, so that exact data can be fitted as well."""
@@ -103,9 +104,12 @@ class Solution:
         X, Z, to_hand = (self.R_X, self.t_x), (self.R_Z, self.t_z), self.setup is Setup.EYE_TO_HAND
         if self.weighed is not None:
             return left_out(self.arrays, X, Z, self.gamma, self.weighed.V, self.keep, self.C, to_hand=to_hand)
-        out = np.empty((len(self.keep), 6))
-        q = kernels.left_out((X, Z, self.gamma), (self.arrays, self.keep, to_hand), self.variances, self.C, out)
-        return out, q
+        n = len(self.keep)
+        e, J, all_pairs = np.empty((n, 6)), np.empty((n, 6, len(self.C))), np.ones(n, np.bool_)
+        observed = self.arrays, all_pairs, to_hand
+        kernels.weigh((X, Z, self.gamma), observed, self.variances, e, J, np.empty(n))
+        steps, q = leave_one_out(e, J, self.C, self.keep)
+        return residuals_after(self.arrays, X, Z, self.gamma, steps), q
 
 
 def solve_pairs(
@@ -216,7 +220,7 @@ def uncertainty(solution: Solution) -> VarianceUncertainty:
     variance = np.diag(C)
     grown = variance + 2.0 * np.maximum(np.diag(C @ lost @ C), 0.0)
     dof = np.clip(2.0 * variance**2 / np.maximum(spread, 1e-300), 1.0, 1e6)
-    factor = t_ppf(0.975, dof) / NORMAL_95
+    factor = student_factor(dof)
     return VarianceUncertainty(variance_covariance=covariance, dof=dof, std=np.sqrt(grown) * factor)
 
 

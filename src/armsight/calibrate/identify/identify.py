@@ -41,8 +41,8 @@ from armsight.calibrate.identify.sweeps import (
     position_residuals,
 )
 from armsight.errors import Inconsistent, UsageError
-from armsight.geometry.lengths import check_spread
 from armsight.optics import PackedRig, Rig
+from armsight.records.checks import check_spread
 
 METHODS = ("ml", "paper")
 INCREMENTS = ("known", "order")

@@ -14,7 +14,7 @@ from armsight.calibrate.identify.chain import Axis, ChainModel
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, Joint, JointType, link_to_line
 from armsight.records import NamedCovariance
-from armsight.records.verdict import Verdict
+from armsight.records.result_parts import Verdict
 from armsight.units import MM
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from armsight.arrays import Array
 from armsight.calibrate.identify.kernels import see_many
 from armsight.errors import Inconsistent, NotEnoughData
+from armsight.fitting.groups import whitener
 from armsight.optics import SIDES, PackedRig, Rig, triangulate
 from armsight.optics.parallelism import moved_rig
 from armsight.records import frozen_array
@@ -278,9 +279,7 @@ def rig_shifts(kept: SweepResiduals, rig: Rig | None, xyz_m: Array) -> Array:
 def position_residuals(sweeps: Sweeps, sigma: float) -> SweepResiduals:
     """Return readings judged by their positions."""
     C = sweeps.covariance_m2
-    return SweepResiduals(
-        sweeps=sweeps, sigma=sigma, whitener=None if C is None else np.linalg.inv(np.linalg.cholesky(C))
-    )
+    return SweepResiduals(sweeps=sweeps, sigma=sigma, whitener=None if C is None else whitener(C))
 
 
 def background_shifts(kept: SweepResiduals) -> Array:

@@ -12,6 +12,7 @@ from armsight.arrays import Array
 from armsight.calibrate.light_target import kernels
 from armsight.calibrate.light_target.frames import Layout
 from armsight.fitting import Evaluation, Fit, Problem, solve
+from armsight.fitting.groups import whitener, without
 from armsight.geometry.poses import skew
 from armsight.optics import RIG_PARAMETERS, PackedRig, Rig
 from armsight.optics.parallelism import moved_rig
@@ -64,7 +65,7 @@ def fit_bundle(
 ) -> LightBundle:
     """Return the bundle from a guess: values (k,) of the layout, R (g, 3, 3), t (g, 3) of the frames."""
     packed = PackedRig.of(rig)
-    whiten = np.linalg.inv(np.linalg.cholesky(sightings.cov_px2))  # (g, n, 2, 2, 2)
+    whiten = whitener(sightings.cov_px2)  # (g, n, 2, 2, 2)
     g, n = sightings.uv_px.shape[:2]
 
     def evaluate(shared: Array, local: Array) -> Evaluation:
@@ -115,14 +116,11 @@ def _judge(
     S = Js.transpose(0, 2, 1) @ Js  # (g, k, k)
     information = S.sum(axis=0)
     covariance = np.linalg.inv(information)
-    # a frame's share S of the information is taken back, and what its residuals had pulled the shape by goes with it:
-    # the step (H - S)^-1 J' e leads to the fit without it, to first order
-    step = (
-        np.linalg.solve(information - S, (Js.transpose(0, 2, 1) @ e[:, :, None]))
-        if g > 1
-        else np.zeros((g, len(information), 1))
-    )
-    left_out = (e + (Js @ step)[:, :, 0])[:, : 4 * n].reshape(g, n, 2, 2)
+    step = np.zeros((g, len(information)))
+    if g > 1:
+        step = without(information, S, (Js.transpose(0, 2, 1) @ e[:, :, None])[:, :, 0])
+    # the pose of a frame follows the shape that the others give: e and Js are by what is left of both
+    left_out = (e + (Js @ step[:, :, None])[:, :, 0])[:, : 4 * n].reshape(g, n, 2, 2)
     share = np.zeros_like(covariance)
     if rig.covariance is not None:
         D = _by_rig(rig, layout, fit, whiten)

@@ -39,9 +39,9 @@ from armsight.calibrate.light_target.naming import Named, distances, find_shape
 from armsight.calibrate.light_target.result import RejectedFrame, TargetResult, advise, distances_of
 from armsight.defaults import LIT_LIGHTS
 from armsight.fitting.quantiles import chi2_isf, chi2_ppf
-from armsight.geometry.lengths import TARGET_M, check_metres
 from armsight.optics import Rig, triangulate
 from armsight.records import NamedCovariance
+from armsight.records.checks import TARGET_M, check_metres
 from armsight.units import MM
 
 Flags = NDArray[np.bool_]

@@ -14,7 +14,7 @@ from armsight.fields import Doc
 from armsight.records import NamedCovariance, Target, frozen_array, spot_target
 from armsight.records.by_value import Saveable
 from armsight.records.output import Output, figure, output
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, Verdict
 from armsight.shown import REJECTED_SHOWN, Shown, Table, digits
 from armsight.units import DEG, MM
 

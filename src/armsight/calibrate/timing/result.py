@@ -12,10 +12,9 @@ from armsight.fields import Doc
 from armsight.optics import Rig
 from armsight.records import CameraTiming, NamedCovariance
 from armsight.records.by_value import Saveable
+from armsight.records.camera import CLOCK
 from armsight.records.output import Output, figure, output
-from armsight.records.result_parts import BothCounts, BothPixels, BothSeconds
-from armsight.records.timing import CLOCK
-from armsight.records.verdict import MEANING, Verdict
+from armsight.records.result_parts import MEANING, BothCounts, BothPixels, BothSeconds, Verdict
 from armsight.shown import Shown, Table, digits
 from armsight.units import MS
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from armsight.arrays import Array
 from armsight.calibrate.timing.stamps import SteadyStamps
 from armsight.errors import NotEnoughData
+from armsight.fitting.groups import whitener
 from armsight.optics import SIDES, Rig
 from armsight.records import SpotTrack
 
@@ -105,7 +106,7 @@ def _equations(rig: Rig, side: str, uv: Array, cov: Array) -> dict[str, Array]:
     )  # (m, 2, 2) of rays by pixels
     # X on the ray (x, y): (R1 - x R3) X = x t3 - t1, y likewise, whitened by the ray's covariance; its error is the
     # ray's times the depth
-    W = np.linalg.inv(np.linalg.cholesky(J @ cov @ J.transpose(0, 2, 1)))  # (m, 2, 2)
+    W = whitener(J @ cov @ J.transpose(0, 2, 1))  # (m, 2, 2)
     A = W @ (R[None, :2] - xy[:, :, None] * R[None, 2:])  # (m, 2, 3)
     b = (W @ (xy * t[2] - t[:2])[:, :, None])[:, :, 0]
     return {"A": A, "b": b, "depth_row": np.tile(R[2], (len(uv), 1)), "depth_off": np.full(len(uv), t[2])}

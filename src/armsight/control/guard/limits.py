@@ -17,7 +17,7 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Bounds
 from armsight.kinematics import Arm
 from armsight.records import Saveable, frozen_array, require_kind
-from armsight.records.fields import NotNegative, Positive, Shape, require_bounds
+from armsight.records.checks import NotNegative, Positive, Shape, require_bounds
 from armsight.units import DEG, MM
 
 MOST_TURN_RAD = 4.0 * math.pi

@@ -16,8 +16,8 @@ from armsight.control.paths.outliers import path_jumps
 from armsight.errors import NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointPath, track_path
+from armsight.kinematics.closed_form import singularity_distance
 from armsight.kinematics.path import JUMP
-from armsight.kinematics.singular import singularity_distance
 from armsight.records import TaughtPath, frozen_array
 from armsight.records.output import Output, output
 

@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armsight._numba import fast_kernel, inner_fast_kernel, kernel
+from armsight.kinematics.kernels.chain import TWO_PI, arc_tangent, sin_cos, wrap
 from armsight.kinematics.kernels.numeric import pose_error
-from armsight.kinematics.kernels.trig import TWO_PI, arc_tangent, sin_cos, wrap
 
 ELBOW_MERGED = 1e-7
 """Sine of the elbow below which its two branches are one: rounding of the reach, under a square root, makes 2e-8."""

@@ -19,7 +19,7 @@ from armsight.measure.boards.checkerboard import (
 )
 from armsight.measure.boards.corner_detector import Grid
 from armsight.measure.boards.gridmap import GridMap, fit_map, monomials
-from armsight.measure.boards.kernels.render_board import render_pattern
+from armsight.measure.boards.kernels.gridmap import render_pattern
 from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
 from armsight.records import Target
 

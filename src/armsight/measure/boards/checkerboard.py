@@ -7,11 +7,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight.arrays import Array, Image, Mask
-from armsight.errors import BadImage, Unseen
-from armsight.measure.boards.gridmap import GridMap, fit_map, most_upright
+from armsight.errors import BadImage, Unseen, unused_image
+from armsight.measure.boards.gridmap import (
+    GridMap,
+    fit_map,
+    levels_at,
+    most_upright,
+    outer_lines,
+    refuse_miscount,
+    too_few,
+)
 from armsight.measure.boards.kernels.gridmap import median
 from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
-from armsight.measure.boards.miscount import levels_at, outer_lines, refuse_miscount, too_few
 from armsight.measure.boards.saddle_grid import grid_at_a_glance, shrunk
 from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target
@@ -76,10 +83,8 @@ def find_checkerboard(image: Image, board: Target, source: str, detector: str) -
         coarse = coarse_corners(image, board.columns, board.rows, detector)
     if coarse is None:
         instead, unseen, size = (" at a glance", Unseen.OTHER, None) if quick else _instead(image, board)
-        raise BadImage(
+        raise unused_image(
             f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found{instead}",
-            consequence="The image is not used",
-            cure="Show the whole board, sharp and evenly lit, and count its inner corners",
             unseen=unseen,
             size=size,
         )
@@ -222,9 +227,8 @@ def _refuse_unclear(source: str, good: Mask, quality: Array, size: Array) -> Non
     """Raise BadImage where too many corners are no corners, or too blurred to be placed."""
     lost = int(np.count_nonzero(~good))
     if lost > LOST_SHARE * len(good):
-        raise BadImage(
+        raise unused_image(
             f"{source}: {lost} of {len(good)} corners are hidden, in glare or not corners",
-            consequence="The image is not used",
             cure="Show the whole board without reflections",
         )
     blur = float(median(quality[good, 2] / size[good]))

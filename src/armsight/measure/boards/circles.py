@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from armsight.arrays import Array, Image, Index, Mask
-from armsight.errors import BadImage
+from armsight.errors import BadImage, unused_image
 from armsight.measure.boards.gridmap import axis_px, fit_map
 from armsight.measure.boards.kernels.subpixel import TRIALS, fit_dots
 from armsight.measure.boards.lattice import (
@@ -168,9 +168,8 @@ class _Search:
             return None
         lost = np.count_nonzero(~good)
         if lost > LOST_SHARE * len(guess):
-            raise BadImage(
+            raise unused_image(
                 f"{self.source}: {lost} of {len(guess)} circles have no clean edge",
-                consequence="The image is not used",
                 cure="Hold the board still, focus the lens and avoid reflections",
             )
         if _goes_on(self.image, self.grid, dots, numbering, contrast, radius):
@@ -192,11 +191,10 @@ class _Search:
             return self.unclean
         wanted = f"{self.board.columns}x{self.board.rows}"
         instead = _instead(self.largest, self.board, beyond=self.beyond)
-        return BadImage(
+        return unused_image(
             f"{self.source}: no grid of {wanted} circles was found{instead}",
-            consequence="The image is not used",
             cure="Show the whole grid, sharp and evenly lit, and count its circles",
-            size=_whole_size(self.largest, self.board),
+            size=_complete_size(self.largest, self.board),
         )
 
 
@@ -250,9 +248,8 @@ def _levels(image: Image, uv: Array) -> Array:
 
 
 def _refuse_mirrored(source: str, otherwise: str) -> None:
-    raise BadImage(
+    raise unused_image(
         f"{source}: the board is mirrored{otherwise}",
-        consequence="The image is not used",
         cure="Switch off the camera's mirror mode, or print the board as it is and count columns along x",
     )
 
@@ -357,7 +354,7 @@ def _instead(lattice: Lattice | None, board: Target, *, beyond: bool) -> str:
     """Return words on the grid that was found, if it is large enough to mean anything."""
     if lattice is None or len(lattice) < 9:
         return ""
-    size = _whole_size(lattice, board)
+    size = _complete_size(lattice, board)
     if size is not None:
         return f", but one of {size[0]}x{size[1]} was"
     if beyond:
@@ -365,7 +362,7 @@ def _instead(lattice: Lattice | None, board: Target, *, beyond: bool) -> str:
     return f" (the largest grid has {len(lattice)} circles of {len(board.names)})"
 
 
-def _whole_size(lattice: Lattice | None, board: Target) -> tuple[int, int] | None:
+def _complete_size(lattice: Lattice | None, board: Target) -> tuple[int, int] | None:
     """Return counts of a whole grid of another size, or None: of a symmetric one the larger first, of an asymmetric one
     columns and rows exchanged."""
     if lattice is None or len(lattice) < 9:

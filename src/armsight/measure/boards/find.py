@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array, Image
-from armsight.errors import BadImage, Inconsistent, Unseen, UsageError
+from armsight.errors import Inconsistent, Unseen, UsageError, unused_image
 from armsight.measure.boards.board_layers import (
     PART_SHARE,
     Layer,
@@ -81,9 +81,8 @@ def warm_up() -> None:
 def grey_image(image: NDArray[np.uint8], source: str) -> NDArray[np.uint8]:
     """Return the image as contiguous uint8 (h, w)."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or min(image.shape[:2]) < SMALLEST_PX:
-        raise BadImage(
+        raise unused_image(
             f"{source}: an image of type {image.dtype} and shape {image.shape} cannot show a board",
-            consequence="The image is not used",
             cure="Give 8-bit grey or BGR images",
         )
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
@@ -104,9 +103,7 @@ def check_exposure(grey: NDArray[np.uint8], source: str) -> None:
         what, cure = "is white all over", "Shorten the exposure"
     else:
         what, cure = "has no contrast", "Light the board and focus the lens"
-    raise BadImage(
-        f"{source}: {what} (grey levels {low:.0f} to {high:.0f})", consequence="The image is not used", cure=cure
-    )
+    raise unused_image(f"{source}: {what} (grey levels {low:.0f} to {high:.0f})", cure=cure)
 
 
 SEEN_SHARE = 0.5
@@ -156,18 +153,18 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
     saddles = find_saddles(light)
     grids = find_grids(saddles, board.columns, board.rows)
     if not grids or len(grids[0].cells) < PART_SHARE * len(board.names):
-        raise _refusal(f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found")
+        raise unused_image(f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found")
     if len(grids) == 2:
         layers = first_layer(grids[0], board), first_layer(grids[1], board)
         for part, other in zip(grids, layers[::-1], strict=True):
             _check_size(part, other, board, source)
     else:
-        _check_whole(grids[0], board, source)
+        _check_complete(grids[0], board, source)
         first = first_layer(grids[0], board)
         grid = _second(light, saddles, first, board)
         if grid is None:
             _check_size(grids[0], None, board, source)
-            raise _refusal(
+            raise unused_image(
                 f"{source}: the board of {board.columns}x{board.rows} inner corners is there only once",
                 cure="Show the whole board to both views, and no other way round the mirrors",
                 unseen=Unseen.ONLY_ONCE,
@@ -175,14 +172,14 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
         layers = first, first_layer(grid, board)
         for part, other in ((grids[0], layers[1]), (grid, first)):
             _check_size(part, other, board, source)
-        _check_whole(grid, board, source)
+        _check_complete(grid, board, source)
     rest = saddles
     for layer in layers:
         _check_inside(layer, light, board, source)
         rest = rest.without(layer.smooth(with_edge(board)), 2.0 * ON_PX)
     more = find_grids(rest, board.columns, board.rows)
     if more and len(more[0].cells) >= SEEN_SHARE * len(board.names):
-        raise _refusal(
+        raise unused_image(
             f"{source}: the board is there three times or more",
             cure="Show one board, once in each view",
             unseen=Unseen.THRICE,
@@ -206,21 +203,21 @@ def _second(light: Array, saddles: Saddles, first: Layer, board: Target) -> Grid
     return found[0] if found and len(found[0].cells) >= PART_SHARE * len(board.names) else None
 
 
-def _check_whole(grid: Grid, board: Target, source: str) -> None:
+def _check_complete(grid: Grid, board: Target, source: str) -> None:
     """Raise BadImage for a grid that shows a part of the board only, or one of another size."""
     size = np.ptp(grid.cells, axis=0) + 1
     usual = np.median(grid.strength)
     for axis in range(2):
         for end in (grid.cells[:, axis].min(), grid.cells[:, axis].max()):
             if np.median(grid.strength[grid.cells[:, axis] == end]) < RIM_SHARE * usual:
-                raise _refusal(
+                raise unused_image(
                     f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found, but one with "
                     f"fewer {'columns' if axis == 0 else 'rows'}, or a part of one",
                     cure="Count the inner corners again, show the whole board to both views, or move it a little: "
                     "corners of the two views may fall on one another",
                 )
     if len(grid.cells) < SEEN_SHARE * len(board.names) or (size != [board.columns, board.rows]).any():
-        raise _refusal(
+        raise unused_image(
             f"{source}: one of the two boards is there in part: {size[0]}x{size[1]} of its "
             f"{board.columns}x{board.rows} inner corners",
             cure="Show the whole board to both views",
@@ -235,7 +232,7 @@ def _check_size(grid: Grid, other: Layer | None, board: Target, source: str) -> 
         edge = other.smooth(with_edge(board))
         strange = strange[np.linalg.norm(strange[:, None] - edge[None], axis=2).min(axis=1) > 2.0 * ON_PX]
     if len(strange) > 0.5 * min(board.columns, board.rows):
-        raise _refusal(
+        raise unused_image(
             f"{source}: {len(strange)} corners continue a board beyond {board.columns}x{board.rows} inner corners",
             cure="Count the inner corners again; where they are right, look for a third reflection, or move the board: "
             "corners of the two views may fall on one another",
@@ -247,26 +244,18 @@ def _check_inside(layer: Layer, light: Array, board: Target, source: str) -> Non
     """Raise BadImage where a board reaches out of the image."""
     uv = layer.smooth(grid_of(board))
     if (uv < 0.0).any() or (uv > [light.shape[1] - 1.0, light.shape[0] - 1.0]).any():
-        raise _refusal(
+        raise unused_image(
             f"{source}: one of the two boards is half out of the image",
             cure="Show the whole board to both views",
             unseen=Unseen.IN_PART,
         )
 
 
-def _refusal(
-    cause: str,
-    cure: str = "Show the whole board, sharp and evenly lit, and count its inner corners",
-    unseen: Unseen = Unseen.OTHER,
-) -> BadImage:
-    return BadImage(cause, consequence="The image is not used", cure=cure, unseen=unseen)
-
-
 def _view(light: Array, board: Target, layer: Layer, other: Layer, source: str) -> BoardView:
     """Return the board of a layer, its points numbered as everywhere; raises BadImage where too few are left."""
     lost = int(np.count_nonzero(~layer.good))
     if lost > (1.0 - PLACED_SHARE) * len(layer.good):
-        raise _refusal(
+        raise unused_image(
             f"{source}: {lost} of {len(layer.good)} corners of one board cannot be placed: they fall on the other "
             "board's, are hidden or are not corners",
             cure="Move the board a little, nearer or further, or turn it",
@@ -275,7 +264,7 @@ def _view(light: Array, board: Target, layer: Layer, other: Layer, source: str) 
     size = np.linalg.norm(smooth.derivatives(grid)[0], axis=1).min(axis=1)
     blur = float(np.median(layer.quality[layer.good, 2] / size[layer.good]))
     if blur > BLUR_SHARE:
-        raise _refusal(
+        raise unused_image(
             f"{source}: blurred: the edges are {blur:.2f} of a square wide (standard deviation)",
             cure="Hold the board still, shorten the exposure or focus the lens",
             unseen=Unseen.BLURRED,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array, Index
-from armsight.errors import BadImage, Inconsistent
+from armsight.errors import Inconsistent, unused_image
 from armsight.measure.boards.checkerboard import LOW_CONTRAST
 from armsight.measure.boards.gridmap import fit_map
 from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
@@ -46,9 +46,8 @@ class MarkerCorners:
     def refuse_mirrored(self, found: int, source: str) -> None:
         """Raise BadImage where the mirrored picture holds the board: `found` corners are seen there."""
         if found >= self.least:
-            raise BadImage(
+            raise unused_image(
                 f"{source}: the board is mirrored",
-                consequence="The image is not used",
                 cure="Switch off the camera's mirror mode, or print the board as it is",
             )
 
@@ -84,9 +83,8 @@ class MarkerCorners:
         if good.any():
             good &= quality[:, 1] > LOW_CONTRAST * np.median(quality[good, 1])
         if np.count_nonzero(good) < self.least:
-            raise BadImage(
+            raise unused_image(
                 f"{source}: {np.count_nonzero(good)} of {n} corners of the {self.board} are sharp enough to be placed",
-                consequence="The image is not used",
                 cure=self.cure,
             )
         return BoardView(
@@ -118,10 +116,9 @@ def find_charuco(image: NDArray[np.uint8], board: Target, source: str) -> BoardV
         seen = 0 if markers is None else len(markers)
         mirrored = detector.detectBoard(np.ascontiguousarray(image[:, ::-1]))[1]
         CHARUCO.refuse_mirrored(0 if mirrored is None else len(mirrored), source)
-        raise BadImage(
+        raise unused_image(
             f"{source}: {0 if ids is None else len(ids)} corners of the ChArUco board were found ({seen} markers), "
             f"{CHARUCO.least} are needed",
-            consequence="The image is not used",
             cure="Show more of the board, sharper and larger, and check its size and dictionary",
             size=_exchanged(image, board) if not _few(markers) else None,
         )
@@ -227,9 +224,8 @@ def find_aprilgrid(image: Grey, board: Target, source: str) -> BoardView:
     if 4 * len(found) < APRILGRID.least:
         mirrored, _ = _tags(np.ascontiguousarray(image[:, ::-1]), board)
         APRILGRID.refuse_mirrored(4 * len(mirrored), source)
-        raise BadImage(
+        raise unused_image(
             f"{source}: {len(found)} tags of the AprilGrid were found, {APRILGRID.least // 4} are needed",
-            consequence="The image is not used",
             cure="Show more of the board, sharper and larger; its tags are of the family 36h11, from 0",
         )
     across = 2 * board.columns

@@ -31,7 +31,7 @@ def grid_at_a_glance(image: Image, columns: int, rows: int) -> Array | None:
     for factor in _factors(image):
         small = image if factor == 1 else shrunk(image, factor)
         calm = np.asarray(cv2.GaussianBlur(small, (5, 5), BLUR_PX), dtype=np.uint8)
-        uv = _whole_grid(calm, columns, rows)
+        uv = _complete_grid(calm, columns, rows)
         if uv is not None:
             return (uv + 0.5) * factor - 0.5
     return None
@@ -52,7 +52,7 @@ def shrunk(image: Image, factor: int) -> Image:
     return np.asarray(small, dtype=np.uint8)
 
 
-def _whole_grid(calm: Image, columns: int, rows: int) -> Array | None:
+def _complete_grid(calm: Image, columns: int, rows: int) -> Array | None:
     """Return the one whole grid of this size in an image without noise, or None."""
     pixels, strength = saddle_pixels(calm, LEAST_RESPONSE, MOST_PLACES)
     corners = saddle_corners(calm, pixels)

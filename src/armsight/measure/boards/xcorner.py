@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array, Image, Index, Mask
 from armsight.measure.boards.gridmap import fit_map
-from armsight.measure.boards.kernels.xtemplate import RINGS, place_corners
+from armsight.measure.boards.kernels.subpixel import RINGS, place_corners
 
 Cell = tuple[int, int]
 """Column and row on the grid, counted from where the ordering began."""

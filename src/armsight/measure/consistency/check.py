@@ -44,7 +44,7 @@ MOST_REFITTED = 200
 DOUBT = "the residuals of the run say that rig or target are wrong"
 
 
-def settled(pose: TargetPose, *, inconsistent: bool) -> TargetPose:
+def finalise(pose: TargetPose, *, inconsistent: bool) -> TargetPose:
     """Return a pose with the status that the verdict on its run gives it; doubt about the frame itself stays."""
     if inconsistent and pose.status is PoseStatus.OK:
         return replace(pose, status=PoseStatus.DOUBTFUL, why=DOUBT)
@@ -58,7 +58,7 @@ class RunCheck:
 
     def __init__(self, setup: Setup) -> None:
         self._evidence = Evidence.of(setup)
-        self._refitted = self._refused = self._whole = 0
+        self._refitted = self._refused = self._complete = 0
         self._causes = causes_of(setup, self._evidence.basis)
         self._next = float(WINDOW)
         self._known: Consistency | None = None
@@ -79,7 +79,7 @@ class RunCheck:
         if self._known is None:
             return measured
         wider = self._widened(measured, self._known)
-        pose = settled(wider.pose, inconsistent=self.inconsistent)
+        pose = finalise(wider.pose, inconsistent=self.inconsistent)
         return wider if pose is wider.pose else replace(wider, pose=pose, cause=Unseen.INCONSISTENT)
 
     @property
@@ -91,20 +91,22 @@ class RunCheck:
         """Return the verdict over the whole run."""
         self._evidence.finish()
         found = self._judge(changes=True)
-        told = bool(found.findings) and self._whole > self._refused  # with its size and deviation, which another lacks
-        if self._whole and (found.verdict != "inconsistent" or told):
+        told = (
+            bool(found.findings) and self._complete > self._refused
+        )  # with its size and deviation, which another lacks
+        if self._complete and (found.verdict != "inconsistent" or told):
             return found
         other = what_fits(self._evidence.setup, self._kept)
         return found if other is None else replace(found, instead=other.words, remedy=other.cure)
 
     def _judge(self, *, changes: bool) -> Consistency:
-        share = self._refused / max(self._refused + self._whole, 1)
+        share = self._refused / max(self._refused + self._complete, 1)
         return judge(self._evidence, self._causes, share, changes=changes)
 
     def _telling(self, measured: Measured) -> Measured:
         """Return the moment with all its lights, where it was refused or some were left out."""
         ok = measured.pose.status in (PoseStatus.OK, PoseStatus.DOUBTFUL)
-        self._whole += ok
+        self._complete += ok
         if (ok and not measured.notes) or self._refitted >= MOST_REFITTED:
             return measured
         found = refit(self._evidence.setup, measured)

@@ -83,7 +83,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class FrameStatistics:
     """A frame's own sums: time, chi-square, degrees of freedom, N (q, q), b (q,), and what one more look is worth."""
 
     t_s: float
@@ -118,7 +118,7 @@ class Evidence:
     _last: Frame | None = None
     _anchor: Frame | None = None
     _still: int = 0
-    _window: deque[Seen] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    _window: deque[FrameStatistics] = field(default_factory=lambda: deque(maxlen=WINDOW))
     _waiting: int = 0
 
     def __post_init__(self) -> None:
@@ -179,7 +179,7 @@ class Evidence:
         if found is None:
             return
         chi2, N, b, S, _ = found
-        seen = Seen(frame.t_s, chi2, 4.0 * len(frame.lights) - 6.0, N, b, self._weight(frame))
+        seen = FrameStatistics(frame.t_s, chi2, 4.0 * len(frame.lights) - 6.0, N, b, self._weight(frame))
         self.shift_m2 += S[:3].T @ S[:3]
         self.shift_rad2 += S[3:].T @ S[3:]
         self.claimed_m2 += frame.claimed[0]
@@ -202,7 +202,7 @@ class Evidence:
             self._add(seen, usual * seen.dof)
         self._waiting = behind
 
-    def _add(self, seen: Seen, usual: float) -> None:
+    def _add(self, seen: FrameStatistics, usual: float) -> None:
         """Add a frame to its stretch, less where its chi-square is beyond the usual one."""
         weight = seen.weight * min(1.0, OUTLIER * usual / max(seen.chi2, usual)) ** 2
         block = self._block(seen.t_s)

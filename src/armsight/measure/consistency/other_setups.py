@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.errors import DataRefused
-from armsight.geometry.lengths import LARGEST_BASELINE_M
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured
@@ -19,6 +18,7 @@ from armsight.measure.poses.pairs import Pairs, pair_spots
 from armsight.measure.poses.setup import Setup
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus
+from armsight.records.checks import LARGEST_BASELINE_M
 
 MOST = 0.7
 """Share of the moments that another setup must fit to be named; ... and"""

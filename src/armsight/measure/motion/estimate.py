@@ -17,8 +17,15 @@ from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent
 from armsight.measure.motion.kernels import levels, smoothing
 from armsight.measure.motion.kernels.state import STATE, N, P, R, V
-from armsight.measure.motion.states import NO_TIMING, MotionState, View, state_of
-from armsight.measure.motion.timing import TimingEstimate, TimingPrior, estimate_timing
+from armsight.measure.motion.states import (
+    NO_TIMING,
+    MotionState,
+    TimingEstimate,
+    TimingPrior,
+    View,
+    estimate_timing,
+    state_of,
+)
 from armsight.optics import PackedRig
 from armsight.records import for_kernels, frozen_array, trusted
 

@@ -16,11 +16,11 @@ from armsight.measure.poses.board_pose import swapped
 from armsight.measure.poses.correspondence import AS_FOUND, match_known
 from armsight.measure.poses.outcome import Assignment, Match, Measured, Prediction, Track
 from armsight.measure.poses.pairs import Pairs, pair_spots
-from armsight.measure.poses.pose import Solved, lost, no_points, position_only, solve_points
+from armsight.measure.poses.pose import PoseSolution, lost, no_points, position_only, solve_points
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist
 from armsight.measure.poses.solving import (
-    Seen,
+    Observation,
     impossible,
     misfit_chi2,
     solve_assignment,
@@ -98,7 +98,7 @@ def measure_among(
 
 def _look(
     setup: Setup, t_s: float, names: tuple[str, ...], matched: tuple[Spots, Spots], frames: Pair
-) -> Seen | NotSeen:
+) -> Observation | NotSeen:
     """Return the lights that are there as a whole with what is solved from them, or why nothing is."""
     seen = solve_seen(setup, t_s, names, *matched, frames)
     if not seen.names:
@@ -261,7 +261,7 @@ def _overlapping(spots: Spots, expected: int) -> str:
     )
 
 
-def left_out_notes(setup: Setup, solved: Solved, left: Spots, right: Spots) -> tuple[str, ...]:
+def left_out_notes(setup: Setup, solved: PoseSolution, left: Spots, right: Spots) -> tuple[str, ...]:
     """Return a note for every light of the target that was not used, with the nearest spot to its place."""
     if solved.T is None or not setup.target.model_known or len(solved.points) == len(setup.model):
         return ()

@@ -10,7 +10,7 @@ from armsight.arrays import Array, Index
 from armsight.errors import Unseen
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.setup import TargetModel
-from armsight.records import NotSeen, Points, Spots, TargetPose, frozen_array
+from armsight.records import NotSeen, Points, Spots, TargetPose, freeze
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,8 +36,7 @@ class Track:
 
     def __post_init__(self) -> None:
         n = len(self.names)
-        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (n, 3)))
-        object.__setattr__(self, "velocity_m_s", frozen_array("velocity_m_s", self.velocity_m_s, (n, 3)))
+        freeze(self, xyz_m=(n, 3), velocity_m_s=(n, 3))
 
     def predict(self, t_s: float) -> Array:
         """Return the lights' positions (n, 3) at t_s: constant velocity."""

@@ -10,7 +10,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.errors import Unseen
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.kernels import rig_covariance, whole_pose
+from armsight.measure.poses.kernels import rig_covariance
 from armsight.measure.poses.setup import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import NotSeen, Points, PoseStatus, TargetPose, trusted
@@ -35,14 +35,14 @@ _CAUSE = {
 _MISFIT = "one of the spots is off, and it is not clear which: only the position is known"
 _FOLDED = "the spots fit tilts to either side of the line of sight: only the position is known"
 _DOUBT = {
-    whole_pose.NO_DOUBT: (_WHY[kernels.OPEN], Unseen.ROTATION_OPEN),
-    whole_pose.ONE_OFF: (_MISFIT, Unseen.ONE_OFF),
-    whole_pose.FOLDED: (_FOLDED, Unseen.ROTATION_OPEN),
+    rig_covariance.NO_DOUBT: (_WHY[kernels.OPEN], Unseen.ROTATION_OPEN),
+    rig_covariance.ONE_OFF: (_MISFIT, Unseen.ONE_OFF),
+    rig_covariance.FOLDED: (_FOLDED, Unseen.ROTATION_OPEN),
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solved:
+class PoseSolution:
     """A pose with the points it came from; its matrix T (4, 4), None where it is not complete.
 
     fits: whether the residuals agree with the target, slack allowed. cause: of what the pose says is not known.
@@ -109,7 +109,7 @@ def fit_pose(packed: PackedRig, spots: NamedSpots, limit: float, slack_px: float
     xyz_m.setflags(write=False)  # lights left out or not: one compilation serves both
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
     T, C, systematic = np.empty((4, 4)), np.empty((6, 6)), np.empty((6, 6))
-    state, factor, doubt = whole_pose.solve_whole(
+    state, factor, doubt = rig_covariance.solve_whole(
         packed.arrays,
         (uv_px, cov_px2),
         (slack_px**2, limit),
@@ -130,7 +130,7 @@ def solve_pose(
     limit: float,
     slack_px: float = SLACK_PX,
     covariance: Array | None = None,
-) -> Solved:
+) -> PoseSolution:
     """Return the pose of greatest likelihood on both images from n >= 3 named spots, started by Kabsch.
 
     limit: largest chi-square, slack included, that is believed (fit_limit).
@@ -142,29 +142,29 @@ def solve_pose(
     carried = packed.covariance if covariance is None else covariance
     fit = fit_pose(packed, spots, limit, slack_px, carried)
     state, factor, doubt, P, S, T, C, residual, systematic = fit
-    if state == whole_pose.UNLIKE:
+    if state == rig_covariance.UNLIKE:
         return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
-    if state == whole_pose.UNCERTAIN:
+    if state == rig_covariance.UNCERTAIN:
         seen, (why, cause) = _placed(packed, spots.names, P, S, spots.cov_px2, residual), _DOUBT[doubt]
-        return Solved(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
+        return PoseSolution(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
     if state != kernels.SOLVED:
         return _unsolved(state, packed, t_s, spots, P, S, residual)
     if packed.covariance.size:
         A = _slopes(packed, spots.cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
     points = trusted(Points, names=spots.names, xyz_m=P, covariance_m2=S)
-    return _whole(t_s, points, T, C, residual, systematic if carried.size else None, factor)
+    return _full_pose(t_s, points, T, C, residual, systematic if carried.size else None, factor)
 
 
 def _unsolved(
     state: int, packed: PackedRig, t_s: float, spots: NamedSpots, P: Array, S: Array, residual: Array
-) -> Solved:
+) -> PoseSolution:
     """Return what is left where the fit did not come to a pose: the position of the points, if there are any."""
     if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
         return _lost(t_s, _WHY[state], Unseen.NO_POINT)
     seen = _placed(packed, spots.names, P, S, spots.cov_px2, residual)
     pose, cause = position_only(t_s, seen, _WHY[state]), _CAUSE.get(state, Unseen.NO_POINT)
-    return Solved(pose=pose, points=seen.points, fits=state == kernels.OPEN, cause=cause)
+    return PoseSolution(pose=pose, points=seen.points, fits=state == kernels.OPEN, cause=cause)
 
 
 def _not_the_target(residual: Array) -> str:
@@ -175,7 +175,7 @@ def _not_the_target(residual: Array) -> str:
     )
 
 
-def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
+def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> PoseSolution:
     """Return the frame of three lights A, B, C nobody has measured (Pachidis 2005, eqs. 7-8), with its covariance.
 
     uv_px, cov_px2: as in NamedSpots. The lights' own triangle is not assumed to keep its shape.
@@ -186,15 +186,15 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     T, C = np.eye(4), np.empty((6, 6))
     if (
         not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C)
-        or not max(C[3, 3], C[4, 4], C[5, 5]) <= whole_pose.MAX_ROTATION_SIGMA**2
+        or not max(C[3, 3], C[4, 4], C[5, 5]) <= rig_covariance.MAX_ROTATION_SIGMA**2
     ):
         pose = position_only(t_s, seen, "the three lights lie on one line")
-        return Solved(pose=pose, points=seen.points, cause=Unseen.ROTATION_OPEN)
+        return PoseSolution(pose=pose, points=seen.points, cause=Unseen.ROTATION_OPEN)
     systematic = None
     if seen.systematic_m2 is not None:
         systematic = np.empty((6, 6))
         kernels.pachidis_frame(seen.points.xyz_m, seen.systematic_m2, np.eye(4), systematic)
-    return _whole(t_s, seen.points, T, C, seen.residual_px, systematic)
+    return _full_pose(t_s, seen.points, T, C, seen.residual_px, systematic)
 
 
 def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Placed | NotSeen:
@@ -231,7 +231,7 @@ def _of_mean(joint_m2: Array, n: int) -> Array:
     return np.asarray(joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2)
 
 
-def _whole(
+def _full_pose(
     t_s: float,
     points: Points,
     T: Array,
@@ -239,7 +239,7 @@ def _whole(
     residual: Array,
     systematic: Array | None = None,
     factor: float = 1.0,
-) -> Solved:
+) -> PoseSolution:
     """Return the pose T (4, 4) with its covariance C (6, 6), widened by a factor for its residuals."""
     pose = trusted(
         TargetPose,
@@ -254,7 +254,9 @@ def _whole(
         systematic_covariance=systematic,
         origin_known=True,
     )
-    return Solved(pose=pose, points=points, T=T, cause=Unseen.BEYOND_CLAIMS if factor > BEYOND_CLAIMS else Unseen.OTHER)
+    return PoseSolution(
+        pose=pose, points=points, T=T, cause=Unseen.BEYOND_CLAIMS if factor > BEYOND_CLAIMS else Unseen.OTHER
+    )
 
 
 def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_px2: Array, residual: Array) -> Placed:
@@ -279,7 +281,7 @@ def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
     return A
 
 
-def with_covariance(solved: Solved, C: Array) -> Solved:
+def with_covariance(solved: PoseSolution, C: Array) -> PoseSolution:
     """Return a solved pose with another covariance (6, 6), which is used by nobody else."""
     fields = {name: getattr(solved.pose, name) for name in TargetPose.__slots__}
     return replace(solved, pose=trusted(TargetPose, **(fields | {"covariance": C})))
@@ -290,8 +292,8 @@ def lost(t_s: float, why: str) -> TargetPose:
     return TargetPose(t_s=t_s, status=PoseStatus.LOST, parent=PARENT, why=why)
 
 
-def _lost(t_s: float, why: str, cause: Unseen) -> Solved:
-    return Solved(pose=lost(t_s, why), points=no_points(), fits=False, cause=cause)
+def _lost(t_s: float, why: str, cause: Unseen) -> PoseSolution:
+    return PoseSolution(pose=lost(t_s, why), points=no_points(), fits=False, cause=cause)
 
 
 def no_points() -> Points:

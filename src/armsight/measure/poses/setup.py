@@ -10,8 +10,7 @@ import numpy as np
 from armsight.arrays import Array, Mask
 from armsight.errors import Degenerate
 from armsight.geometry import align_points
-from armsight.measure.pace import BATCH, Pace
-from armsight.measure.settings import SpotSettings
+from armsight.measure.settings import BATCH, Pace, SpotSettings
 from armsight.optics import INTRINSICS, RIG_PARAMETERS, PackedRig, Rig, mean_axes, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 from armsight.records import NoiseModel, Target, frozen_array

@@ -15,12 +15,12 @@ from armsight.geometry.kernels import rotvec
 from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.kernels.whole_pose import MAX_DOUBTFUL_SIGMA
+from armsight.measure.poses.kernels.rig_covariance import MAX_DOUBTFUL_SIGMA
 from armsight.measure.poses.outcome import Assignment
 from armsight.measure.poses.pairs import Pairs
 from armsight.measure.poses.pose import (
     NamedSpots,
-    Solved,
+    PoseSolution,
     fit_pose,
     lost,
     no_points,
@@ -38,7 +38,9 @@ TIGHT_PX = 0.05
 """What a good calibration leaves; residuals beyond it are reason enough to try left and right exchanged."""
 
 
-def solve_assignment(setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, chosen: Assignment) -> Solved:
+def solve_assignment(
+    setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, chosen: Assignment
+) -> PoseSolution:
     """Return the pose of the pairs that a hypothesis chose, under its names."""
     index = pairs.index[chosen.pair]
     return solve_spots(setup, t_s, chosen.names, take_spots(left, index[:, 0]), take_spots(right, index[:, 1]))
@@ -55,7 +57,7 @@ class Views(NamedTuple):
     radius_m: Array
 
 
-def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots) -> Solved:
+def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots) -> PoseSolution:
     """Return the pose of three or more named spots (the frame of an unmeasured target), or the place of fewer."""
     return _solve_views(setup, t_s, names, _views(setup, left, right))
 
@@ -70,16 +72,16 @@ def _views(setup: Setup, left: Spots, right: Spots) -> Views:
     return views
 
 
-def _solve_views(setup: Setup, t_s: float, names: tuple[str, ...], views: Views) -> Solved:
+def _solve_views(setup: Setup, t_s: float, names: tuple[str, ...], views: Views) -> PoseSolution:
     model, packed = setup.model, setup.packed
     uv, cov, _ = views
     if len(names) < 3:
         seen = solve_points(packed, names, uv, cov)
         if isinstance(seen, NotSeen):
-            return Solved(pose=lost(t_s, seen.why), points=no_points(), fits=False, cause=seen.cause)
+            return PoseSolution(pose=lost(t_s, seen.why), points=no_points(), fits=False, cause=seen.cause)
         whole = len(names) == len(model)
         why = "a target of one or two spots" if whole else f"{len(names)} of {len(model)} spots seen"
-        return Solved(
+        return PoseSolution(
             pose=position_only(t_s, seen, f"{why}: only their position is known"),
             points=seen.points,
             cause=Unseen.SMALL_TARGET if whole else Unseen.LIGHTS_MISSING,
@@ -120,7 +122,7 @@ def _radii(radius_m: float, left: Spots, right: Spots) -> Array:
     return radius
 
 
-def misfit_chi2(solved: Solved, left: Spots, right: Spots) -> float:
+def misfit_chi2(solved: PoseSolution, left: Spots, right: Spots) -> float:
     """Return chi-square of the residuals with TIGHT_PX beside the spots' own standard deviations."""
     if solved.T is None:
         return 0.0
@@ -157,7 +159,7 @@ def add_outline_shift(packed: PackedRig, left: Spots, right: Spots, cov: Array) 
                 cov[i, side, 1, 1] += shift * shift
 
 
-def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots, right: Spots) -> NotSeen | None:
+def impossible(setup: Setup, names: tuple[str, ...], solved: PoseSolution, left: Spots, right: Spots) -> NotSeen | None:
     """Return why the lights cannot look like this at the pose that fits them; None where they can."""
     if solved.T is None:
         return None
@@ -203,13 +205,13 @@ TOUCH_SIZES = 3.0
 """Distance in sizes of both (sigmas) within which two lights share an outline."""
 
 
-class Seen(NamedTuple):
+class Observation(NamedTuple):
     """Spots with their names, and what is solved from them. hidden: names of lights that were left out."""
 
     names: tuple[str, ...]
     left: Spots
     right: Spots
-    solved: Solved
+    solved: PoseSolution
     hidden: tuple[str, ...] = ()
 
 
@@ -220,7 +222,7 @@ def solve_seen(
     left: Spots,
     right: Spots,
     frames: tuple[Frame, Frame] | None,
-) -> Seen:
+) -> Observation:
     """Return the pose of named spots (solve_spots), after a look at whether all of each light is there.
 
     frames: the images that they were found in; without them nothing is looked at. A light unlike every other one is
@@ -229,28 +231,30 @@ def solve_seen(
     solved = solve_spots(setup, t_s, names, left, right)
     n = len(names)
     if frames is None or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
-        return Seen(names, left, right, solved)
+        return Observation(names, left, right, solved)
     if n == 1 and setup.settings.colour is not None:  # outlines are of all colours together, its spot is of one
-        return Seen(names, left, right, solved)
+        return Observation(names, left, right, solved)
     verdict, out = compare(setup, solved, left, right, frames)
     if verdict == outlines.NO_DOUBT:
-        return Seen(names, left, right, solved)
+        return Observation(names, left, right, solved)
     odd: Mask = np.asarray(out[:, :, outlines.ODD].any(axis=0))
     if not odd.any():
         widened = widen(setup, t_s, names, left, right, solved, out)
         if widened is not None:
-            return Seen(names, left, right, widened)
+            return Observation(names, left, right, widened)
         odd[np.argmax(out[:, :, [outlines.UU, outlines.VV]].sum(axis=(0, 2)))] = True
     hidden = tuple(name for name, is_odd in zip(names, odd.tolist(), strict=True) if is_odd)
     kept = np.flatnonzero(~odd)
     names, left, right = tuple(names[i] for i in kept.tolist()), left.take(kept), right.take(kept)
     if not names:
-        return Seen(names, left, right, solved, hidden)
+        return Observation(names, left, right, solved, hidden)
     rest = solve_seen(setup, t_s, names, left, right, frames)
     return rest._replace(hidden=(*hidden, *rest.hidden))
 
 
-def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tuple[Frame, Frame]) -> tuple[int, Array]:
+def compare(
+    setup: Setup, solved: PoseSolution, left: Spots, right: Spots, frames: tuple[Frame, Frame]
+) -> tuple[int, Array]:
     """Return the verdict on the lights' outlines and what was found of each, (2, n, FINDING)."""
     out = np.zeros((2, len(left), outlines.FINDING))
     verdict = outlines.compare_lights(
@@ -268,8 +272,8 @@ def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tup
 
 
 def widen(
-    setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots, solved: Solved, found: Array
-) -> Solved | None:
+    setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots, solved: PoseSolution, found: Array
+) -> PoseSolution | None:
     """Return the solved pose, as uncertain as its lights' centres may be off: found (2, n, FINDING).
 
     Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a

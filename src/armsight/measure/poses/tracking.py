@@ -12,7 +12,7 @@ from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.outcome import Prediction, Track
-from armsight.measure.poses.pose import Solved
+from armsight.measure.poses.pose import PoseSolution
 from armsight.measure.poses.setup import Setup
 from armsight.records import Spots, trusted
 
@@ -66,7 +66,7 @@ def _radius_m(setup: Setup) -> float:
     return float(np.linalg.norm(setup.model.xyz_m - setup.model.xyz_m.mean(axis=0), axis=1).max())
 
 
-def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
+def jumped(setup: Setup, track: Track, t_s: float, solved: PoseSolution) -> bool:
     """Tell whether a pose in windows puts a light where no target comes from the moment before, its doubt allowed."""
     predicted = expected(setup, track, t_s)
     if predicted is None or not setup.target.model_known or len(setup.model) < 3:
@@ -111,7 +111,7 @@ class Continuation(NamedTuple):
         return self.knocked2 <= MOST_MAHALANOBIS2
 
 
-def continuation(setup: Setup, track: Track | None, t_s: float, solved: Solved) -> Continuation:
+def continuation(setup: Setup, track: Track | None, t_s: float, solved: PoseSolution) -> Continuation:
     """Return how a pose goes on from the motion before it; one that cannot begins a motion anew."""
     motion, pose = track.motion if track is not None else None, solved.pose
     if motion is not None and not 0.0 < t_s - motion.seen_s <= MAX_GAP_S:
@@ -128,7 +128,7 @@ def continuation(setup: Setup, track: Track | None, t_s: float, solved: Solved) 
     return Continuation(fresh) if motion is None else step._replace(motion=fresh)
 
 
-def doubtful(setup: Setup, track: Track | None, t_s: float, solved: Solved, step: Continuation) -> bool:
+def doubtful(setup: Setup, track: Track | None, t_s: float, solved: PoseSolution, step: Continuation) -> bool:
     """Tell whether a pose found in whole frames is near the one before, but not where even a knock would bring it.
 
     One light of three taken for another is told by nothing else. Far from the one before it is a target that was put
@@ -149,7 +149,7 @@ def positions_of(setup: Setup, T: Array) -> Array:
 def next_track(
     setup: Setup,
     t_s: float,
-    solved: Solved,
+    solved: PoseSolution,
     left: Spots,
     right: Spots,
     track: Track | None,

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array, Image, Index
 from armsight.errors import BadImage
-from armsight.measure.pace import Pace
-from armsight.measure.settings import SpotSettings
+from armsight.measure.settings import Pace, SpotSettings
 from armsight.measure.spots.grey import (
     CONTRAST,
     GROWN_S,

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from armsight.arrays import Array, Image, Index
 from armsight.errors import Inconsistent
-from armsight.measure.pace import BATCH, Pace
-from armsight.measure.settings import DEFAULTS, SpotSettings
+from armsight.measure.settings import BATCH, DEFAULTS, Pace, SpotSettings
 from armsight.measure.spots.colour import coloured_candidates, track_coloured
 from armsight.measure.spots.grey import (
     FIT_S,
@@ -23,7 +22,7 @@ from armsight.measure.spots.grey import (
     whole_frame,
 )
 from armsight.measure.spots.kernels import columns as col
-from armsight.measure.spots.kernels.seed import shapes
+from armsight.measure.spots.kernels.peaks import shapes
 from armsight.records import Spots
 from armsight.records.target import RED
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array, Image, Index
 from armsight.errors import BadImage, Inconsistent
-from armsight.measure.pace import Pace
-from armsight.measure.settings import SpotSettings
+from armsight.measure.settings import Pace, SpotSettings
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import (
     ACCEPTED,

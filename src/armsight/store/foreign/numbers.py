@@ -13,9 +13,9 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_matrix
-from armsight.geometry.lengths import LARGEST_BASELINE_M
 from armsight.geometry.poses import skew
 from armsight.optics import LensKind, Rig
+from armsight.records.checks import LARGEST_BASELINE_M
 from armsight.store.codec import LARGEST
 
 ROTATION_TOLERANCE = 1e-4

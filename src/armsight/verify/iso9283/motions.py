@@ -13,7 +13,7 @@ from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.fields import Doc
 from armsight.records import frozen_array
-from armsight.records.fields import Shape
+from armsight.records.checks import Shape
 from armsight.records.output import Output, figure, output
 from armsight.verify.iso9283 import arrival, path, pose
 

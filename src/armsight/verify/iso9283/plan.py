@@ -15,7 +15,7 @@ from armsight.errors import Cancelled, DataRefused, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointPath, Solution, ik, link_frames, singularity_distance, track_path
 from armsight.records import Progress, Silent
-from armsight.records.fields import Shape
+from armsight.records.checks import Shape
 from armsight.records.output import Output, extended, output
 from armsight.verify.iso9283.motions import PLANES, SIDES_M, Motion, TestCube, motions_of
 

@@ -28,8 +28,7 @@ from armsight.calibrate.handeye.kernels.noise import (
     to_lever,
     whitener,
 )
-from armsight.fitting.kernels import solve_damped
-from armsight.geometry.kernels import Pose, copy_1, rotate_left, rotvec_of, sandwich
+from armsight.geometry.kernels import Pose, copy_1, rotate_left, rotvec_of
 
 LINEAR = 30.0
 """Within so many standard deviations of the answer the residuals follow the parameters linearly, to a share of the
@@ -327,48 +326,8 @@ def first_variances(unknowns, pairs, keep, floor):
 
 
 @kernel
-def left_out(unknowns, observed, theta, C, out):
-    """Fill out (n, 6): each pair against its prediction from the other kept ones, camera axes, m and rad.
-
-    A kept pair is taken out of the fit by the exact downdate of the linearised equations; a pair that was not kept
-    is simply predicted. Returns q (n,), the squared length of that error against its own noise and the parameters'.
-    """
+def residuals_after(unknowns, pairs, steps, out):
+    """Fill out (n, 6) with the residual of each pair after a step (n, m) of its own, in camera axes."""
     at, predicted = named(unknowns), prediction()
-    pairs, keep, to_hand = observed
-    n, m = keep.shape[0], C.shape[0]
-    e, J, lever = np.empty((n, 6)), np.empty((n, 6, m)), np.empty(n)
-    _weighed(at, (pairs, np.ones(n, np.bool_), to_hand), theta, e, J, lever)
-    q, step, y = np.empty(n), np.zeros(13), np.empty(6)
-    for i in range(n):
-        if not _downdated(e[i], J[i], C, keep[i], y):  # the pair alone fixes some parameter
-            out[i] = np.nan
-            q[i] = np.nan
-            continue
-        q[i] = 0.0
-        for a in range(6):
-            q[i] += e[i, a] * y[a]
-        step[:] = 0.0
-        if keep[i]:
-            for b in range(m):
-                for c in range(m):
-                    for a in range(6):
-                        step[b] += C[b, c] * J[i, a, c] * y[a]
-        residual(move(at, step, m), pairs, i, out[i], predicted)
-    return q
-
-
-@inner_kernel
-def _downdated(e, J, C, kept, y):
-    """Fill y (6,) = S^-1 e with the noise S = 1 -+ J C J' of a pair against the fit without it; False where none is.
-
-    The information without a kept pair is C^-1 - J'J; by the matrix inversion lemma (Woodbury 1950) the parameters of
-    the others lie C J' S^-1 e away, and e' S^-1 e is the squared length of the error left out. Of a pair that was not
-    kept, S is its own noise and that of the parameters.
-    """
-    S, M, rhs = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
-    sandwich(J, C, M)
-    for a in range(6):
-        rhs[a] = -e[a]
-        for b in range(6):
-            S[a, b] = (1.0 if a == b else 0.0) + (-M[a, b] if kept else M[a, b])
-    return solve_damped(S, rhs, 0.0, y)
+    for i in range(out.shape[0]):
+        residual(move(at, steps[i], steps.shape[1]), pairs, i, out[i], predicted)

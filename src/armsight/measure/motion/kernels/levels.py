@@ -68,7 +68,7 @@ def weigh(xs, Cs, w, log, stick):
     return best
 
 
-class Motion(NamedTuple):
+class MotionArrays(NamedTuple):
     """How a target may move: jerk (K,) m^2/s^5, the levels, and ratio, that of the angular one (rad^2/s^5) to it.
 
     stick: chance that the level changes from one view to the next.
@@ -84,11 +84,11 @@ def step_filters(states, dt, motion, camera, view, log):
     """Bring a view into filters of different jerk, side by side; return the number of the likeliest.
 
     All plain tuples: states: x (K, 24), C (K, 18, 18) and w (K,), the levels' probabilities, changed in place; motion,
-    camera, view: as Motion, CameraK, ViewK. dt: s since the view before. A view of no spots: only time passes. log
-    (K,): the view's log likelihood under each level.
+    camera, view: as MotionArrays, CameraK, ViewK. dt: s since the view before. A view of no spots: only time passes.
+    log (K,): the view's log likelihood under each level.
     """
     xs, Cs, w = states
-    motion, view = Motion(*motion), ViewK(*view)
+    motion, view = MotionArrays(*motion), ViewK(*view)
     K = motion.jerk.shape[0]
     y = np.empty(STATE)
     D = np.empty((N, N))
@@ -143,8 +143,8 @@ def run_filters(views, spots, rig, X, motion, start, logs):
     """Filters of different jerk over all views: fill logs (n, K) with each view's log likelihoods.
 
     All plain tuples: views: t (n,), side (n,), first (n + 1,), in the order of time, and which spots are theirs. spots:
-    light (m,), a row of X, uv (m, 2), cov (m, 2, 2), tau (m,). rig, motion: as RigK, Motion. start: x (n, 24), C (n,
-    18, 18), with which the rows of fresh (n,) start anew.
+    light (m,), a row of X, uv (m, 2), cov (m, 2, 2), tau (m,). rig, motion: as RigK, MotionArrays. start: x (n, 24),
+    C (n, 18, 18), with which the rows of fresh (n,) start anew.
     """
     t, side, first = views
     light, uv, cov, tau = spots

@@ -9,8 +9,8 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
+from armsight.measure.spots.kernels.columns import Picture, copy_to, insertion_sort
 from armsight.measure.spots.kernels.peaks import MOST_PEAKS, nearest_peaks
-from armsight.measure.spots.kernels.picture import Picture, copy_to, insertion_sort
 
 RING = 4.5
 """Radius of the ring that tells a blob's background, in pixels of the pyramid's level on which its peak stands."""

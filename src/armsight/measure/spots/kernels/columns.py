@@ -1,8 +1,19 @@
-"""Columns and lengths of the tables of numbers that the kernels of spots hand on: `row[col.S_U]` is a spot's u.
+"""What all kernels of spots share: columns of the tables that they hand on, the picture that they read, small loops.
 
-Of areas `comps` (n, COLUMNS) has their sums, `state` (n, STATE) what became of them, `fits` (n, FIT) their models and
-`rows` (n, MOST_LIGHTS, SPOT) their lights. And the settings `options`, and the survey of the background.
+`row[col.S_U]` is a spot's u. Of areas `comps` (n, COLUMNS) has their sums, `state` (n, STATE) what became of them,
+`fits` (n, FIT) their models and `rows` (n, MOST_LIGHTS, SPOT) their lights. And the settings `options`, and the survey
+of the background.
+
+Rows are copied by loops: assigning slices would compile numba's formatting of shape errors into every kernel.
+Constants and first values of counters are passed on as np.int64: a plain 0 would compile the callee a second time, for
+that value.
 """
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from armsight._numba import lean_kernel
 
 # columns of the components' table
 AREA, WEIGHT, SUM_X, SUM_Y, PEAK, CLIPPED, X_MIN, X_MAX, Y_MIN, Y_MAX, LEVEL, BACKGROUND, SLOPE = range(13)
@@ -33,3 +44,34 @@ GRID = 8
 """Tiles per image side for the background."""
 NOISE, NUMBER, PROCESSED = 0, 1, 2
 SURVEY = 2 * GRID + 1
+
+
+class Picture(NamedTuple):
+    """An image: grey (h, w) uint8, contiguous, whose levels are grey ^ flip: flip 255 where lights are dark.
+
+    saturation: the level from which a pixel is clipped. mask (h, w) uint8: 0 where pixels do not count; (0, 0): all do.
+    """
+
+    grey: Any
+    flip: Any
+    saturation: Any
+    mask: Any
+
+
+@lean_kernel
+def copy_to(a, b):
+    """Copy a (n,) to the first n entries of b."""
+    for i in range(a.shape[0]):
+        b[i] = a[i]
+
+
+@lean_kernel
+def insertion_sort(a, n):
+    """Sort the first n entries of a in place (short lists only)."""
+    for i in range(1, n):
+        v = a[i]
+        j = i - 1
+        while j >= 0 and a[j] > v:
+            a[j + 1] = a[j]
+            j -= 1
+        a[j + 1] = v

@@ -9,6 +9,8 @@ import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.measure.spots.kernels.area import add_prior, prior_square
+from armsight.measure.spots.kernels.columns import copy_to
 from armsight.measure.spots.kernels.light_models import (
     CLIPPED_PIXEL,
     ELLIPSE,
@@ -17,8 +19,6 @@ from armsight.measure.spots.kernels.light_models import (
     light,
     slopes,
 )
-from armsight.measure.spots.kernels.picture import copy_to
-from armsight.measure.spots.kernels.priors import add_prior, prior_square
 
 STEPS = 40
 CLOSE = 3e-3

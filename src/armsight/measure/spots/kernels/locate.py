@@ -10,7 +10,7 @@ from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import ACCEPTED, BEYOND, HOT, OTHER, SMALL, boxes_overlap, classify
 from armsight.measure.spots.kernels.blobs import RING_SAMPLES, BlobLimits, blob_near, ring_level
-from armsight.measure.spots.kernels.picture import Picture, copy_to
+from armsight.measure.spots.kernels.columns import Picture, copy_to
 from armsight.measure.spots.kernels.scan import (
     BLOCK,
     block_threshold,

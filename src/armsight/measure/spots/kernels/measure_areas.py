@@ -23,14 +23,15 @@ from armsight.measure.spots.kernels.area import (
     check_fit,
     fit_margin,
     hot_pixels,
+    ring_prior,
     round_start,
+    slope_prior,
 )
+from armsight.measure.spots.kernels.columns import Picture, copy_to
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch
 from armsight.measure.spots.kernels.model_selection import refit, select_model, write_spots
 from armsight.measure.spots.kernels.patch import make_patch, new_patch, shape_of
-from armsight.measure.spots.kernels.picture import Picture, copy_to
-from armsight.measure.spots.kernels.priors import ring_prior, slope_prior
 from armsight.measure.spots.kernels.processed import is_off_centroid, robust_covariance
 from armsight.measure.spots.kernels.round_gaussian import (
     COV,

@@ -16,7 +16,9 @@ from armsight.measure.spots.kernels.area import (
     AS_STREAK,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
+    prior_weight,
 )
+from armsight.measure.spots.kernels.columns import copy_to
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.leastsquares import (
     MISFIT,
@@ -37,8 +39,6 @@ from armsight.measure.spots.kernels.patch import (
     shape_of,
     used,
 )
-from armsight.measure.spots.kernels.picture import copy_to
-from armsight.measure.spots.kernels.priors import prior_weight
 
 FLAT = 0.58
 """Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""

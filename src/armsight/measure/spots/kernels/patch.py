@@ -10,8 +10,8 @@ import numpy as np
 from armsight._numba import inner_kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, boxes_overlap, fit_margin
+from armsight.measure.spots.kernels.columns import copy_to
 from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL, ROOT_2
-from armsight.measure.spots.kernels.picture import copy_to
 
 DEEP = 2.0
 """Depth of the valley between two lights in standard deviations of the noise; the smoothed values have a third of

@@ -19,13 +19,12 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.spots.kernels import columns as col
-from armsight.measure.spots.kernels.area import ACCEPTED
+from armsight.measure.spots.kernels.area import ACCEPTED, prior_weight
 from armsight.measure.spots.kernels.blobs import RING_SAMPLES, RING_X, RING_Y
+from armsight.measure.spots.kernels.columns import insertion_sort
 from armsight.measure.spots.kernels.leastsquares import evaluate_patch, gram, unused
 from armsight.measure.spots.kernels.light_models import JOINT, add_scaled
 from armsight.measure.spots.kernels.patch import antisymmetric_part, used
-from armsight.measure.spots.kernels.picture import insertion_sort
-from armsight.measure.spots.kernels.priors import prior_weight
 
 OFF_CENTROID_PX = 0.3
 OFF_CENTROID_SHARE = 0.35

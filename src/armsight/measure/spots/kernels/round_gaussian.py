@@ -18,9 +18,9 @@ import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.fitting.kernels import solve_damped
+from armsight.measure.spots.kernels.columns import copy_to
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
 from armsight.measure.spots.kernels.leastsquares import remaining_square, uncertainty, variance_inflation
-from armsight.measure.spots.kernels.picture import copy_to
 
 MOST = 129
 """Largest side of a window in px."""

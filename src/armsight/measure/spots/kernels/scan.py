@@ -10,7 +10,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.measure.spots.kernels import columns as col
-from armsight.measure.spots.kernels.picture import insertion_sort
+from armsight.measure.spots.kernels.columns import insertion_sort
 
 BLOCK = 64
 """Pixels that are accepted or skipped together."""
