@@ -16,7 +16,7 @@ from armsight.kinematics import (
 from armsight.kinematics.axes import links_told
 from armsight.kinematics.derivatives import nearest_rigid
 from armsight.records.output import Output, output
-from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.arm_file import read_arm, source_parts, write_arm
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
@@ -56,7 +56,7 @@ def load_arm(text: str) -> Arm:
     A URDF that holds more than the arm's chain is given as FILE#TIP, or FILE#BASE:TIP, with the names of the chain's
     links (arm_source makes it). Raises UsageError, BadFile.
     """
-    file, base, tip = _parts(text)
+    file, base, tip = source_parts(text)
     suffix = Path(file).suffix.lower()
     if suffix in URDF_SUFFIXES:
         return read_urdf(Path(file), tip=tip, base=base)
@@ -90,30 +90,10 @@ def refuse_file_called(name: str, what: str) -> None:
         )
 
 
-def arm_source(text: str, *, tip: str | None = None, base: str | None = None) -> str:
-    """Return what load_arm takes for the chain from base to tip of a URDF; text itself where neither is named."""
-    if tip is None and base is None:
-        return text
-    if _parts(text) != (text, None, None):
-        raise UsageError(
-            f"{text!r} names its chain already", cure="Give --tip and --base, or FILE#BASE:TIP, but not both"
-        )
-    return f"{text}#{base}:{tip or ''}" if base is not None else f"{text}#{tip}"
-
-
 def arm_file(text: str) -> Path | None:
     """Return the file of what load_arm takes; None for a preset's name."""
-    file, _, _ = _parts(text)
+    file, _, _ = source_parts(text)
     return None if file in PRESETS or not Path(file).exists() else Path(file)
-
-
-def _parts(text: str) -> tuple[str, str | None, str | None]:
-    """Return file, base and tip of FILE, FILE#TIP or FILE#BASE:TIP; a file of that very name comes first."""
-    file, mark, chain = text.rpartition("#")
-    if not mark or Path(text).exists():
-        return text, None, None
-    base, colon, tip = chain.rpartition(":")
-    return file, base if colon else None, tip or None
 
 
 def convert_arm(source: str, out: Path, *, convention: str | None = None) -> ConvertArmOutput:

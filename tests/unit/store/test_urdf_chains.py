@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.arm_files import arm_file, arm_source, load_arm
+from armsight.app.arm_files import arm_file, load_arm
+from armsight.store.arm_file import arm_source
 from armsight.app.kinematics import read_values
 from armsight.cli.commands import app
 from armsight.errors import BadFile, UsageError

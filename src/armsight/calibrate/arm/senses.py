@@ -161,7 +161,7 @@ def _exchanged(
 
 
 def _centred(a: Array, axis: int = -2) -> Array:
-    return a - a.mean(axis=axis, keepdims=True)
+    return np.asarray(a - a.mean(axis=axis, keepdims=True))
 
 
 def _swapped(q: Array, pair: tuple[int, int]) -> Array:
