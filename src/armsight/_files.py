@@ -10,6 +10,8 @@ from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path
 
+from armsight.errors import UsageError
+
 
 class Files:
     """What writes a record's own kind of file: given by the public face, since records are below those that know."""
@@ -59,3 +61,23 @@ def readable(text: str) -> str:
             return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
         return text.encode("utf-8", "replace").decode("utf-8")
     return text
+
+
+def arm_source(text: str, *, tip: str | None = None, base: str | None = None) -> str:
+    """Return what load_arm takes for the chain from base to tip of a URDF; text itself where neither is named."""
+    if tip is None and base is None:
+        return text
+    if source_parts(text) != (text, None, None):
+        raise UsageError(
+            f"{text!r} names its chain already", cure="Give --tip and --base, or FILE#BASE:TIP, but not both"
+        )
+    return f"{text}#{base}:{tip or ''}" if base is not None else f"{text}#{tip}"
+
+
+def source_parts(text: str) -> tuple[str, str | None, str | None]:
+    """Return file, base and tip of FILE, FILE#TIP or FILE#BASE:TIP; a file of that very name comes first."""
+    file, mark, chain = text.rpartition("#")
+    if not mark or Path(text).exists():
+        return text, None, None
+    base, colon, tip = chain.rpartition(":")
+    return file, base if colon else None, tip or None

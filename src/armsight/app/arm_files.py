@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from armsight._files import source_parts
 from armsight.errors import UsageError
 from armsight.fields import Doc
 from armsight.kinematics import (
@@ -16,7 +17,7 @@ from armsight.kinematics import (
 from armsight.kinematics.axes import links_told
 from armsight.kinematics.derivatives import nearest_rigid
 from armsight.records.output import Output, output
-from armsight.store.arm_file import read_arm, source_parts, write_arm
+from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")

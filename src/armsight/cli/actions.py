@@ -56,7 +56,8 @@ def add_action(
             show(face, done.run(own, face.progress(done.working) if done.working else None), asked[OUT])
 
     text = SECTION.split(call.__doc__ or "")[0]
-    add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, keeps=done.keeps, **more))
+    about = {"keeps": done.keeps} | more
+    add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **about))
 
 
 def action_of(call: Callable[..., Any]) -> Action:

@@ -36,6 +36,8 @@ def noise_alone(face: CommandUI, asked: Mapping[str, Any]) -> bool:
 
 def mirrors_checked(face: CommandUI, asked: Mapping[str, Any]) -> bool:
     """Check the mirrors where that is asked, and tell whether it is."""
+    from armsight.app.calibrate.mirrors import require_board
+
     if not asked["check"]:
         if asked.get("out") is None:
             raise UsageError("there is no file to write", cure="Give -o rig.yaml")
@@ -47,8 +49,7 @@ def mirrors_checked(face: CommandUI, asked: Mapping[str, Any]) -> bool:
             "mirrors are checked with a board, not with the lit target, whose lights turned mirrors pair wrongly",
             cure="Leave --target out and give --board",
         )
-    if asked.get("board") is None:
-        raise UsageError("there is no board", cure="Give --board, for instance checkerboard:9x6:0.025")
+    require_board(asked.get("board"))
     done = action_of(check_mirrors)
     given = {name: value for name, value in {**asked, "image": asked["images"]}.items() if name in done.parameters}
     show(face, done.run(given, face.progress(done.working)), None)

@@ -135,8 +135,8 @@ def arm(
     base: Base = None,
 ) -> None:
     """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
+    from armsight._files import arm_source
     from armsight.app.arm_files import convert_arm as run
-    from armsight.store.arm_file import arm_source
 
     done = run(arm_source(source, tip=tip, base=base), out, convention=convention)
     face.say(f"{done.arm}, {done.joints} joints: {out}")

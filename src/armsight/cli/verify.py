@@ -77,9 +77,9 @@ def verify(
             f"{', '.join(foreign)} only means something with --live or --mastering", cure="Add one, or leave it out"
         )
     _check_plan(plan, rows, planned)
+    from armsight._files import arm_source
     from armsight.app.verify.plan import run_plan
     from armsight.app.verify.run import run_verify
-    from armsight.store.arm_file import arm_source
 
     chosen: dict[str, Any] = {}
     if tip is not None or base is not None:

@@ -1,7 +1,7 @@
 """Joints <-> pose: chains, forward and inverse kinematics, Jacobians, singularities, tracks along paths."""
 
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.axes import Link, link_to_line
+from armsight.kinematics.axes import Link, dh_arm, link_to_line
 from armsight.kinematics.closed_form import (
     Family,
     Wrist,
@@ -25,7 +25,7 @@ from armsight.kinematics.inverse_kinematics import (
 from armsight.kinematics.joints import Coupling, Joint, JointType, ToolPoint
 from armsight.kinematics.numeric import Attempt, Effort, Method, Stop, solve_numeric, solve_numeric_many
 from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
-from armsight.kinematics.presets import PRESETS, dh_arm, preset, warm_up
+from armsight.kinematics.presets import PRESETS, preset, warm_up
 from armsight.kinematics.target import Task, Tolerance
 
 __all__ = [

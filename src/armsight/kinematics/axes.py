@@ -354,3 +354,12 @@ def unit_direction(direction: ArrayLike, what: str = "the axis") -> Array:
             cure="Give a unit vector",
         )
     return np.asarray(v / length)
+
+
+def dh_arm(name: str, rows: Sequence[Sequence[float]], **fields: object) -> Arm:
+    """Return an arm of revolute joints j1..jn from rows (a_m, alpha_rad, d_m, theta_rad), standard convention."""
+    joints = tuple(
+        Joint(name=f"j{i}", a_m=a, alpha_rad=alpha, d_m=d, theta_rad=theta)
+        for i, (a, alpha, d, theta) in enumerate(rows, start=1)
+    )
+    return Arm(name=name, joints=joints, **fields)  # type: ignore[arg-type]  # passed on as they are

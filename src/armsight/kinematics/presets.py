@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from math import inf, pi
 from types import MappingProxyType
 
@@ -297,15 +297,6 @@ def preset(name: str) -> Arm:
     if name not in PRESETS:
         raise UsageError(f"there is no arm named {name!r}", consequence="There is nothing to move", cure=known)
     return PRESETS[name]()
-
-
-def dh_arm(name: str, rows: Sequence[Sequence[float]], **fields: object) -> Arm:
-    """Return an arm of revolute joints j1..jn from rows (a_m, alpha_rad, d_m, theta_rad), standard convention."""
-    joints = tuple(
-        Joint(name=f"j{i}", a_m=a, alpha_rad=alpha, d_m=d, theta_rad=theta)
-        for i, (a, alpha, d, theta) in enumerate(rows, start=1)
-    )
-    return Arm(name=name, joints=joints, **fields)  # type: ignore[arg-type]  # passed on as they are
 
 
 def warm_up() -> None:

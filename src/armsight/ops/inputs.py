@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight._files import arm_source
 from armsight.app.arm_files import load_arm
 from armsight.app.compare.run import GivenResult
 from armsight.arrays import Array
@@ -52,7 +53,6 @@ from armsight.store import (
     read_world,
     read_zoom_camera,
 )
-from armsight.store.arm_file import arm_source
 from armsight.store.arm_points import read_arm_points
 from armsight.store.covariances import uncorrelated_note
 from armsight.store.handeye_file import read_tip

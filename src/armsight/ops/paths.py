@@ -37,12 +37,12 @@ Speed: TypeAlias = Annotated[float | None, Doc("Where the path leaves it open, m
 Picture: TypeAlias = Annotated[Any, Input(f"{READERS}:picture")]
 
 
-def tool(command: str) -> Callable[[Callable[P, Change]], Callable[P, TaughtPath]]:
+def _tool(command: str) -> Callable[[Callable[P, Change]], Callable[P, TaughtPath]]:
     """Make a function an action of which Python gets the path that it makes."""
     return action(command, gives="taught")  # type: ignore[return-value]  # which is a part of the result
 
 
-@tool("path smooth")
+@_tool("path smooth")
 def smooth(
     path: APath,
     *,
@@ -76,7 +76,7 @@ def smooth(
     return smooth_path(path.taught, bound_m, bound_rad, outliers, where=path.where, out=out)
 
 
-@tool("path resample")
+@_tool("path resample")
 def resample(
     path: APath,
     step_m: Annotated[float, Doc("Rows are at most so far apart, m.")],
@@ -91,7 +91,7 @@ def resample(
     return changed([path.taught], resampled(path.taught, step_m, spline=spline), out)
 
 
-@tool("path fillet")
+@_tool("path fillet")
 def fillet(path: APath, radius_m: Annotated[float, Doc("Of the arcs, m.")], *, out: PathOut = None) -> PathChangeOutput:
     """Round the corners to arcs."""
     from armsight.app.path.tools import changed
@@ -100,7 +100,7 @@ def fillet(path: APath, radius_m: Annotated[float, Doc("Of the arcs, m.")], *, o
     return changed([path.taught], filleted(path.taught, radius_m), out)
 
 
-@tool("path offset")
+@_tool("path offset")
 def offset(
     path: APath,
     by_m: Annotated[float, Doc("Along the tool's z axis, m; negative: back from the work.")],
@@ -114,7 +114,7 @@ def offset(
     return changed([path.taught], offset_along_tool(path.taught, by_m), out)
 
 
-@tool("path angle")
+@_tool("path angle")
 def angle(
     path: APath,
     *,
@@ -129,7 +129,7 @@ def angle(
     return changed([path.taught], tilted(path.taught, travel_rad=travel_rad, work_rad=work_rad), out)
 
 
-@tool("path reverse")
+@_tool("path reverse")
 def reverse(path: APath, *, out: PathOut = None) -> PathChangeOutput:
     """Turn the path round; the same stretches are welded."""
     from armsight.app.path.tools import changed
@@ -138,7 +138,7 @@ def reverse(path: APath, *, out: PathOut = None) -> PathChangeOutput:
     return changed([path.taught], reversed_path(path.taught), out)
 
 
-@tool("path join")
+@_tool("path join")
 def join(
     first: Annotated[
         Any,

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from armsight._files import arm_source
 from armsight.calibrate.arm import ArmResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
@@ -14,7 +15,6 @@ from armsight.file_names import REPORT, report_path
 from armsight.report.arm_report import arm_report
 from armsight.report.cell_report import cell_report
 from armsight.report.handeye_report import handeye_report
-from armsight.store.arm_file import arm_source
 
 FILES_SHOWN = 20
 """Files of what went in that a page lists; the result's own file has all, with their hashes."""

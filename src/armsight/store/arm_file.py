@@ -6,13 +6,12 @@ import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, Coupling, Joint, JointType, ToolPoint
 from armsight.kinematics.axes import in_short_rows
 from armsight.records import NamedCovariance
@@ -187,23 +186,3 @@ def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Co
 
 ARM_YAML: Kind[Arm] = Kind(name="arm", model=ArmModel, record=_arm, content=arm_mapping)
 arm_from_mapping, read_arm, write_arm = ARM_YAML.parse, ARM_YAML.read, ARM_YAML.write
-
-
-def arm_source(text: str, *, tip: str | None = None, base: str | None = None) -> str:
-    """Return what load_arm takes for the chain from base to tip of a URDF; text itself where neither is named."""
-    if tip is None and base is None:
-        return text
-    if source_parts(text) != (text, None, None):
-        raise UsageError(
-            f"{text!r} names its chain already", cure="Give --tip and --base, or FILE#BASE:TIP, but not both"
-        )
-    return f"{text}#{base}:{tip or ''}" if base is not None else f"{text}#{tip}"
-
-
-def source_parts(text: str) -> tuple[str, str | None, str | None]:
-    """Return file, base and tip of FILE, FILE#TIP or FILE#BASE:TIP; a file of that very name comes first."""
-    file, mark, chain = text.rpartition("#")
-    if not mark or Path(text).exists():
-        return text, None, None
-    base, colon, tip = chain.rpartition(":")
-    return file, base if colon else None, tip or None

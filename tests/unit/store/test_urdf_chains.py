@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from armsight._files import arm_source
 from armsight.app.arm_files import arm_file, load_arm
-from armsight.store.arm_file import arm_source
 from armsight.app.kinematics import read_values
 from armsight.cli.commands import app
 from armsight.errors import BadFile, UsageError

@@ -42,6 +42,12 @@ Missed = tuple[str, NotSeen]
 """Which image, and why."""
 
 
+def require_board(board: object) -> None:
+    """Raise UsageError where it is not told which board the images show."""
+    if board is None:
+        raise UsageError("there is no board", cure="Give --board, for instance checkerboard:9x6:0.025")
+
+
 def require_shown(board: object, lit: object, image: object, left_only: object, right_only: object) -> None:
     """Raise UsageError where it is not told what the images show, or which images there are."""
     if lit is not None and board is not None:
@@ -50,8 +56,7 @@ def require_shown(board: object, lit: object, image: object, left_only: object, 
         raise UsageError("--target goes with complex images only", cure="Give --image, or covered views with --board")
     if lit is not None:
         return
-    if board is None:
-        raise UsageError("there is no board", cure="Give --board, for instance checkerboard:9x6:0.025")
+    require_board(board)
     if (left_only is None) != (right_only is None):
         given, missing = ("--left-only", "--right-only") if right_only is None else ("--right-only", "--left-only")
         raise UsageError(
