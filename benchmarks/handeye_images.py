@@ -22,7 +22,13 @@ from typing import Any
 import numpy as np
 
 import bench
-from armsight.calibrate.handeye import Basis, HandEyeResult, Setup, calibrate_eye_in_hand, calibrate_from_views
+from armsight.calibrate.handeye import (
+    HandEyeResult,
+    ObservationModel,
+    Setup,
+    calibrate_eye_in_hand,
+    calibrate_from_views,
+)
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.pairs import pose
 from armsight.errors import ArmsightError
@@ -56,9 +62,11 @@ def one_row(name: str, n: int, runs: int, *, free_camera: bool) -> list[object]:
             print(f"{name}, {n} images, run {seed}: {error}", file=sys.stderr)
             continue
         comparison = done.result.comparison
-        taken += comparison is not None and comparison.kept is not Basis.POSES
-        if comparison is not None and Basis.CORNERS in comparison.errors:
-            left.append([comparison.errors[b].points_m / MM for b in (Basis.POSES, Basis.CORNERS)])
+        taken += comparison is not None and comparison.kept is not ObservationModel.POSES
+        if comparison is not None and ObservationModel.CORNERS in comparison.errors:
+            left.append(
+                [comparison.errors[b].points_m / MM for b in (ObservationModel.POSES, ObservationModel.CORNERS)]
+            )
         alike = calibrate_eye_in_hand(replace(done.from_poses.pairs, camera_covariance=None))
         found.append(
             [

@@ -192,7 +192,7 @@ def motion(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wander:
+class JointDrift:
     """How the arm strays from its encoders: slow sines of each joint, rad; added to the motion."""
 
     size: Array
@@ -206,7 +206,7 @@ class Wander:
         )
 
 
-def wander(rng: np.random.Generator, arm: TrueArm) -> Wander:
+def wander(rng: np.random.Generator, arm: TrueArm) -> JointDrift:
     """Return a straying of about 0.03 mm at the tool."""
     size = np.abs(rng.normal(0.0, 1.5e-5 / max(arm.reach_m, 0.5), (4, 6)))
-    return Wander(size=size, period_s=rng.uniform(3.0, 30.0, (4, 6)), phase=rng.uniform(0.0, 2.0 * np.pi, (4, 6)))
+    return JointDrift(size=size, period_s=rng.uniform(3.0, 30.0, (4, 6)), phase=rng.uniform(0.0, 2.0 * np.pi, (4, 6)))

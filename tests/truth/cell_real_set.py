@@ -27,7 +27,7 @@ from armsight.calibrate.cell.knowledge import ArmTolerance, default_knowledge, s
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, JointLog, Spots
 from armsight.calibrate.cell.result import Learned
-from armsight.calibrate.cell.wander import Wander, restricted_cost
+from armsight.calibrate.cell.wander import JointDrift, restricted_cost
 from armsight.calibrate.handeye import Setup, calibrate_from_views
 from armsight.calibrate.timing.stamps import SteadyStamps
 from armsight.geometry import align_points
@@ -279,7 +279,7 @@ def fit_bundle(bundle: Bundle) -> CellFit:
     spots = every.take(np.isin(every.frame, bundle.pictures))
     t_s, block = np.unique(spots.stamp_s, return_inverse=True)
     columns = np.array([model.names.index(name) for name in DRIVES], dtype=np.intp)
-    wander = Wander(std=np.repeat(FIRST_STRAY, 3), time_s=STRAY_S, columns=columns, t_s=t_s)
+    wander = JointDrift(std=np.repeat(FIRST_STRAY, 3), time_s=STRAY_S, columns=columns, t_s=t_s)
     data = CellData(spots=spots, block=block.astype(np.intp), scale=(1.0, 1.0), wander=wander)
     found = fit_cell(model, bundle.x, data, free_names(model), known)
     for _ in range(ROUNDS):
@@ -293,7 +293,7 @@ def learned_noise(model: CellModel, found: CellFit) -> CellData:
     assert wander is not None
     known = (found.known.information + shape_information(model, found.x, found.known.shape))[np.ix_(free, free)]
 
-    def noisier(p: Array) -> tuple[Wander, float]:
+    def noisier(p: Array) -> tuple[JointDrift, float]:
         std = np.maximum(wander.std * np.repeat(np.exp(p[1:]), 3), LEAST_STRAY)
         return replace(wander, std=std), float(np.exp(p[0]))
 

@@ -12,9 +12,9 @@ from cell_arm import (
     SPREAD_DEG,
     TABLES,
     Array,
+    JointDrift,
     Motion,
     TrueArm,
-    Wander,
     around,
     home,
     motion,
@@ -52,7 +52,7 @@ class CellTruth:
     samples: Array
     places: Array
     motion: Motion
-    wander: Wander
+    wander: JointDrift
     lamps: Array
     told: dict[str, object]
 

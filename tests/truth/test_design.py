@@ -22,7 +22,7 @@ from armsight_lab.design.records import DesignSimulation
 from armsight_lab.design.request import DesignJob
 from armsight_lab.design.simulate import _compared, foretold_at, spec_of
 from armsight_lab.design.simulated_run import simulate_run
-from armsight_lab.design.volume import Foretold, foretell
+from armsight_lab.design.volume import Forecast, forecast
 
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
 RUNS, PLACES = 8, 12
@@ -45,7 +45,7 @@ def job(tmp_path: Path) -> DesignJob:
     )
 
 
-def simulated(found: Foretold, folder: Path, runs: int = RUNS) -> DesignSimulation:
+def simulated(found: Forecast, folder: Path, runs: int = RUNS) -> DesignSimulation:
     measured = np.flatnonzero(found.measured)
     places = measured[np.linspace(0, len(measured) - 1, PLACES).round().astype(int)]
     spec = spec_of(found, places)
@@ -55,7 +55,7 @@ def simulated(found: Foretold, folder: Path, runs: int = RUNS) -> DesignSimulati
 
 
 def test_within_a_volume_measured_poses_scatter_as_foretold(job: DesignJob, tmp_path: Path) -> None:
-    done = simulated(foretell(plan_of(replace(job, relative=True))), tmp_path)
+    done = simulated(forecast(plan_of(replace(job, relative=True))), tmp_path)
     assert done.n_lost == 0
     # noise of 96 poses of one frame makes most of it: 5 % of the turns, 6 % of the positions
     assert done.ratio_position == pytest.approx(1.0, abs=0.18)
@@ -65,7 +65,7 @@ def test_within_a_volume_measured_poses_scatter_as_foretold(job: DesignJob, tmp_
 def test_claims_that_are_half_of_the_truth_are_seen(job: DesignJob, tmp_path: Path) -> None:
     """The comparison's own control: plans of half the noise that there is do not agree."""
     plan = plan_of(replace(job, relative=True))
-    found, true = foretell(replace(plan, spot_px=0.05)), foretell(plan)
+    found, true = forecast(replace(plan, spot_px=0.05)), forecast(plan)
     measured = np.flatnonzero(found.measured)[:: len(found.measured) // PLACES]
     spec = spec_of(true, measured)
     jobs = [Job(name="x", command="design", arguments={"seed": 5, "run": k}) for k in range(5)]
@@ -89,7 +89,7 @@ def test_a_mirror_rig_s_poses_scatter_as_foretold(job: DesignJob, tmp_path: Path
         corner_noise_px=0.05,
         relative=True,
     )
-    done = simulated(foretell(plan_of(rig)), tmp_path)
+    done = simulated(forecast(plan_of(rig)), tmp_path)
     assert done.ratio_position == pytest.approx(1.0, abs=0.2)
     assert done.ratio_orientation == pytest.approx(1.0, abs=0.15)
 
@@ -104,13 +104,13 @@ def test_a_tool_s_poses_in_the_arm_s_base_scatter_as_foretold(job: DesignJob, tm
         cells=3,
         mount=(0.0, 0.0, -0.1),
     )
-    done = simulated(foretell(plan_of(arm)), tmp_path)
+    done = simulated(forecast(plan_of(arm)), tmp_path)
     assert done.ratio_position == pytest.approx(1.0, abs=0.2)
     assert done.ratio_orientation == pytest.approx(1.0, abs=0.2)
 
 
 def test_noise_that_an_alignment_takes_up_is_not_foretold_twice(job: DesignJob) -> None:
-    found = foretell(plan_of(replace(job, relative=True)))
+    found = forecast(plan_of(replace(job, relative=True)))
     places = np.flatnonzero(found.measured)[:4]
     aligned = foretold_at(found, places)
     plain = found.covariance[places]

@@ -14,9 +14,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import (
-    Basis,
     HandEyeOptions,
     HandEyeResult,
+    ObservationModel,
     PosePairs,
     Setup,
     calibrate_eye_in_hand,
@@ -338,7 +338,7 @@ def test_images_are_no_worse_than_poses_and_corners_know_the_cameras_share() -> 
     views, robot = pictures(7, K, distortion)
     freed = calibrate_from_views(views, list(robot), wrong, board, Setup.EYE_IN_HAND, free_camera=True)
     assert freed.camera.intrinsics[:2] == pytest.approx([1100, 1100], abs=1.5)
-    assert freed.result.comparison is not None and freed.result.comparison.kept is Basis.CORNERS_AND_CAMERA
+    assert freed.result.comparison is not None and freed.result.comparison.kept is ObservationModel.CORNERS_AND_CAMERA
     with refuses(Inconsistent, "640x480", "camera file"):
         small = Camera.pinhole(640, 480, 550, 550, 320, 240)
         calibrate_from_views(views, list(robot), small, board, Setup.EYE_IN_HAND)

@@ -11,7 +11,13 @@ import cv2
 import numpy as np
 from typer.testing import CliRunner
 
-from armsight.calibrate.handeye import Basis, ImageHandEye, Setup, calibrate_eye_in_hand, calibrate_from_views
+from armsight.calibrate.handeye import (
+    ImageHandEye,
+    ObservationModel,
+    Setup,
+    calibrate_eye_in_hand,
+    calibrate_from_views,
+)
 from armsight.calibrate.handeye.image_comparison import ImageErrors, compare
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.pairs import pose
@@ -73,22 +79,24 @@ def test_what_is_kept_by_errors_left_out() -> None:
     rng = np.random.default_rng(0)
     before = rng.uniform(1.0, 2.0, 8)
 
-    def kept(points: np.ndarray, px: np.ndarray, n: int = 8) -> Basis:
+    def kept(points: np.ndarray, px: np.ndarray, n: int = 8) -> ObservationModel:
         poses, corners = errors(before[:n], before[:n]), errors(points[:n], px[:n])
-        return compare({Basis.POSES: poses, Basis.CORNERS: corners}).kept
+        return compare({ObservationModel.POSES: poses, ObservationModel.CORNERS: corners}).kept
 
-    assert kept(0.7 * before, 0.7 * before) is Basis.CORNERS
-    assert kept(0.7 * before, 1.01 * before) is Basis.POSES  # worse in the image
-    assert kept(0.97 * before, 0.97 * before) is Basis.POSES  # better, but by too little of so few
-    assert kept(0.7 * before, 0.7 * before, 3) is Basis.POSES  # too few to judge by
-    assert kept(np.where(np.arange(8) == 2, np.nan, 0.7 * before), 0.7 * before) is Basis.POSES  # one fold has no fit
+    assert kept(0.7 * before, 0.7 * before) is ObservationModel.CORNERS
+    assert kept(0.7 * before, 1.01 * before) is ObservationModel.POSES  # worse in the image
+    assert kept(0.97 * before, 0.97 * before) is ObservationModel.POSES  # better, but by too little of so few
+    assert kept(0.7 * before, 0.7 * before, 3) is ObservationModel.POSES  # too few to judge by
+    assert (
+        kept(np.where(np.arange(8) == 2, np.nan, 0.7 * before), 0.7 * before) is ObservationModel.POSES
+    )  # one fold has no fit
     lucky = np.where(np.arange(8) == 0, 0.01, before)  # one image alone is better
-    assert kept(lucky, lucky) is Basis.POSES
+    assert kept(lucky, lucky) is ObservationModel.POSES
     many = np.tile(before, 2)
-    both = {Basis.POSES: errors(many, many), Basis.CORNERS: errors(0.97 * many, 0.97 * many)}
-    assert compare(both).kept is Basis.CORNERS
-    freed = compare(both | {Basis.CORNERS_AND_CAMERA: errors(0.95 * many, 0.95 * many)})
-    assert freed.kept is Basis.CORNERS
+    both = {ObservationModel.POSES: errors(many, many), ObservationModel.CORNERS: errors(0.97 * many, 0.97 * many)}
+    assert compare(both).kept is ObservationModel.CORNERS
+    freed = compare(both | {ObservationModel.CORNERS_AND_CAMERA: errors(0.95 * many, 0.95 * many)})
+    assert freed.kept is ObservationModel.CORNERS
     assert "stays as given" in freed.sentence()
 
 
@@ -96,7 +104,7 @@ def test_four_images_are_calibrated_from_poses_and_say_so() -> None:
     s = scene(CELLS["noisy robot"], 4, 1)
     done = calibrated(s, free_camera=True)
     assert done.result.comparison is not None
-    assert done.result.comparison.kept is Basis.POSES
+    assert done.result.comparison.kept is ObservationModel.POSES
     assert done.camera is CAMERA
 
 

@@ -19,7 +19,7 @@ from armsight._version import __version__
 from armsight_plant.certificates import tls_context
 from armsight_plant.options import MqttOptions
 from armsight_plant.state import Note, PlantState, Quality, Tell
-from armsight_plant.values import IN_TOLERANCE, Given, Told, alarm_values, told
+from armsight_plant.values import IN_TOLERANCE, Given, PublishedValue, alarm_values, told
 
 FORMAT = "armsight/plant"
 EVERY_S = 0.1
@@ -85,7 +85,7 @@ def _time(unix_s: float) -> str:
     return datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def _stamp(one: Told) -> str | None:
+def _stamp(one: PublishedValue) -> str | None:
     return None if math.isnan(one.at_s) else _time(one.at_s)
 
 

@@ -34,7 +34,7 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class PublishedValue:
     """A value as it is now: None where there is nothing that may be used; at_s: when it was so, Unix time."""
 
     value: Given
@@ -42,7 +42,7 @@ class Told:
     at_s: float
 
 
-def told(state: PlantState | None, now_s: float, stale_s: float) -> dict[str, Told]:
+def told(state: PlantState | None, now_s: float, stale_s: float) -> dict[str, PublishedValue]:
     """Return every value as it may be used at now_s of time.monotonic.
 
     A stale value is the last one, marked as such; what is said of tolerance is never told of old data.
@@ -57,7 +57,7 @@ def told(state: PlantState | None, now_s: float, stale_s: float) -> dict[str, To
             value = None
         elif value is None and quality is not Quality.SILENT:
             quality = Quality.UNDECIDED if one.name in VERDICTS else Quality.WAITING
-        found[one.name] = Told(value=value, quality=quality, at_s=_when(state, one.part, part))
+        found[one.name] = PublishedValue(value=value, quality=quality, at_s=_when(state, one.part, part))
     return found
 
 

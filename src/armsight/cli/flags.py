@@ -93,7 +93,7 @@ class Parts:
         return tuple(flag for part in self.parts for flag in part.flags())
 
 
-class Asked(Generic[Request]):
+class PartialRequest(Generic[Request]):
     """One of the requests that a command can make: which of its flags were given, and the request itself."""
 
     def __init__(self, parts: Parts, values: Mapping[str, Any], defaults: Mapping[str, Any], notify: Notify) -> None:
@@ -157,13 +157,16 @@ class CommandFlags:
         made: dict[str, Any] = {}
         defaults = {one.name: _or_none(one.default) for one in self.parameters()}
         for part, asked in self._parts:
-            made.update({part.name: Asked(part, given, defaults, notify)} if asked else part.values(given, notify))  # type: ignore[arg-type]
+            if asked:
+                made[part.name] = PartialRequest(part, given, defaults, notify)  # type: ignore[arg-type]
+            else:
+                made.update(part.values(given, notify))
         return made
 
 
 def _taken(name: str, hint: Any, default: Any) -> tuple[OneFlag | Parts, bool]:
     """Return the flags of a parameter, and whether it is one of several requests."""
-    if get_origin(hint) is Asked:
+    if get_origin(hint) is PartialRequest:
         return _request(name, get_args(hint)[0]), True
     if dataclasses.is_dataclass(hint):
         return _request(name, hint), False  # type: ignore[arg-type]  # a class

@@ -9,7 +9,7 @@ from armsight.app import requests
 from armsight.app.requests.shared import CAMERAS, TABLES
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI, agreed
-from armsight.cli.flags import Asked
+from armsight.cli.flags import PartialRequest
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc
@@ -26,8 +26,8 @@ UNITS = (MM, DEG, MM, DEG)
 def identify(
     face: CommandUI,
     out: requests.identify.Result,
-    swept: Asked[requests.identify.IdentifyJob],
-    live: Asked[requests.identify.LiveJob],
+    swept: PartialRequest[requests.identify.IdentifyJob],
+    live: PartialRequest[requests.identify.LiveJob],
     yes: Annotated[bool, Doc("With --live: move without asking.")] = False,
 ) -> None:
     """Find an unknown arm's joints, axes and table from a beacon's positions while one joint after the other moves."""

@@ -10,7 +10,7 @@ from armsight.app import requests
 from armsight.app.requests.shared import OUT
 from armsight.cli.command import ResultsDoubted, app, command, convert
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.flags import Asked
+from armsight.cli.flags import PartialRequest
 from armsight.cli.tables import measure_tables
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
@@ -64,7 +64,7 @@ def _zoomed(job: requests.measure.MeasureJob) -> PairSettings:
 @command(app)
 def record(
     face: CommandUI,
-    asked: Asked[requests.measure.RecordJob],
+    asked: PartialRequest[requests.measure.RecordJob],
     repair: Annotated[
         Path | None, Doc("Mend this broken recording and record nothing."), Flag(metavar="FILE.mcap")
     ] = None,

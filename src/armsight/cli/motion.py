@@ -10,7 +10,7 @@ from armsight.app import requests
 from armsight.app.requests.shared import OutFolder
 from armsight.cli.command import ResultsDoubted, app, command
 from armsight.cli.command_ui import CommandUI, StatusLine
-from armsight.cli.flags import Asked
+from armsight.cli.flags import PartialRequest
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
@@ -86,13 +86,13 @@ def teach(
     face: CommandUI,
     *,
     out: OutFolder,
-    servo: Asked[requests.motion.FollowJob],
+    servo: PartialRequest[requests.motion.FollowJob],
     world: requests.motion.StandingWorld = None,
     poses: Annotated[
         Path | None, Doc("Make the path of poses that were measured."), Flag("--from", metavar="poses.csv")
     ] = None,
     job: requests.motion.TeachJob,
-    standing: Asked[requests.motion.StandingJob],
+    standing: PartialRequest[requests.motion.StandingJob],
     yes: Yes = False,
 ) -> None:
     """Teach a path by leading the target along it: the path of the tip at each exposure goes into OUT/path.csv.

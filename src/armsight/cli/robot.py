@@ -13,7 +13,7 @@ from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.requests.shared import CAMERAS as SETTINGS
 from armsight.cli.command import app, command, robot
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.flags import Asked
+from armsight.cli.flags import PartialRequest
 from armsight.cli.motion import PLAY_KEYS, STEP
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
@@ -53,8 +53,8 @@ def jog(
     robot: requests.motion.RobotName,
     joint: Annotated[int | None, requests.motion.JOINT] = None,
     by: Annotated[float | None, requests.motion.HOW_FAR, requests.motion.A_WAY] = None,
-    led: Asked[requests.motion.HandJogJob],
-    one: Asked[requests.motion.JogJob],
+    led: PartialRequest[requests.motion.HandJogJob],
+    one: PartialRequest[requests.motion.JogJob],
     yes: Annotated[bool, Doc("Move without asking.")] = False,
 ) -> None:
     """Move one joint by a given way (--joint, --by), or the arm by hand (--with), through the guard.

@@ -265,7 +265,7 @@ def serve_cell(
     from armsight.console.state import Console
     from armsight.server.application import create_app
     from armsight.server.auth import Authenticator
-    from armsight.server.serving import serve_pages, told_to_plant
+    from armsight.server.serving import published_to_plant, serve_pages
 
     robot, cancelled = job.robot, face.progress("opening").cancelled
     with contextlib.ExitStack() as stack:
@@ -287,7 +287,7 @@ def serve_cell(
             server = create_app(cell.service, Authenticator(options.tokens or ()))
             add_console(server, made)
             ready = partial(_say, face, page=page)
-            with told_to_plant(cell.service, options, face.say, made.seen):
+            with published_to_plant(cell.service, options, face.say, made.seen):
                 serve_pages(server, options, page.listener, ready=ready, service=cell.service)
         finally:
             made.close()

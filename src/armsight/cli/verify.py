@@ -20,7 +20,7 @@ from armsight.app.requests.shared import (
 )
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI, StatusLine
-from armsight.cli.flags import Asked
+from armsight.cli.flags import PartialRequest
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
@@ -40,21 +40,21 @@ def verify(
     face: CommandUI,
     *,
     out: OutFolder,
-    rows: Asked[requests.verify.VerifyJob],
+    rows: PartialRequest[requests.verify.VerifyJob],
     plan: Annotated[bool, Doc("Instead of verifying, plan the test of ISO 9283 for --arm.")] = False,
-    planned: Asked[requests.verify.PlanJob],
+    planned: PartialRequest[requests.verify.PlanJob],
     tip: Tip = None,
     base: Base = None,
-    tables: Asked[TwoTableFlags],
+    tables: PartialRequest[TwoTableFlags],
     live: Annotated[
         bool, Doc("Supervise a running arm before two live cameras, with --arm, --world."), Flag(panel=LIVE)
     ] = False,
-    running: Asked[requests.verify.LiveVerifyJob],
+    running: PartialRequest[requests.verify.LiveVerifyJob],
     mastering: Annotated[
         bool, Doc("After a crash: propose ten poses; with --measured, judge them."), Flag(panel=MASTERING)
     ] = False,
-    crashed: Asked[requests.verify.MasteringJob],
-    cameras: Asked[CameraFlags],
+    crashed: PartialRequest[requests.verify.MasteringJob],
+    cameras: PartialRequest[CameraFlags],
 ) -> None:
     """Compare measured poses with where the arm says it is, say what the difference comes from; figures of ISO 9283.
 
@@ -112,7 +112,9 @@ def _given(arm: str | None) -> str:
     return arm
 
 
-def _check_plan(plan: bool, rows: Asked[requests.verify.VerifyJob], planned: Asked[requests.verify.PlanJob]) -> None:
+def _check_plan(
+    plan: bool, rows: PartialRequest[requests.verify.VerifyJob], planned: PartialRequest[requests.verify.PlanJob]
+) -> None:
     """Raise UsageError where options of a plan and of a verification are mixed."""
     of_plan = [one for one in planned.given if one not in rows.flags]
     if not plan and of_plan:
@@ -215,7 +217,10 @@ def check_options(mode: str, missing: tuple[str, ...], foreign: list[str]) -> No
 
 
 def _supervise(
-    face: CommandUI, asked: Asked[requests.verify.LiveVerifyJob], cameras: Asked[CameraFlags], foreign: list[str]
+    face: CommandUI,
+    asked: PartialRequest[requests.verify.LiveVerifyJob],
+    cameras: PartialRequest[CameraFlags],
+    foreign: list[str],
 ) -> None:
     face.until_stopped = asked.value("limit") is None and asked.value("seconds_s") is None
     from armsight.app.verify.live import run_verify_live
@@ -228,7 +233,7 @@ def _supervise(
     face.result(done)
 
 
-def _after_crash(face: CommandUI, asked: Asked[requests.verify.MasteringJob], foreign: list[str]) -> None:
+def _after_crash(face: CommandUI, asked: PartialRequest[requests.verify.MasteringJob], foreign: list[str]) -> None:
     from armsight.app.verify.mastering import propose_mastering, run_mastering
 
     check_options("--mastering", asked.missing, foreign)

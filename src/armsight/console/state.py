@@ -21,7 +21,7 @@ from armsight.app.guided.step import Guided
 from armsight.app.guided.step_runner import GuidedStepRunner
 from armsight.app.guided.timing import TimingStep
 from armsight.app.live.measurement import COMPLEX, DetectionSettings, FollowedCell, LiveJob, require_kind
-from armsight.app.live.station import Snapshot, Station
+from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.live.views import LiveView
 from armsight.app.measure.run import target_of
 from armsight.app.operator.path_editor import PathEditor
@@ -54,7 +54,7 @@ class Console:
 
     folder: Path
     cell: CellFile = field(default_factory=CellFile)
-    station: Station | None = None
+    station: MeasurementProcess | None = None
     look: DetectionSettings = field(default_factory=DetectionSettings)
     last_recording: Path | None = None
     history: deque[Array] = field(default_factory=lambda: deque(maxlen=HISTORY))
@@ -105,7 +105,7 @@ class Console:
         self.look = DetectionSettings()
         self._forget_steps()
         if job is not None:
-            self.station = Station(job)
+            self.station = MeasurementProcess(job)
             self.station.start()
 
     def job_of(self, cell: CellFile) -> LiveJob | None:
@@ -255,7 +255,7 @@ class Console:
         self.history.clear()
         self.tracks.clear()
 
-    def require_station(self) -> Station:
+    def require_station(self) -> MeasurementProcess:
         """Return the measuring station. Raises UsageError where there is none."""
         if self.station is None:
             raise UsageError("no cameras are set up", cure="Give both cameras on the page Settings")

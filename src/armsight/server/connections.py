@@ -186,7 +186,7 @@ class Connections:
             _cut(line)
 
 
-class Door(socket.socket):
+class ListeningSocket(socket.socket):
     """A listening socket whose connections are counted from the first moment, before TLS; it takes a few at a time.
 
     It holds a descriptor in reserve: a connection that finds none is taken with it and closed. Left waiting it would

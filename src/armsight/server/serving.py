@@ -125,7 +125,7 @@ class Terminal:
     cancelled: Callable[[], bool] = lambda: False
 
 
-def told_to_plant(
+def published_to_plant(
     service: Service, options: ServeOptions, tell: Callable[[str], None], seen: Callable[[], Seen | None] = lambda: None
 ) -> contextlib.AbstractContextManager[None]:
     """Return what publishes a robot for the plant's systems while its block runs, where options ask for it."""
@@ -149,7 +149,7 @@ def serve_robot(
         service = Service(host, kept)
         service.authority.note("info", f"{job.robot} is served")
         service.pump()  # what the loop told as it took the arm over
-        with told_to_plant(service, options, terminal.tell):
+        with published_to_plant(service, options, terminal.tell):
             notes = (service.outside, "" if limits is None else left_open(spec.limits, limits.name), open_to_all(job))
             serve(service, options, ready=lambda url: terminal.ready(url, "; ".join(filter(None, notes))))
         service.authority.note("info", "the server ends")

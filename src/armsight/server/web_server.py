@@ -20,7 +20,7 @@ from starlette.types import ASGIApp
 from armsight.drivers.remote import protocol as say
 from armsight.errors import BadFile, UsageError
 from armsight.server.auth import is_loopback
-from armsight.server.connections import HEAD_BYTES, Connections, Door
+from armsight.server.connections import HEAD_BYTES, Connections, ListeningSocket
 from armsight.server.limited import LimitedHttp, LimitedWebSocket
 from armsight.store.tokens import TokenEntry, read_tokens
 
@@ -122,7 +122,7 @@ class _Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to listen."""
-        doors: list[socket.socket] = [Door(one, self._connections) for one in sockets or ()]
+        doors: list[socket.socket] = [ListeningSocket(one, self._connections) for one in sockets or ()]
         await super().startup(doors)
 
 

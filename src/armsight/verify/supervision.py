@@ -131,7 +131,7 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Expectation:
+class PredictedPose:
     """What is expected and how well that is known.
 
     arm: its tool is the target; T_world_base is that of the frame the rig's place T_parent_rig is given in.

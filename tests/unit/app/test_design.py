@@ -24,7 +24,7 @@ from armsight_lab.design.changes import CHANGES, _doubled, reaches
 from armsight_lab.design.plan import plan_of
 from armsight_lab.design.request import DesignJob, mount_of, volume_of
 from armsight_lab.design.run import run_design
-from armsight_lab.design.volume import ARM, NOISE, OUT_OF_REACH, RIG, foretell, moving, rigid_part
+from armsight_lab.design.volume import ARM, NOISE, OUT_OF_REACH, RIG, forecast, moving, rigid_part
 from refusals import refuses
 
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
@@ -82,13 +82,13 @@ def test_a_change_is_what_its_own_plan_leads_to(job: DesignJob) -> None:
 
 
 def test_the_mean_of_frames_lowers_their_noise_alone(job: DesignJob) -> None:
-    one, ten = (foretell(plan_of(replace(job, average=n))) for n in (1, 10))
+    one, ten = (forecast(plan_of(replace(job, average=n))) for n in (1, 10))
     np.testing.assert_allclose(ten.parts[NOISE], one.parts[NOISE] / 10.0)
     np.testing.assert_allclose(ten.parts[RIG], one.parts[RIG])
 
 
 def test_within_the_volume_what_moves_all_of_it_is_no_deviation(job: DesignJob) -> None:
-    found, aligned = (foretell(plan_of(replace(job, relative=relative))) for relative in (False, True))
+    found, aligned = (forecast(plan_of(replace(job, relative=relative))) for relative in (False, True))
     np.testing.assert_allclose(aligned.position_m, found.within_volume().position_m)
     assert np.median(aligned.position_m) < 0.7 * np.median(found.position_m)
     # what is left of a rig whose axes alone are off is nothing
@@ -98,7 +98,7 @@ def test_within_the_volume_what_moves_all_of_it_is_no_deviation(job: DesignJob) 
 
 def test_cells_out_of_view_are_never_good(job: DesignJob) -> None:
     done = run_design(replace(job, volume=((-0.1, 1.5), (-0.1, 0.1), (0.5, 0.8)), cells=8))
-    found = foretell(plan_of(replace(job, volume=((-0.1, 1.5), (-0.1, 0.1), (0.5, 0.8)))))
+    found = forecast(plan_of(replace(job, volume=((-0.1, 1.5), (-0.1, 0.1), (0.5, 0.8)))))
     assert 0.0 < done.measured < 0.6
     assert done.position.worst < 0.01 and not reaches(found, 0.01)  # all that is measured is fine: not enough of it is
     assert {one.why for one in done.not_measured} >= {"outside the left image"}
@@ -124,27 +124,27 @@ def test_a_light_alone_tells_its_position(job: DesignJob) -> None:
 @pytest.mark.parametrize("relative", [False, True])
 def test_a_point_is_told_as_a_target_of_it_alone(job: DesignJob, relative: bool) -> None:
     write_target(job.target, spot_target({"A": (0.0, 0.0, 0.0)}))
-    found = foretell(plan_of(replace(job, relative=relative, volume=((-0.1, 0.6), *NEAR[1:]))))
+    found = forecast(plan_of(replace(job, relative=relative, volume=((-0.1, 0.6), *NEAR[1:]))))
     np.testing.assert_allclose(found.point_m()[:, 0], found.position_m, rtol=1e-9)
 
 
 def test_points_stand_in_the_base_of_an_arm(job: DesignJob) -> None:
-    found = foretell(plan_of(replace(with_arm(job), poses=400, arm_noise_m=1e-6, arm_turn_rad=1e-6)))
+    found = forecast(plan_of(replace(with_arm(job), poses=400, arm_noise_m=1e-6, arm_turn_rad=1e-6)))
     noise = np.sqrt(np.trace(found.expected.points.random, axis1=2, axis2=3))
     beside = found.point_m() / noise
     assert (beside > 1.0).all() and np.median(beside) < 1.2  # most of the calibration is taken up by the rig's place
-    assert np.median(foretell(plan_of(with_arm(job))).point_m() / noise) > np.median(beside)
+    assert np.median(forecast(plan_of(with_arm(job))).point_m() / noise) > np.median(beside)
 
 
 def test_a_board_is_measured_like_lights(job: DesignJob) -> None:
-    lights, board = (foretell(plan_of(one)) for one in (job, replace(job, target=Path("checkerboard:7x5:0.015"))))
+    lights, board = (forecast(plan_of(one)) for one in (job, replace(job, target=Path("checkerboard:7x5:0.015"))))
     assert board.whole.all()
     assert np.median(board.orientation_rad) < 0.5 * np.median(lights.orientation_rad)
 
 
 def test_a_tool_in_the_arm_s_base(job: DesignJob) -> None:
-    assert set(foretell(plan_of(with_arm(job))).parts) == {NOISE, RIG, ARM}
-    few, many = (foretell(plan_of(replace(with_arm(job), poses=n))) for n in (25, 400))
+    assert set(forecast(plan_of(with_arm(job))).parts) == {NOISE, RIG, ARM}
+    few, many = (forecast(plan_of(replace(with_arm(job), poses=n))) for n in (25, 400))
     ratio = np.trace(few.parts[ARM], axis1=1, axis2=2) / np.trace(many.parts[ARM], axis1=1, axis2=2)
     assert np.sqrt(np.median(ratio)) == pytest.approx(4.0, rel=0.25)
 
@@ -162,7 +162,7 @@ def test_twice_as_many_lights_stand_apart() -> None:
 def test_an_alignment_to_a_few_cells_is_not_told(job: DesignJob) -> None:
     assert run_design(replace(job, cells=1)).aligned is None
     with refuses(Inconsistent, "too good"):
-        foretell(plan_of(replace(job, cells=1, relative=True)))
+        forecast(plan_of(replace(job, cells=1, relative=True)))
 
 
 def test_every_change_is_told_once() -> None:
@@ -208,7 +208,7 @@ def test_an_arm_that_does_not_reach_is_refused(job: DesignJob) -> None:
 
 def test_what_the_arm_does_not_reach_is_not_measured(job: DesignJob) -> None:
     short = replace(with_arm(job), arm="ur5e", volume=((0.5, 1.1), (-0.1, 0.1), (0.35, 0.65)))
-    found = foretell(plan_of(short))
+    found = forecast(plan_of(short))
     beyond = np.array([why == OUT_OF_REACH for why in found.why])
     assert beyond.any() and not beyond.all()
     assert not found.measured[beyond].any() and np.isnan(found.position_m[beyond]).all()
@@ -226,12 +226,12 @@ def test_a_rig_that_is_there(job: DesignJob) -> None:
     camera = Camera.pinhole(1280, 720, 950.0, 950.0, 639.5, 359.5)
     write_rig(folder / "rig.yaml", parallel_rig(camera, 0.12))
     there = replace(job, rig=folder / "rig.yaml", size=None, focal_px=None, baseline_m=None)
-    found = foretell(plan_of(there))
-    np.testing.assert_allclose(found.position_m, foretell(plan_of(job)).position_m)
+    found = forecast(plan_of(there))
+    np.testing.assert_allclose(found.position_m, forecast(plan_of(job)).position_m)
     assert plan_of(replace(there, baseline_m=0.2)).rig.baseline_m == pytest.approx(0.2)
     write_rig(folder / "known.yaml", found.rig)
     taken = replace(there, rig=folder / "known.yaml", board=None)
-    np.testing.assert_allclose(foretell(plan_of(taken)).position_m, found.position_m, rtol=1e-6)
+    np.testing.assert_allclose(forecast(plan_of(taken)).position_m, found.position_m, rtol=1e-6)
     with refuses(UsageError, "anew"):
         run_design(replace(taken, focal_px=1200.0))
     with refuses(UsageError, "simulate"):
@@ -247,7 +247,7 @@ def test_a_rig_of_fisheye_lenses(job: DesignJob) -> None:
         parallel_rig(Camera(width=1280, height=720, intrinsics=k, lens=LensKind.FISHEYE), 0.12),
     )
     plan = plan_of(replace(job, rig=job.out.parent / "rig.yaml", size=None, focal_px=None, baseline_m=None))
-    found = foretell(plan)
+    found = forecast(plan)
     assert found.measured.all() and (found.point_m() > 0.0).all()
     names = found.rig.covariance.names
     assert {"left.k1", "left.k2", "right.k2"} <= set(names) and not any(
@@ -270,7 +270,7 @@ def test_a_mirror_rig_needs_its_plate_and_its_baseline_grows_by_both_mirrors(job
         board="checkerboard:7x5:0.015",
         volume=((-0.05, 0.05), (-0.05, 0.05), (0.5, 0.7)),
     )
-    assert foretell(plan_of(small)).measured.mean() > 0.5
+    assert forecast(plan_of(small)).measured.mean() > 0.5
     longer = plan_of(replace(small, baseline_m=0.18)).rig
     assert longer.baseline_m == pytest.approx(0.18, rel=1e-4)
     true = Mirrors(baseline_m=2.0 * float(longer.T_rig_right.translation[0])).rig(camera)
@@ -306,7 +306,7 @@ def test_python_gives_what_the_command_does(job: DesignJob) -> None:
         board="checkerboard:9x6:0.025",
         cells=3,
     )
-    assert done.position.worst == pytest.approx(foretell(plan_of(replace(job, cells=3))).position_m.max())
+    assert done.position.worst == pytest.approx(forecast(plan_of(replace(job, cells=3))).position_m.max())
     with refuses(UsageError, "volume"):
         armsight.design(spot_target(LIGHTS), [1.0, 2.0, 3.0], focal_px=950.0)
     with pytest.raises(DataRefused):

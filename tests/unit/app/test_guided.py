@@ -313,7 +313,7 @@ def test_a_board_that_was_not_moved_is_not_taken_twice(boards: Any, tmp_path: Pa
 
 
 @dataclass
-class Told:
+class PublishedValue:
     """A step that does as it is told."""
 
     name: str = "told"
@@ -359,14 +359,14 @@ class Told:
     ],
 )
 def test_why_nothing_was_calibrated_is_told_whatever_it_was(error: Exception, said: str) -> None:
-    runner = GuidedStepRunner(Told(fails=error))
+    runner = GuidedStepRunner(PublishedValue(fails=error))
     runner.run(Silent())
     assert runner.state.not_done.startswith(said)
     assert runner.state.result is None and runner.state.busy == ""
 
 
 def test_calibrate_pressed_while_a_sample_is_taken_waits_for_it_and_its_verdict_stays() -> None:
-    step = Told()
+    step = PublishedValue()
     runner = GuidedStepRunner(step)
     accepting = threading.Thread(target=runner.accept, args=(lambda: None,))
     accepting.start()

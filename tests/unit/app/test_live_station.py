@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.clock import ManualClock, SystemClock
 from armsight.errors import BadFile, DeviceFailed
 from armsight.store.recording import Recording
@@ -80,7 +80,7 @@ def test_a_missing_rig_is_refused_at_once(scene: Any, tmp_path: Path) -> None:
 def station(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """One process for all tests of this module: it takes seconds to start."""
     scene = request.getfixturevalue("scene")
-    made = Station(job(scene, again=True, fps=60.0))
+    made = MeasurementProcess(job(scene, again=True, fps=60.0))
     made.start()
     yield made
     made.stop()
@@ -100,7 +100,7 @@ def wait(what: Any) -> None:
     raise AssertionError("it never came to be")
 
 
-def test_a_process_shows_what_it_measures(station: Station) -> None:
+def test_a_process_shows_what_it_measures(station: MeasurementProcess) -> None:
     wait(lambda: station.shown is not None and station.shown.view.status == "ok")
     assert station.shown is not None
     assert station.shown.left_jpeg[:2] == b"\xff\xd8"
@@ -108,7 +108,7 @@ def test_a_process_shows_what_it_measures(station: Station) -> None:
     wait(lambda: station.shown is not None and station.shown.view.sequence > first)
 
 
-def test_pictures_are_no_wider_than_what_shows_them(station: Station) -> None:
+def test_pictures_are_no_wider_than_what_shows_them(station: MeasurementProcess) -> None:
     def widths() -> list[int]:
         assert station.shown is not None
         return [decoded(data).shape[1] for data in (station.shown.left_jpeg, station.shown.right_jpeg)]
@@ -122,13 +122,13 @@ def test_pictures_are_no_wider_than_what_shows_them(station: Station) -> None:
     wait(lambda: widths() == [full] * 2)
 
 
-def test_what_is_shown_since_a_moment_was_exposed_after_it(station: Station) -> None:
+def test_what_is_shown_since_a_moment_was_exposed_after_it(station: MeasurementProcess) -> None:
     wait(lambda: station.shown is not None)
     now_s = SystemClock().now_s()
     assert station.shown_since(now_s).view.t_s >= now_s
 
 
-def test_its_recording_is_complete(station: Station, tmp_path: Path) -> None:
+def test_its_recording_is_complete(station: MeasurementProcess, tmp_path: Path) -> None:
     wait(lambda: station.shown is not None)
     file = tmp_path / "live.mcap"
     station.record(file)
@@ -140,7 +140,9 @@ def test_its_recording_is_complete(station: Station, tmp_path: Path) -> None:
         assert recording.count("/left/image") == recording.count("/right/image") > 5
 
 
-def test_a_recording_that_cannot_be_begun_is_told_and_measuring_goes_on(station: Station, tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_begun_is_told_and_measuring_goes_on(
+    station: MeasurementProcess, tmp_path: Path
+) -> None:
     wait(lambda: station.shown is not None)
     (tmp_path / "file").write_text("no folder")
     station.record(tmp_path / "file" / "live.mcap")
@@ -151,7 +153,7 @@ def test_a_recording_that_cannot_be_begun_is_told_and_measuring_goes_on(station:
     assert station.failure == ""
 
 
-def test_a_pair_is_saved_bit_for_bit(station: Station, scene: Any, tmp_path: Path) -> None:
+def test_a_pair_is_saved_bit_for_bit(station: MeasurementProcess, scene: Any, tmp_path: Path) -> None:
     import cv2
 
     wait(lambda: station.shown is not None)
@@ -164,7 +166,7 @@ def test_a_pair_is_saved_bit_for_bit(station: Station, scene: Any, tmp_path: Pat
 
 
 def test_what_cannot_be_measured_is_told(tmp_path: Path) -> None:
-    made = Station(LiveJob(left=str(tmp_path / "none"), right=str(tmp_path / "none2")))
+    made = MeasurementProcess(LiveJob(left=str(tmp_path / "none"), right=str(tmp_path / "none2")))
     made.start()
     wait(lambda: made.failure)
     assert "none" in made.failure

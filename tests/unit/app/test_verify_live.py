@@ -163,7 +163,7 @@ def test_a_robot_by_its_own_program_takes_no_commands_until_stopped(tmp_path: Pa
 NOTE = "somebody was kept out"
 
 
-class Told:
+class PublishedValue:
     """Stands for the publishers: looks at each pair as their thread would, and answers with a note."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,7 +183,7 @@ class Told:
 def test_the_plant_is_told_of_each_pair_what_is_known_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told, said = Told(monkeypatch), []
+    told, said = PublishedValue(monkeypatch), []
     cell = Cell(tmp_path, [{"kind": "jump", "at_s": 0.3, "for_s": 9.0, "by_m": [0.005, 0.0, 0.0]}])
     told_of = Publishing(PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0)))
 
@@ -214,7 +214,7 @@ def test_the_plant_is_told_of_each_pair_what_is_known_and_no_more(
 def test_the_plant_is_told_nothing_of_a_robot_whose_link_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = Told(monkeypatch)
+    told = PublishedValue(monkeypatch)
     cell = Cell(tmp_path, [])
 
     def show(*_: Any) -> None:

@@ -14,7 +14,7 @@ from armsight.calibrate.cell.model import BlockNormals, CellModel, start_vector
 from armsight.calibrate.cell.observations import Spots, recording_of
 from armsight.calibrate.cell.tip import tip_slopes
 from armsight.calibrate.cell.tracklets import moves, tracklets
-from armsight.calibrate.cell.wander import Wander
+from armsight.calibrate.cell.wander import JointDrift
 from armsight.geometry import align_points
 from armsight.kinematics import fk, preset
 from armsight.records import Motion, SpotTrack
@@ -131,7 +131,7 @@ def test_what_gears_do_wherever_their_joints_come_by_is_within_what_is_claimed(c
         spots=replace(spots, uv_px=uv),
         block=block,
         scale=(1.0, 1.0),
-        wander=Wander(
+        wander=JointDrift(
             std=np.full(6, std), time_s=20.0, columns=columns, t_s=np.bincount(block, t) / np.bincount(block)
         ),
     )
@@ -169,7 +169,7 @@ def test_eliminating_the_straying_is_generalised_least_squares():
         residuals=r.reshape(-1, 2),
     )
     t_s, columns, std, time_s = np.array([0.0, 1.0, 2.0, 4.0, 5.0, 7.0]), np.array([1, 3]), np.array([0.3, 0.7]), 2.5
-    reduced = Wander(std=std, time_s=time_s, columns=columns, t_s=t_s).reduced(normals)
+    reduced = JointDrift(std=std, time_s=time_s, columns=columns, t_s=t_s).reduced(normals)
     alike = np.exp(-np.abs(t_s[:, None] - t_s) / time_s)
     V = np.eye(b * m)
     for k in range(n):
@@ -181,7 +181,7 @@ def test_eliminating_the_straying_is_generalised_least_squares():
     W = np.linalg.inv(V)
     np.testing.assert_allclose(reduced.A, flat.T @ W @ flat, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(reduced.g, flat.T @ W @ every, rtol=1e-8, atol=1e-8)
-    wander = Wander(std=std, time_s=time_s, columns=columns, t_s=t_s)
+    wander = JointDrift(std=std, time_s=time_s, columns=columns, t_s=t_s)
     left = wander.left_of(normals, np.einsum("bmp,bm->bp", J, r)[:, :, None])
     np.testing.assert_allclose(left[:, 0], flat.T @ W @ every, rtol=1e-8, atol=1e-8)
     assert reduced.square == pytest.approx(every @ W @ every, rel=1e-8)

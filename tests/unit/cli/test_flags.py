@@ -15,7 +15,7 @@ from armsight.app.requests import identify, measure, motion, verify
 from armsight.app.requests.shared import Table
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.flags import Asked
+from armsight.cli.flags import PartialRequest
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, known_hints, marks
 from armsight.store.interpret import TableFormat
@@ -53,7 +53,7 @@ def taken(*words: str) -> tuple[Any, Any, Any]:
     seen: list[Any] = []
 
     @command(app)
-    def work(face: CommandUI, job: Asking, other: Asked[Other]) -> None:
+    def work(face: CommandUI, job: Asking, other: PartialRequest[Other]) -> None:
         """Work."""
         seen.extend((job, other))
         if other.value("robot") == "none":
@@ -63,7 +63,7 @@ def taken(*words: str) -> tuple[Any, Any, Any]:
     def rest(face: CommandUI) -> None:
         """Rest."""
 
-    work.__annotations__ |= {"job": Asking, "other": Asked[Other]}
+    work.__annotations__ |= {"job": Asking, "other": PartialRequest[Other]}
     done = CliRunner().invoke(app, ["work", *words])
     return done, *(seen or (None, None))
 

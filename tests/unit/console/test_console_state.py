@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from armsight.app.live.measurement import LiveJob
-from armsight.app.live.station import Snapshot, Station
+from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.live.views import Counts, LiveView, SideView
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
@@ -39,7 +39,7 @@ def test_pictures_that_stop_are_told_and_their_pose_is_not_current(
     tmp_path: Path, fps: float, silent_after_s: float
 ) -> None:
     clock = ManualClock()
-    station = Station(LiveJob(left="a", right="b"), clock)
+    station = MeasurementProcess(LiveJob(left="a", right="b"), clock)
     console = Console(folder=tmp_path, station=station)
     station.shown = Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view(fps), left_jpeg=b"")
     clock.advance(silent_after_s - 0.1)
@@ -51,7 +51,7 @@ def test_pictures_that_stop_are_told_and_their_pose_is_not_current(
 
 def test_a_failure_ends_the_pose_and_a_source_that_ended_keeps_its_last(tmp_path: Path) -> None:
     clock = ManualClock()
-    station = Station(LiveJob(left="a", right="b"), clock)
+    station = MeasurementProcess(LiveJob(left="a", right="b"), clock)
     console = Console(folder=tmp_path, station=station)
     assert not console.current and level_of(console).level == "idle"
     station.shown = Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view(30.0), left_jpeg=b"")

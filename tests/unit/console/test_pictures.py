@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from armsight.app.live.station import Snapshot, Station
+from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.live.views import Counts, LiveView, SideView
 from armsight.console.routes import WIDEST_PX, add_pictures
 from armsight.console.state import Console
@@ -24,7 +24,7 @@ UNSEEN = TargetPose(t_s=0.0, status=PoseStatus.LOST, parent="rig")
 NO_SPOTS = (Spots.none(), Spots.none())
 
 
-class Asked:
+class PartialRequest:
     """A station that has something new at every look, and keeps the widths that it is asked for."""
 
     def __init__(self) -> None:
@@ -47,9 +47,9 @@ class Asked:
 
 
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[tuple[str, Asked]]:
-    console, station, pages = Console(folder=tmp_path), Asked(), FastAPI()
-    console.station = cast(Station, station)
+def served(tmp_path: Path) -> Iterator[tuple[str, PartialRequest]]:
+    console, station, pages = Console(folder=tmp_path), PartialRequest(), FastAPI()
+    console.station = cast(MeasurementProcess, station)
     add_pictures(pages, console)
     listener = socket.create_server(("127.0.0.1", 0))
     server = uvicorn.Server(uvicorn.Config(pages, log_level="error", ws="websockets-sansio"))
@@ -66,7 +66,7 @@ def picture(page: ClientConnection, width: str | bytes) -> bytes:
     return bytes(page.recv(timeout=30.0, decode=False))
 
 
-def test_the_widest_page_is_what_counts_until_it_goes(served: tuple[str, Asked]) -> None:
+def test_the_widest_page_is_what_counts_until_it_goes(served: tuple[str, PartialRequest]) -> None:
     address, station = served
     with connect(f"{address}/left") as small:
         assert picture(small, "390").endswith(b"left")
@@ -77,7 +77,7 @@ def test_the_widest_page_is_what_counts_until_it_goes(served: tuple[str, Asked])
         assert any(picture(small, "410") and station.widths_px[-1] == 410 for _ in range(100)), "the large one is gone"
 
 
-def test_a_width_that_is_none_is_every_width(served: tuple[str, Asked]) -> None:
+def test_a_width_that_is_none_is_every_width(served: tuple[str, PartialRequest]) -> None:
     address, station = served
     with connect(f"{address}/left") as page:
         for said in ("next", "0", "-5", "1e3", "9" * 30, "9" * 5000, "²", "٣٩٠", b"390", ""):
@@ -86,7 +86,7 @@ def test_a_width_that_is_none_is_every_width(served: tuple[str, Asked]) -> None:
             assert station.widths_px[-2:] == [390, WIDEST_PX], said
 
 
-def test_a_side_that_is_none_is_refused(served: tuple[str, Asked]) -> None:
+def test_a_side_that_is_none_is_refused(served: tuple[str, PartialRequest]) -> None:
     address, _ = served
     with pytest.raises(InvalidStatus), connect(f"{address}/top"):
         pass

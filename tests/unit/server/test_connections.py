@@ -13,7 +13,7 @@ from websockets.frames import Frame, Opcode
 from armsight.errors import DeviceFailed
 from armsight.server import connections as limits
 from armsight.server import limited, web_server
-from armsight.server.connections import LINE, SERVER, Connections, Door
+from armsight.server.connections import LINE, SERVER, Connections, ListeningSocket
 from armsight.server.web_server import RECORDS_PER_MIN, BoundedLog
 from refusals import refuses
 
@@ -164,7 +164,7 @@ def test_connections_are_taken_a_few_at_a_time(crowd):
         listener.setblocking(False)
         waiting = [socket.create_connection(listener.getsockname()) for _ in range(limits.PER_TURN + 2)]
         taken = []
-        with Door(listener, crowd) as door:
+        with ListeningSocket(listener, crowd) as door:
             door.setblocking(False)
             for count in (limits.PER_TURN, limits.PER_TURN + 2):  # between them those that are there have their turn
                 with pytest.raises(BlockingIOError):
@@ -200,7 +200,7 @@ def test_a_connection_without_a_descriptor_is_turned_away_and_another_makes_room
         return accept(self)
 
     monkeypatch.setattr(socket.socket, "accept", short)
-    with socket.create_server(("127.0.0.1", 0)) as listener, Door(listener, crowd) as door:
+    with socket.create_server(("127.0.0.1", 0)) as listener, ListeningSocket(listener, crowd) as door:
         with socket.create_connection(listener.getsockname(), timeout=10.0) as waiting:
             with pytest.raises(BlockingIOError):
                 door.accept()

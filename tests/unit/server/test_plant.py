@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from armsight.control.guard import GuardState
-from armsight.server.serving import told_to_plant
+from armsight.server.serving import published_to_plant
 from armsight.server.web_server import ServeOptions
 from armsight_plant.options import FoxgloveOptions, PlantOptions
 from armsight_plant.publishing import Publishing, log_of, source_of
@@ -56,7 +56,7 @@ def test_a_server_tells_where_it_publishes_and_nothing_where_it_does_not(service
         yield {"foxglove": 8767}
 
     monkeypatch.setattr("armsight_plant.publishing.published", published)
-    with told_to_plant(service, ServeOptions(), said.append):
+    with published_to_plant(service, ServeOptions(), said.append):
         assert begun == said == []
-    with told_to_plant(service, ServeOptions(plant=FOXGLOVE), said.append):
+    with published_to_plant(service, ServeOptions(plant=FOXGLOVE), said.append):
         assert begun == ["armsight serve"] and said == ["Foxglove: ws://127.0.0.1:8767"]

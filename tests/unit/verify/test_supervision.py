@@ -12,7 +12,7 @@ from armsight.errors import StaleData, UsageError
 from armsight.kinematics import fk, preset
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory, JointsAt
-from armsight.verify.supervision import CALM, Compared, Expectation, Level, Limits, Watch
+from armsight.verify.supervision import CALM, Compared, Level, Limits, PredictedPose, Watch
 
 ARM = preset("irb120")
 Q = np.array([0.1, 0.2, -0.1, 0.3, 0.8, 0.2])
@@ -52,7 +52,7 @@ def seen(shift_m: float, t_s: float = 0.0, std_m: float = 1e-4) -> Compared:
     T = RIG.inv() * RigidTransform.from_translation([shift_m, 0.0, 0.0]) * RigidTransform.from_matrix(fk(ARM, Q))
     covariance = np.diag([std_m**2] * 3 + [1e-6] * 3)
     pose = TargetPose(t_s=t_s, status=PoseStatus.OK, parent="rig", T_parent_target=T.as_matrix(), covariance=covariance)
-    return Expectation(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
+    return PredictedPose(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
 
 
 def test_errors_are_measured_minus_expected_in_the_bases_axes() -> None:
@@ -68,7 +68,7 @@ def test_what_the_cameras_leave_open_is_turned_into_the_bases_axes() -> None:
     pose = TargetPose(
         t_s=0.0, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=own, systematic_covariance=lasting
     )
-    found = Expectation(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
+    found = PredictedPose(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
     turned = np.kron(np.eye(2), RIG.rotation.as_matrix())
     np.testing.assert_allclose(found.systematic, turned @ lasting @ turned.T, atol=1e-18)
     np.testing.assert_allclose(found.random, turned @ (own - lasting) @ turned.T, atol=1e-18)
@@ -78,11 +78,11 @@ def test_a_doubtful_pose_is_not_compared() -> None:
     T = (RIG.inv() * RigidTransform.from_matrix(fk(ARM, Q))).as_matrix()
     pose = TargetPose(t_s=0.0, status=PoseStatus.DOUBTFUL, parent="rig", T_parent_target=T, covariance=1e-8 * np.eye(6))
     with pytest.raises(UsageError):
-        Expectation(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
+        PredictedPose(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
 
 
 def test_a_moving_arm_makes_an_unsure_moment_an_unsure_pose() -> None:
-    expectation = Expectation(arm=ARM, T_parent_rig=RIG, time_std_s=0.01)
+    expectation = PredictedPose(arm=ARM, T_parent_rig=RIG, time_std_s=0.01)
     moving = replace(STILL, speed=np.array([1.0, 0, 0, 0, 0, 0]))
     pose = TargetPose(
         t_s=0.0, status=PoseStatus.OK, parent="rig", covariance=1e-12 * np.eye(6),

@@ -30,7 +30,7 @@ from armsight_lab.cell_plan.information import (
 )
 from armsight_lab.cell_plan.path import MotionBounds
 from armsight_lab.cell_plan.scene import Free, Roadmap, Scene, places, roadmap
-from armsight_lab.cell_plan.tour import LOOKED_HZ, Pusher, Tour, by_worth, longest, tour
+from armsight_lab.cell_plan.tour import LOOKED_HZ, LocalSearch, MotionPlan, by_worth, longest, tour
 
 MOST_PLACES, TYPICAL_PLACES = 70, 35
 """Places that are chosen at most, and among how many the time is thought to be shared."""
@@ -220,12 +220,12 @@ def _improved(
     scene: Scene,
     road: Roadmap,
     known: Known,
-    best: Tour,
+    best: MotionPlan,
     order: list[int],
     settings: PlanSettings,
     rng: np.random.Generator,
     progress: Progress,
-) -> tuple[Tour, Array]:
+) -> tuple[MotionPlan, Array]:
     """Return the best tour found by exchanging places for others, and the information of its motion."""
     information = _of_motion(scene, known, best, settings)
     worth = known.worth(known.information + information)
@@ -253,15 +253,15 @@ def _improved(
 def _pushed(
     scene: Scene,
     known: Known,
-    best: Tour,
+    best: MotionPlan,
     information: Array,
     settings: PlanSettings,
     rng: np.random.Generator,
     progress: Progress,
-) -> tuple[Tour, Array]:
+) -> tuple[MotionPlan, Array]:
     """Return the round with its places moved to where they tell more, and the information of its motion."""
     spot_px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
-    pusher = Pusher(scene=scene, known=known, spot_px=spot_px, duration_s=settings.duration_s, rng=rng)
+    pusher = LocalSearch(scene=scene, known=known, spot_px=spot_px, duration_s=settings.duration_s, rng=rng)
     worth, moves = known.worth(known.information + information), settings.trials * PUSHES
     for move in range(moves):
         if progress.cancelled():
@@ -278,13 +278,13 @@ def _pushed(
     return best, information
 
 
-def _of_motion(scene: Scene, known: Known, found: Tour, settings: PlanSettings) -> Array:
+def _of_motion(scene: Scene, known: Known, found: MotionPlan, settings: PlanSettings) -> Array:
     motion = found.way.motion(settings.duration_s, LOOKED_HZ)
     spot_px = noise_px(scene, settings.spot_px, settings.stray_m, settings.frames_hz)
     return motion_information(scene, known, motion, spot_px, settings.frames_hz)
 
 
-def _told(scene: Scene, known: Known, found: Tour, information: Array, settings: PlanSettings) -> CellPlan:
+def _told(scene: Scene, known: Known, found: MotionPlan, information: Array, settings: PlanSettings) -> CellPlan:
     motion = found.way.motion(settings.duration_s, settings.rate_hz)
     before, after = known.information, known.information + information
     parts = [by_kind(scene.model, known, which) for which in (before, after)]

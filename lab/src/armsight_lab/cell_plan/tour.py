@@ -26,7 +26,7 @@ SWAPS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tour:
+class MotionPlan:
     """A round from the first place of a roadmap through chosen ones (k,) and back; way: smooth, and free all along."""
 
     chosen: tuple[int, ...]
@@ -82,7 +82,7 @@ def round_of(long_s: Array, chosen: Sequence[int]) -> list[int]:
     return [int(k) for k in r]
 
 
-def tour(scene: Scene, road: Roadmap, chosen: Sequence[int], duration_s: float) -> Tour | None:
+def tour(scene: Scene, road: Roadmap, chosen: Sequence[int], duration_s: float) -> MotionPlan | None:
     """Return the round through chosen places; None where no smooth way through them keeps clear, or fits the time."""
     order = round_of(road.long_s, chosen)
     stops = [0]
@@ -91,14 +91,14 @@ def tour(scene: Scene, road: Roadmap, chosen: Sequence[int], duration_s: float) 
     return smooth(scene, road.q[stops], chosen, duration_s)
 
 
-def smooth(scene: Scene, places: Array, chosen: Sequence[int], duration_s: float) -> Tour | None:
+def smooth(scene: Scene, places: Array, chosen: Sequence[int], duration_s: float) -> MotionPlan | None:
     """Return the round through places (k, n) in their order; None where none keeps clear, or fits the time."""
     for parts in PARTS:
         way = way_through(scene.arm, places, scene.bounds, parts=parts)
         if way.least_s > duration_s:
             return None
         if clear(scene, way.motion(duration_s, LOOKED_HZ)):
-            return Tour(chosen=tuple(chosen), places=places, way=way)
+            return MotionPlan(chosen=tuple(chosen), places=places, way=way)
     return None
 
 
@@ -107,7 +107,7 @@ def clear(scene: Scene, motion: Motion) -> bool:
     return bool(scene.allowed(motion.q).all())
 
 
-def longest(scene: Scene, road: Roadmap, order: Sequence[int], duration_s: float) -> Tour | None:
+def longest(scene: Scene, road: Roadmap, order: Sequence[int], duration_s: float) -> MotionPlan | None:
     """Return the tour through as many of the places, from the first on, as the time allows; None: not even one."""
     best, low, high = None, 1, len(order)
     while low <= high:
@@ -134,7 +134,7 @@ CORNER = 8
 
 
 @dataclass(slots=True, kw_only=True)
-class Pusher:
+class LocalSearch:
     """Moves some of a round's places at once, each to the best of a few drawn about it.
 
     The best one takes most off the mean variance, per frame and by its slope, trace(C V C J' J) for the covariance C of
@@ -150,7 +150,7 @@ class Pusher:
     share: float = field(init=False, default=SHARE)
     price: float = field(init=False, default=1.0)
 
-    def pushed(self, best: Tour, information: Array) -> Tour | None:
+    def pushed(self, best: MotionPlan, information: Array) -> MotionPlan | None:
         """Return a round with some places elsewhere; None where nothing better is near, or it does not fit or clear."""
         places = best.places
         picked = 1 + np.flatnonzero(self.rng.random(len(places) - 2) < self.share)  # it begins and ends at the start

@@ -13,7 +13,7 @@ from armsight.optics import Camera
 from armsight.records import Progress, Target
 from armsight_lab.design.plan import Plan, at_baseline
 from armsight_lab.design.records import DesignChange
-from armsight_lab.design.volume import Foretold, foretell
+from armsight_lab.design.volume import Forecast, forecast
 
 MORE = 1.5
 FRAMES = 10
@@ -121,12 +121,12 @@ FAR_OFF = 1.0
 """What a cell counts that is not measured, m."""
 
 
-def reaches(found: Foretold, wanted_m: float) -> bool:
+def reaches(found: Forecast, wanted_m: float) -> bool:
     """Tell whether at least VOLUME_SHARE of all cells are measured as well as wanted."""
     return bool(np.mean(np.nan_to_num(found.position_m, nan=np.inf) <= wanted_m) >= VOLUME_SHARE)
 
 
-def changes_of(found: Foretold, wanted_m: float | None, progress: Progress) -> tuple[DesignChange, ...]:
+def changes_of(found: Forecast, wanted_m: float | None, progress: Progress) -> tuple[DesignChange, ...]:
     """Return what each change of a plan leads to; where none suffices, also those together that help.
 
     Sorted: what suffices first, the cheapest first; then by the deviation. Raises Cancelled.
@@ -140,7 +140,7 @@ def changes_of(found: Foretold, wanted_m: float | None, progress: Progress) -> t
     return tuple(done[k] for k in order)
 
 
-def _together(found: Foretold, single: Sequence[Change], wanted_m: float, progress: Progress) -> DesignChange | None:
+def _together(found: Forecast, single: Sequence[Change], wanted_m: float, progress: Progress) -> DesignChange | None:
     """Return the changes that help, together from the cheapest on until they suffice; None where fewer than two do."""
     names = [one.name for one in single]
     kept: tuple[Change, ...] = ()
@@ -157,7 +157,7 @@ def _together(found: Foretold, single: Sequence[Change], wanted_m: float, progre
     return best if len(kept) > 1 else None
 
 
-def _merit(found: Foretold, wanted_m: float) -> tuple[float, float]:
+def _merit(found: Forecast, wanted_m: float) -> tuple[float, float]:
     """Return the share of the volume that is measured as well as wanted, and the less the deviation, the more."""
     fine = float(np.mean(np.nan_to_num(found.position_m, nan=np.inf) <= wanted_m))
     return fine, -float(np.nansum(np.where(found.measured, found.position_m, FAR_OFF)))
@@ -171,7 +171,7 @@ def _rank(one: DesignChange, place: int) -> tuple[bool, float]:
 
 def _tried(
     plan: Plan, changes: tuple[Change, ...], wanted_m: float | None, progress: Progress, at: tuple[int, int]
-) -> tuple[DesignChange, Foretold | None]:
+) -> tuple[DesignChange, Forecast | None]:
     progress.update(*at, "trying changes")
     if progress.cancelled():
         raise Cancelled("stopped while changes were tried", consequence="Nothing was written")
@@ -179,7 +179,7 @@ def _tried(
     for one in changes:
         other = one.made(other) or other
     try:
-        found = foretell(other)
+        found = forecast(other)
     except DataRefused as error:
         refused = DesignChange(
             change=name,

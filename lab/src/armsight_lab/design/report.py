@@ -11,7 +11,7 @@ from armsight.report.figures import GREY, INK, Figure, Plot, axis, layout
 from armsight.report.html import Card, Page, bullets, table
 from armsight.units import DEG, MM, figure_of
 from armsight_lab.design.records import DesignChange, DesignOutput
-from armsight_lab.design.volume import Foretold
+from armsight_lab.design.volume import Forecast
 
 COLOURS = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")
 """Viridis in eight steps, the least deviation dark: told apart by the colour-blind, and in grey."""
@@ -20,7 +20,7 @@ EDGES_PX, WIDE_PX, TALLEST_PX = 60.0, 400.0, 460.0
 """Of a slice: margins, width within them in a page of two columns, and the greatest height."""
 
 
-def design_report(done: DesignOutput, found: Foretold, *, created: datetime) -> str:
+def design_report(done: DesignOutput, found: Forecast, *, created: datetime) -> str:
     """Return the page as HTML text that needs no other file; found: the cells that done sums up."""
     page = Page(
         title="What a rig will measure",
@@ -151,7 +151,7 @@ def _places(done: DesignOutput) -> str:
     return table(header, rows, numbers=(1, 2, 3, 4))
 
 
-def _add_map(page: Page, found: Foretold, values: Array, what: str, unit: str) -> None:
+def _add_map(page: Page, found: Forecast, values: Array, what: str, unit: str) -> None:
     """Add the slices of the volume across z, coloured by the deviation, from front to back."""
     nx, ny, nz = found.cells.counts
     chosen = np.unique(np.linspace(0, nz - 1, min(nz, MOST_SLICES)).round().astype(int))
@@ -194,7 +194,7 @@ def _legend(steps: Array, unit: str) -> str:
     return f'<p style="font-size:13px;line-height:1.9">{"".join(items)}</p>'
 
 
-def _slice(found: Foretold, part: slice, values: Array, steps: Array, unit: str) -> Figure:
+def _slice(found: Forecast, part: slice, values: Array, steps: Array, unit: str) -> Figure:
     """Return one slice: cells as filled shapes, a trace for each colour."""
     xyz = found.cells.xyz_m[part]
     half = 0.5 * np.array([_pitch(xyz[:, 0]), _pitch(xyz[:, 1])])

@@ -29,7 +29,7 @@ from armsight_lab.design.records import (
 )
 from armsight_lab.design.report import design_report
 from armsight_lab.design.request import DesignJob
-from armsight_lab.design.volume import NOISE, RIG, Foretold, foretell, size_of
+from armsight_lab.design.volume import NOISE, RIG, Forecast, forecast, size_of
 
 SUMMARY, REPORT, MAP = "design.json", "report.html", "map.csv"
 COLUMNS = (*POSITION, "status", "position_m", *POSE6_STD[:3], "orientation_rad", "noise_m", "rig_m", "why")
@@ -42,7 +42,7 @@ def run_design(job: DesignJob, progress: Progress | None = None) -> DesignOutput
     """
     progress = progress or Silent()
     plan = plan_of(job)
-    found = foretell(plan)
+    found = forecast(plan)
     changes = changes_of(found, job.wanted_m, progress)
     simulation = None
     if job.simulate:
@@ -60,7 +60,7 @@ def run_design(job: DesignJob, progress: Progress | None = None) -> DesignOutput
 def _output(
     job: DesignJob,
     plan: Plan,
-    found: Foretold,
+    found: Forecast,
     changes: tuple[DesignChange, ...],
     simulation: DesignSimulation | None,
 ) -> DesignOutput:
@@ -95,7 +95,7 @@ def _output(
     )
 
 
-def _spread(found: Foretold, values: Array) -> Spread:
+def _spread(found: Forecast, values: Array) -> Spread:
     known = values[np.isfinite(values)]
     worst = int(np.nanargmax(values))
     x, y, z = found.cells.xyz_m[worst].tolist()
@@ -107,7 +107,7 @@ def _spread(found: Foretold, values: Array) -> Spread:
     )
 
 
-def _aligned(plan: Plan, found: Foretold) -> Spread | None:
+def _aligned(plan: Plan, found: Forecast) -> Spread | None:
     """Return the deviation of the position once what the whole volume shares is taken away."""
     if plan.arm is not None or not found.can_align:
         return None
@@ -117,7 +117,7 @@ def _aligned(plan: Plan, found: Foretold) -> Spread | None:
     return _spread(found, other.position_m)
 
 
-def _points(found: Foretold) -> tuple[PointDeviation, ...]:
+def _points(found: Forecast) -> tuple[PointDeviation, ...]:
     values, target = found.point_m(), found.plan.target
     each = [("corners", values.ravel())] if target.is_board else zip(target.names, values.T, strict=True)
     out = []
@@ -129,7 +129,7 @@ def _points(found: Foretold) -> tuple[PointDeviation, ...]:
     return tuple(out)
 
 
-def _parts(found: Foretold) -> tuple[DesignPart, ...]:
+def _parts(found: Forecast) -> tuple[DesignPart, ...]:
     total = float(np.trace(found.covariance[found.measured, :3, :3], axis1=1, axis2=2).sum())
     out = []
     for name, C in found.parts.items():
@@ -146,7 +146,7 @@ def _parts(found: Foretold) -> tuple[DesignPart, ...]:
     return tuple(sorted(out, key=lambda part: -part.share))
 
 
-def _not_measured(found: Foretold) -> tuple[NotMeasured, ...]:
+def _not_measured(found: Forecast) -> tuple[NotMeasured, ...]:
     counts: Counter[tuple[str, bool]] = Counter()
     for why, measured, whole in zip(found.why, found.measured.tolist(), found.whole.tolist(), strict=True):
         if not whole:
@@ -155,7 +155,7 @@ def _not_measured(found: Foretold) -> tuple[NotMeasured, ...]:
     return tuple(NotMeasured(why=why, share=k / n, position=there) for (why, there), k in counts.most_common())
 
 
-def _calibration(found: Foretold) -> DesignCalibration:
+def _calibration(found: Forecast) -> DesignCalibration:
     covariance = found.rig.covariance
     std = {} if covariance is None else covariance.std()
     turns = [std.get(f"right.{name}", 0.0) for name in ("rx", "ry", "rz")]
@@ -168,7 +168,7 @@ def _calibration(found: Foretold) -> DesignCalibration:
 
 
 def _verdict(
-    position: Spread, found: Foretold, wanted: float | None, changes: tuple[DesignChange, ...], best: float
+    position: Spread, found: Forecast, wanted: float | None, changes: tuple[DesignChange, ...], best: float
 ) -> str:
     share = f"in {100.0 * found.measured.mean():.0f} % of the volume"
     said = (
@@ -196,7 +196,7 @@ def _mm(value_m: float) -> str:
     return f"{value_m / MM:.3g} mm"
 
 
-def _advice(plan: Plan, found: Foretold, simulation: DesignSimulation | None) -> tuple[str, ...]:
+def _advice(plan: Plan, found: Forecast, simulation: DesignSimulation | None) -> tuple[str, ...]:
     parts, out = _parts(found), []
     if not found.whole.any():
         if len(plan.target.names) < 3:
@@ -223,7 +223,7 @@ def _advice(plan: Plan, found: Foretold, simulation: DesignSimulation | None) ->
     return tuple(out)
 
 
-def _table(found: Foretold) -> str:
+def _table(found: Forecast) -> str:
     """Return map.csv."""
     C, rows = found.covariance, [",".join(COLUMNS)]
     std = np.sqrt(np.diagonal(C, axis1=1, axis2=2)[:, :3])

@@ -30,7 +30,7 @@ from armsight_lab.design.plan import Plan
 from armsight_lab.design.records import DesignSimulation, SimulatedPlace
 from armsight_lab.design.request import DesignJob
 from armsight_lab.design.simulated_run import ArmSpec, Spec, simulate_run
-from armsight_lab.design.volume import NOISE, Foretold, moving, rigid_part, size_of, spot_noise
+from armsight_lab.design.volume import NOISE, Forecast, moving, rigid_part, size_of, spot_noise
 
 PLACES = 24
 """Of the measured cells so many are measured in each run, evenly chosen."""
@@ -40,7 +40,7 @@ AGREES = 0.15
 LEAST_RUNS = 5
 
 
-def simulate_design(job: DesignJob, found: Foretold, progress: Progress) -> DesignSimulation:
+def simulate_design(job: DesignJob, found: Forecast, progress: Progress) -> DesignSimulation:
     """Return simulated deviations beside those foretold; the runs stay in OUT/runs.
 
     Raises UsageError where there is nothing to simulate, NotEnoughData where nearly every run was refused.
@@ -78,7 +78,7 @@ def simulate_design(job: DesignJob, found: Foretold, progress: Progress) -> Desi
     return _compared(found, places, errors, job.simulate)
 
 
-def spec_of(found: Foretold, places: NDArray[np.intp]) -> Spec:
+def spec_of(found: Forecast, places: NDArray[np.intp]) -> Spec:
     """Return what a run is told: the plan, and no deviation."""
     plan, views, at = found.plan, found.views, found.expected.T_rig_target[places]
     arm = None
@@ -116,7 +116,7 @@ def _rows(poses: RigidTransform) -> list[list[float]]:
     return [np.concatenate(xyz_quat(poses[i])).tolist() for i in range(len(poses))]
 
 
-def foretold_at(found: Foretold, places: NDArray[np.intp]) -> Array:
+def foretold_at(found: Forecast, places: NDArray[np.intp]) -> Array:
     """Return the covariances (k, 6, 6) of single frames at some places, aligned to these where the plan is relative."""
     noise = found.plan.average * found.parts[NOISE][places]
     if not found.plan.relative:
@@ -142,7 +142,7 @@ def aligned_noise(noise: Array, places: Array) -> Array:
     return out
 
 
-def _compared(found: Foretold, places: NDArray[np.intp], errors: Sequence[Any], n_runs: int) -> DesignSimulation:
+def _compared(found: Forecast, places: NDArray[np.intp], errors: Sequence[Any], n_runs: int) -> DesignSimulation:
     """Return the figures; errors: rows (k, 6) of each run, m and rad, null where there was no pose."""
     C = foretold_at(found, places)
     expected = np.stack([size_of(C[:, :3, :3]), size_of(C[:, 3:, 3:])])  # (2, k)
@@ -173,7 +173,7 @@ def _compared(found: Foretold, places: NDArray[np.intp], errors: Sequence[Any], 
     )
 
 
-def _place(found: Foretold, i: int, rms: Array, expected: Array, whole: bool) -> SimulatedPlace:
+def _place(found: Forecast, i: int, rms: Array, expected: Array, whole: bool) -> SimulatedPlace:
     x, y, z = found.cells.xyz_m[i].tolist()
     return SimulatedPlace(
         xyz_m=(x, y, z),

@@ -57,7 +57,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Foretold:
+class Forecast:
     """What a plan leads to in each of m cells.
 
     rig: as it will be calibrated; views: of the board. parts: covariances (m, 6, 6) by what they are of. measured (m,):
@@ -84,7 +84,7 @@ class Foretold:
         places = self.cells.xyz_m[self.measured]
         return len(places) >= LEAST_ALIGNED and np.linalg.matrix_rank(places - places.mean(axis=0), tol=1e-4) > 1
 
-    def within_volume(self) -> Foretold:
+    def within_volume(self) -> Forecast:
         """Return the same once the measured volume is aligned as a whole."""
         places = np.asarray(self.expected.T_rig_target.translation)
         common = rigid_part(self.slopes, places, self.measured)
@@ -132,7 +132,7 @@ def size_of(C: Array) -> Array:
     return np.asarray(np.sqrt(np.trace(C, axis1=1, axis2=2)))
 
 
-def foretell(plan: Plan) -> Foretold:
+def forecast(plan: Plan) -> Forecast:
     """Return the deviations over a plan's volume. Raises DataRefused where there is nothing to say."""
     calibration, rig, views = plan.calibration, plan.rig, None
     if calibration is not None:
@@ -148,7 +148,7 @@ def foretell(plan: Plan) -> Foretold:
         measured &= ~beyond
     if not measured.any():
         raise _nothing(plan, why)
-    found = Foretold(
+    found = Forecast(
         plan=plan,
         rig=rig,
         views=views,
@@ -174,7 +174,7 @@ def foretell(plan: Plan) -> Foretold:
     return found.within_volume() if plan.relative else found
 
 
-def _at_tool(found: Foretold, arm: ArmPlan, noise: Array, setup: Setup) -> Foretold:
+def _at_tool(found: Forecast, arm: ArmPlan, noise: Array, setup: Setup) -> Forecast:
     """Return the deviations of the tool in the arm's base."""
     expected = found.expected
     if not found.whole.any():
@@ -266,7 +266,7 @@ def _reached(arm: ArmPlan, T_rig_target: RigidTransform) -> Mask:
     return np.array([len(ik(arm.arm, tools[i])) > 0 for i in range(len(tools))])
 
 
-def _handeye(found: Foretold, arm: ArmPlan, setup: Setup) -> tuple[RigidTransform, PlannedHandEye]:
+def _handeye(found: Forecast, arm: ArmPlan, setup: Setup) -> tuple[RigidTransform, PlannedHandEye]:
     """Return T_rig_target of the arm's planned poses, and how well the rig's place in its base is found from them."""
     rng = np.random.default_rng(DRAWN)
     plan, usable = found.plan, np.flatnonzero(found.whole)

@@ -83,7 +83,7 @@ CALLER: ContextVar[Caller | None] = ContextVar("caller", default=None)
 """Of the request that is being answered."""
 
 
-class Door:
+class ListeningSocket:
     """Who may come in: clients by their certificates, people and programs by their tokens."""
 
     def __init__(self, users: Path | None, trusted: frozenset[bytes] | None, *, anonymous: bool, tell: Tell) -> None:
@@ -138,7 +138,7 @@ class Door:
 class GuardedInternalServer(InternalServer):
     """Sessions are known by random bytes, and nobody can enter another server here."""
 
-    def __init__(self, door: Door) -> None:
+    def __init__(self, door: ListeningSocket) -> None:
         super().__init__(user_manager=door)
         self.max_connections, self.max_subscriptions = CONNECTIONS, SUBSCRIPTIONS
         self.max_pending_activation_seconds = ACTIVATE_S
@@ -157,7 +157,7 @@ class GuardedInternalServer(InternalServer):
 class GuardedProcessor(UaProcessor):
     """Answers one connection, after each request was looked at."""
 
-    door: Door
+    door: ListeningSocket
     refresh: Callable[[], Awaitable[None]]
     session: Any
 
@@ -263,7 +263,7 @@ class GuardedBinaryServer(BinaryServer):
 
 
 async def start_guarded(
-    server: Server, door: Door, host: str, port: int, refresh: Callable[[], Awaitable[None]]
+    server: Server, door: ListeningSocket, host: str, port: int, refresh: Callable[[], Awaitable[None]]
 ) -> int:
     """Start a server whose address space is there, behind the door; return its port. refresh: called before anything
     is read. Raises OSError."""

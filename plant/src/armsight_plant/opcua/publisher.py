@@ -16,7 +16,7 @@ from asyncua.common.node import Node
 from armsight._version import __version__
 from armsight.errors import DeviceFailed
 from armsight_plant.certificates import read_pair, read_trusted
-from armsight_plant.opcua.guarded import CALLER, Door, GuardedInternalServer, start_guarded
+from armsight_plant.opcua.guarded import CALLER, GuardedInternalServer, ListeningSocket, start_guarded
 from armsight_plant.options import ENDS, OpcUaOptions
 from armsight_plant.state import NAMES, Acknowledge, Note, PlantState, Quality, Tell
 from armsight_plant.values import VALUES, Given, alarm_values, told
@@ -74,7 +74,7 @@ class OpcUaPublisher:
         if options.certificate is not None and options.key is not None:
             self._pair = read_pair(options.certificate, options.key)
         trusted = None if options.trusted is None else read_trusted(options.trusted)
-        self._door = Door(options.users, trusted, anonymous=options.anonymous, tell=tell)
+        self._door = ListeningSocket(options.users, trusted, anonymous=options.anonymous, tell=tell)
         self._server = Server(iserver=GuardedInternalServer(self._door))
         self._written: dict[str, tuple[Given, Quality, float]] = {}
         self._index = 0

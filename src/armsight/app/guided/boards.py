@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_images import see_board
 from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
@@ -105,7 +105,7 @@ class BoardCalibration:
             if name in std
         )
 
-    def accept(self, station: Station) -> Sample:
+    def accept(self, station: MeasurementProcess) -> Sample:
         """Take the pictures of now. Raises BadImage where the board is not seen whole in each that counts, or is where
         it was before."""
         if not self._views:

@@ -17,7 +17,7 @@ from armsight.app.arm_files import load_arm
 from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWatch, ReadJoints
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import DetectionSettings
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.app.measure.run import target_of
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import Setup
@@ -142,7 +142,7 @@ class CellStep:
             return 0 if target is None or target.is_board else len(target.names)
         return 0
 
-    def begin(self, station: Station) -> None:
+    def begin(self, station: MeasurementProcess) -> None:
         """Begin a recording; one that runs goes on. Raises UsageError, DeviceFailed."""
         if self.recording:
             return
@@ -168,7 +168,7 @@ class CellStep:
                 cure="Drop it and record anew, unless that is enough",
             )
 
-    def accept(self, station: Station) -> Sample:
+    def accept(self, station: MeasurementProcess) -> Sample:
         """Begin the recording; called again, end it. Raises as these do."""
         if self.recording:
             self.end()

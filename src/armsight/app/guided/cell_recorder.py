@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.live.station import Snapshot, Station
+from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.defaults import LOOK_S, LOST_LOOKS
@@ -118,7 +118,7 @@ class CellRecorder:
     """
 
     def __init__(
-        self, station: Station, folder: Path, read_joints: ReadJoints | None, clock: Clock, *, n_lights: int
+        self, station: MeasurementProcess, folder: Path, read_joints: ReadJoints | None, clock: Clock, *, n_lights: int
     ) -> None:
         self.folder, self.watch, self.failure = folder, CellWatch(n_lights=n_lights), ""
         self.silent, self.dropped = "", 0

@@ -10,7 +10,7 @@ from pathlib import Path
 from armsight.app.calibrate.board_images import see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.mirrors import AlignmentWatch, reference_of
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.diagnosis import APART, STILL
 from armsight.calibrate.mirrors.result import MirrorCheckOutput, check_output
@@ -32,7 +32,7 @@ FINE_RAD makes an angle of twice as much, two of these."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stand:
+class MirrorState:
     """How the mirrors stand. check: as the command tells it, None where the board was not seen, and why in words.
 
     turns: what is to be done, mirror by mirror, each by how much it is to be turned; empty where nothing is. others:
@@ -80,7 +80,7 @@ class MirrorAlignment:
     rig: Path | None = None
     camera: Path | None = None
     parallel: bool = False
-    looks: deque[Stand] = field(default_factory=lambda: deque(maxlen=LOOKS))
+    looks: deque[MirrorState] = field(default_factory=lambda: deque(maxlen=LOOKS))
     _watch: AlignmentWatch | None = None
     _count: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -95,14 +95,14 @@ class MirrorAlignment:
         """Whether there is anything to hold the mirrors against: a rig, or the lens and the baseline as designed."""
         return self.rig is not None or (self.camera is not None and self.built.baseline_m is not None)
 
-    def look(self, station: Station) -> Stand:
+    def look(self, station: MeasurementProcess) -> MirrorState:
         """Return how the mirrors stand now. Raises UsageError where too little is known, DataRefused, DeviceFailed."""
         if not station.job.complex:
             raise UsageError("the cell has two cameras, and no mirrors", cure="Give one camera on the page Settings")
         with self._lock:
             return self._look(station)
 
-    def _look(self, station: Station) -> Stand:
+    def _look(self, station: MeasurementProcess) -> MirrorState:
         board = parse_board(self.board)
         if self._watch is None:
             rig = None if self.rig is None else read_rig(self.rig)
@@ -116,7 +116,7 @@ class MirrorAlignment:
         file.unlink(missing_ok=True)
         seen = see_two_boards(frame, board, BoardPictures())
         if isinstance(seen, NotSeen):
-            stand = Stand(number=self._count, why=seen.why)
+            stand = MirrorState(number=self._count, why=seen.why)
         else:
             stand = stand_of(self._count, check_output(self._watch.see(seen), ()))
         self.looks.append(stand)
@@ -130,7 +130,7 @@ class MirrorAlignment:
             self.looks.clear()
 
 
-def stand_of(number: int, check: MirrorCheckOutput) -> Stand:
+def stand_of(number: int, check: MirrorCheckOutput) -> MirrorState:
     """Return what is to be turned by what a check tells; a suspect is turned back, fine turns are left."""
     if check.turns is not None:
         turns = tuple(turn for turn in check.turns if check.moved and _large(turn))
@@ -139,10 +139,10 @@ def stand_of(number: int, check: MirrorCheckOutput) -> Stand:
         turns = (MirrorTurn(mirror=best.mirror, turn_rad=-best.turn_rad, tilt_rad=-best.tilt_rad),)
         others = tuple(one.mirror for one in rest if one.chi2 - best.chi2 <= APART)
         several = not others and best.chi2 > 4.0 * STILL
-        return Stand(number=number, check=check, turns=turns, others=others, several=several)
+        return MirrorState(number=number, check=check, turns=turns, others=others, several=several)
     else:
         turns = ()
-    return Stand(number=number, check=check, turns=turns)
+    return MirrorState(number=number, check=check, turns=turns)
 
 
 def _large(turn: MirrorTurn) -> bool:

@@ -17,7 +17,7 @@ from armsight.app.calibrate.mirrors_lit_target import see_lights
 from armsight.app.guided.boards import CELLS, ENOUGH, FEWEST, TILTED, TILTED_SHARE, tilt
 from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import COMPLEX
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.preconditions import image_share
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
@@ -153,7 +153,7 @@ class MirrorsStep:
         covered = image_share(uv, self._views[0].pair[0].width, self._views[0].pair[0].height)
         return (*out, Figure(name="picture covered", value=100.0 * covered, unit="%"))
 
-    def accept(self, station: Station) -> Sample:
+    def accept(self, station: MeasurementProcess) -> Sample:
         """Take the picture of now. Raises UsageError for two cameras, BadImage where it does not show both views."""
         if not station.job.complex:
             raise UsageError(

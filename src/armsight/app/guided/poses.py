@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.arm_files import load_arm
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.app.operator.robot_cell import flange_pose
 from armsight.arrays import Array
 from armsight.calibrate.handeye import PosePairs, Setup
@@ -42,7 +42,7 @@ LATE_S = 2.0
 AXES = ("x", "y", "z")
 
 
-def seen_pose(station: Station, since_s: float) -> TargetPose:
+def seen_pose(station: MeasurementProcess, since_s: float) -> TargetPose:
     """Return the pose in the first picture exposed at since_s or later. Raises NotEnoughData, saying why there is none,
     DeviceFailed."""
     pose = station.shown_since(since_s).pose
@@ -120,7 +120,7 @@ class PoseSamples:
         rows = tuple((f"turned about its own {axis}", f"{v:.0f} deg") for axis, v in zip(AXES, about, strict=True))
         return (*rows, ("needed", f"{TURNED_RAD / DEG:.0f} deg about two of them"))
 
-    def accept(self, station: Station) -> Sample:
+    def accept(self, station: MeasurementProcess) -> Sample:
         """Take the pose in a picture exposed from now on, and the joints, told before it and after.
 
         Raises NotEnoughData, DeviceFailed.

@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.records import Progress
 from armsight.records.result_parts import Verdict
 
@@ -125,7 +125,7 @@ class Guided(Protocol):
         """Return the live standard deviations as names and values, as far as they can be told."""
         ...
 
-    def accept(self, station: Station) -> Sample:
+    def accept(self, station: MeasurementProcess) -> Sample:
         """Take what is seen now. Raises what hinders it, in words."""
         ...
 

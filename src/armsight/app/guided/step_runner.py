@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from armsight.app.guided.poses import PoseSamples
 from armsight.app.guided.step import Charted, Figure, Guided, Hint, Sample, StepResult
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.app.operator.job_runner import TrackedProgress
 from armsight.errors import ArmsightError
 from armsight.records import Progress
@@ -93,7 +93,7 @@ class GuidedStepRunner:
         """How it stands; the same object until something changes."""
         return self._state
 
-    def accept(self, station: Callable[[], Station]) -> None:
+    def accept(self, station: Callable[[], MeasurementProcess]) -> None:
         """Take what is seen now; why it was not taken stands in the state."""
         self.do("accept", lambda: self.step.accept(station()))
 

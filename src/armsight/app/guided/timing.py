@@ -7,7 +7,7 @@ from pathlib import Path
 
 from armsight.app.calibrate.spots_of_frames import LIVE_S
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.errors import NotEnoughData
 from armsight.ops.calibrate_rig import calibrate_timing
 from armsight.records import Progress
@@ -45,7 +45,7 @@ class TimingStep:
         """Return how much was recorded of what is wanted."""
         return (("recorded", f"{self._seconds:.0f} of {LIVE_S:.0f} s"),)
 
-    def accept(self, station: Station) -> Sample:
+    def accept(self, station: MeasurementProcess) -> Sample:
         """Begin the recording; called again, end it. Raises NotEnoughData where nothing is in it."""
         state = station.recording
         if state.file is None:

@@ -85,7 +85,7 @@ class _Ended:
 _Message = Snapshot | RecordingState | _Saved | _Failed | _Ended
 
 
-class Station:
+class MeasurementProcess:
     """The measuring process from the outside. Threads of the caller may use it at once.
 
     `shown` is the newest moment, `failure` why it does not measure (empty where it does).

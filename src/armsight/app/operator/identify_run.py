@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.identify.left_out import consequence
 from armsight.app.identify.live import Known, OperatorCallbacks, identify_observed, in_radians
 from armsight.app.identify.results import IdentifyOutput, PlanOutput, ProposedPlanOutput
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.app.measure.run import target_of
 from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
@@ -108,7 +108,7 @@ def light_of(folder: Path, cell: CellFile) -> str:
     return "" if file is None else target_of(file).names[0]
 
 
-def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> PlanOutput:
+def expected(asked: IdentifyRequest, robot: RobotCell, station: MeasurementProcess) -> PlanOutput:
     """Return the sweeps that would be made, and the accuracy to expect; nothing moves.
 
     Raises UsageError, Inconsistent, Degenerate, NotEnoughData where the arm's position before the cameras is not known.
@@ -119,7 +119,9 @@ def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> Plan
     return cast(ProposedPlanOutput, done).plan
 
 
-def run(asked: IdentifyRequest, robot: RobotCell, station: Station, background: BackgroundJob) -> IdentifyOutput:
+def run(
+    asked: IdentifyRequest, robot: RobotCell, station: MeasurementProcess, background: BackgroundJob
+) -> IdentifyOutput:
     """Make the sweeps while the operator holds the enable; write FOLDER/arm.yaml and its report.
 
     Raises as run_identify_live.
@@ -136,7 +138,7 @@ def run(asked: IdentifyRequest, robot: RobotCell, station: Station, background: 
 def _identify(
     asked: IdentifyRequest,
     robot: RobotCell,
-    station: Station,
+    station: MeasurementProcess,
     moved: SessionRobot,
     person: OperatorCallbacks,
     progress: Progress,

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.live.station import Station
+from armsight.app.live.station import MeasurementProcess
 from armsight.app.measure.run import target_of
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
@@ -191,7 +191,7 @@ def _leg(name: str, readings: Array, asked: IsoRequest, length_m: float) -> Path
     return PathSegment(name=name, q=readings, t_s=np.concatenate([[0.0], np.cumsum(each)]))
 
 
-def run(asked: IsoRequest, robot: RobotCell, station: Station, background: BackgroundJob) -> IsoDone:
+def run(asked: IsoRequest, robot: RobotCell, station: MeasurementProcess, background: BackgroundJob) -> IsoDone:
     """Visit the poses while the operator holds the enable, and judge what was seen.
 
     What was measured before an early end is kept and judged. Raises as plan; NotEnoughData where no pose was visited

@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.live.station import Snapshot, Station
+from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
@@ -42,7 +42,9 @@ class StationWatcher(StationFollower):
     stepped = False
     does = "watching"
 
-    def __init__(self, station: Station, handeye: HandEyeFile, T_rig_parent: RigidTransform, clock: Clock) -> None:
+    def __init__(
+        self, station: MeasurementProcess, handeye: HandEyeFile, T_rig_parent: RigidTransform, clock: Clock
+    ) -> None:
         """T_rig_parent: of the frame that the station's poses are in, seen from the rig."""
         super().__init__(Snapshots(lambda: station, clock))
         self.sight = sight_of(handeye)
@@ -86,7 +88,7 @@ class StationWatcher(StationFollower):
         self._sink.pose(replace(pose, t_s=exposed_s))
 
 
-def watcher_of(folder: Path, cell: CellFile, station: Station | None, clock: Clock) -> StationWatcher | None:
+def watcher_of(folder: Path, cell: CellFile, station: MeasurementProcess | None, clock: Clock) -> StationWatcher | None:
     """Return what watches the cell's robot; None without cameras, or where their position on it is not known.
 
     Raises BadFile.
@@ -207,7 +209,11 @@ def check_path(asked: PlayRequest, robot: RobotCell, editor: PathEditor) -> Path
 
 
 def play(
-    asked: PlayRequest, robot: RobotCell, editor: PathEditor, station: Station | None, background: BackgroundJob
+    asked: PlayRequest,
+    robot: RobotCell,
+    editor: PathEditor,
+    station: MeasurementProcess | None,
+    background: BackgroundJob,
 ) -> PlayOutput:
     """Run the path while the operator holds the enable, at the session's override; station: watches it where it can.
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from armsight.app.live.station import Snapshot, Station
+from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.live.views import SideView
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.arrays import Array
@@ -35,7 +35,7 @@ SPARE = 1.25
 class Snapshots:
     """What a measuring station shows, each snapshot once. station: asked anew each time, as it may be replaced."""
 
-    def __init__(self, station: Callable[[], Station | None], clock: Clock) -> None:
+    def __init__(self, station: Callable[[], MeasurementProcess | None], clock: Clock) -> None:
         self._station, self._clock = station, clock
         self.begin()
 
@@ -128,7 +128,7 @@ class StationFollower:
 class StationPoses:
     """The target's pose as the measuring station shows it."""
 
-    def __init__(self, station: Station, clock: Clock) -> None:
+    def __init__(self, station: MeasurementProcess, clock: Clock) -> None:
         self._snapshots, self._clock = Snapshots(lambda: station, clock), clock
 
     def observe(self, while_: str) -> tuple[float, TargetPose]:
@@ -143,7 +143,7 @@ class StationObserver:
     Where it does not, for three lights seen askew may fit several names, the light is followed from picture to picture.
     """
 
-    def __init__(self, station: Station, rig: Rig, light: str, clock: Clock) -> None:
+    def __init__(self, station: MeasurementProcess, rig: Rig, light: str, clock: Clock) -> None:
         self._snapshots, self._rig, self._light, self._clock = Snapshots(lambda: station, clock), rig, light, clock
         self._uv: tuple[float, Array] | None = None
         self._lost = 0

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from armsight.app.live.station import Snapshot, Station
+from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
@@ -27,7 +27,7 @@ from armsight.store.atomic import write_json
 from armsight.store.cell_file import CellFile
 from armsight.units import DEG, MM
 from armsight.verify.results import VerifyLiveOutput
-from armsight.verify.supervision import Compared, Expectation, Level, Limits, Seen, Watch
+from armsight.verify.supervision import Compared, Level, Limits, PredictedPose, Seen, Watch
 
 KEPT = 90_000
 """Moments kept for the files: the newest hour at 25 a second."""
@@ -57,7 +57,12 @@ class StationSupervisor(StationFollower):
     does = "supervising"
 
     def __init__(
-        self, folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None], limits: Limits
+        self,
+        folder: Path,
+        cell: CellFile,
+        robot: RobotCell,
+        station: Callable[[], MeasurementProcess | None],
+        limits: Limits,
     ) -> None:
         """Begin at once. Raises UsageError for carried cameras, NotEnoughData where cameras or target have no place on
         the robot, BadFile.
@@ -153,11 +158,11 @@ def _nothing_yet(limits: Limits) -> Seen:
     return Seen(pose=pose, compared=None, level=Level.GOOD, why="", limits=limits, lost=why, at_s=now_s)
 
 
-def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:
+def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> PredictedPose:
     if cell.cameras == "carried":
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
     arm, T_world_rig = read_placement(folder, cell).on_robot(robot.session.arm, "Nothing is supervised")
-    return Expectation(arm=arm, T_parent_rig=T_world_rig, joint_std=JOINT_STD, time_std_s=LATENCY_STD_S)
+    return PredictedPose(arm=arm, T_parent_rig=T_world_rig, joint_std=JOINT_STD, time_std_s=LATENCY_STD_S)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from armsight.app.live.station import Snapshot, Station
+from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.requests.motion import TeachJob
@@ -27,7 +27,12 @@ class TeachController(StationFollower):
     does = "teaching"
 
     def __init__(
-        self, folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None], clock: Clock
+        self,
+        folder: Path,
+        cell: CellFile,
+        robot: RobotCell,
+        station: Callable[[], MeasurementProcess | None],
+        clock: Clock,
     ) -> None:
         """station: asked anew each time, as it may be replaced. Raises BadFile; NotEnoughData where the cameras'
         position is not known."""

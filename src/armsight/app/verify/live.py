@@ -31,7 +31,7 @@ from armsight.store.atomic import write_json
 from armsight.store.worlds import World
 from armsight.units import DEG
 from armsight.verify.results import VerifyLiveOutput
-from armsight.verify.supervision import Expectation
+from armsight.verify.supervision import PredictedPose
 
 
 def run_verify_live(
@@ -53,7 +53,7 @@ def run_verify_live(
     rig, target, arm, world = read_rig(job.rig), target_of(job.target), load_arm(job.arm), read_world(job.world)
     _check(job)
     devices = devices or open_supervised(job, target, clock, arm)
-    expectation = Expectation(
+    expectation = PredictedPose(
         arm=arm if world.parent == "world" else arm.based(),
         T_parent_rig=world.T_parent_rig,
         rig_covariance=None if world.covariance is None else world.covariance.matrix,

@@ -26,7 +26,7 @@ from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter
-from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Seen, Watch
+from armsight.verify.supervision import Alarm, Compared, Level, PredictedPose, Seen, Watch
 
 PLANT = "plant"
 WARNINGS_PER_S = 20.0
@@ -61,7 +61,7 @@ class Supervision:
         self,
         job: LiveVerifyJob,
         setup: Setup,
-        expectation: Expectation,
+        expectation: PredictedPose,
         devices: Supervised,
         clock: Clock,
         log: LiveLog,

@@ -18,7 +18,7 @@ from armsight.arrays import Array
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT, BlockNormals, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S
-from armsight.calibrate.cell.wander import Wander, half_solved
+from armsight.calibrate.cell.wander import JointDrift, half_solved
 from armsight.errors import Inconsistent
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.poses import skew
@@ -167,7 +167,7 @@ class _System:
     normals: BlockNormals
     free: NDArray[np.intp]
     H: Array
-    wander: Wander | None
+    wander: JointDrift | None
     C: Array
     chol: Array
     right: Array

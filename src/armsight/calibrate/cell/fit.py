@@ -12,7 +12,7 @@ from armsight.arrays import Array
 from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, shape_information, shape_terms
 from armsight.calibrate.cell.model import BlockNormals, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S, Spots
-from armsight.calibrate.cell.wander import Wander, learned_wander
+from armsight.calibrate.cell.wander import JointDrift, learned_wander
 from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.problem import NormalEquations
 
@@ -45,7 +45,7 @@ class CellData:
     spots: Spots
     block: NDArray[np.intp]
     scale: tuple[float, float]
-    wander: Wander | None = None
+    wander: JointDrift | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,7 +75,7 @@ class CellFit:
         return self.data.scale
 
     @property
-    def wander(self) -> Wander | None:
+    def wander(self) -> JointDrift | None:
         """How the arm strays."""
         return self.data.wander
 
@@ -121,7 +121,7 @@ class CellFit:
         step[every] = _inverse(H[np.ix_(every, every)])[:, len(free) :] @ data[held]
         return np.asarray(out + np.outer(step, step))
 
-    def _by_place(self, model: CellModel, wander: Wander) -> Array:
+    def _by_place(self, model: CellModel, wander: JointDrift) -> Array:
         """Return gradients (P, k): what the arm does to all parameters if it strays by its joints' places, not by time.
 
         What a gear does it does again wherever its joint comes by, and visits are then no new evidence: a wave of each
@@ -258,7 +258,7 @@ def _root(information: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T)
 
 
-def straying(model: CellModel, found: CellFit) -> Wander:
+def straying(model: CellModel, found: CellFit) -> JointDrift:
     """Return how the arm strays by the residuals of a fit."""
     t = model.times_s(found.x, found.spots)
     count = np.bincount(found.block)

@@ -33,7 +33,7 @@ from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
 from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
 from armsight.calibrate.cell.tracklets import SHORTEST, moves, tracklets
-from armsight.calibrate.cell.wander import Wander
+from armsight.calibrate.cell.wander import JointDrift
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import SIDES
 from armsight.records import Progress, Target
@@ -279,7 +279,7 @@ def _round(
     free: Collection[str],
     *,
     thin: bool,
-    wander: Wander | None = None,
+    wander: JointDrift | None = None,
 ) -> CellFit:
     """Return the fit after another assignment of the spots, with the noise of the fit before."""
     scale = side_scales(before)

@@ -24,7 +24,7 @@ START = (2e-5, 4.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Wander:
+class JointDrift:
     """How far each joint strays: std (n,) in rad or m, forgotten after time_s. columns (n,): of the joints' variables
     among the parameters; t_s (b,): middles of the stretches."""
 
@@ -33,7 +33,7 @@ class Wander:
     columns: NDArray[np.intp]
     t_s: Array
 
-    def take(self, blocks: NDArray[np.intp]) -> Wander:
+    def take(self, blocks: NDArray[np.intp]) -> JointDrift:
         """Return it for some of the stretches."""
         return replace(self, t_s=self.t_s[blocks])
 
@@ -89,7 +89,7 @@ class Wander:
 
 
 def half_solved(chol: Array, right: Array) -> Array:
-    """Return L^-1 right (m, k) for a banded factor L (n + 1, m) as `Wander.system` gives it."""
+    """Return L^-1 right (m, k) for a banded factor L (n + 1, m) as `JointDrift.system` gives it."""
     return np.asarray(scipy.linalg.lapack.dtbtrs(chol, right, uplo="L")[0])
 
 
@@ -105,7 +105,7 @@ class Reduced:
 
 def learned_wander(
     normals: BlockNormals, t_s: Array, columns: NDArray[np.intp], unit: Array, free: NDArray[np.intp], known: Array
-) -> Wander:
+) -> JointDrift:
     """Return the straying that explains the residuals best.
 
     unit (n,): 1 of a turning joint, of a sliding one the lever by which a turn is compared with it, m. free (F,): the
@@ -113,17 +113,17 @@ def learned_wander(
     """
 
     def cost(p: Array) -> float:
-        wander = Wander(std=np.exp(p[0]) * unit, time_s=float(np.exp(p[1])), columns=columns, t_s=t_s)
+        wander = JointDrift(std=np.exp(p[0]) * unit, time_s=float(np.exp(p[1])), columns=columns, t_s=t_s)
         return restricted_cost(wander, normals, free, known)
 
     bounds = [tuple(np.log(each)) for each in RANGES]
     found = scipy.optimize.minimize(
         cost, np.log(START), method="Nelder-Mead", bounds=bounds, options={"xatol": 0.05, "fatol": 0.05, "maxfev": 60}
     )
-    return Wander(std=np.exp(found.x[0]) * unit, time_s=float(np.exp(found.x[1])), columns=columns, t_s=t_s)
+    return JointDrift(std=np.exp(found.x[0]) * unit, time_s=float(np.exp(found.x[1])), columns=columns, t_s=t_s)
 
 
-def restricted_cost(wander: Wander, normals: BlockNormals, free: NDArray[np.intp], known: Array) -> float:
+def restricted_cost(wander: JointDrift, normals: BlockNormals, free: NDArray[np.intp], known: Array) -> float:
     """Return minus the logarithm of a straying's restricted likelihood, but for a constant; free, known as above."""
     reduced = wander.reduced(normals)
     H = reduced.A[np.ix_(free, free)] + known

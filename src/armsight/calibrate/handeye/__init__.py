@@ -6,7 +6,7 @@ from armsight.calibrate.handeye.calibrate import (
     calibrate_eye_to_hand,
     expected_deviation,
 )
-from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison, LeftOutErrors
+from armsight.calibrate.handeye.image_comparison import ImageComparison, LeftOutErrors, ObservationModel
 from armsight.calibrate.handeye.images import ImageHandEye, calibrate_from_views
 from armsight.calibrate.handeye.noise import Noise, Part
 from armsight.calibrate.handeye.pairs import PosePairs, Setup
@@ -16,13 +16,13 @@ from armsight.calibrate.handeye.solution import Solution, solve_pairs, warm_up
 from armsight.calibrate.handeye.stream_pairing import TimeOffset, pairs_of_streams, time_offset
 
 __all__ = [
-    "Basis",
     "HandEyeOptions",
     "HandEyeResult",
     "ImageComparison",
     "ImageHandEye",
     "LeftOutErrors",
     "Noise",
+    "ObservationModel",
     "Part",
     "PosePairs",
     "Proposal",

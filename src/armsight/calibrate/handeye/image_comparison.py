@@ -29,7 +29,7 @@ with plain "smaller", 6 (of 66 taken) at a chance of 0.1, 2 (of 29) at this one;
 benchmarks/handeye_images.py."""
 
 
-class Basis(StrEnum):
+class ObservationModel(StrEnum):
     """What a hand-eye calibration from images rests on: the target's poses in the images, or their corners."""
 
     POSES = "poses"
@@ -39,7 +39,7 @@ class Basis(StrEnum):
     @property
     def phrase(self) -> str:
         """The name in a sentence."""
-        return "corners with the camera freed" if self is Basis.CORNERS_AND_CAMERA else str(self)
+        return "corners with the camera freed" if self is ObservationModel.CORNERS_AND_CAMERA else str(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,9 +98,9 @@ class ImageComparison(Output):
     (k, 6): what was kept, as ImageErrors has them.
     """
 
-    kept: Annotated[Basis, Doc("What the result is from: poses, corners, or corners and camera (freed).")]
+    kept: Annotated[ObservationModel, Doc("What the result is from: poses, corners, or corners and camera (freed).")]
     judged: NDArray[np.bool_]
-    errors: Mapping[Basis, LeftOutErrors]
+    errors: Mapping[ObservationModel, LeftOutErrors]
     residuals: Array
 
     @figure("Images left out that they are judged by.", key="n_images")
@@ -109,15 +109,15 @@ class ImageComparison(Output):
 
     @figure("From the target's poses; null where no image can be judged.")
     def poses(self) -> LeftOutErrors | None:
-        return self.errors.get(Basis.POSES)
+        return self.errors.get(ObservationModel.POSES)
 
     @figure("From the corners (bundle adjustment).")
     def corners(self) -> LeftOutErrors | None:
-        return self.errors.get(Basis.CORNERS)
+        return self.errors.get(ObservationModel.CORNERS)
 
     @figure("From the corners, the camera freed; with --free-camera.", optional=True)
     def corners_and_camera(self) -> LeftOutErrors | None:
-        return self.errors.get(Basis.CORNERS_AND_CAMERA)
+        return self.errors.get(ObservationModel.CORNERS_AND_CAMERA)
 
     @figure("Why it was kept, in words.")
     def why(self) -> str:
@@ -136,30 +136,30 @@ class ImageComparison(Output):
                 f"images predict {self.n_judged}, of which {FEWEST_JUDGED} are the fewest."
             )
         errors_text = "; ".join(f"{basis.phrase}: {errors.text()}" for basis, errors in self.errors.items())
-        freed = Basis.CORNERS_AND_CAMERA in self.errors
+        freed = ObservationModel.CORNERS_AND_CAMERA in self.errors
         why = {
-            Basis.POSES: f"by cross-validation a fit to the corners is not {'proved ' * self.few}better",
-            Basis.CORNERS: "by cross-validation it is better than that from the poses",
-            Basis.CORNERS_AND_CAMERA: "by cross-validation it is better than with the camera as given",
+            ObservationModel.POSES: f"by cross-validation a fit to the corners is not {'proved ' * self.few}better",
+            ObservationModel.CORNERS: "by cross-validation it is better than that from the poses",
+            ObservationModel.CORNERS_AND_CAMERA: "by cross-validation it is better than with the camera as given",
         }[self.kept]
-        if freed and self.kept is not Basis.CORNERS_AND_CAMERA:
+        if freed and self.kept is not ObservationModel.CORNERS_AND_CAMERA:
             why += ", and a freed camera is not proved better: the camera stays as given"
         missed = f"{self.n_judged} images left out miss by, RMS, {errors_text}"
         return f"The result from the {self.kept.phrase} is kept: {why} ({missed})."
 
 
-def compare(errors: Mapping[Basis, ImageErrors]) -> ImageComparison:
+def compare(errors: Mapping[ObservationModel, ImageErrors]) -> ImageComparison:
     """Return which calibration to keep, by errors at the same images left out; poses unless another is better.
 
-    With few images, and for a freed camera, better must be proved. errors: Basis.POSES first, then from poor to rich;
-    each richer one must beat what was kept before it. An image that the poses of others do not predict is not judged; a
-    candidate that fails at one that they predict is not taken.
+    With few images, and for a freed camera, better must be proved. errors: ObservationModel.POSES first, then from poor
+    to rich; each richer one must beat what was kept before it. An image that the poses of others do not predict is not
+    judged; a candidate that fails at one that they predict is not taken.
     """
-    which = errors[Basis.POSES].judged
-    kept = Basis.POSES
+    which = errors[ObservationModel.POSES].judged
+    kept = ObservationModel.POSES
     for basis, richer in errors.items():
-        proof = basis is Basis.CORNERS_AND_CAMERA or which.sum() <= FEW_IMAGES
-        if basis is not Basis.POSES and is_better(errors[kept], richer, which, proof=proof):
+        proof = basis is ObservationModel.CORNERS_AND_CAMERA or which.sum() <= FEW_IMAGES
+        if basis is not ObservationModel.POSES and is_better(errors[kept], richer, which, proof=proof):
             kept = basis
     found = {basis: each.rms(which) for basis, each in errors.items()} if which.any() else {}
     return ImageComparison(kept=kept, judged=which, errors=found, residuals=errors[kept].residuals)

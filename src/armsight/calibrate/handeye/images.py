@@ -18,7 +18,7 @@ from armsight.calibrate.handeye.calibrate import (
     calibrate_eye_to_hand,
     places_of,
 )
-from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison, ImageErrors, compare
+from armsight.calibrate.handeye.image_comparison import ImageComparison, ImageErrors, ObservationModel, compare
 from armsight.calibrate.handeye.image_model import ImageModel, ViewPoses, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.known_noise import Restricted
 from armsight.calibrate.handeye.noise import noise_beside
@@ -70,7 +70,7 @@ def calibrate_from_views(
     images = ImageSet(views=views, camera=camera, board=board, seen=seen)
     comparison = cross_validate_images(by_poses, images, free_camera=free_camera)
     by_poses = replace(by_poses, reprojection_rms_px=seen.rms_px, comparison=comparison)
-    if comparison.kept is Basis.POSES:
+    if comparison.kept is ObservationModel.POSES:
         by_poses = advise(by_poses, board.pitch_m or None)
         return ImageHandEye(result=by_poses, camera=camera, from_poses=by_poses)
     refined, moved = _adjusted(by_poses, images, comparison)
@@ -85,7 +85,7 @@ def calibrate_from_views(
 
 def _adjusted(by_poses: HandEyeResult, images: ImageSet, comparison: ImageComparison) -> tuple[HandEyeResult, Camera]:
     """Return the result from all corners, and the camera, freed where that was proved better."""
-    free_camera = comparison.kept is Basis.CORNERS_AND_CAMERA
+    free_camera = comparison.kept is ObservationModel.CORNERS_AND_CAMERA
     model = ImageModel.of(by_poses, images.seen)
     restricted = model.variances()
     fit = model.reproject(restricted.V[by_poses.used], images.camera, free_camera)
@@ -145,7 +145,11 @@ def cross_validate_images(result: HandEyeResult, images: ImageSet, *, free_camer
     poses seen. A fold that is not determined, or a fit without a minimum, gives no prediction of its images.
     """
     used = np.flatnonzero(result.used)
-    bases = [Basis.POSES, Basis.CORNERS, *([Basis.CORNERS_AND_CAMERA] if free_camera else [])]
+    bases = [
+        ObservationModel.POSES,
+        ObservationModel.CORNERS,
+        *([ObservationModel.CORNERS_AND_CAMERA] if free_camera else []),
+    ]
     errors = {basis: np.full((len(used), 8), np.nan) for basis in bases}
     fold = np.arange(len(used)) % MOST_FOLDS
     for k in range(int(fold.max()) + 1):
@@ -161,15 +165,17 @@ def cross_validate_images(result: HandEyeResult, images: ImageSet, *, free_camer
     return compare({basis: ImageErrors.of(rows) for basis, rows in errors.items()})
 
 
-def _fitted(basis: Basis, result: HandEyeResult, images: ImageSet, rest: NDArray[np.bool_]) -> tuple[Poses, Camera]:
+def _fitted(
+    basis: ObservationModel, result: HandEyeResult, images: ImageSet, rest: NDArray[np.bool_]
+) -> tuple[Poses, Camera]:
     """Return X and Z from the images of rest (n,), and the camera: as given, or freed with them."""
     arrays = result.pairs.arrays(result.setup)
     by_poses = solve_pairs(arrays, result.setup, keep=rest, known=result.pairs.camera_covariance)
     at = by_poses.poses
-    if basis is Basis.POSES:
+    if basis is ObservationModel.POSES:
         return at, images.camera
     model = ImageModel(setup=result.setup, arrays=arrays, used=rest, seen=images.seen, start=at)
-    free = basis is Basis.CORNERS_AND_CAMERA
+    free = basis is ObservationModel.CORNERS_AND_CAMERA
     fit = model.reproject(model.variances().V[rest], images.camera, free)
     return poses_of(fit), camera_of(fit, images.camera) if free else images.camera
 

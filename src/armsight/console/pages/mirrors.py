@@ -9,7 +9,7 @@ from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 from pydantic import ValidationError
 
-from armsight.app.guided.mirror_alignment import MirrorAlignment, Stand
+from armsight.app.guided.mirror_alignment import MirrorAlignment, MirrorState
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.result import MirrorCheckOutput
 from armsight.console import texts
@@ -150,7 +150,7 @@ class _Alignment:
             marker.style(f"left: {50.0 + 50.0 * max(-1.0, min(1.0, angle / FULL_MRAD)):.1f}%")
         self._draw(looks)
 
-    def _draw(self, looks: tuple[Stand, ...]) -> None:
+    def _draw(self, looks: tuple[MirrorState, ...]) -> None:
         seen = [(one.number - looks[-1].number, one.check) for one in looks]
         curves = [
             [(number, None if check is None else _angle(check, name)[0]) for number, check in seen]
@@ -195,7 +195,7 @@ def turn_words(turn: MirrorTurn) -> str:
     return texts.MIRROR_TURN.format(mirror=turn.mirror, turns=", ".join(words))
 
 
-def _note(stand: Stand) -> str:
+def _note(stand: MirrorState) -> str:
     if stand.others:
         return texts.OTHER_MIRRORS.format(mirrors=", ".join(str(one) for one in stand.others))
     return texts.SEVERAL_MIRRORS if stand.several else ""
