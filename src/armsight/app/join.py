@@ -195,7 +195,6 @@ class Join:
 
 
 def _inverse(measured: Measured) -> Measured:
-    """Return the poses (m) the other way round."""
     if measured.rotation is None:
         return measured
     R = measured.rotation.transpose(0, 2, 1)

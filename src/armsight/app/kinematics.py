@@ -280,7 +280,6 @@ def _solve(arm: Arm, target: TargetPose, here: Array, aim: Task) -> Inverse:
 
 
 def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
-    """Return the lines of one pose."""
     solutions = answer.solutions if every else answer.solutions[:1]
     out = []
     for i, solution in enumerate(solutions):

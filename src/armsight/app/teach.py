@@ -145,7 +145,6 @@ def teach_standing(
 
 @contextmanager
 def _kept(job: TeachJob, recorder: PathRecorder) -> Iterator[None]:
-    """Write what was taught before a failure."""
     try:
         yield
     except BaseException:

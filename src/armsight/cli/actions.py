@@ -53,7 +53,7 @@ def add_action(
         asked = {name: given[word] for name, word in names().items() if word in given}
         if instead is None or not instead(face, asked):
             own = {name: asked[name] for name in done.parameters if name in asked}
-            show(face, done.run(own, face.progress(done.working) if done.working else None), asked[OUT])
+            show(face, done.run(own, face.progress(done.working) if done.working else None), asked.get(OUT))
 
     text = SECTION.split(call.__doc__ or "")[0]
     about = {"keeps": done.keeps} | more
@@ -71,8 +71,7 @@ def show(face: CommandUI, result: Output, out: Path | None) -> None:
     from armsight.report.pages import page_path
 
     lines, page = list(result.summary()), None if out is None else page_path(out, result)
-    told = out is None or hasattr(result, "write")  # its summary says what is to be told of files
-    told = told or any(isinstance(one, str) and one.startswith(WRITTEN) for one in lines)
+    told = out is None or hasattr(result, "write") or any(str(one).startswith(WRITTEN) for one in lines)
     for one in lines if told else [*lines, f"Result: {out}" + ("" if page is None else f"; open {page}")]:
         if isinstance(one, str):
             report = "" if out is None else str(out.with_suffix(".report.html"))

@@ -272,7 +272,6 @@ def refuse_inputs(folder: Path, names: Collection[str], given: Mapping[str, Any]
 
 
 def _texts(value: Any) -> tuple[str, ...]:
-    """Return what may be the paths of an option."""
     if isinstance(value, list | tuple):
         return tuple(text for one in value for text in _texts(one))
     return (str(value),) if isinstance(value, str | Path) and str(value) else ()

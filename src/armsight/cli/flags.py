@@ -157,10 +157,7 @@ class CommandFlags:
         made: dict[str, Any] = {}
         defaults = {one.name: _or_none(one.default) for one in self.parameters()}
         for part, asked in self._parts:
-            if asked:
-                made[part.name] = PartialRequest(part, given, defaults, notify)  # type: ignore[arg-type]
-            else:
-                made.update(part.values(given, notify))
+            made |= {part.name: PartialRequest(part, given, defaults, notify)} if asked else part.values(given, notify)  # type: ignore[arg-type]
         return made
 
 

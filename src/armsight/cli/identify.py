@@ -55,7 +55,6 @@ def identify(
 
 
 def _live(job: requests.identify.LiveJob, face: CommandUI, yes: bool) -> None:
-    """Identify online; ask before the robot moves."""
     from armsight.app.identify.live import OperatorCallbacks, run_identify_live
     from armsight.app.identify.results import IdentifyOutput
 
@@ -90,7 +89,6 @@ def _tell_plan(plan: PlanOutput, face: CommandUI) -> None:
 
 
 def _shown(value: float, slides: bool) -> str:
-    """Return a joint's reading as people read it."""
     return f"{value / MM:.1f} mm" if slides else f"{value / DEG:.1f} deg"
 
 

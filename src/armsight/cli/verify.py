@@ -169,7 +169,6 @@ def verify_tables(face: CommandUI, done: VerifyOutput, out: Path) -> None:
 
 
 def _joints_and_frames(face: CommandUI, done: VerifyOutput) -> None:
-    """Print the joints, the time offset, and what is left open."""
     if done.joints:
         header = ["joint", "mean deg", "mean abs.", "largest", "zero deg", "+-", "alone explains"]
         face.table("Joints", header, [_joint_row(joint) for joint in done.joints])

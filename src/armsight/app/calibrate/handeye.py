@@ -157,7 +157,6 @@ def see_boards(
 
 
 def _require_named(images: Sequence[str], robot: Mapping[str, RigidTransform], file: Path) -> None:
-    """Raise Inconsistent where no image has a robot pose."""
     if not set(images) & set(robot):
         raise Inconsistent(
             f"none of the images is named in {file}, which begins with {next(iter(robot), 'nothing')!r}",

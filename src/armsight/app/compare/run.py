@@ -253,7 +253,6 @@ def _verdict(found: Compared, judgement: Judgement, tracks: Tracks | None) -> st
 
 
 def _first_effect(found: Compared) -> str:
-    """Return the first effect in space, or the first, in words."""
     one = next((e for e in found.effects if e.unit == "m"), found.effects[0])
     return f"What it comes to: {one.name} {_shown(one.value, one.unit)}."
 

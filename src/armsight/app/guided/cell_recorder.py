@@ -104,7 +104,6 @@ class CellWatch:
 
 
 def _moved(uv: Array, before: Array) -> Array:
-    """Return the spots (n, 2) that stand where none was before."""
     if not len(uv) or not len(before):
         return uv
     far = np.linalg.norm(uv[:, None] - before[None], axis=2).min(axis=1) > STILL_PX

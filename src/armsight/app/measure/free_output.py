@@ -87,7 +87,6 @@ def _moved(one: MovingPose, world: World | None) -> MovingPose:
 
 
 def _write(out: Path, setup: Setup, moved: Sequence[MovingPose], done: FreeRun) -> None:
-    """Write poses.csv, points.csv, spots.csv and poses.tum."""
     with ExitStack() as stack:
         poses = stack.enter_context(MovingPosesWriter(out / POSES))
         points = stack.enter_context(PointsWriter(out / POINTS))
@@ -142,7 +141,6 @@ def _report(
     moved: Sequence[MovingPose],
     summary: MeasureOutput,
 ) -> MeasureRun:
-    """Return what the report shows."""
     figures = done.figures
     facts = [
         ("frames", f"{job.left or job.left_spots} and {job.right or job.right_spots}, each view at its own time"),

@@ -335,7 +335,6 @@ def _zoomed_rig(path: Path, zoom: tuple[float | None, float | None]) -> tuple[Ri
 
 
 def _zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
-    """Return the lines that a report says of the lenses."""
     return [
         (
             f"zoom, {side}",

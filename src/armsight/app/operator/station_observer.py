@@ -121,7 +121,6 @@ class StationFollower:
         """Do what is to be done between pictures as well."""
 
     def _take(self, shown: Snapshot) -> None:
-        """Take a new snapshot."""
         raise NotImplementedError
 
 

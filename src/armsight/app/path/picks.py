@@ -147,7 +147,6 @@ def axis_of(text: str | None, views: StereoViews, side: str, T: RigidTransform) 
 
 
 def _refusal(refused: Refused, total: int) -> DataRefused:
-    """Return the first refusal, told for all."""
     first = refused[0][2]
     causes = "; ".join(f"pick {k}: {error.cause}" for k, _, error in refused[:TOLD])
     more = f"; and {len(refused) - TOLD} more" if len(refused) > TOLD else ""

@@ -119,7 +119,6 @@ def _output(job: RecordJob, recorder: Recorder, tally: Tally, skew: Skew | None,
 
 
 def _attach(writer: RecordingWriter, files: Mapping[str, Path], rig: Rig | None, start_s: float) -> None:
-    """Write what goes into the recording before the frames."""
     for name, path in files.items():
         writer.attach(name, path.read_bytes())
     if rig is not None:

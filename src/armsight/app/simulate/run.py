@@ -156,7 +156,6 @@ def _write_truth(path: Path, truth: Any) -> None:
 def _simulate_cell(
     name: str, out: Path, seed: int, frames: int, room: str | None, zoom: float | None, progress: Progress
 ) -> SimulateOutput:
-    """Simulate a built-in cell without a robot."""
     cell = load_cell(name, seed=seed, frames=frames, room=room, zoom=zoom)
     write_cell_files(cell, out, seed=seed, frames=frames)
     done = 0
@@ -223,7 +222,6 @@ def require_own(name: str, room: str | None, zoom: float | None) -> None:
 
 
 def _write_files(made: Dataset, out: Path, seed: int) -> None:
-    """Write all but the pictures."""
     kinds = (
         (RIG_YAML.format, made.rigs),
         (CAMERA_YAML.format, made.cameras),

@@ -109,7 +109,6 @@ def named_paths(commanded: CommandedFile) -> dict[str, CommandedPath]:
 
 
 def _speed(commanded: CommandedFile, rows: NDArray[np.intp]) -> float | None:
-    """Return the commanded speed where it is one and positive."""
     if commanded.speed_m_s is None:
         return None
     speeds = commanded.speed_m_s[rows]

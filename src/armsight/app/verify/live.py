@@ -132,7 +132,6 @@ def _check(job: LiveVerifyJob) -> None:
 
 
 def _check_arm(arm: Arm, devices: Supervised) -> None:
-    """Raise Inconsistent for another robot's file."""
     if devices.robot.n_joints != arm.n:
         raise Inconsistent(
             f"{devices.robot.name} has {devices.robot.n_joints} joints, {arm.name} has {arm.n}",
@@ -142,7 +141,6 @@ def _check_arm(arm: Arm, devices: Supervised) -> None:
 
 
 def _doubts(job: LiveVerifyJob, arm: Arm, world: World, devices: Supervised, failure: Exception | None) -> list[str]:
-    """Return what to know before believing the result."""
     notes = [f"supervision ended early: {failure}"] if failure is not None else []
     if not job.limits.all:
         notes.append("no level was set: nothing could raise an alarm")

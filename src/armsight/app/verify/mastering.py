@@ -173,7 +173,6 @@ def _unjudged(arm: Arm, found: Proposal) -> list[str]:
 
 
 def _output(result: Mastering, arm: Arm, rejected: list[tuple[int, str]], notes: list[str]) -> MasteringOutput:
-    """Return the figures as --json gives them."""
     moved = result.T_tool
     return MasteringOutput(
         n=len(result.before),

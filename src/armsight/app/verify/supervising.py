@@ -144,7 +144,6 @@ class Supervision:
         return by_time or (self.job.limit is not None and n >= self.job.limit)
 
     def _compared(self, pose: TargetPose, at_s: float) -> tuple[Compared | None, str]:
-        """Return the comparison, or what is lost."""
         if pose.status is not PoseStatus.OK:
             return None, f"target: {pose.why or pose.status.value}"
         try:

@@ -221,7 +221,6 @@ def _notes_on_rows(
     fitted: ArmFit,
     correlation: Correlation | None,
 ) -> tuple[str, ...]:
-    """Return the notes of a result on its rows."""
     return (
         *_of_places(judged.given, points),
         *links_told(model.arm),
@@ -316,7 +315,6 @@ def _unjudged(points: ArmPoints, judged: NDArray[np.bool_]) -> list[str]:
 
 
 def _of_places(given: ArmPoints, points: ArmPoints) -> list[str]:
-    """Return a note of rows that repeat others."""
     if len(points) == len(given):
         return []
     return [

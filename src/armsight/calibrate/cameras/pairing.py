@@ -123,7 +123,6 @@ def _refuse(observations: Observations, poses: Sequence[Array], spins: Array) ->
 
 
 def _mirrored_side(observations: Observations, poses: Sequence[Array], spins: Array) -> str:
-    """Return which camera's images are mirrored, or ''."""
     width = observations.sizes[1][0]
     half_turn = np.stack([*spins, *(spins @ np.diag([-1.0, -1.0, 1.0]))])
     for axis in (0, 1):

@@ -97,7 +97,6 @@ def calibrate_cell(
 
 
 def _result(nominal: Arm, solved: Solved, target: Target, tip: Array, n_frames: int, *, stiff: bool) -> CellResult:
-    """Return what is told of a fit."""
     model, found = solved.model, solved.fit
     arm = model.recording.arm
     covariance = _with_stamps(solved, found.covariance(model, stiff=stiff))

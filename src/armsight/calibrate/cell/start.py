@@ -166,7 +166,6 @@ def find_start(
 
 
 def _better(starts: Sequence[Start | None]) -> Start | None:
-    """Return that which leaves least."""
     return min((each for each in starts if each is not None), key=lambda each: each.rms_px, default=None)
 
 

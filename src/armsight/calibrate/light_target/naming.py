@@ -122,7 +122,6 @@ def _tried_frames(sights: Sequence[Sight]) -> int:
 
 
 def _name_all(sights: Sequence[Sight], X: Array, variances: Array, perms: Index) -> Named:
-    """Name the lights of every frame that shows the shape."""
     tried, misfit = _near(sights, distances(X), variances, perms)
     n = len(X)
     P = np.array([sights[s].xyz_m[c][perms[p]] for s, c, p in tried]).reshape(-1, n, 3)
