@@ -101,7 +101,7 @@ def test_robot_world_gives_the_rig_in_the_base_link(arm: Arm) -> None:
     seen = T_BASE_RIG.inv().apply([base_tool(row).translation for row in q])
     found = armsight.calibrate_robot_world(arm, q, seen)
     assert found.T_base_rig == pytest.approx(T_BASE_RIG.as_matrix(), abs=1e-9)
-    assert "base_link" in found.detail.notes[0] and "tool0" in found.detail.notes[0]
+    assert "base_link" in found.notes[0] and "tool0" in found.notes[0]
 
 
 def test_hand_eye_of_joints_gives_the_rig_in_the_base_link(arm: Arm) -> None:

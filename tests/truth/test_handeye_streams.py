@@ -30,7 +30,7 @@ def found() -> list[HandEyeResult]:
 
 def test_the_deviations_claimed_hold(found: list[HandEyeResult]) -> None:
     """48 parameters: 95 % are held by 1.96 deviations; below 40 with a chance of 0.1 %, were they independent."""
-    z = np.array([error(one.T_parent_camera) / list(one.std().values()) for one in found])
+    z = np.array([error(one.T_parent_camera) / list(one.std.values()) for one in found])
     assert (np.abs(z) < 1.96).sum() >= 40
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
 

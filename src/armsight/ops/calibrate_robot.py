@@ -14,7 +14,6 @@ from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
 from armsight.ops.kinds import (
     READERS,
-    ArmLike,
     HeldPointsLike,
     Left,
     PointsLike,
@@ -170,7 +169,7 @@ def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:
 @action("calibrate arm", beside=(".corrections.csv", ".urdf", ".proposed.csv", ".report.html"))
 def calibrate_arm(
     nominal: Annotated[
-        Any, Doc(f"The nominal arm: {KNOWN_ARM}."), Input(f"{READERS}:arm", kind=str), Flag("--model", metavar="ARM")
+        Any, Doc(f"The nominal arm: {KNOWN_ARM}."), Input(f"{READERS}:chain", kind=str), Flag("--model", metavar="ARM")
     ],
     q: Annotated[PointsLike, Doc("points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s]."), Flag("--points")],
     xyz_m: ArrayLike | None = None,
@@ -263,7 +262,9 @@ def _with_urdf(found: ArmResult, path: Path) -> ArmResult:
 
 @action("calibrate robot-world")
 def calibrate_robot_world(
-    arm: Annotated[ArmLike, Doc(f"{KNOWN_ARM}, its tool the beacon.")],
+    arm: Annotated[
+        Any, Doc(f"{KNOWN_ARM}, its tool the beacon."), Input(f"{READERS}:chain", kind=str), Flag(metavar="ARM")
+    ],
     q: Annotated[PointsLike, Doc("observed.csv: q1..qn,x_m,y_m,z_m in rig axes."), Flag("--points")],
     xyz_m: ArrayLike | None = None,
     *,

@@ -144,7 +144,12 @@ def world(name: str, value: Any, given: Given, undo: ExitStack) -> World:
 
 
 def arm(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
-    """Return an arm, that of a file from `base` to `tip`, or the one known by that name. Raises UsageError, BadFile."""
+    """Return an arm, that of a file, or the one known by that name. Raises UsageError, BadFile."""
+    return as_arm(name, value)
+
+
+def chain(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
+    """Return an arm, see arm; of a file the chain between the links that are said beside it. Raises UsageError."""
     base, tip_link = given.get("base"), given.get("tip")
     if isinstance(value, Arm) or (base is None and tip_link is None):
         return as_arm(name, value)
