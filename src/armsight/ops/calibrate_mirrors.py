@@ -223,7 +223,6 @@ def _from_lights(
     limit: int | None,
     progress: Progress | None,
 ) -> MirrorsOutput:
-    """Calibrate from complex images of the lit target."""
     from armsight.app.calibrate.cameras import open_images
     from armsight.app.calibrate.mirrors import lit_design
     from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, require_lights

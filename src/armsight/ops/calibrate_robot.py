@@ -7,12 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import KNOWN_ARM, Base, Cameras, Table, Tip, point_of
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, Base, Cameras, Table, Tip, point_of
 from armsight.defaults import ANGLE_RAD, LENGTH_M, TIP_GOAL_M, TIP_POINT_STD_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
 from armsight.ops.kinds import (
+    CHAIN,
     READERS,
     HeldPointsLike,
     Left,
@@ -159,7 +160,6 @@ def calibrate_pivot(
 
 
 def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:
-    """Return where the tip rests, if that was measured."""
     from armsight.calibrate.tooltip import MeasuredPoint
     from armsight.records import checked_array
 
@@ -168,9 +168,7 @@ def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:
 
 @action("calibrate arm", beside=(".corrections.csv", ".urdf", ".proposed.csv", ".report.html"))
 def calibrate_arm(
-    nominal: Annotated[
-        Any, Doc(f"The nominal arm: {KNOWN_ARM}."), Input(f"{READERS}:chain", kind=str), Flag("--model", metavar="ARM")
-    ],
+    nominal: Annotated[Any, Doc(f"The nominal arm: {KNOWN_ARM}."), CHAIN, Flag("--model", metavar="ARM")],
     q: Annotated[PointsLike, Doc("points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s]."), Flag("--points")],
     xyz_m: ArrayLike | None = None,
     *,
@@ -262,9 +260,7 @@ def _with_urdf(found: ArmResult, path: Path) -> ArmResult:
 
 @action("calibrate robot-world")
 def calibrate_robot_world(
-    arm: Annotated[
-        Any, Doc(f"{KNOWN_ARM}, its tool the beacon."), Input(f"{READERS}:chain", kind=str), Flag(metavar="ARM")
-    ],
+    arm: Annotated[Any, Doc(f"{KNOWN_ARM}, its tool the beacon."), CHAIN, AN_ARM],
     q: Annotated[PointsLike, Doc("observed.csv: q1..qn,x_m,y_m,z_m in rig axes."), Flag("--points")],
     xyz_m: ArrayLike | None = None,
     *,

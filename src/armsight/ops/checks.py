@@ -88,7 +88,6 @@ def _checks_of(made: Action) -> dict[str, list[Check]]:
 
 
 def _written_kind(kind: Any) -> str:
-    """Return a type as an annotation has it."""
     return f"Literal{list(get_args(kind))}" if get_origin(kind) is Literal else getattr(kind, "__name__", "")
 
 

@@ -193,7 +193,6 @@ class Given:
 
 
 def _as_bytes(value: Any) -> Any:
-    """Return a mask of truth values as an image."""
     return value.astype(np.uint8) * 255 if getattr(value, "dtype", None) == np.bool_ else value
 
 

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import arm_source
-from armsight.app.arm_files import load_arm
 from armsight.app.compare.run import GivenResult
 from armsight.arrays import Array
 from armsight.calibrate.arm import ArmPoints
@@ -150,10 +149,9 @@ def arm(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
 
 def chain(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
     """Return an arm, see arm; of a file the chain between the links that are said beside it. Raises UsageError."""
-    base, tip_link = given.get("base"), given.get("tip")
-    if isinstance(value, Arm) or (base is None and tip_link is None):
-        return as_arm(name, value)
-    return load_arm(arm_source(as_text(name, value, Arm), tip=tip_link, base=base))
+    links = {which: given.get(which) for which in ("tip", "base")}
+    whole = isinstance(value, Arm) or set(links.values()) == {None}
+    return as_arm(name, value if whole else arm_source(as_text(name, value, Arm), **links))
 
 
 def points(name: str, value: Any, given: Given, undo: ExitStack) -> ArmPoints:

@@ -13,6 +13,8 @@ from armsight.ops.action import Input
 
 READERS = "armsight.ops.inputs"
 FRAMES = Input(f"{READERS}:frames", kind=str)
+CHAIN = Input(f"{READERS}:chain", kind=str)
+"""An arm, with the links of its file that `tip` and `base` name."""
 FILES = "armsight.app.calibrate.camera_noise:input_files"
 IMAGES = Input(f"{READERS}:images", kind=str, hashed=True, files=FILES)
 """Images as the command line names them, or arrays and paths in order."""

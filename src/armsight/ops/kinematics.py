@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip
 from armsight.fields import Doc, Flag
-from armsight.ops.action import Input, action
-from armsight.ops.kinds import READERS, AsFile, Readings
+from armsight.ops.action import action
+from armsight.ops.kinds import CHAIN, AsFile, Readings
 
 if TYPE_CHECKING:
     from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
 
-ArmChain: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), Input(f"{READERS}:chain", kind=str), AN_ARM]
+ArmChain: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 Joints: TypeAlias = Annotated[AsFile, Doc("joints.csv: t_s, q1 .. qn in rad and m; or bag:FILE:/topic.")]
 Poses: TypeAlias = Annotated[AsFile, Doc("poses.csv of the tool in world.")]
 Out: TypeAlias = Annotated[Path, Doc("File to write."), OUT]
