@@ -36,7 +36,6 @@ AN_ARM = Flag(metavar="ARM")
 OutFolder: TypeAlias = Annotated[Path, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
 Left: TypeAlias = Annotated[str | None, Doc(f"Left frames: {SRC}."), A_SRC]
 Right: TypeAlias = Annotated[str | None, Doc("Right frames, in step with the left ones."), A_SRC]
-ABoard: TypeAlias = Annotated[str, Doc(BOARD), Flag(metavar="BOARD")]
 Every: TypeAlias = Annotated[int, Doc("Use every n-th frame, for videos."), Bounds(least=1)]
 Limit: TypeAlias = Annotated[int | None, Doc("Stop after so many."), Bounds(least=1), Flag("--frames")]
 Fps: TypeAlias = Annotated[
