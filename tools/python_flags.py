@@ -93,7 +93,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("identify", "--live"): "`identify_arm_live(robot)`",
     ("record", "--repair"): "`repair_recording(path)`",
     ("calibrate mirrors", "--check"): "`check_mirrors`",
-    ("convert recording", "source"): "`export_recording(path)`",
     ("convert arm", "-o"): "`convert(out)`, or `Arm.save(path)`: the ending decides",
     ("convert handeye", "--base"): "`convert(names=FrameNames(base=...))`",
     ("convert handeye", "--flange"): "`convert(names=FrameNames(flange=...))`",

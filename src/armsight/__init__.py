@@ -18,10 +18,8 @@ from armsight._files import Files
 
 if TYPE_CHECKING:
     from armsight._version import __version__ as __version__
-    from armsight.api.convert import convert as convert
-    from armsight.api.convert import cut_recording as cut_recording
-    from armsight.api.convert import export_recording as export_recording
-    from armsight.api.convert import open_recording as open_recording
+    from armsight.api.files import cut_recording as cut_recording
+    from armsight.api.files import open_recording as open_recording
     from armsight.api.files import read_arm as read_arm
     from armsight.api.files import read_camera as read_camera
     from armsight.api.files import read_hand_eye as read_hand_eye
@@ -71,7 +69,6 @@ if TYPE_CHECKING:
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
     from armsight.api.simulation import write_simulation as write_simulation
-    from armsight.api.tracks import PoseTrack as PoseTrack
     from armsight.api.watch import LiveIdentification as LiveIdentification
     from armsight.api.watch import check_mastering as check_mastering
     from armsight.api.watch import identify_arm_live as identify_arm_live
@@ -118,6 +115,7 @@ if TYPE_CHECKING:
     from armsight.kinematics import JointPath as JointPath
     from armsight.kinematics import presets as presets
     from armsight.measure.settings import SpotSettings as SpotSettings
+    from armsight.measure.track import PoseTrack as PoseTrack
     from armsight.ops import paths as paths
     from armsight.ops.calibrate_cameras import calibrate_camera as calibrate_camera
     from armsight.ops.calibrate_cameras import calibrate_stereo as calibrate_stereo
@@ -133,6 +131,8 @@ if TYPE_CHECKING:
     from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
     from armsight.ops.calibrate_robot import calibrate_robot_world as calibrate_robot_world
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
+    from armsight.ops.convert import convert as convert
+    from armsight.ops.convert import export_recording as export_recording
     from armsight.ops.files import compare as compare
     from armsight.ops.files import join as join
     from armsight.ops.kinematics import show_arm as show_arm
@@ -169,7 +169,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "estimate_pose_from_spots",
         "find_spots",
     ),
-    "armsight.api.tracks": ("PoseTrack",),
+    "armsight.measure.track": ("PoseTrack",),
     "armsight.api.runs": (
         "MeasureResult",
         "VerifyResult",
@@ -214,13 +214,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "propose_mastering_poses",
         "supervise",
     ),
-    "armsight.api.convert": (
-        "convert",
-        "cut_recording",
-        "export_recording",
-        "open_recording",
-    ),
+    "armsight.ops.convert": ("convert", "export_recording"),
     "armsight.api.files": (
+        "cut_recording",
+        "open_recording",
         "read_arm",
         "read_camera",
         "read_hand_eye",

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 import armsight
-from armsight.api.files import image_size
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Box
 from armsight.control.guard.plausible import check_corners
@@ -26,6 +25,7 @@ from armsight.drivers.remote.wire import ServerAddress
 from armsight.kinematics import preset
 from armsight.kinematics.joints import Coupling
 from armsight.measure.settings import Pace
+from armsight.ops.arrays import as_size
 from armsight.optics import Camera, Plate
 from armsight.records import Motion, Spots, TaughtPath
 from armsight.records.camera import CameraTiming
@@ -130,7 +130,7 @@ TRIED = {
         lambda: _mount((1.0, 2.0)),
         each(lambda: _mount((0.0, 0.0, 0.1)), lambda: _mount((0.0, 0.0, 0.1, 0.0, 90.0, 0.0))),
     ),
-    ("api/files.py", "Give (width, height) in px"): (lambda: image_size((0, 480)), lambda: image_size((640, 480))),
+    ("ops/arrays.py", "Give (width, height) in px"): (lambda: as_size((0, 480)), lambda: as_size((640, 480))),
     ("control/guard/plausible.py", "Write m (from mm"): (
         lambda: check_corners(Box(lower_m=[-900.0, 0, 0], upper_m=[900.0, 500, 500]), "forbidden"),
         lambda: check_corners(Box(lower_m=[-0.9, 0, 0], upper_m=[0.9, 0.5, 0.5]), "forbidden"),

@@ -122,7 +122,7 @@ TRIED = {
         "convert camera lens.yaml --to opencv -o one.yml",
         "convert camera lens.yaml --zoom 150 -o fixed.yaml && convert camera fixed.yaml --to opencv -o one.yml",
     ),
-    ("cli/convert.py", "with --zoom-left"): (
+    ("ops/convert.py", "with --zoom-left"): (
         f"{ZOOMED} && convert rig z.yaml -o a.yaml -o b.yaml --zoom-left 100",
         "convert rig z.yaml -o a.yaml --zoom-left 100",
     ),

@@ -212,7 +212,7 @@ def test_spots_and_poses_of_a_foreign_recording_write_no_formula(tmp_path: Path)
 @pytest.mark.parametrize("unit", ["mm", "m"])
 def test_a_table_that_is_converted_writes_no_formula(unit: str, tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f'q1,x_{unit},y_{unit},z_{unit},point\n0,1,2,3,=1+1\n0.1,4,5,6,"@a,b"\n')
-    convert_table(tmp_path / "in.csv", tmp_path / "out.csv", kind="points")
+    convert_table(tmp_path / "in.csv", kind="points").write(tmp_path / "out.csv")
     rows = rows_of(tmp_path / "out.csv")
     place = rows[0].index("point")
     assert [row[place] for row in rows[1:]] == ["'=1+1", "'@a,b"]

@@ -13,26 +13,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight import store
-from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
-from armsight.app.calibrate.zoom import fix_camera, fix_rig
-from armsight.app.convert import (
-    load_camera,
-    load_rig,
-)
-from armsight.app.requests.shared import FileUnits
+from armsight.app.convert import TUM_SUFFIXES, load_camera, load_rig
+from armsight.app.requests.shared import UnitLength
 from armsight.app.tables import convert_table
 from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
-from armsight.ops.arrays import as_path
+from armsight.measure.track import PoseTrack
+from armsight.ops.arrays import as_path, as_size
 from armsight.ops.checks import speaks_python
-from armsight.ops.given import Given, PathText, as_table
-from armsight.optics import Camera, Rig
-from armsight.records import Motion, Target, TaughtPath, checked_array, require_kind, require_number
-from armsight.store import arm_file, limits_file, path_file, write_text
+from armsight.ops.given import PathText, as_table
+from armsight.optics import Camera, Rig, at_zoom
+from armsight.records import Motion, Target, TaughtPath, require_kind, require_number
+from armsight.store import arm_file, limits_file, path_file, read_zoom_camera, read_zoom_rig, write_text
 from armsight.store.handeye_file import HandEyeFile, TipFile, read_handeye, read_tip
 from armsight.store.interpret import OURS, TableFormat
+from armsight.store.recording import Recording, Repaired, cut
 from armsight.store.saving import file_to_write
 from armsight.store.tables import Columns, read_columns
 from armsight.store.urdf import read_urdf
@@ -42,12 +39,12 @@ FRAMES = ("world", "base")
 """Frames that a path.csv may be said to be in."""
 
 
-@speaks_python(FileUnits)
+@speaks_python()
 def read_rig(
     path: PathText | list[PathText] | tuple[PathText, ...],
     *,
     size: tuple[int, int] | None = None,
-    unit_m: float | None = FileUnits.unit_m,
+    unit_m: UnitLength = None,
     zoom_left: float | None = None,
     zoom_right: float | None = None,
 ) -> Rig:
@@ -66,12 +63,10 @@ def read_rig(
     files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
     if zoom_left is None and zoom_right is None:
         told: list[str] = []
-        rig = load_rig(files, size=image_size(size), unit_m=unit_m, told=told)
+        rig = load_rig(files, size=as_size(size), unit_m=unit_m, told=told)
         _warn(told)
         return rig
-    with Given(name="rig.yaml") as given:
-        fix_rig(files[0], given.out, (zoom_left, zoom_right))
-        return store.read_rig(given.out)
+    return at_zoom(read_zoom_rig(files[0]), (zoom_left, zoom_right)).rig
 
 
 def _warn(told: list[str]) -> None:
@@ -94,13 +89,11 @@ def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: fl
     """
     if zoom is None:
         told: list[str] = []
-        camera = load_camera(as_path(path), size=image_size(size), told=told)
+        camera = load_camera(as_path(path), size=as_size(size), told=told)
         _warn(told)
         return camera
     require_number("zoom", zoom)
-    with Given(name="camera.yaml") as given:
-        fix_camera(as_path(path), given.out, zoom)
-        return store.read_camera(given.out)
+    return read_zoom_camera(as_path(path)).lens.at(zoom).camera
 
 
 def read_target(path: PathText) -> Target:
@@ -225,9 +218,7 @@ def read_table(path: PathText, *, kind: str | None = None, table: TableFormat = 
     """
     require_kind("kind", kind, str, NoneType)
     require_kind("table", table, TableFormat)
-    with Given(name="table.csv") as given:
-        convert_table(as_path(path), given.out, kind=kind, format_=table)
-        return read_columns(given.out.read_bytes())
+    return read_columns(convert_table(as_path(path), kind=kind, format_=table).content.encode())
 
 
 def write_table(path: PathText, columns: Mapping[str, Any] | ArrayLike) -> Path:
@@ -292,14 +283,41 @@ def read_limits(path: PathText) -> Limits:
     return limits_file.read_limits(as_path(path))
 
 
-def image_size(size: tuple[int, int] | None) -> tuple[int, int] | None:
-    """Return width and height as whole numbers, None where not given. Raises UsageError."""
-    require_kind("size", size, tuple, list, NoneType, cure="Give (width, height)")
-    if size is None:
-        return None
-    width, height = checked_array("size", size, (2,)).tolist()
-    if min(width, height) < 1.0 or width % 1.0 or height % 1.0:
+def open_recording(path: PathText) -> Recording:
+    """Return a recording (.mcap) open for reading: use it as a context manager. Raises BadFile.
+
+    `cameras` names its cameras, `frames(camera)` yields frames with image and t_s, `poses()` and `joints()` the rest;
+    `rig` and `target` are those recorded with it.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=2)
+    >>> with armsight.open_recording(folder / "run.mcap") as recording:
+    ...     recording.cameras, [frame.image.shape for frame in recording.frames("left")]
+    (('left', 'right'), [(720, 1280), (720, 1280)])
+    """
+    return Recording(as_path(path))
+
+
+@speaks_python()
+def cut_recording(path: PathText, out: PathText, start_s: float, end_s: float, *, overwrite: bool = False) -> Repaired:
+    """Copy what was recorded from start_s to end_s, with rig and target, into a new recording.
+
+    Raises BadFile, NotEnoughData where nothing was recorded then, UsageError.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=4)
+    >>> cut = armsight.cut_recording(folder / "run.mcap", folder / "part.mcap", 0.02, 0.08)
+    >>> with armsight.open_recording(cut.file) as part:
+    ...     len(list(part.frames("left"))), part.rig.kind
+    (2, <RigKind.STEREO: 'stereo'>)
+    """
+    source, file = as_path(path), file_to_write(out, ".mcap")
+    if end_s < start_s:
         raise UsageError(
-            f"size is {size}, no image's", consequence="It cannot be used", cure="Give (width, height) in px"
+            f"end_s is {end_s:g}, before start_s, {start_s:g}", consequence="Nothing is cut", cure="Exchange them"
         )
-    return int(width), int(height)
+    with Recording(source) as recording:
+        ends = [recording.origin_ns + round(1e9 * t_s) for t_s in (start_s, end_s)]
+    return cut(source, file, ends[0], ends[1], overwrite=overwrite)

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.api.results import Result, Row, pose_rows
-from armsight.api.tracks import PoseTrack
 from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.errors import Inconsistent, NotEnoughData
@@ -22,6 +21,7 @@ from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import DEFAULTS, SpotSettings
+from armsight.measure.track import PoseTrack
 from armsight.ops.arrays import ImageLike, as_frame, as_image
 from armsight.ops.checks import speaks_python
 from armsight.optics import Rig, RigKind

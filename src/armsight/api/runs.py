@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Literal
 
 from numpy.typing import ArrayLike
 
-from armsight.api.tracks import PoseTrack
 from armsight.app.measure.run import measure as run_measure
 from armsight.app.record.record import RecordOutput, mend
 from armsight.app.record.record import record as run_record
@@ -17,6 +16,7 @@ from armsight.app.verify.run import run_verify
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.file_names import ERRORS, POSES
 from armsight.measure.results import MeasureOutput
+from armsight.measure.track import PoseTrack
 from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import (

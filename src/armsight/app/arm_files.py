@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,7 @@ from armsight.kinematics import (
 from armsight.kinematics.axes import links_told
 from armsight.kinematics.derivatives import nearest_rigid
 from armsight.records.output import Output, output
+from armsight.shown import Shown
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.urdf import read_urdf, write_urdf
 
@@ -38,6 +40,11 @@ class ConvertArmOutput(Output):
     joints: Annotated[int, Doc("How many joints.")]
     convention: Annotated[str, Doc("standard or craig.")]
     notes: Annotated[tuple[str, ...], NOTES]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        yield f"{self.arm}, {self.joints} joints: {self.file}"
+        yield from (f"  {note}" for note in self.notes)
 
 
 def arm_notes(arm: Arm) -> tuple[str, ...]:

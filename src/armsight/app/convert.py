@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +12,7 @@ from armsight.fields import Doc
 from armsight.optics import Camera, Rig
 from armsight.optics.mirrors import pinhole_pair
 from armsight.records.output import Output, output
+from armsight.shown import Shown
 from armsight.store import (
     read_camera,
     read_poses,
@@ -61,6 +62,13 @@ class ConvertOutput(Output):
     files: Annotated[list[str], Doc("The files written.")]
     n: Annotated[int | None, Doc("Poses; null for cameras and rigs.")]
     note: Annotated[str, Doc("What the new kind could not carry, or which zoom it is of; may be empty.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        poses = f", {self.n} poses" if self.n is not None else ""
+        yield f"{self.source} to {self.target}{poses}: {', '.join(self.files)}"
+        if self.note:
+            yield f"- {self.note}"
 
 
 def convert_camera(

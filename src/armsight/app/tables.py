@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import load_arm
 from armsight.errors import BadFile, UsageError
 from armsight.fields import Doc
-from armsight.records.output import Output, output
-from armsight.store import write_text
+from armsight.kinematics import Arm
+from armsight.records.output import output
+from armsight.shown import Shown, Table, digits
 from armsight.store.interpret import (
     OURS,
     TableFormat,
@@ -24,6 +24,7 @@ from armsight.store.interpret import (
     interpret,
     kind_of_table,
 )
+from armsight.store.outputs import TextOutput
 from armsight.store.tables import bare, parse_table, word
 
 KINDS = ("joints", "poses", "points", "pairs", "robot_poses", "sweep")
@@ -33,7 +34,7 @@ UNTIMED = {"joints": "untimed-joints", "poses": "untimed-poses"}
 
 
 @output
-class ConvertTableOutput(Output):
+class ConvertTableOutput(TextOutput):
     """armsight convert table."""
 
     kind: Annotated[str, Doc("Which table it is: joints, poses, points, pairs, robot_poses or sweep.")]
@@ -49,19 +50,36 @@ class ConvertTableOutput(Output):
     notes: Annotated[list[str], Doc("What was understood of units, rotations, times, frames and joints.")]
     file: Annotated[str | None, Doc("The file written; null where none was asked for.")]
 
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        rows = [
+            [name, *(("", "") if found is None else (digits(found[0], 5), digits(found[1], 5)))]
+            for name, found in self.ranges.items()
+        ]
+        yield Table(f"{self.kind}: {self.n} rows", ["column", "smallest", "largest"], rows)
+        for note in self.notes:
+            yield f"- {note}"
+        yield f"Written: {self.file}" if self.file else "Nothing was written; -o FILE writes it"
+
 
 def convert_table(
-    source: Path, out: Path | None, *, kind: str | None = None, format_: TableFormat = OURS, arm: str | None = None
+    source: Path,
+    *,
+    kind: str | None = None,
+    format_: TableFormat | None = None,
+    arm: Arm | None = None,
+    out: Path | None = None,
 ) -> ConvertTableOutput:
-    """Read a table, tell what was understood, and write it in the columns of ours where out is given.
+    """Read a table, tell what was understood, and hold it in the columns of ours, for the file out where that is given.
 
     kind: one of KINDS, else that which the columns can be. arm: the arm whose joints' names the columns carry. Raises
     UsageError, DataRefused.
     """
+    format_ = format_ or OURS
     if kind is not None and kind not in KINDS:
         raise UsageError(f"no kind of table is called {kind!r}", cure=f"Give --as with one of {', '.join(KINDS)}")
     if arm is not None:
-        format_ = format_.of_arm(load_arm(arm))
+        format_ = format_.of_arm(arm)
     format_.check()
     kind = kind or kind_of_table(source, format_, KINDS)
     found = interpret(source, UNTIMED.get(kind, kind), format_)
@@ -84,9 +102,8 @@ def convert_table(
     )
     _check_units(table.numbers, str(source), format_)
     ranges = {name: _range(column) for name, column in table.numbers.items()}
-    if out is not None:
-        write_text(out, "\n".join(",".join(word(bare(cell)) for cell in row) for row in rows) + "\n")
     return ConvertTableOutput(
+        content="\n".join(",".join(word(bare(cell)) for cell in row) for row in rows) + "\n",
         kind=kind,
         how=found.how,
         columns=header,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from armsight.cli.command import Command, add
+from armsight.cli.command import Command, ResultsDoubted, add
 from armsight.cli.command_ui import CommandUI
 from armsight.fields import Flag, marks
 from armsight.ops.action import OUT
@@ -53,7 +53,8 @@ def add_action(
         asked = {name: given[word] for name, word in names().items() if word in given}
         if instead is None or not instead(face, asked):
             own = {name: asked[name] for name in done.parameters if name in asked}
-            show(face, done.run(own, face.progress(done.working) if done.working else None), asked.get(OUT))
+            result = done.run(own, face.progress(done.working) if done.working else None)
+            show(face, result, None if done.writes else asked.get(OUT))
 
     text = SECTION.split(call.__doc__ or "")[0]
     about = {"keeps": done.keeps} | more
@@ -80,7 +81,7 @@ def show(face: CommandUI, result: Output, out: Path | None) -> None:
             face.table(*one)
     face.result(result)
     if result.exit_code:
-        raise typer.Exit(result.exit_code)
+        raise ResultsDoubted
 
 
 def _word(name: str, hint: Any) -> str:

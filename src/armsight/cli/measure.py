@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
-from armsight.app.requests.shared import OUT
-from armsight.cli.command import ResultsDoubted, app, command, convert
+from armsight.cli.command import ResultsDoubted, app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import PartialRequest
 from armsight.cli.tables import measure_tables
@@ -86,21 +85,6 @@ def record(
     lost += f", {done.n_missed} missed by the cameras" if done.n_missed else ""
     size = f"{done.size_bytes / 1e6:.1f} MB as {done.format}"
     face.say(f"{done.n_pairs} pairs in {done.duration_s:.1f} s{lost}; {size} in {done.file}")
-    face.result(done)
-
-
-@command(convert)
-def recording(
-    face: CommandUI,
-    source: Annotated[Path, Doc("A recording."), Flag(positional=True, metavar="FILE.mcap")],
-    out: Annotated[Path, Doc("A folder, or a .csv or .tum for the poses."), OUT],
-    to: Annotated[str, Doc("files, or rosbag2: a bag of ROS 2, in a new folder.")] = "files",
-) -> None:
-    """Write a recording's content as PNG folders and tables, its poses as CSV or TUM, or all as a bag of ROS 2."""
-    from armsight.app.record.export import export
-
-    done = export(source, out, to=to, progress=face.progress("exporting"))
-    face.say(", ".join(f"{name}: {count}" for name, count in done.n.items()) + f" in {out}")
     face.result(done)
 
 

@@ -65,7 +65,8 @@ class Action:
     """What a function does for people: command: its words on the command line; working: what its progress says.
 
     gives: the attribute of the result that Python gets; '' for all of it. keeps: the files that it writes into a folder
-    `out`; beside: endings of those that go beside a file `out`. None of them is an input.
+    `out`; beside: endings of those that go beside a file `out`. None of them is an input. writes: the function itself
+    writes what `out` names, while it works, or by more than one name.
     """
 
     command: str
@@ -74,6 +75,7 @@ class Action:
     gives: str = ""
     keeps: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
+    writes: bool = False
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
@@ -104,17 +106,16 @@ class Action:
         self._require_kept(given)
         with contextlib.ExitStack() as undo:
             taken = dict(given)
-            if given.get(OUT) is not None:
-                taken[OUT] = Path(given[OUT])
+            if (outs := given.get(OUT)) is not None:
+                taken[OUT] = [Path(one) for one in outs] if isinstance(outs, list | tuple) else Path(outs)
             for name, value in given.items():
                 if name in self.inputs and value is not None:
                     taken[name] = self.inputs[name].object_of(name, value, taken, undo)
             if PROGRESS in self.parameters and taken.get(PROGRESS) is None:
                 taken[PROGRESS] = progress
             result = self.function(**taken)
-        out = given.get(OUT)
-        if out is not None:
-            self._write(Path(out), result, given)
+        if outs is not None and not self.writes:
+            self._write(Path(outs), result, given)
         return result
 
     def _require_kept(self, given: Given) -> None:

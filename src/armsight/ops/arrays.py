@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from os import PathLike, fspath
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import cv2
@@ -148,6 +149,19 @@ def as_path(path: str | PathLike[str], name: str = "path") -> Path:
     """Return a file's path; raises UsageError for what is none."""
     require_kind(name, path, str, PathLike, cure="Give a file's path as text or pathlib.Path")
     return Path(path)
+
+
+def as_size(size: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Return width and height as whole numbers, None where not given. Raises UsageError."""
+    require_kind("size", size, tuple, list, NoneType, cure="Give (width, height)")
+    if size is None:
+        return None
+    width, height = checked_array("size", size, (2,)).tolist()
+    if min(width, height) < 1.0 or width % 1.0 or height % 1.0:
+        raise UsageError(
+            f"size is {size}, no image's", consequence="It cannot be used", cure="Give (width, height) in px"
+        )
+    return int(width), int(height)
 
 
 def as_joint_numbers(joint: ArrayLike, rows: int) -> NDArray[np.intp]:

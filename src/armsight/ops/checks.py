@@ -38,7 +38,7 @@ def speaks_python(*requests: type) -> Callable[[Callable[P, R]], Callable[P, R]]
 
     def decorated(call: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(call)
-        checks = cache(partial(_checks, signature, requests))  # when first called: hints take time to read
+        checks = cache(partial(_checks, call, requests))  # when first called: hints take time to read
 
         @wraps(call)
         def run(*args: P.args, **given: P.kwargs) -> R:
@@ -91,14 +91,17 @@ def _written_kind(kind: Any) -> str:
     return f"Literal{list(get_args(kind))}" if get_origin(kind) is Literal else getattr(kind, "__name__", "")
 
 
-def _checks(signature: inspect.Signature, requests: tuple[type, ...]) -> dict[str, list[Check]]:
+def _checks(call: Callable[..., Any], requests: tuple[type, ...]) -> dict[str, list[Check]]:
+    hints = known_hints(call)
     bounds = bounds_of_parameters(requests)
     found: dict[str, list[Check]] = {}
-    for name, one in signature.parameters.items():
-        known = check_of(str(one.annotation))
-        found[name] = [] if known is None else [known]
-        if name in bounds:
-            found[name].append(partial(_within, bounds[name]))
+    for name, one in inspect.signature(call).parameters.items():
+        asked, within = check_of(str(one.annotation)), bounds_of(hints.get(name))
+        if within is not None and asked is None:
+            asked = check_of(" | ".join([*map(_written_kind, bare(hints[name])), "None"]))
+        found[name] = [] if asked is None else [asked]
+        if (within := bounds.get(name, within)) is not None:
+            found[name].append(partial(_within, within))
     return found
 
 

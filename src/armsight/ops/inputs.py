@@ -238,6 +238,11 @@ def file(name: str, value: Any, given: Given, undo: ExitStack) -> Path:
     return undo.enter_context(Folder()).file(name, value)
 
 
+def each_file(name: str, value: Any, given: Given, undo: ExitStack) -> list[Path]:
+    """Return the paths of one file or of several, see file."""
+    return [file(name, one, given, undo) for one in (value if isinstance(value, list | tuple) else [value])]
+
+
 def result(name: str, value: Any, given: Given, undo: ExitStack) -> GivenResult:
     """Return a result's file or folder, and what it is called: its path, or the parameter."""
     path = _path(value)

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array, Index
+from armsight.columns import POSE6
+from armsight.measure.track import PoseTrack
 from armsight.shown import Bars
-from armsight.units import MM
+from armsight.units import MM, displayed_name
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -28,6 +30,9 @@ Plot = dict[str, Any]
 BLUE, ORANGE, GREEN, RED, GREY, INK = "#1f5fa8", "#d9822b", "#2e7d4f", "#c23b3b", "#9aa7b4", "#1c2733"
 BAND = "rgba(31,95,168,0.22)"
 FONT = 'system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif'
+
+EDGE: Plot = {"mode": "lines", "line": {"width": 0}, "fillcolor": BAND, "hoverinfo": "skip", "showlegend": False}
+"""How the edges of a band of standard deviations look."""
 
 MAX_PLOTTED = 1000
 """Points of one line in a plot 500 px wide: each column of pixels gets its lowest and its highest."""
@@ -325,12 +330,35 @@ def _named(vector: Array) -> dict[str, float]:
 
 def plot(record: Any) -> go.Figure:
     """Return a plotly figure of a result. Raises TypeError for one that has nothing to plot."""
+    if isinstance(record, PoseTrack):
+        return track_figure(record)
     if hasattr(record, "clouds"):
         return residual_figure(record.title, record.clouds())
     made = getattr(record, "bars", None)
     if made is None:
         raise TypeError(f"{type(record).__name__} has nothing to plot")
     return drawn(made())
+
+
+def track_figure(track: PoseTrack) -> go.Figure:
+    """Return a plotly figure: position (mm) and orientation (deg) over time with their 95 % bands."""
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+
+    table = track.table()
+    figure = make_subplots(rows=6, cols=1, shared_xaxes=True, vertical_spacing=0.02)
+    for i, name in enumerate(POSE6, 1):
+        label, unit, size = displayed_name(name)
+        band = 1.96 / size * table[f"s{name}"]
+        value = table[name] / size
+        for sign, fill in ((-1.0, None), (1.0, "tonexty")):
+            edge = go.Scatter(x=table["t_s"], y=value + sign * band, fill=fill, **EDGE)
+            figure.add_trace(edge, row=i, col=1)
+        figure.add_trace(go.Scatter(x=table["t_s"], y=value, name=label, mode="lines+markers"), row=i, col=1)
+        figure.update_yaxes(title_text=f"{label}, {unit}", row=i, col=1)
+    figure.update_xaxes(title_text="t, s", row=6, col=1)
+    figure.update_layout(title=track.title, height=900, showlegend=False)
+    return figure
 
 
 def residual_figure(title: str, views: Mapping[str, tuple[NDArray[Any], NDArray[Any]]]) -> go.Figure:

@@ -20,6 +20,7 @@ from armsight.control.guard import Limits
 from armsight.errors import UsageError
 from armsight.file_names import ARM, CELL, RIG, TARGET, WORLD
 from armsight.kinematics import Arm
+from armsight.measure.track import PoseTrack
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
@@ -30,7 +31,7 @@ from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
 from armsight.store.targets import write_target
-from armsight.store.tracks import write_poses
+from armsight.store.tracks import write_poses, write_tum
 from armsight.store.urdf import write_urdf
 from armsight.store.worlds import World, write_world
 from armsight.store.zoom import with_setting, write_zoom_camera
@@ -98,6 +99,7 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     Target: dict.fromkeys(YAML, write_target),
     Arm: {**dict.fromkeys(YAML, write_arm), ".urdf": write_urdf},
     TaughtPath: {".csv": write_path},
+    PoseTrack: {".csv": write_poses, ".tum": write_tum, ".txt": write_tum},
     World: dict.fromkeys(YAML, write_world),
     Limits: dict.fromkeys(YAML, write_limits),
     CellResult: {"": write_cell},

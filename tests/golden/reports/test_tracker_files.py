@@ -77,7 +77,7 @@ def test_a_table_of_no_kind_says_what_is_missing(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("alpha,beta\n1,2\n3,4\n")
     with refuses(UsageError, "alpha", "t_s", "missing"):
-        convert_table(path, None)
+        convert_table(path)
 
 
 def test_a_controllers_target_is_asked_for_where_the_actual_one_stands_beside_it():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +15,7 @@ from armsight.fields import Doc
 from armsight.file_names import RIG, TARGET
 from armsight.records import Frame, Progress, Silent
 from armsight.records.output import Output, output
+from armsight.shown import Shown
 from armsight.store import PosesWriter, SpotsWriter, write_bytes, write_text, write_tum
 from armsight.store.atomic import RowFile, disk_errors, json_text
 from armsight.store.recording import Recording
@@ -35,6 +36,10 @@ class ExportOutput(Output):
     source: Annotated[str, Doc("The recording.", key="from")]
     out: Annotated[str, Doc("The folder or file written.")]
     n: Annotated[dict[str, int], Doc("Rows or frames by file.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        yield ", ".join(f"{name}: {count}" for name, count in self.n.items()) + f" in {self.out}"
 
 
 def export(source: Path, out: Path, *, to: str = "files", progress: Progress | None = None) -> ExportOutput:

@@ -70,13 +70,6 @@ MaxSkew: TypeAlias = Annotated[
 ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class FileUnits:
-    """What the unit of a file of another program is."""
-
-    unit_m: UnitLength = None
-
-
 CAMERAS = "Live cameras (both the same)"
 LIVE, MASTERING = "With --live", "With --mastering"
 TABLES = "Tables that are not armsight's own (see the guide: tables)"

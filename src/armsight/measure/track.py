@@ -1,46 +1,26 @@
-"""A target's poses over many pairs: a table, a file, a plot."""
+"""A target's poses over many pairs, as a table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.api.results import Result, Row
 from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
-from armsight.store import write_poses, write_tum
-from armsight.store.saving import file_to_write
-from armsight.units import displayed_name
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
-TUM_SUFFIXES = (".tum", ".txt")
-
-BAND: dict[str, Any] = {
-    "mode": "lines",
-    "line": {"width": 0},
-    "fillcolor": "rgba(31,119,180,0.25)",
-    "hoverinfo": "skip",
-    "showlegend": False,
-}
-"""How the edges of a plot's band of standard deviations look."""
+from armsight.records.output import Row, TitledOutput, output
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class PoseTrack(Result):
-    """Poses of the target in the order of time."""
+@output
+class PoseTrack(TitledOutput):
+    """Poses of the target in the order of time; its file is poses.csv, or TUM with the complete ones (.tum, .txt)."""
 
-    poses: tuple[TargetPose, ...] = field(default_factory=tuple)
+    poses: tuple[TargetPose, ...] = ()
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -104,30 +84,3 @@ class PoseTrack(Result):
             values = column if isinstance(column, list) else column.tolist()
             content[name] = [None if value != value else value for value in values]
         return content
-
-    def save(self, path: str | PathLike[str]) -> Path:
-        """Write poses.csv, or complete poses as TUM where the name ends in .tum or .txt, and return its path."""
-        file = file_to_write(path, ".csv", *TUM_SUFFIXES)
-        write = write_tum if file.suffix.lower() in TUM_SUFFIXES else write_poses
-        write(file, self.poses)
-        return file
-
-    def plot(self) -> go.Figure:
-        """Return a plotly figure: position (mm) and orientation (deg) over time with their 95 % bands."""
-        import plotly.graph_objects as go
-        from plotly.subplots import make_subplots
-
-        table = self.table()
-        figure = make_subplots(rows=6, cols=1, shared_xaxes=True, vertical_spacing=0.02)
-        for i, name in enumerate(POSE6, 1):
-            label, unit, size = displayed_name(name)
-            band = 1.96 / size * table[f"s{name}"]
-            value = table[name] / size
-            for sign, fill in ((-1.0, None), (1.0, "tonexty")):
-                edge = go.Scatter(x=table["t_s"], y=value + sign * band, fill=fill, **BAND)
-                figure.add_trace(edge, row=i, col=1)
-            figure.add_trace(go.Scatter(x=table["t_s"], y=value, name=label, mode="lines+markers"), row=i, col=1)
-            figure.update_yaxes(title_text=f"{label}, {unit}", row=i, col=1)
-        figure.update_xaxes(title_text="t, s", row=6, col=1)
-        figure.update_layout(title=self.title, height=900, showlegend=False)
-        return figure

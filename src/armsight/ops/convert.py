@@ -1,0 +1,283 @@
+"""Files of one kind as those of another; recordings exported. Python's `convert` finds which of them is meant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from os import fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
+
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip, UnitLength, size_of
+from armsight.errors import UsageError, not_one_of
+from armsight.fields import Doc, Flag
+from armsight.ops.action import Input, action
+from armsight.ops.kinds import READERS, ArmLike, AsFile
+
+if TYPE_CHECKING:
+    from armsight.app.arm_files import ConvertArmOutput
+    from armsight.app.convert import ConvertOutput
+    from armsight.app.record.export import ExportOutput
+    from armsight.app.tables import ConvertTableOutput
+    from armsight.ops.given import PathText
+    from armsight.records import Progress
+    from armsight.records.output import Output
+    from armsight.store.foreign import FrameNames
+    from armsight.store.interpret import TableFormat
+
+Kind = Literal["camera", "rig", "handeye", "arm", "poses", "table", "recording"]
+ARGUMENT = Flag(positional=True)
+To: TypeAlias = Annotated[str | None, Doc("armsight, ros, opencv, kalibr, colmap. [armsight]")]
+Size: TypeAlias = Annotated[
+    tuple[int, int] | None, Doc("WIDTHxHEIGHT, where an OpenCV file does not say it."), Flag(read=size_of)
+]
+Out: TypeAlias = Annotated[Path, Doc("File to write."), OUT]
+
+RIG_KEYS = {"cam1", "cameraMatrix2", "M2", "K2", "R", "T"}
+"""Of these each says that a file of another program is of two cameras."""
+OF_ENDING = {".mcap": "recording", ".urdf": "arm", ".tum": "poses", ".txt": "poses"}
+"""What a file is by its name's ending."""
+
+
+@action("convert camera", writes=True)
+def camera(
+    source: Annotated[AsFile, Doc("camera.yaml, ROS camera_info, OpenCV FileStorage or Kalibr camchain."), ARGUMENT],
+    out: Out,
+    *,
+    to: To = None,
+    size: Size = None,
+    zoom: Annotated[float | None, Doc("Of a zoom lens's camera.yaml: the camera at this setting.")] = None,
+) -> ConvertOutput:
+    """Convert the calibration of one camera; or take one setting out of a zoom lens's."""
+    from armsight.app.calibrate.zoom import fix_camera
+    from armsight.app.convert import convert_camera
+
+    if zoom is None:
+        return convert_camera(source, out, to=to, size=size)
+    _require_ours(to, size)
+    return fix_camera(source, out, zoom)
+
+
+@action("convert rig", writes=True)
+def rig(
+    source: Annotated[
+        Any,
+        Doc("rig.yaml, OpenCV stereo, Kalibr; two files of ROS or OpenCV."),
+        Input(f"{READERS}:each_file", kind=list[Path]),
+        ARGUMENT,
+    ],
+    out: Annotated[list[Path], Doc("File; for ROS left, right, maybe a launch file of TF."), OUT],
+    *,
+    to: To = None,
+    size: Size = None,
+    unit_m: UnitLength = None,
+    zoom_left: Annotated[float | None, Doc("Of a rig with zoom lenses: at this setting.")] = None,
+    zoom_right: Annotated[float | None, Doc("... of the right lens.")] = None,
+) -> ConvertOutput:
+    """Convert the calibration of a pair of cameras; or take one setting out of a rig with zoom lenses."""
+    from armsight.app.calibrate.zoom import fix_rig
+    from armsight.app.convert import convert_rig
+
+    if zoom_left is None and zoom_right is None:
+        return convert_rig(source, out, to=to, size=size, unit_m=unit_m)
+    _require_ours(to, size)
+    if len(source) != 1 or len(out) != 1:
+        raise UsageError("one rig.yaml goes into one", cure="Give one file and one -o with --zoom-left")
+    return fix_rig(source[0], out[0], (zoom_left, zoom_right))
+
+
+@action("convert poses", writes=True)
+def poses(
+    source: Annotated[AsFile, Doc("poses.csv, or a TUM file (.tum, .txt)."), ARGUMENT],
+    out: Annotated[Path, Doc("File to write: .csv, .tum or .txt."), OUT],
+) -> ConvertOutput:
+    """Convert poses between poses.csv and TUM, which evo reads."""
+    from armsight.app.convert import convert_poses
+
+    return convert_poses(source, out)
+
+
+@action("convert table")
+def any_table(
+    source: Annotated[AsFile, Doc("CSV, TXT, YAML, JSON, .mat, or a folder with one file per pose."), ARGUMENT],
+    out: Annotated[Path | None, Doc("File to write. [default: only tell]"), OUT] = None,
+    *,
+    kind: Annotated[
+        str | None, Doc("joints, poses, points, pairs, robot_poses or sweep. [default: tell]"), Flag("--as")
+    ] = None,
+    arm: Annotated[ArmLike, Doc("Where columns carry the names of an arm's joints."), AN_ARM] = None,
+    table: Table | None = None,
+) -> ConvertTableOutput:
+    """Show what is understood of a table, and write it in armsight's columns and units."""
+    from armsight.app.tables import convert_table
+
+    return convert_table(source, kind=kind, format_=table, arm=arm, out=out)
+
+
+@action("convert handeye", writes=True)
+def handeye(
+    source: Annotated[AsFile, Doc("handeye.yaml."), ARGUMENT],
+    out: Out,
+    to: Annotated[str, Doc("easy_handeye, easy_handeye2, or tf: a launch file of ROS 2.")],
+    *,
+    base: Annotated[str, Doc("The base's frame in TF.")] = "base_link",
+    flange: Annotated[str, Doc("The flange's frame in TF.")] = "tool0",
+    camera_frame: Annotated[str, Doc("The camera's optical frame in TF.")] = "camera_optical_frame",
+    target: Annotated[str, Doc("The target's frame in TF.")] = "calibration_target",
+) -> ConvertOutput:
+    """Write a hand-eye calibration for ROS."""
+    from armsight.app.convert import convert_handeye
+    from armsight.store.foreign import FrameNames
+
+    names = FrameNames(base=base, flange=flange, camera=camera_frame, target=target)
+    return convert_handeye(source, out, to=to, names=names)
+
+
+@action("convert arm", writes=True)
+def arm(
+    source: Annotated[str, Doc(f"{KNOWN_ARM}."), Flag(positional=True, metavar="FILE")],
+    out: Annotated[Path, Doc("File to write: .yaml or .urdf."), OUT],
+    *,
+    convention: Annotated[str | None, Doc("standard or craig, for arm.yaml.")] = None,
+    tip: Tip = None,
+    base: Base = None,
+) -> ConvertArmOutput:
+    """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
+    from armsight._files import arm_source
+    from armsight.app.arm_files import convert_arm
+
+    return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention)
+
+
+@action("convert recording", working="exporting", writes=True)
+def export_recording(
+    path: Annotated[AsFile, Doc("A recording."), Flag(positional=True, metavar="FILE.mcap")],
+    out: Annotated[Path, Doc("A folder, or a .csv or .tum for the poses."), OUT],
+    *,
+    to: Annotated[str, Doc("files, or rosbag2: a bag of ROS 2, in a new folder.")] = "files",
+    progress: Progress | None = None,
+) -> ExportOutput:
+    """Write a recording's content as PNG folders and tables, its poses as CSV or TUM, or all as a bag of ROS 2.
+
+    Parameters
+    ----------
+    out
+        A folder, or a .csv or .tum.
+
+    Raises
+    ------
+    BadFile, NotEnoughData, UsageError
+        No recording, or nothing in it that is asked for.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=2)
+    >>> armsight.export_recording(folder / "run.mcap", folder / "run").n["left"]
+    2
+    """
+    from armsight.app.record.export import export
+
+    return export(path, out, to=to, progress=progress)
+
+
+def convert(
+    source: Any,
+    out: PathText | list[PathText] | tuple[PathText, ...],
+    *,
+    to: str | None = None,
+    kind: Kind | None = None,
+    size: tuple[int, int] | None = None,
+    unit_m: float | None = None,
+    convention: Literal["standard", "craig"] | None = None,
+    names: FrameNames | None = None,
+    table: TableFormat | None = None,
+) -> Output:
+    """Write a record or a file of one kind as a file of another program, or the other way round.
+
+    Parameters
+    ----------
+    source
+        A Camera, Rig, Arm, PoseTrack or hand-eye result; or a file, or the two files of ROS or OpenCV.
+    out
+        The file; for a rig of ROS left, right, and maybe a launch file of TF.
+    to
+        Cameras and rigs: armsight, ros, opencv, kalibr, colmap; hand-eye: easy_handeye, easy_handeye2, tf;
+        recordings: files, rosbag2. Arms, poses and tables by the name's ending.
+    kind
+        What it is, where the file does not tell.
+    size, unit_m
+        Of an OpenCV file that leaves them open.
+    convention
+        Of an arm.yaml.
+    names
+        Of frames in TF.
+    table
+        What a foreign table leaves open.
+
+    Raises
+    ------
+    BadFile, UsageError
+        Not a file of this kind, or no such conversion.
+
+    Examples
+    --------
+    >>> camera = armsight.Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0)
+    >>> armsight.convert(camera, folder / "info.yaml", to="ros").target
+    'ros'
+    >>> armsight.read_camera(folder / "info.yaml").width
+    640
+    """
+    from armsight.ops.arrays import as_path, as_size
+    from armsight.ops.inputs import each_file
+    from armsight.store.foreign import FrameNames
+
+    if kind is not None and kind not in get_args(Kind):
+        raise not_one_of("kind", kind, get_args(Kind))
+    outs = [as_path(one, "out") for one in (out if isinstance(out, list | tuple) else [out])]
+    with ExitStack() as undo:
+        files = each_file("source", source, {}, undo)
+        chosen = kind or _kind(source, files)
+        if chosen == "rig":
+            return rig(files, outs, to=to, size=as_size(size), unit_m=unit_m)
+        if chosen == "camera":
+            return camera(files[0], outs[0], to=to, size=as_size(size))
+        if chosen == "arm":
+            return arm(fspath(files[0]), outs[0], convention=convention)
+        if chosen == "handeye":
+            names = names or FrameNames()
+            frames = {"base": names.base, "flange": names.flange, "target": names.target}
+            return handeye(files[0], outs[0], to or "", camera_frame=names.camera, **frames)
+        if chosen == "recording":
+            return export_recording(files[0], outs[0], to=to or "files")
+        if chosen == "poses" and "poses" in (OF_ENDING.get(path.suffix.lower()) for path in (files[0], outs[0])):
+            return poses(files[0], outs[0])
+        return any_table(files[0], outs[0], kind=None if chosen == "table" else chosen, table=table)
+
+
+def _kind(source: object, files: Sequence[Path]) -> str:
+    """Return which kind of thing is converted, by its content."""
+    from armsight.measure.track import PoseTrack
+    from armsight.optics import Rig
+    from armsight.store.yamls import read_yaml
+
+    if isinstance(source, Rig) or len(files) > 1:
+        return "rig"
+    suffix = files[0].suffix.lower()
+    if suffix in OF_ENDING:
+        return OF_ENDING[suffix]
+    if suffix not in (".yaml", ".yml"):
+        return "poses" if isinstance(source, PoseTrack) else "table"
+    content = read_yaml(files[0])
+    if not isinstance(content, Mapping):
+        return "table"
+    name = str(content.get("format", "")).removeprefix("armsight/")
+    return name if name in ("camera", "rig", "handeye", "arm") else "rig" if RIG_KEYS & set(content) else "camera"
+
+
+def _require_ours(to: str | None, size: tuple[int, int] | None) -> None:
+    """Raise UsageError where a setting is to be taken and converted at once."""
+    if to not in (None, "armsight") or size is not None:
+        raise UsageError(
+            "a setting is taken out of armsight's own file into another one",
+            cure="Leave --to and --size away, and convert the file that is written",
+        )
