@@ -34,16 +34,15 @@ MB = 1024.0
 
 def recordings(folder: Path, n: int) -> list[Path]:
     """Record FEW short recordings, and name them n times."""
-    from armsight.app.record.record import record
-    from armsight.app.requests.measure import RecordJob
     from armsight.app.simulate.run import simulate
+    from armsight.ops.measure import record
 
     if not (folder / "cell").exists():
         simulate("hand-cell", folder / "cell", frames=1)
     kept = [folder / f"recorded-{seed}.mcap" for seed in range(min(FEW, n))]
     for seed, path in enumerate(kept):
         if not path.exists():
-            record(RecordJob(out=path, cell="hand-cell", seed=seed, limit=PAIRS))
+            record(path, cell="hand-cell", seed=seed, frames=PAIRS)
     (folder / "recordings").mkdir()
     named = [folder / "recordings" / f"r{number:05d}.mcap" for number in range(n)]
     for number, path in enumerate(named):
@@ -59,16 +58,14 @@ def by_hand(folder: Path, out: Path, share: Sequence[str]) -> None:
     """Measure a share of the recordings in this process, with the function that the command calls."""
     import cv2
 
-    from armsight.app.measure.run import measure
-    from armsight.app.requests.measure import MeasureJob
     from armsight.errors import ArmsightError
+    from armsight.ops.measure import measure
 
     cv2.setNumThreads(1)
     cell = folder / "cell"
     for name in share:
-        job = MeasureJob(rig=cell / "rig.yaml", target=cell / "target.yaml", left=name, out=out / Path(name).stem)
         with suppress(ArmsightError):
-            measure(job)
+            measure(cell / "rig.yaml", cell / "target.yaml", name, out=out / Path(name).stem)
 
 
 def used_s() -> float:

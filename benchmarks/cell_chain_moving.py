@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.calibrate.arm import ArmResult, calibrate_arm
 from armsight.calibrate.cameras import calibrate_stereo
 from armsight.calibrate.light_target import calibrate_target
 from armsight.kinematics import fk
 from armsight.ops.calibrate_rig import calibrate_timing
 from armsight.ops.files import join
+from armsight.ops.measure import measure
 from armsight.store import write_rig, write_target
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
@@ -116,7 +115,7 @@ def chain_moving(world: Any, made: ModuleType, *, pictures: int = PICTURES) -> M
             "right_spots": spot_table(world.right, folder / "right.csv", frames),
         }
         files["rig"] = folder / "timed.yaml"
-        measure(MeasureJob(**files, **tables, out=folder / "out", timing="free", rate_hz=RATE_OF_POSES_HZ))
+        measure(**files, **tables, out=folder / "out", timing="free", rate_hz=RATE_OF_POSES_HZ)
         join(
             folder / "out" / "poses.csv",
             out=folder / "points.csv",

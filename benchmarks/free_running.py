@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import bench
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
 from armsight.ops.calibrate_rig import calibrate_timing
+from armsight.ops.measure import measure
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, spot_target
 from armsight.store import read_poses, write_rig, write_target
@@ -115,7 +114,7 @@ def recording(
         calibrate_timing(folder / "rig.yaml", folder / "target.yaml", out=folder / "timed.yaml", **tables)
         tables = write_tables(made, folder, made.record(rng, way, mount, clocks, SECONDS, NOISE_PX))
         files = {"rig": folder / "timed.yaml", "target": folder / "target.yaml", "out": folder / "out"}
-        measure(MeasureJob(**files, **tables, timing="free"))
+        measure(**files, **tables, timing="free")
     except DataRefused as refused:
         print("refused:", mount_name, speed, seed, str(refused)[:90])
         tally.refused += 1

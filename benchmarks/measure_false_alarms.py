@@ -172,7 +172,7 @@ def rendered_run(seed: int) -> Outcome | None:
     setup = Setup(rig, target_from_mapping(cell.target, "the target"))
     with TemporaryDirectory() as folder:
         try:
-            found, _ = measure_run(setup, CellPairs(cell, frames), Path(folder), progress=Silent())
+            found = measure_run(setup, CellPairs(cell, frames), Path(folder), progress=Silent())
         except NotEnoughData:
             return None
     return Outcome(motion="rendered", rig="true", frames=frames, check=found.consistency)

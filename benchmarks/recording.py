@@ -25,8 +25,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from armsight.app.record.record import record_pairs
-from armsight.app.requests.measure import RecordJob
+from armsight.app.record.record import RecordJob, record_pairs
 from armsight.app.simulate.cells import load_cell
 from armsight.app.sources.frames import RecordedFrames, RecordedPairs
 from armsight.drivers import Skew

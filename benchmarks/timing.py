@@ -22,15 +22,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import bench
-from armsight.app.measure.run import measure
 from armsight.app.measure.streams import streams_of, timing_of
-from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
 from armsight.measure.follow import Follower
 from armsight.measure.motion.estimate import ANGULAR_RATIO
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
 from armsight.ops.calibrate_rig import calibrate_timing
+from armsight.ops.measure import measure
 from armsight.optics import Camera, parallel_rig
 from armsight.records import PoseStatus, Spots, spot_target
 from armsight.store import read_poses, read_rig, read_target, write_rig, write_target
@@ -175,17 +174,17 @@ class Tally:
 
 def smoothed(made: ModuleType, folder: Path, way: Way, tally: Tally, covered_s: tuple[float, float]) -> None:
     """Measure what is in the folder through the command's function, and compare with the truth."""
-    job = MeasureJob(
-        rig=folder / "timed.yaml",
-        target=folder / "target.yaml",
-        left_spots=folder / "left.csv",
-        right_spots=folder / "right.csv",
-        out=folder / "out",
-        timing="free",
-    )
+    job = {
+        "rig": folder / "timed.yaml",
+        "target": folder / "target.yaml",
+        "left_spots": folder / "left.csv",
+        "right_spots": folder / "right.csv",
+        "out": folder / "out",
+        "timing": "free",
+    }
     begin = time.perf_counter()
     try:
-        measure(job)
+        measure(**job)
     except DataRefused as refused:
         tally.why.append(str(refused)[:80])
         return

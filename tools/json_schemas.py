@@ -46,9 +46,8 @@ from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.mirrors.result import MirrorCheckOutput, MirrorsOutput
 from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
-from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
-from armsight.measure.results import MeasureOutput
+from armsight.measure.results import REASONS, MeasureResult
 from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
@@ -67,7 +66,7 @@ from armsight_lab.history.looking import (
 from armsight_lab.history.trend import TrendOutput
 
 OUTPUTS: Mapping[str, type[Output]] = {
-    "measure": MeasureOutput,
+    "measure": MeasureResult,
     "demo": DemoOutput,
     "calibrate-camera": CameraCalibration,
     "calibrate-camera-noise": NoiseResult,

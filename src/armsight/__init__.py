@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from armsight.api.files import read_target as read_target
     from armsight.api.files import read_tool_tip as read_tool_tip
     from armsight.api.files import read_world as read_world
+    from armsight.api.files import repair_recording as repair_recording
     from armsight.api.files import write_joints as write_joints
     from armsight.api.files import write_table as write_table
     from armsight.api.identify import ArmIdentification as ArmIdentification
@@ -56,12 +57,8 @@ if TYPE_CHECKING:
     from armsight.api.remote import RobotConnection as RobotConnection
     from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
-    from armsight.api.runs import MeasureResult as MeasureResult
     from armsight.api.runs import VerifyResult as VerifyResult
-    from armsight.api.runs import measure as measure
     from armsight.api.runs import plan_verification as plan_verification
-    from armsight.api.runs import record as record
-    from armsight.api.runs import repair_recording as repair_recording
     from armsight.api.runs import verify as verify
     from armsight.api.simulation import SimulatedFrame as SimulatedFrame
     from armsight.api.simulation import Simulation as Simulation
@@ -114,6 +111,7 @@ if TYPE_CHECKING:
     from armsight.kinematics import Joint as Joint
     from armsight.kinematics import JointPath as JointPath
     from armsight.kinematics import presets as presets
+    from armsight.measure.results import MeasureResult as MeasureResult
     from armsight.measure.settings import SpotSettings as SpotSettings
     from armsight.measure.track import PoseTrack as PoseTrack
     from armsight.ops import paths as paths
@@ -137,6 +135,8 @@ if TYPE_CHECKING:
     from armsight.ops.files import join as join
     from armsight.ops.kinematics import show_arm as show_arm
     from armsight.ops.kinematics import write_formulas as write_formulas
+    from armsight.ops.measure import measure as measure
+    from armsight.ops.measure import record as record
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
@@ -170,15 +170,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "find_spots",
     ),
     "armsight.measure.track": ("PoseTrack",),
-    "armsight.api.runs": (
-        "MeasureResult",
-        "VerifyResult",
-        "measure",
-        "plan_verification",
-        "record",
-        "repair_recording",
-        "verify",
-    ),
+    "armsight.api.runs": ("VerifyResult", "plan_verification", "verify"),
+    "armsight.ops.measure": ("measure", "record"),
+    "armsight.measure.results": ("MeasureResult",),
     "armsight_lab.api.design": ("design",),
     "armsight_lab.api.batch": ("BatchResult", "batch"),
     "armsight.ops.calibrate_cell": ("calibrate_cell",),
@@ -230,6 +224,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "read_target",
         "read_tool_tip",
         "read_world",
+        "repair_recording",
         "write_joints",
         "write_table",
     ),

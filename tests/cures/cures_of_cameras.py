@@ -160,12 +160,15 @@ TRIED = {
         f"{LIT} --target labels.yaml",
         f"{MIRRORS} --image mirrors",
     ),
-    ("app/measure/run.py", "Leave --timing free away"): (f"{MEASURE} --stills --timing free", f"{MEASURE} --stills"),
-    ("app/measure/run.py", "in place of --left and --right"): (
+    ("app/measure/streams.py", "Leave --timing free away"): (
+        f"{MEASURE} --stills --timing free",
+        f"{MEASURE} --stills",
+    ),
+    ("app/measure/streams.py", "in place of --left and --right"): (
         "measure --rig mirrors.yaml --target board.yaml --left mirrors --right mirrors -o m",
         "measure --rig mirrors.yaml --target board.yaml --image mirrors -o m",
     ),
-    ("app/measure/run.py", "one recording as --left"): (
+    ("app/measure/streams.py", "one recording as --left"): (
         "measure --rig rig.yaml --target target.yaml -o m",
         f"{MEASURE} && {RECORD} && measure --rig rig.yaml --target target.yaml --left a.mcap -o m --overwrite",
     ),

@@ -14,13 +14,12 @@ from cures_of_runs import FIND
 
 from armsight.app.calibrate.cell import _require_inside, read_priors, require_sources
 from armsight.app.calibrate.spots_of_frames import _require_both
-from armsight.app.measure.run import _settings_of_one
-from armsight.app.requests.measure import MeasureJob
+from armsight.app.measure.streams import _settings_of_one
 from armsight.calibrate.cell.assignment import name_lights
 from armsight.calibrate.cell.calibrate import _require_motion
-from armsight.cli.measure import _zoomed
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.kinematics import preset
+from armsight.ops.measure import _with_zoom
 from armsight.records import Frame, Motion
 from armsight.store import read_spot_track
 from armsight.store.recording import RecordingWriter
@@ -216,15 +215,15 @@ TRIED = {
         f"{FREE} {SIDES} --at other-day.csv",
         f"{FREE} {SIDES} --at at.csv",
     ),
-    ("app/measure/run.py", "Run armsight calibrate timing"): (
+    ("app/measure/streams.py", "Run armsight calibrate timing"): (
         f"{MEASURE} --rate 100",
         f"{TIMING} {tables('waved')} && {MEASURE.replace('rig.yaml', 't.yaml')} --rate 100",
     ),
-    ("app/measure/run.py", "Give --timing pairs"): (
+    ("app/measure/streams.py", "Give --timing pairs"): (
         (deep, f"{FREE} --left deep/left --right deep/right --bits 10"),
         f"{FREE} --left deep/left --right deep/right --bits 10 --timing pairs",
     ),
-    ("app/measure/run.py", "the same value; or leave --set-zoom"): (
+    ("app/measure/streams.py", "the same value; or leave --set-zoom"): (
         lambda: _settings_of_one(zoomed_to(100.0, 200.0), "a.png"),
         lambda: [_settings_of_one(zoomed_to(100.0, 100.0), "a.png"), _settings_of_one(AUTOMATIC, "a.png")],
     ),
@@ -232,11 +231,9 @@ TRIED = {
         (apart(0.04), f"{TWO}"),
         f"{TWO} --max-skew 0.05 --overwrite",
     ),
-    ("cli/measure.py", "Give --zoom-left and --zoom-right, or one"): (
+    ("ops/measure.py", "Give --zoom-left and --zoom-right, or one"): (
         f"{MEASURE} --set-zoom",
-        lambda: _zoomed(
-            MeasureJob(rig=Path("rig.yaml"), target=Path("target.yaml"), out=Path("m"), zoom=(100.0, None))
-        ),
+        lambda: _with_zoom(AUTOMATIC, (100.0, None)),
     ),
     ("armsight_lab/cell_plan/plan.py", "Give more time (--duration)"): (viewed(duration_s=0.1), in_view),
     ("armsight_lab/cell_plan/plan.py", "Give a volume that arm and cameras reach"): (

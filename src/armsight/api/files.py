@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from armsight import store
 from armsight.app.convert import TUM_SUFFIXES, load_camera, load_rig
+from armsight.app.record.record import mend
 from armsight.app.requests.shared import UnitLength
 from armsight.app.tables import convert_table
 from armsight.arrays import Array
@@ -321,3 +322,18 @@ def cut_recording(path: PathText, out: PathText, start_s: float, end_s: float, *
     with Recording(source) as recording:
         ends = [recording.origin_ns + round(1e9 * t_s) for t_s in (start_s, end_s)]
     return cut(source, file, ends[0], ends[1], overwrite=overwrite)
+
+
+@speaks_python()
+def repair_recording(path: PathText, out: PathText | None = None, *, overwrite: bool = False) -> Repaired:
+    """Make a readable recording of one that was cut off: as out, or in its place with the broken one kept beside it.
+
+    Raises BadFile for what is no recording, UsageError where a file would be lost.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=2)
+    >>> armsight.repair_recording(folder / "run.mcap", folder / "whole.mcap").lost_bytes
+    0
+    """
+    return mend(as_path(path), None if out is None else as_path(out, "out"), overwrite=overwrite)

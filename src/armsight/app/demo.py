@@ -10,9 +10,8 @@ from typing import Annotated
 import numpy as np
 
 from armsight.app.measure.collector import About
-from armsight.app.measure.run import measure, run
+from armsight.app.measure.run import run
 from armsight.app.measure.warm_up import prepare
-from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.arrays import Array
 from armsight.columns import POSE6
@@ -20,10 +19,11 @@ from armsight.fields import Doc
 from armsight.file_names import DEMO, RIG
 from armsight.geometry import pose_from_quat
 from armsight.measure.poses.pipeline import Setup
-from armsight.measure.results import MeasureOutput
+from armsight.measure.results import MeasureResult
 from armsight.measure.series import INSIDE_95, SCALE, errors_of
 from armsight.measure.settings import SpotSettings
 from armsight.ops.calibrate_cameras import calibrate_stereo
+from armsight.ops.measure import measure
 from armsight.records import Progress, Silent
 from armsight.records.output import Output, extended, output
 from armsight.store import rig_from_mapping, target_from_mapping
@@ -56,8 +56,7 @@ def measure_pictures(out: Path, progress: Progress) -> PicturesOutput:
         left, right = str(folder / "left*.jpg"), str(folder / "right*.jpg")
         rig = out / RIG
         calibrated = calibrate_stereo(left, right, BOARD, out=rig, progress=progress)
-        job = MeasureJob(rig=rig, target=Path(BOARD), out=out, left=left, right=right, stills=True)
-        measured = measure(job, progress)
+        measured = measure(rig, BOARD, left, right, stills=True, out=out, progress=progress)
     return PicturesOutput(
         n_pairs=calibrated.n_pairs,
         rms_px=calibrated.rms_px,
@@ -90,7 +89,7 @@ class PoseErrors(Output):
 
 
 @output
-class DemoOutput(MeasureOutput):
+class DemoOutput(MeasureResult):
     """armsight demo; also OUT/demo.json."""
 
     truth: Annotated[PoseErrors, Doc("Errors against the simulated truth, in rig axes.")]
@@ -132,8 +131,8 @@ def demo(
         truth=truth,
     )
     pairs = CellPairs(made, frames, folder=out if keep_frames else None)
-    summary, poses = run(setup, pairs, out, progress=progress, about=about)
-    errors = errors_of(poses, truth)
+    summary = run(setup, pairs, out, progress=progress, about=about)
+    errors = errors_of(summary.poses.poses, truth)
     compared = np.isfinite(errors.distance2)
     result = extended(
         summary,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from keyword import iskeyword
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +14,9 @@ import typer
 from armsight.cli.command import Command, ResultsDoubted, add
 from armsight.cli.command_ui import CommandUI
 from armsight.fields import Flag, marks
+from armsight.file_names import REPORT, report_path
 from armsight.ops.action import OUT
-from armsight.shown import WRITTEN
+from armsight.shown import WRITTEN, Shown
 
 if TYPE_CHECKING:
     from armsight.ops.action import Action
@@ -31,12 +32,13 @@ def add_action(
     call: Callable[..., Any],
     instead: Callable[[CommandUI, Mapping[str, Any]], bool] | None = None,
     flags: Callable[[], Mapping[str, tuple[Any, Any]]] = dict,
+    settled: Callable[[], Mapping[str, Any]] = dict,
     **more: Any,
 ) -> None:
     """Add an action (armsight.ops) to a group as a command; more: of Command.
 
     instead: does another job where what was asked, by parameter, means that one, and tells whether it did. flags:
-    further ones, of that job.
+    further ones, of that job. settled: what holds where a flag is not given, by parameter.
     """
     done = action_of(call)
 
@@ -50,11 +52,11 @@ def add_action(
         return {names()[name]: one for name, one in {**own, **flags(), **own}.items()}  # its own first, in their order
 
     def run(face: CommandUI, **given: Any) -> None:
-        asked = {name: given[word] for name, word in names().items() if word in given}
+        asked = {**settled(), **{name: given[word] for name, word in names().items() if word in given}}
         if instead is None or not instead(face, asked):
             own = {name: asked[name] for name in done.parameters if name in asked}
             result = done.run(own, face.progress(done.working) if done.working else None)
-            show(face, result, None if done.writes else asked.get(OUT))
+            show(face, result, asked.get(OUT), written=done.writes)
 
     text = SECTION.split(call.__doc__ or "")[0]
     about = {"keeps": done.keeps} | more
@@ -67,21 +69,37 @@ def action_of(call: Callable[..., Any]) -> Action:
     return done
 
 
-def show(face: CommandUI, result: Output, out: Path | None) -> None:
-    """Show a result, which was written to `out`, if it is of a file. Raises Exit where it is not as it should be."""
+def show(face: CommandUI, result: Output, out: Any, *, written: bool = False) -> None:
+    """Show a result, which was written to `out`, if it is of a file. Raises Exit where it is not as it should be.
+
+    written: it says itself where its files are.
+    """
     from armsight.report.pages import page_path
 
-    lines, page = list(result.summary()), None if out is None else page_path(out, result)
-    told = out is None or hasattr(result, "write") or any(str(one).startswith(WRITTEN) for one in lines)
-    for one in lines if told else [*lines, f"Result: {out}" + ("" if page is None else f"; open {page}")]:
-        if isinstance(one, str):
-            report = "" if out is None else str(out.with_suffix(".report.html"))
-            face.say(one.replace("{out}", str(out)).replace("{report}", report))
-        else:
-            face.table(*one)
+    lines, page = list(result.summary()), None if out is None or written else page_path(out, result)
+    told = out is None or written or hasattr(result, "write") or any(str(one).startswith(WRITTEN) for one in lines)
+    show_lines(face, lines if told else [*lines, f"Result: {out}" + ("" if page is None else f"; open {page}")], out)
     face.result(result)
     if result.exit_code:
         raise ResultsDoubted
+
+
+def show_lines(face: CommandUI, lines: Iterable[Shown], out: Any) -> None:
+    """Show tables and lines, with the name of what was written in its place."""
+    for one in lines:
+        if isinstance(one, str):
+            face.say(_with_names(one, out))
+        else:
+            face.table(*one)
+
+
+def _with_names(line: str, out: Any) -> str:
+    """Return a line with the names of what was written in place of {out} and {report}."""
+    if not isinstance(out, Path):
+        return line
+    if "{report}" in line:
+        line = line.replace("{report}", str(report_path(out)))
+    return line.replace(f"{{out}}/{REPORT}", str(out / REPORT)).replace("{out}", str(out))
 
 
 def _word(name: str, hint: Any) -> str:

@@ -1,98 +1,45 @@
-"""armsight measure, armsight record, and convert recording."""
+"""armsight measure and armsight record."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
-from armsight.app import requests
-from armsight.cli.command import ResultsDoubted, app, command
+from armsight.cli.actions import add_action
+from armsight.cli.command import app
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.flags import PartialRequest
-from armsight.cli.tables import measure_tables
-from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
-from armsight.file_names import MEASURED
-
-if TYPE_CHECKING:
-    from armsight.drivers import PairSettings
+from armsight.ops.measure import measure, record
 
 
-@command(app, keeps=MEASURED, judged=True)
-def measure(
-    face: CommandUI,
-    job: requests.measure.MeasureJob,
-    set_zoom: Annotated[bool, Doc("Set live cameras to these first.")] = False,
-) -> None:
-    """Measure the target's pose in every pair of frames.
-
-    Writes poses.csv, points.csv, spots.csv, poses.tum, measure.json and report.html. Exit code 3, with all of them
-    written, where the run is inconsistent: its poses are doubtful.
-    """
-    from armsight.app.measure.run import measure as run
+def rates() -> dict[str, Any]:
+    """Return what the person's settings say of frames without times and of live pairs."""
     from armsight.config import load_settings
 
-    settings = load_settings()
-    job = replace(
-        job,
-        fps=settings.fps if job.fps is None else job.fps,
-        max_skew_s=settings.max_skew_s if job.max_skew_s is None else job.max_skew_s,
-        camera_settings=_zoomed(job) if set_zoom else job.camera_settings,
-    )
-    summary = run(job, face.progress("measuring"))
-    measure_tables(face, summary, job.out)
-    face.result(summary)
-    inconsistent = summary.consistency is not None and summary.consistency.verdict == "inconsistent"
-    if inconsistent or (summary.timing is not None and summary.n_doubtful):
-        raise ResultsDoubted
+    return load_settings().model_dump(include={"fps", "max_skew_s"})
 
 
-def _zoomed(job: requests.measure.MeasureJob) -> PairSettings:
-    """Return what is asked of the cameras with the zoom to set of each. Raises UsageError where there is none."""
-    from armsight.drivers import by_side
-
-    if job.zoom == (None, None):
-        raise UsageError(
-            "--set-zoom is given, and no zoom to set", cure="Give --zoom-left and --zoom-right, or one of them"
-        )
-    left, right = by_side(job.camera_settings)
-    return replace(left, zoom=job.zoom[0]), replace(right, zoom=job.zoom[1])
-
-
-@command(app)
-def record(
-    face: CommandUI,
-    asked: PartialRequest[requests.measure.RecordJob],
-    repair: Annotated[
-        Path | None, Doc("Mend this broken recording and record nothing."), Flag(metavar="FILE.mcap")
-    ] = None,
-) -> None:
-    """Record both cameras into an MCAP file, or mend one that was cut off.
-
-    Stop with Ctrl-C. Whatever happens to the program or the disk, all but the last second is readable.
-    """
-    face.until_stopped = asked.value("limit") is None and asked.value("seconds_s") is None
-    from armsight.app.record.record import record as run
-
-    if repair is not None:
-        _mend(face, repair, asked.value("out"), asked.value("overwrite"))
-        return
-    if asked.value("out") is None:
-        raise UsageError("the recording has no name", cure="Give -o FILE.mcap")
-    done = run(asked.made(), face.progress("recording"))
-    lost = f", {done.n_dropped} dropped because the disk or the processor is too slow" if done.n_dropped else ""
-    lost += f", {done.n_missed} missed by the cameras" if done.n_missed else ""
-    size = f"{done.size_bytes / 1e6:.1f} MB as {done.format}"
-    face.say(f"{done.n_pairs} pairs in {done.duration_s:.1f} s{lost}; {size} in {done.file}")
-    face.result(done)
-
-
-def _mend(face: CommandUI, path: Path, out: Path | None, overwrite: bool) -> None:
+def mended(face: CommandUI, asked: Mapping[str, Any]) -> bool:
+    """Mend a broken recording where that is asked, and tell whether it is."""
+    if asked.get("repair") is None:
+        face.until_stopped = asked.get("frames") is None and asked.get("seconds_s") is None
+        return False
     from armsight.app.record.record import mend
 
-    done = mend(path, out, overwrite=overwrite)
+    done = mend(asked["repair"], asked.get("out"), overwrite=asked["overwrite"])
     total = sum(done.messages.values())
     lost = f"{done.lost_bytes} bytes were not whole" if done.lost_bytes else "nothing was lost"
     face.say(f"{total} messages over {done.duration_s:.1f} s are in {done.file}; {lost}")
     face.result(done)
+    return True
+
+
+def repair_flag() -> dict[str, tuple[Any, Any]]:
+    """Return the flag of the recording to mend."""
+    text = "Mend this broken recording and record nothing."
+    return {"repair": (Annotated[Path | None, Doc(text), Flag(metavar="FILE.mcap")], None)}
+
+
+add_action(app, measure, settled=rates, judged=True)
+add_action(app, record, mended, repair_flag)

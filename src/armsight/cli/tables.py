@@ -6,107 +6,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armsight import shown
+from armsight.cli.actions import show_lines
 from armsight.cli.command_ui import CommandUI, own_command
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.shown import REJECTED_SHOWN, digits
-from armsight.units import DEG, MM, MS
+from armsight.shown import digits
+from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
     from armsight.app.demo import DemoOutput, PoseErrors
     from armsight.app.doctor import AccuracyPlan, DoctorOutput
-    from armsight.measure.results import MeasureOutput
     from armsight.records.result_parts import PoseStd
 
 figure = digits
 parameter = shown.parameter_row
-
-REASONS = {
-    "no_spot": "no spot in a view: the lights must be on, and brighter than what is round them",
-    "dark_path": "no two spots are both views of one light: one path of the mirrors may be dark",
-    "ambiguous": "ambiguous: more than one way to name the lights fits",
-    "overlapping": "a spot of one view may lie on one of the other's",
-    "lights_missing": "too few of the target's lights are seen",
-    "unreadable": "the image cannot be read",
-    "no_board": "the board is not seen in both views",
-    "in_part": "the board is seen in part",
-    "blurred": "the board is blurred",
-    "only_once": "the board is seen in one view of two",
-    "thrice": "the board is seen more than once in each view",
-    "beyond_size": "the board goes on beyond its counts",
-    "other": "something else, which the report tells",
-    "crowd": "so much is bright that the target may be chance: mask the background, or lower the exposure",
-    "deadline": "more is bright than can be looked at in time: mask the background, or lower the exposure",
-    "unpaired": "no spot of one view belongs to one of the other",
-    "swapped": "left and right look exchanged",
-    "wrong_target": "the lights' size, distance or order is not the target's",
-    "misfit": "the spots do not fit the target: its measures, the calibration or the moment of the exposures is off",
-    "one_off": "one of the spots is off, and it is not clear which",
-    "rotation_open": "the spots leave the rotation open",
-    "small_target": "a target of one or two lights has no rotation",
-    "no_point": "the spots give no place before the cameras",
-    "motion": "the lights are not where the target's motion puts them",
-    "half_hidden": "something covers a part of a light",
-    "gap": "the target was not seen for too long",
-    "beyond_claims": "doubtful: the spots fit by far not as well as they claim",
-    "inconsistent": "doubtful: the run says that rig or target are wrong",
-}
-"""What the kinds of reasons in measure.json mean; the report has each frame's own words."""
 
 
 def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
     rotation = pose.rotation.as_rotvec()
     return shown.pose_rows(pose.translation.tolist(), rotation.tolist(), std.translation_m, std.rotation_rad)
-
-
-def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
-    """Print what a measurement came to."""
-    rows = [
-        ["pairs of frames", str(summary.n_frames)],
-        ["pose", str(summary.n_ok)],
-        ["doubtful", str(summary.n_doubtful)],
-        ["position only", str(summary.n_position_only)],
-        ["lost", str(summary.n_lost)],
-        ["reprojection, px RMS", figure(summary.reprojection_rms_px)],
-        ["ms per pair, median", figure(summary.ms_per_frame.median)],
-        ["ms per pair, 99 %", figure(summary.ms_per_frame.p99)],
-    ]
-    rows += [] if summary.assumed_fps is None else [["time", f"assumed at {summary.assumed_fps:g} fps"]]
-    if summary.skew is not None:
-        rows += [
-            ["right after left, ms mean", figure(summary.skew.mean_s / MS)],
-            ["right after left, ms largest", figure(summary.skew.largest_s / MS)],
-            ["frames without a partner", str(summary.skew.n_dropped)],
-        ]
-    free = summary.timing
-    if free is not None:
-        rows[0][0], rows[5][0] = "poses asked for", "ms per view"
-        del rows[6]
-        rows += [
-            ["views, left and right", f"{free.n_views.left} and {free.n_views.right}"],
-            ["speed, mm/s RMS", figure(None if free.speed_m_s is None else free.speed_m_s / MM)],
-            [
-                "motion between nearest frames, mm RMS",
-                figure(None if free.nearest_pairs_m is None else free.nearest_pairs_m / MM),
-            ],
-        ]
-    face.table("Measured", ["", ""], rows)
-    if free is not None and free.note:
-        face.say(f"Doubtful: {free.note}")
-    _reasons(face, summary)
-    found = summary.consistency
-    if found is not None and found.sentence:
-        loud = found.verdict == "inconsistent"
-        face.say(f"{'INCONSISTENT: the poses are not to be trusted. ' if loud else 'Note: '}{found.sentence}")
-        face.say(f"  {found.advice}".rstrip())
-    face.say(f"Results: {out}; open {out / 'report.html'}")
-
-
-def _reasons(face: CommandUI, summary: MeasureOutput) -> None:
-    for kind, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
-        face.say(f"  {count} x {REASONS.get(kind, kind)}")
 
 
 def doctor_tables(face: CommandUI, found: DoctorOutput) -> None:
@@ -172,7 +92,7 @@ def _accuracy_table(face: CommandUI, plan: AccuracyPlan) -> None:
 
 def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
     """Print how far the demo's poses are from the truth."""
-    measure_tables(face, result, out)
+    show_lines(face, result.summary(), out)
     face.table("Error against the truth", ["", "RMS", "largest", "claimed +-"], _truth_rows(result.truth))
     if result.inside_95 is not None:
         face.say(f"{figure(100.0 * result.inside_95, 3)} % of the poses lie inside their own 95 % ellipsoid.")

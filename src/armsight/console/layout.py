@@ -217,9 +217,14 @@ LONGEST = 1000
 """Characters of a text: a source of frames is a path, of which systems take 4096 bytes."""
 
 
-def number_field(label: str, of: type, name: str, unit: float = 1.0, *, step: float | None = None) -> ui.number:
-    """Return a field for a number of a request, which says its default and bounds; unit: what one of it is in SI."""
-    bounds, value = (bounds_of(known_hints(of)[name]) or Bounds()).per(unit), getattr(of, name)
+def number_field(label: str, of: Any, name: str, unit: float = 1.0, *, step: float | None = None) -> ui.number:
+    """Return a field for a number of a request or an action, which says its default and bounds.
+
+    unit: what one of it is in SI.
+    """
+    done = vars(of).get("action")
+    hints, value = (known_hints(of), getattr(of, name)) if done is None else (done.hints, done.parameters[name].default)
+    bounds = (bounds_of(hints[name]) or Bounds()).per(unit)
     shown = value if value is None or isinstance(value, int) else round(value / unit, DIGITS)
     least = bounds.above if bounds.least is None else bounds.least
     return ui.number(label, value=shown, min=least, max=bounds.most, step=step)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.fields import Doc
+from armsight.file_names import REPORT
 from armsight.measure.series import errors_of, losses_of, median_columns, series_of
+from armsight.measure.track import PoseTrack
 from armsight.records import TargetPose
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import MEANING, BothCounts, BothSeconds, PoseStd, Skew, Verdict
-from armsight.units import figure_of
+from armsight.shown import REJECTED_SHOWN, Shown, Table, digits
+from armsight.units import MM, MS, figure_of
 
 
 @output
@@ -129,10 +132,10 @@ class MadeWith(Output):
 
 
 @output
-class MeasureOutput(Output):
+class MeasureResult(Output):
     """armsight measure; also OUT/measure.json.
 
-    grounds: what the verdict rests on beside the figures.
+    grounds: what the verdict rests on beside the figures. poses: all of them, in the order of time.
     """
 
     n_frames: Annotated[int, Doc("Pairs of frames.")]
@@ -158,13 +161,100 @@ class MeasureOutput(Output):
     zoom: Annotated[dict[str, ZoomAt] | None, Doc("The cameras that zoom, by left and right.")] = None
     made_with: Annotated[MadeWith | None, Doc("Which rig and target it was.")] = None
     grounds: Grounds
+    poses: PoseTrack
 
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         return measure_verdict(self)
 
+    @property
+    def exit_code(self) -> int:
+        """With which a command ends."""
+        found, free = self.consistency, self.timing
+        inconsistent = found is not None and found.verdict == "inconsistent"
+        return 3 if inconsistent or (free is not None and self.n_doubtful) else 0
 
-# What a measured run comes to.
+    def plot(self) -> Any:
+        """Return a plotly figure of the poses over time."""
+        return self.poses.plot()
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        yield Table("Measured", ["", ""], _rows(self))
+        if self.timing is not None and self.timing.note:
+            yield f"Doubtful: {self.timing.note}"
+        for kind, count in list(self.reasons.items())[:REJECTED_SHOWN]:
+            yield f"  {count} x {REASONS.get(kind, kind)}"
+        found = self.consistency
+        if found is not None and found.sentence:
+            loud = found.verdict == "inconsistent"
+            yield f"{'INCONSISTENT: the poses are not to be trusted. ' if loud else 'Note: '}{found.sentence}"
+            yield f"  {found.advice}".rstrip()
+        yield f"Results: {{out}}; open {{out}}/{REPORT}"
+
+
+def _rows(done: MeasureResult) -> list[list[str]]:
+    """Return the rows of the figures that a terminal shows."""
+    free, ms = done.timing, done.ms_per_frame
+    counted, took = ("pairs of frames", "pair, median") if free is None else ("poses asked for", "view")
+    rows = [
+        [counted, str(done.n_frames)],
+        ["pose", str(done.n_ok)],
+        ["doubtful", str(done.n_doubtful)],
+        ["position only", str(done.n_position_only)],
+        ["lost", str(done.n_lost)],
+        ["reprojection, px RMS", digits(done.reprojection_rms_px)],
+        [f"ms per {took}", digits(ms.median)],
+    ]
+    rows += [["ms per pair, 99 %", digits(ms.p99)]] if free is None else []
+    rows += [] if done.assumed_fps is None else [["time", f"assumed at {done.assumed_fps:g} fps"]]
+    if done.skew is not None:
+        rows += [
+            ["right after left, ms mean", digits(done.skew.mean_s / MS)],
+            ["right after left, ms largest", digits(done.skew.largest_s / MS)],
+            ["frames without a partner", str(done.skew.n_dropped)],
+        ]
+    if free is not None:
+        moved_m = free.nearest_pairs_m
+        rows += [
+            ["views, left and right", f"{free.n_views.left} and {free.n_views.right}"],
+            ["speed, mm/s RMS", digits(None if free.speed_m_s is None else free.speed_m_s / MM)],
+            ["motion between nearest frames, mm RMS", digits(None if moved_m is None else moved_m / MM)],
+        ]
+    return rows
+
+
+REASONS = {
+    "no_spot": "no spot in a view: the lights must be on, and brighter than what is round them",
+    "dark_path": "no two spots are both views of one light: one path of the mirrors may be dark",
+    "ambiguous": "ambiguous: more than one way to name the lights fits",
+    "overlapping": "a spot of one view may lie on one of the other's",
+    "lights_missing": "too few of the target's lights are seen",
+    "unreadable": "the image cannot be read",
+    "no_board": "the board is not seen in both views",
+    "in_part": "the board is seen in part",
+    "blurred": "the board is blurred",
+    "only_once": "the board is seen in one view of two",
+    "thrice": "the board is seen more than once in each view",
+    "beyond_size": "the board goes on beyond its counts",
+    "other": "something else, which the report tells",
+    "crowd": "so much is bright that the target may be chance: mask the background, or lower the exposure",
+    "deadline": "more is bright than can be looked at in time: mask the background, or lower the exposure",
+    "unpaired": "no spot of one view belongs to one of the other",
+    "swapped": "left and right look exchanged",
+    "wrong_target": "the lights' size, distance or order is not the target's",
+    "misfit": "the spots do not fit the target: its measures, the calibration or the moment of the exposures is off",
+    "one_off": "one of the spots is off, and it is not clear which",
+    "rotation_open": "the spots leave the rotation open",
+    "small_target": "a target of one or two lights has no rotation",
+    "no_point": "the spots give no place before the cameras",
+    "motion": "the lights are not where the target's motion puts them",
+    "half_hidden": "something covers a part of a light",
+    "gap": "the target was not seen for too long",
+    "beyond_claims": "doubtful: the spots fit by far not as well as they claim",
+    "inconsistent": "doubtful: the run says that rig or target are wrong",
+}
+"""What the kinds of reasons in measure.json mean; the report has each frame's own words."""
 
 GOOD_SHARE = 0.95
 """Share of full poses from which a run is called complete."""
@@ -210,7 +300,7 @@ def grounds_of(poses: Sequence[TargetPose], truth: Sequence[RigidTransform] | No
     return Grounds(lost=lost, known=known, error_mm=error_mm, inside=errors.inside())
 
 
-def believed(done: MeasureOutput) -> ConsistencyOutput | None:
+def believed(done: MeasureResult) -> ConsistencyOutput | None:
     """Return what is said of the residuals: the check's cause, or else what views at their own times say."""
     found, note = done.consistency, None if done.timing is None else done.timing.note
     if found is None or done.timing is None:
@@ -220,7 +310,7 @@ def believed(done: MeasureOutput) -> ConsistencyOutput | None:
     return replace(found, verdict="inconsistent") if done.n_doubtful else found
 
 
-def measure_verdict(done: MeasureOutput) -> Verdict:
+def measure_verdict(done: MeasureResult) -> Verdict:
     """Return what a run comes to."""
     n, ok, broken, seen = done.n_frames, done.n_ok + done.n_doubtful, done.error or "", done.grounds
     if ok == 0:

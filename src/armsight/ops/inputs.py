@@ -258,7 +258,7 @@ def picture(name: str, value: Any, given: Given, undo: ExitStack) -> NDArray[np.
 
 def frames(name: str, value: Any, given: Given, undo: ExitStack) -> str:
     """Return frames as the command line names them; images of a program are written to a folder that goes again."""
-    return undo.enter_context(Folder(limit=given.get("limit"))).source(name, value)
+    return undo.enter_context(Folder(limit=given.get("limit", given.get("frames")))).source(name, value)
 
 
 def images(name: str, value: Any, given: Given, undo: ExitStack) -> str | list[Frame]:

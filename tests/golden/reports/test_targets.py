@@ -3,24 +3,23 @@
 import pytest
 import yaml
 
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.errors import DataRefused
+from armsight.ops.measure import measure
 from refusals import names_it
 from reports import case
 
 
 def run(folder, tmp_path, rig="rig.yaml", target=None):
     rig = folder / rig if isinstance(rig, str) else rig
-    job = MeasureJob(
-        rig=rig,
-        target=target or folder / "target.yaml",
-        left=str(folder / "left"),
-        right=str(folder / "right"),
-        stills=True,
-        out=tmp_path / f"run-{rig.stem}-{'given' if target is None else 'cured'}",
-    )
-    return measure(job)
+    job = {
+        "rig": rig,
+        "target": target or folder / "target.yaml",
+        "left": str(folder / "left"),
+        "right": str(folder / "right"),
+        "stills": True,
+        "out": tmp_path / f"run-{rig.stem}-{'given' if target is None else 'cured'}",
+    }
+    return measure(**job)
 
 
 def told(folder, tmp_path, rig="rig.yaml"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,11 +13,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.results import MeasureOutput
+from armsight.measure.results import MeasureResult
+from armsight.ops.measure import measure
 from armsight.optics import Camera, parallel_rig
 from armsight.records import CameraTiming, NamedCovariance, PoseStatus, spot_target
 from armsight.store import Table, read_poses, read_table, write_rig, write_target
@@ -81,10 +81,9 @@ def spots(folder: Path, *, seconds: float = 4.0, keep: Callable[[float, int], bo
         (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
 
 
-def job(folder: Path, **more: object) -> MeasureJob:
+def job(folder: Path, **more: object) -> dict[str, Any]:
     tables = {"left_spots": folder / "left.csv", "right_spots": folder / "right.csv"}
-    given = {"rig": folder / "rig.yaml", "target": folder / "target.yaml", "out": folder / "out", **tables, **more}
-    return MeasureJob(**given)  # type: ignore[arg-type]
+    return {"rig": folder / "rig.yaml", "target": folder / "target.yaml", "out": folder / "out", **tables, **more}
 
 
 def errors(folder: Path) -> tuple[Array, Array]:
@@ -114,7 +113,7 @@ def moving_table(folder: Path) -> Table:
 def test_tables_of_spots_of_free_running_cameras_give_poses_and_velocity_at_the_left_frames(tmp_path: Path) -> None:
     timed_rig(tmp_path)
     spots(tmp_path)
-    summary = measure(job(tmp_path))
+    summary = measure(**job(tmp_path))
     assert summary.timing is not None and summary.timing.n_starts == 1 and summary.timing.note is None
     assert summary.n_frames == 120 and summary.n_ok > 105  # it is not found at once in motion
     d, sigmas = errors(tmp_path)
@@ -133,22 +132,22 @@ def test_tables_of_spots_of_free_running_cameras_give_poses_and_velocity_at_the_
 def test_poses_come_at_a_rate_or_at_given_times_and_not_where_nothing_was_seen(tmp_path: Path) -> None:
     timed_rig(tmp_path)
     spots(tmp_path)
-    assert measure(job(tmp_path, rate_hz=100.0)).n_ok > 350
+    assert measure(**job(tmp_path, rate_hz=100.0)).n_ok > 350
     d, _ = errors(tmp_path)
     assert np.linalg.norm(d[:, :3], axis=1).max() < 2e-3
     (tmp_path / "joints.csv").write_text("t_s,q1\n1.0,0.1\n2.5,0.2\n9.0,0.3\n")
-    summary = measure(job(tmp_path, at=tmp_path / "joints.csv"))
+    summary = measure(**job(tmp_path, at=tmp_path / "joints.csv"))
     assert (summary.n_ok, summary.n_lost) == (2, 1)
     assert summary.reasons == {"gap": 1}
     (tmp_path / "joints.csv").write_text("t_s,q1\n101.0,0.1\n102.5,0.2\n")
     with refuses(NotEnoughData, "none", "times"):
-        measure(job(tmp_path, at=tmp_path / "joints.csv"))
+        measure(**job(tmp_path, at=tmp_path / "joints.csv"))
 
 
 def test_a_covered_camera_leaves_wider_poses_that_hold(tmp_path: Path) -> None:
     timed_rig(tmp_path)
     spots(tmp_path, keep=lambda t, side: side == 0 or not 1.5 < t < 2.0)
-    measure(job(tmp_path))
+    measure(**job(tmp_path))
     found = {round(one.t_s, 2): one for one in read_poses(tmp_path / "out" / "poses.csv")}
     covered = [one for t, one in found.items() if 1.6 < t < 1.9]
     d, sigmas = errors(tmp_path)
@@ -173,25 +172,25 @@ def test_images_of_free_running_cameras_are_measured_where_the_rig_tells_their_t
                 image[box] += 150.0 * np.exp(-((x[box] - u) ** 2 + (y[box] - v) ** 2) / (2.0 * 1.6**2))
             cv2.imwrite(str(tmp_path / name / f"{n:03d}.png"), np.clip(np.rint(image), 0, 255).astype(np.uint8))
     frames = {"left": str(tmp_path / "left"), "right": str(tmp_path / "right"), "left_spots": None, "right_spots": None}
-    summary = measure(job(tmp_path, fps=RATE, **frames))
+    summary = measure(**job(tmp_path, fps=RATE, **frames))
     assert summary.timing is not None and summary.n_ok > 15
     d, _ = errors(tmp_path)
     assert np.linalg.norm(d[:, :3], axis=1).max() < 1e-3
-    again = measure(job(tmp_path, fps=RATE, timing="pairs", **frames))
+    again = measure(**job(tmp_path, fps=RATE, timing="pairs", **frames))
     assert again.timing is None
 
 
 def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
     timed_rig(tmp_path)
     spots(tmp_path, seconds=2.0)
-    measure(job(tmp_path))
+    measure(**job(tmp_path))
     in_rig = moving_table(tmp_path).stacked(VELOCITY)
     T = RigidTransform.from_components([1.0, 2.0, 3.0], Rotation.from_rotvec([0.0, 0.0, np.pi / 2]))
     quat = ", ".join(f"{value:.17g}" for value in T.rotation.as_quat())
     (tmp_path / "world.yaml").write_text(
         f"format: armsight/world\nversion: 1\nT_world_rig: {{xyz_m: [1, 2, 3], quat_xyzw: [{quat}]}}\n"
     )
-    measure(job(tmp_path, world=tmp_path / "world.yaml"))
+    measure(**job(tmp_path, world=tmp_path / "world.yaml"))
     in_world = moving_table(tmp_path).stacked(VELOCITY)
     np.testing.assert_allclose(in_world[:, :3], T.rotation.apply(in_rig[:, :3]), atol=1e-9)
     np.testing.assert_allclose(in_world[:, 3:], T.rotation.apply(in_rig[:, 3:]), atol=1e-9)
@@ -243,7 +242,7 @@ def test_what_cannot_be_together_is_refused(
     timed_rig(tmp_path)
     spots(tmp_path, seconds=1.5)
     with refuses(error, says):
-        measure(job(tmp_path, **more))
+        measure(**job(tmp_path, **more))
     assert not (tmp_path / "out").exists()
 
 
@@ -251,7 +250,7 @@ def test_a_rig_without_timing_is_told_what_to_run(tmp_path: Path) -> None:
     timed_rig(tmp_path, timed=False)
     spots(tmp_path, seconds=1.5)
     with refuses(UsageError, "armsight calibrate timing", "--timing pairs"):
-        measure(job(tmp_path, timing="free"))
+        measure(**job(tmp_path, timing="free"))
 
 
 def test_stamps_that_run_backwards_are_refused_by_row(tmp_path: Path) -> None:
@@ -260,7 +259,7 @@ def test_stamps_that_run_backwards_are_refused_by_row(tmp_path: Path) -> None:
     rows = (tmp_path / "left.csv").read_text().splitlines()
     (tmp_path / "left.csv").write_text("\n".join([rows[0], *rows[10:13], *rows[1:10], *rows[13:]]) + "\n")
     with pytest.raises((BadFile, Inconsistent), match="time"):
-        measure(job(tmp_path))
+        measure(**job(tmp_path))
 
 
 def test_a_target_that_is_not_there_gives_no_pose(tmp_path: Path) -> None:
@@ -270,7 +269,7 @@ def test_a_target_that_is_not_there_gives_no_pose(tmp_path: Path) -> None:
         tmp_path / "target.yaml", spot_target({"A": (0.0, 0.0, 0.0), "B": (0.2, 0.0, 0.0), "C": (0.0, 0.3, 0.0)})
     )
     with refuses(NotEnoughData, "none", "followed"):
-        measure(job(tmp_path))
+        measure(**job(tmp_path))
 
 
 @pytest.mark.parametrize("off_s", [-0.02, -0.005, 0.005, 0.01, 0.02])
@@ -278,17 +277,17 @@ def test_cameras_out_of_step_are_refused(tmp_path: Path, off_s: float) -> None:
     """The right camera's delay off by 5 to 20 ms: 1 to 5 mm between the views."""
     with_delay(tmp_path, DELAY + off_s)
     with refuses(Inconsistent, "timing", "anew"):
-        measure(job(tmp_path))
+        measure(**job(tmp_path))
 
 
 def test_a_delay_that_is_a_little_off_makes_the_poses_doubtful(tmp_path: Path) -> None:
     with_delay(tmp_path, DELAY + 0.001)
-    summary = measure(job(tmp_path))
+    summary = measure(**job(tmp_path))
     assert summary.timing is not None and names_it(summary.timing.note, "the delay", "no longer")
     all_doubtful(tmp_path, summary)
 
 
-def all_doubtful(folder: Path, summary: MeasureOutput) -> None:
+def all_doubtful(folder: Path, summary: MeasureResult) -> None:
     """Nothing acts on a pose of a run that does not fit its claims."""
     assert summary.n_ok == 0 and summary.n_doubtful > 100
     assert summary.reasons["inconsistent"] == summary.n_doubtful
@@ -304,7 +303,7 @@ def test_a_target_larger_than_its_file_says_makes_the_run_doubtful_and_names_the
         tmp_path / "target.yaml",
         spot_target({name: (0.996 * x, 0.996 * y, 0.996 * z) for name, (x, y, z) in LIGHTS.items()}),
     )
-    summary = measure(job(tmp_path))
+    summary = measure(**job(tmp_path))
     all_doubtful(tmp_path, summary)
     assert summary.consistency is not None
     assert summary.consistency.cause == "scale" and summary.consistency.estimate == pytest.approx(0.004, abs=0.001)
@@ -313,7 +312,7 @@ def test_a_target_larger_than_its_file_says_makes_the_run_doubtful_and_names_the
 def test_a_run_that_fits_its_claims_is_called_ok(tmp_path: Path) -> None:
     timed_rig(tmp_path)
     spots(tmp_path)
-    summary = measure(job(tmp_path))
+    summary = measure(**job(tmp_path))
     assert summary.consistency is not None and summary.consistency.verdict == "ok"
     assert summary.n_doubtful == 0
 

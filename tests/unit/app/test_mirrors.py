@@ -16,15 +16,14 @@ from scipy.special import erf
 from typer.testing import CliRunner
 
 from armsight.app.calibrate import mirrors, mirrors_lit_target
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.run import simulate
 from armsight.app.sources.frames import complex_pairs, open_source
 from armsight.calibrate.mirrors.result import reasons
 from armsight.cli.commands import app
 from armsight.drivers import PairSource
 from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
-from armsight.measure.results import MeasureOutput
+from armsight.measure.results import MeasureResult
+from armsight.ops.measure import measure
 from armsight.optics import Camera, parallel_rig
 from armsight.records import NotSeen, PoseStatus, spot_target
 from armsight.store import read_poses, read_rig, write_camera, write_rig, write_target
@@ -177,13 +176,16 @@ def test_what_cannot_be_calibrated_is_refused(rig: Path, tmp_path: Path) -> None
     assert code == 2 and "--board" in content["error"]["cure"]
 
 
-def measured_complex(folder: Path, method: str) -> tuple[MeasureOutput, Any]:
+def measured_complex(folder: Path, method: str) -> tuple[MeasureResult, Any]:
     """The summary of twelve complex frames, and the root mean square errors of their positions."""
-    job = MeasureJob(
-        rig=folder / "rig.yaml", target=folder / "target.yaml", out=folder / method, image=str(folder / "image"),
-        method=method,
-    )  # fmt: skip
-    summary = measure(job)
+    job = {
+        "rig": folder / "rig.yaml",
+        "target": folder / "target.yaml",
+        "out": folder / method,
+        "image": str(folder / "image"),
+        "method": method,
+    }
+    summary = measure(**job)
     assert summary.n_ok == 12 if method == "likelihood" else summary.n_ok >= 10  # coarse spots may leave a tilt open
     rows = zip(*(read_poses(file) for file in (folder / "truth.csv", folder / method / "poses.csv")), strict=True)
     whole = [(truth.pose, found.pose) for truth, found in rows if found.status is PoseStatus.OK]
@@ -212,11 +214,11 @@ def test_complex_frames_of_a_room_are_measured(tmp_path: Path) -> None:
 
 
 def test_a_board_is_measured_in_a_complex_image(rig: Path, tmp_path: Path) -> None:
-    job = MeasureJob(rig=rig, target=Path(BOARD), out=tmp_path / "m", image=str(rig.parent / "image"))
-    assert measure(job).n_ok == 2
-    dark = MeasureJob(rig=rig, target=Path(BOARD), out=tmp_path / "d", image=str(rig.parent / "left"), limit=1)
+    job = {"rig": rig, "target": Path(BOARD), "out": tmp_path / "m", "image": str(rig.parent / "image")}
+    assert measure(**job).n_ok == 2
+    dark = {"rig": rig, "target": Path(BOARD), "out": tmp_path / "d", "image": str(rig.parent / "left"), "frames": 1}
     with refuses(NotEnoughData, "1 pairs"):
-        measure(dark)
+        measure(**dark)
 
 
 def test_covered_views_exchanged_or_joined_are_told(rig: Path, tmp_path: Path) -> None:
@@ -359,7 +361,7 @@ def test_the_size_tells_how_an_image_holds_two_views(lit: Path, tmp_path: Path) 
 
 def test_a_mirror_rig_needs_image(rig: Path, tmp_path: Path) -> None:
     images = str(rig.parent / "image")
-    job = MeasureJob(rig=rig, target=Path(BOARD), out=tmp_path / "m", left=images, right=images)
+    job = {"rig": rig, "target": Path(BOARD), "out": tmp_path / "m", "left": images, "right": images}
     with pytest.raises(UsageError, match="mirrors") as caught:
-        measure(job)
-    assert "--image" in caught.value.cure
+        measure(**job)
+    assert "Give image" in caught.value.cure

@@ -3,10 +3,9 @@
 import pytest
 import yaml
 
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.run import simulate
 from armsight.errors import DataRefused
+from armsight.ops.measure import measure
 from refusals import names_it
 
 
@@ -24,7 +23,7 @@ def told(cell, tmp_path, change):
     sides = {side: str(cell / side) for side in ("left", "right")}
     given = {"rig": cell / "rig.yaml", "target": tmp_path / "target.yaml", "times": cell / "times.csv"}
     try:
-        done = measure(MeasureJob(**sides, **given, out=tmp_path / "run"))
+        done = measure(**sides, **given, out=tmp_path / "run")
     except DataRefused as error:
         return str(error)
     return f"{done.consistency.sentence} {done.consistency.advice}"

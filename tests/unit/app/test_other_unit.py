@@ -5,10 +5,9 @@ import re
 import pytest
 import yaml
 
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.app.simulate.run import simulate
 from armsight.errors import NotEnoughData
+from armsight.ops.measure import measure
 from refusals import refuses
 
 
@@ -29,7 +28,7 @@ def measured(cell, tmp_path, name, factor):
     (tmp_path / name).write_text(yaml.safe_dump(content))
     sides = {side: str(cell / side) for side in ("left", "right")}
     given = {"rig": tmp_path / name, "target": cell / "target.yaml", "times": cell / "times.csv"}
-    return measure(MeasureJob(**sides, **given, out=tmp_path / f"run-{name}"))
+    return measure(**sides, **given, out=tmp_path / f"run-{name}")
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres"), (1 / 0.0254, "inches")])

@@ -15,9 +15,8 @@ import pytest
 
 from armsight.app.record import recorder as recorder_module
 from armsight.app.record.export import export
-from armsight.app.record.record import mend, record, record_pairs
+from armsight.app.record.record import RecordJob, mend, record, record_pairs
 from armsight.app.record.recorder import Recorder
-from armsight.app.requests.measure import RecordJob
 from armsight.app.sources.frames import RecordedFrames, open_pairs, open_source
 from armsight.clock import ManualClock
 from armsight.drivers import Skew

@@ -14,11 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.measure.run import measure as run_measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.drivers import CameraSettings, aravis
 from armsight.drivers.aravis import AravisCamera, genicam_cameras
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+from armsight.ops.measure import measure as run_measure
 from armsight.records import Frame
 from armsight.testing.genicam import ADDRESS, fake_genicam_camera, missing
 from refusals import refuses
@@ -184,12 +183,12 @@ class PullThePlug:
 @needs_aravis
 def test_what_was_measured_before_the_camera_went_is_kept(scene: Any, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    job = MeasureJob(rig=scene.folder / "rig.yaml", target=scene.folder / "target.yaml", out=out, image=CAMERA)
+    job = {"rig": scene.folder / "rig.yaml", "target": scene.folder / "target.yaml", "out": out, "image": CAMERA}
     with (
         fake_genicam_camera(side_by_side(scene, tmp_path / "both")) as process,
         refuses(DeviceLost, "no frame") as info,
     ):
-        run_measure(job, PullThePlug(process, 5))
+        run_measure(**job, progress=PullThePlug(process, 5))
     assert info.value.exit_code == 4
     assert "poses of" in info.value.consequence
     assert json.loads((out / "measure.json").read_text())["n_frames"] == len(poses(out)) >= 5

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.arrays import Array
 from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
+from armsight.ops.measure import measure
 from armsight.optics import SIDES, Rig
 from armsight.records import Target
 from armsight.store import read_poses, read_rig, read_target, read_times, read_world
@@ -107,7 +106,7 @@ def reproduce_korayem(stage: Stage) -> Reproduction:
 def _measure(stage: Stage, folder: Path) -> _Run:
     """Return the poses by both methods; armsight's files are written."""
     out = stage.out / "korayem2018-measured"
-    job = MeasureJob(
+    measure(
         rig=folder / "rig.yaml",
         target=folder / "target.yaml",
         world=folder / "world.yaml",
@@ -115,13 +114,13 @@ def _measure(stage: Stage, folder: Path) -> _Run:
         left=str(folder / "left"),
         right=str(folder / "right"),
         out=out,
+        progress=stage.progress,
     )
-    measure(job, stage.progress)
     stage.check()
     times_s = read_times(folder / "times.csv")
-    T_world_rig = read_world(job.world).T_parent_rig.as_matrix() if job.world else np.eye(4)
+    T_world_rig = read_world(folder / "world.yaml").T_parent_rig.as_matrix()
     seen = spots_by_frame(out / "spots.csv", times_s)
-    method = _by_paper(folder, seen, len(times_s), read_rig(job.rig), read_target(job.target))
+    method = _by_paper(folder, seen, len(times_s), read_rig(folder / "rig.yaml"), read_target(folder / "target.yaml"))
     truth = [pose.T_parent_target for pose in read_poses(folder / "truth_world.csv", parent="world", measured=False)]
     true = np.array([T for T in truth if T is not None])
     placed = {i: T_world_rig @ T for i, T in method.items()}

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.app.measure.run import measure
-from armsight.app.requests.measure import MeasureJob
 from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
+from armsight.ops.measure import measure
 from armsight.optics import Rig
 from armsight.records import Target
 from armsight.store import read_poses, read_rig, read_target, read_times
@@ -147,17 +146,17 @@ def _record(stage: Stage, name: str) -> _Recorded:
     """Return the recorded poses of one experiment by both methods; armsight's files are written."""
     folder = stage.simulate(f"pachidis2005-{name}", least=LEAST_FRAMES, room="dark")
     out = stage.out / f"pachidis2005-{name}-measured"
-    job = MeasureJob(
+    measure(
         rig=folder / "rig.yaml",
         target=folder / "target.yaml",
         image=str(folder / "image"),
         times=folder / "times.csv",
         out=out,
+        progress=stage.progress,
     )
-    measure(job, stage.progress)
     stage.check()
     times_s = read_times(folder / "times.csv")
-    seen = _by_paper(folder, _Vision(rig=read_rig(job.rig), target=read_target(job.target)))
+    seen = _by_paper(folder, _Vision(rig=read_rig(folder / "rig.yaml"), target=read_target(folder / "target.yaml")))
     measured = measured_poses(out / "poses.csv")
     motion = read_joints(folder / "joints.csv")
     q = motion.q[np.abs(motion.t_s[None] - times_s[:, None]).argmin(axis=1)]

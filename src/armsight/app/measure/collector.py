@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.measure.poses.pipeline import Measured, Setup
-from armsight.measure.results import MeasureOutput
+from armsight.measure.results import MeasureResult
 from armsight.optics import SIDES
 from armsight.records import Frame, PoseStatus, TargetPose
 from armsight.report import (
@@ -19,7 +19,7 @@ from armsight.report import (
     Sample,
     measure_report,
 )
-from armsight.store import write_text
+from armsight.store import World, write_text
 
 MAX_RESIDUALS = 20_000
 """Residual vectors kept per camera: a cloud of more is no clearer; beyond it every second one goes."""
@@ -48,9 +48,8 @@ class About:
 class Collector:
     """Sees every step of a run and writes report.html at its end."""
 
-    def __init__(self, setup: Setup, parent: str, T_parent_rig: RigidTransform | None = None) -> None:
-        self._setup = setup
-        self._parent, self._T_parent_rig = parent, T_parent_rig
+    def __init__(self, setup: Setup, world: World | None = None) -> None:
+        self._setup, self._world = setup, world
         self._poses: list[TargetPose] = []
         self._residuals: dict[str, list[Array]] = {side: [] for side in SIDES}
         self._n_residuals = 0
@@ -74,7 +73,7 @@ class Collector:
         """Return the true poses of the pairs so far, where they are known."""
         return None if about.truth is None else about.truth[: len(self._poses)]
 
-    def write(self, path: Path, summary: MeasureOutput, about: About) -> None:
+    def write(self, path: Path, summary: MeasureResult, about: About) -> None:
         """Write the report of the pairs so far."""
         run = MeasureRun(
             poses=self._poses,
@@ -87,8 +86,8 @@ class Collector:
             truth=self.truth(about),
             median_ms=summary.ms_per_frame.median,
             p99_ms=summary.ms_per_frame.p99,
-            parent=self._parent,
-            T_parent_rig=self._T_parent_rig,
+            parent="rig" if self._world is None else self._world.parent,
+            T_parent_rig=None if self._world is None else self._world.T_parent_rig,
             title=about.title,
             facts=about.facts,
             recordings=about.recordings,

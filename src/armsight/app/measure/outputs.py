@@ -10,7 +10,7 @@ from collections.abc import MutableSequence, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from armsight.file_names import POINTS, POSES, SPOTS, TUM
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.check import advice, finalise, sentence
 from armsight.measure.consistency.diagnosis import Consistency, Finding
-from armsight.measure.poses.pipeline import Measured
+from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import (
     Candidates,
     ConsistencyOutput,
@@ -31,31 +31,40 @@ from armsight.measure.results import (
     FrameTime,
     Grounds,
     MadeWith,
-    MeasureOutput,
+    MeasureResult,
     OtherCause,
     PoseDeviations,
 )
+from armsight.measure.track import PoseTrack
 from armsight.optics import SIDES, Rig
-from armsight.records import PoseStatus, Target, TargetPose
-from armsight.records.result_parts import PoseStd, Skew
-from armsight.store import PointsWriter, PosesWriter, SpotsWriter, restate_points, write_poses, write_tum
+from armsight.records import Points, PoseStatus, Spots, Target, TargetPose
+from armsight.records.result_parts import PoseStd
+from armsight.store import (
+    MovingPosesWriter,
+    PointsWriter,
+    PosesWriter,
+    SpotsWriter,
+    World,
+    restate_points,
+    write_poses,
+    write_tum,
+)
 from armsight.store.atomic import RowFile
 
+Velocity = tuple[Array | None, Array | None]
 REASONS_KEPT = 20
 """Different reasons for lost frames that are counted apart; the rest is summed."""
 
 
 class Outputs:
-    """poses.csv, points.csv, spots.csv and poses.tum in a folder, whole rows at any moment; a context manager.
+    """poses.csv, points.csv, spots.csv and poses.tum in a folder, whole rows at any moment, and the figures of them.
 
-    T_parent_rig, parent: the frame the poses are given in; points stay in rig axes. A frame of the parent is exact
-    here: its own uncertainty is common to all poses and not part of theirs.
+    A context manager. folder: None writes nothing. world: the frame the poses are given in; points stay in rig axes. It
+    is exact here: its own uncertainty is common to all poses and not part of theirs. moving: poses have velocities.
     """
 
-    def __init__(self, folder: Path, *, T_parent_rig: RigidTransform | None = None, parent: str = "rig") -> None:
-        self._folder = folder
-        self._T_parent_rig = T_parent_rig
-        self._parent = parent
+    def __init__(self, folder: Path | None, *, world: World | None = None, moving: bool = False) -> None:
+        self._folder, self._world, self._moving = folder, world, moving
         self._stack = ExitStack()
         self._counts: Counter[PoseStatus] = Counter()
         self._reasons: Counter[str] = Counter()  # sentences, for people
@@ -67,8 +76,14 @@ class Outputs:
         self._std = array("d")  # per full pose: six totals, six of what repeats
 
     def __enter__(self) -> Self:
+        if self._folder is None:
+            return self
         with ExitStack() as stack:
-            self._poses = stack.enter_context(PosesWriter(self._folder / POSES))
+            self._poses: MovingPosesWriter | PosesWriter
+            if self._moving:
+                self._poses = stack.enter_context(MovingPosesWriter(self._folder / POSES))
+            else:
+                self._poses = stack.enter_context(PosesWriter(self._folder / POSES))
             self._points = stack.enter_context(PointsWriter(self._folder / POINTS))
             self._spots = stack.enter_context(SpotsWriter(self._folder / SPOTS))
             self._tum = stack.enter_context(RowFile(self._folder / TUM, "# t_s x_m y_m z_m qx qy qz qw"))
@@ -101,28 +116,45 @@ class Outputs:
 
     def add(self, measured: Measured) -> TargetPose:
         """Take one frame's result; return its pose in the parent frame."""
-        pose = moved_pose(measured.pose, self._T_parent_rig, self._parent)
-        t_s = pose.t_s
-        self._poses.write(pose)
-        self._points.write(t_s, measured.points, status=_status_of_points(pose))
-        self._spots.write(t_s, "left", measured.names, measured.left)
-        self._spots.write(t_s, "right", measured.names, measured.right)
-        T = pose.T_parent_target
-        if pose.status is PoseStatus.OK and T is not None:
-            self._tum.add(" ".join(repr(value) for value in (t_s, *T[:3, 3].tolist(), *quat_of_matrix(T))))
+        pose = moved_to(measured.pose, self._world)
+        self.row(pose, measured.points, measured.cause)
+        for side, spots in zip(SIDES, (measured.left, measured.right), strict=True):
+            self.spots(pose.t_s, side, measured.names, spots)
         if pose.status.size == 6 and pose.covariance is not None:
             repeats = np.zeros((6, 6)) if pose.systematic_covariance is None else pose.systematic_covariance
             variances = np.concatenate([np.diag(pose.covariance), np.diag(repeats).clip(min=0.0)])
             self._std.extend(np.sqrt(variances).tolist())
-        self._counts[pose.status] += 1
         self._candidates.update(candidates_of(measured))
-        if pose.why:
-            known = pose.why in self._reasons or len(self._reasons) < REASONS_KEPT
-            self._reasons[pose.why if known else "other reasons"] += 1
-            self._kinds[measured.cause] += 1
         self._squares_px2 += float(pose.residual_px @ pose.residual_px)
         self._residuals += len(pose.residual_px)
         return pose
+
+    def row(self, pose: TargetPose, points: Points | None, cause: Unseen, velocity: Velocity = (None, None)) -> None:
+        """Take a pose in the parent frame, the points in rig axes, and the kind of what took it away, if anything did.
+
+        velocity: (6,) and its standard deviations, of a moving target.
+        """
+        self._counts[pose.status] += 1
+        if pose.why:
+            known = pose.why in self._reasons or len(self._reasons) < REASONS_KEPT
+            self._reasons[pose.why if known else "other reasons"] += 1
+            self._kinds[cause] += 1
+        if self._folder is None:
+            return
+        if isinstance(self._poses, MovingPosesWriter):
+            self._poses.write(pose, *velocity)
+        else:
+            self._poses.write(pose)
+        if points is not None:
+            self._points.write(pose.t_s, points, status=_status_of_points(pose))
+        T = pose.T_parent_target
+        if pose.status is PoseStatus.OK and T is not None:
+            self._tum.add(" ".join(repr(value) for value in (pose.t_s, *T[:3, 3].tolist(), *quat_of_matrix(T))))
+
+    def spots(self, t_s: float, side: str, names: Sequence[str], spots: Spots) -> None:
+        """Take the spots of one view, by the names of their lights."""
+        if self._folder is not None:
+            self._spots.write(t_s, side, names, spots)
 
     def settle(self, poses: MutableSequence[TargetPose], *, inconsistent: bool) -> None:
         """Give all rows, in place too, the status of the verdict on their run; to be called once, when it has ended.
@@ -135,35 +167,40 @@ class Outputs:
             changed += poses[i] is not pose
         if not changed:
             return
-        write_poses(self._folder / POSES, poses)
-        write_tum(self._folder / TUM, poses)
-        restate_points(self._folder / POINTS, {pose.t_s: _status_of_points(pose) for pose in poses})
+        if self._folder is not None:
+            write_poses(self._folder / POSES, poses)
+            write_tum(self._folder / TUM, poses)
+            restate_points(self._folder / POINTS, {pose.t_s: _status_of_points(pose) for pose in poses})
         self._counts = Counter(pose.status for pose in poses)
         self._kinds[Unseen.INCONSISTENT] += changed if inconsistent else -changed
 
     def summary(
-        self, grounds: Grounds, *, skew: Skew | None = None, error: str = "", consistency: Consistency | None = None
-    ) -> MeasureOutput:
-        """Return the figures so far. The reprojection RMS is of the 2-D residual per point, pooled over all frames."""
-        ms = np.array(self._ms)
-        return MeasureOutput(
+        self, setup: Setup, poses: Sequence[TargetPose], consistency: Consistency, grounds: Grounds, **more: Any
+    ) -> MeasureResult:
+        """Return the figures of all poses; more: of the result. The reprojection RMS is of the 2-D residual per point,
+        pooled over all frames."""
+        ms, n = np.array(self._ms), self._residuals
+        figures: dict[str, Any] = {
+            "reprojection_rms_px": float(np.sqrt(2.0 * self._squares_px2 / n)) if n else None,
+            "ms_per_frame": FrameTime(
+                median=float(np.median(ms)) if len(ms) else None,
+                p99=float(np.percentile(ms, 99)) if len(ms) else None,
+            ),
+        }
+        return MeasureResult(
             n_frames=self.n_frames,
             n_ok=self._counts[PoseStatus.OK],
             n_doubtful=self._counts[PoseStatus.DOUBTFUL],
             n_position_only=self._counts[PoseStatus.POSITION_ONLY],
             n_lost=self._counts[PoseStatus.LOST],
-            reprojection_rms_px=float(np.sqrt(2.0 * self._squares_px2 / self._residuals)) if self._residuals else None,
-            ms_per_frame=FrameTime(
-                median=float(np.median(ms)) if len(ms) else None,
-                p99=float(np.percentile(ms, 99)) if len(ms) else None,
-            ),
             reasons={kind.value: n for kind, n in self._kinds.most_common() if n},
             candidates=Candidates(**self._candidates) if self._candidates else None,
             std=_medians(np.array(self._std).reshape(-1, 2, 6)),
-            consistency=None if consistency is None else consistency_output(consistency),
-            skew=skew,
-            error=error or None,
+            consistency=consistency_output(consistency),
+            made_with=made_with(setup.rig, setup.target),
             grounds=grounds,
+            poses=PoseTrack(poses=tuple(poses)),
+            **(figures | more),
         )
 
 
@@ -195,6 +232,11 @@ def candidates_of(measured: Measured) -> dict[str, int]:
         "n_fitted": fitted,
         "n_matched": len(measured.left) + len(measured.right),
     }
+
+
+def moved_to(pose: TargetPose, world: World | None) -> TargetPose:
+    """Return a pose given in rig axes in the world's; unchanged where there is none. See moved_pose."""
+    return pose if world is None else moved_pose(pose, world.T_parent_rig, world.parent)
 
 
 def moved_pose(pose: TargetPose, T_parent_rig: RigidTransform | None, parent: str) -> TargetPose:

@@ -5,50 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armsight.app.measure.collector import About, Collector
-from armsight.app.measure.free_output import measure_free
-from armsight.app.measure.outputs import Outputs, made_with
-from armsight.app.measure.streams import require_timing, runs_free
+from armsight.app.measure.outputs import Outputs
+from armsight.app.measure.streams import FrameSources
 from armsight.app.measure.warm_up import prepare
-from armsight.app.requests.measure import MeasureJob
 from armsight.app.sources.bags import origin_ns
-from armsight.app.sources.frames import (
-    complex_pairs,
-    frame_times,
-    is_recording,
-    open_pairs,
-    open_source,
-    recordings_in,
-)
-from armsight.drivers import (
-    CameraSettings,
-    PairSettings,
-    PairSource,
-    by_side,
-    ordered_map,
-    read_image,
-)
-from armsight.drivers.live import MAX_SKEW_S
-from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.app.sources.frames import FrameTimes, recordings_in
+from armsight.drivers import PairSource, ordered_map
+from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData
 from armsight.file_names import MEASURE, REPORT
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
-from armsight.measure.poses.setup import SLACK_PX, rig_slack_px
-from armsight.measure.results import MeasureOutput, ZoomAt, grounds_of
-from armsight.measure.settings import SpotSettings
-from armsight.optics import SIDES, Rig, RigKind, ZoomState, at_zoom
-from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
+from armsight.measure.results import MeasureResult, ZoomAt, grounds_of
+from armsight.optics import SIDES, Rig, ZoomState, at_zoom
+from armsight.records import Frame, PoseStatus, Progress, Target
 from armsight.records.checks import wide_rig
-from armsight.store import World, parse_board, read_target, read_world, read_zoom_rig
+from armsight.store import World, parse_board, read_target, read_zoom_rig
 from armsight.store.atomic import write_json
 
 Pair = tuple[Frame, Frame]
@@ -60,7 +37,6 @@ Zoomed = dict[str, ZoomState]
 """The state of each camera that zooms, by left and right."""
 
 MEASURING = "measuring"
-TIMINGS = ("auto", "pairs", "free")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,62 +54,30 @@ def target_of(named: Path) -> Target:
     return parse_board(str(named)) if ":" in named.name and not named.exists() else read_target(named)
 
 
-def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
-    """Measure every pair of frames; write poses.csv, points.csv, spots.csv, poses.tum, measure.json, report.html.
-
-    What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
-    DataRefused or DeviceFailed, Cancelled.
-    """
-    target, (rig, zoomed) = target_of(job.target), _zoomed_rig(job.rig, job.zoom)
-    world = read_world(job.world) if job.world else None
-    settings, slack_px = _settings(job, target), rig_slack_px(rig) if zoomed else SLACK_PX
-    if _free(job, rig):
-        if job.bits is not None:
-            raise UsageError("--bits is for frames in pairs, and these cameras run free", cure="Give --timing pairs")
-        setup = Setup(rig=rig, target=target, settings=settings, slack_px=slack_px)
-        return _with_zoom(measure_free(job, setup, world, progress or Silent()), zoomed, job.out)
-    times = frame_times(job.left or job.image, job.times, job.fps)
-    pairs, overlaid = _pairs(job, rig, target, times.times_s)
-    setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid, slack_px=slack_px)
-    facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
-    facts += ([("place of the rig", str(job.world))] if job.world else []) + _zoom_facts(zoomed)
-    facts += [("time of the frames", times.source)] if times.source and not job.stills else []
-    zero_ns = origin_ns(job.left or job.image)
-    facts += [("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}")] if zero_ns is not None else []
-    fps, recorded = None if job.stills else times.assumed_fps, recordings_in(job.left, job.right, job.image)
-    summary, _ = run(
-        setup,
-        pairs,
-        job.out,
-        world=world,
-        limit=job.limit,
-        progress=progress or Silent(),
-        about=About(facts=facts, assumed_fps=fps, stills=job.stills, recordings=recorded),
-        stills=job.stills,
-    )
-    return _with_zoom(summary, zoomed, job.out)
-
-
 def run(
     setup: Setup,
     pairs: PairSource,
-    out: Path,
+    out: Path | None,
     *,
     progress: Progress,
     world: World | None = None,
     limit: int | None = None,
     about: About | None = None,
-    stills: bool = False,
-) -> tuple[MeasureOutput, Sequence[TargetPose]]:
-    """Measure the pairs of a source not yet open into the folder out; return the figures and all poses. See measure."""
-    parent, T_parent_rig = (world.parent, world.T_parent_rig) if world else ("rig", None)
-    report, check = Collector(setup, parent, T_parent_rig), RunCheck(setup)
+    zoomed: Zoomed | None = None,
+) -> MeasureResult:
+    """Measure the pairs of a source not yet open, into the folder out where there is one: MEASURED.
+
+    What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
+    DataRefused or DeviceFailed, Cancelled.
+    """
+    about = about or About()
+    report, check = Collector(setup, world), RunCheck(setup)
     failure: ArmsightError | None = None
     with pairs:
         prepare(progress)
-        with Outputs(out, T_parent_rig=T_parent_rig, parent=parent) as outputs:
+        with Outputs(out, world=world) as outputs:
             try:
-                for step in _steps(setup, pairs, limit, progress, alone=stills or setup.target.is_board):
+                for step in _steps(setup, pairs, limit, progress, alone=about.stills or setup.target.is_board):
                     start_s = time.perf_counter()
                     measured = check.add(step.measured)
                     pose = outputs.add(measured)
@@ -145,16 +89,24 @@ def run(
         raise failure
     consistency = check.finish()
     outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
-    failure, about = failure or _nothing_seen(outputs, consistency, setup), about or About()
-    grounds, broken = grounds_of(report.poses, report.truth(about)), str(failure) if failure else ""
-    summary = outputs.summary(grounds, skew=pairs.skew, error=broken, consistency=consistency)
-    summary = replace(summary, assumed_fps=about.assumed_fps, made_with=made_with(setup.rig, setup.target))
-    progress.update(0, 0, "writing the report")
-    report.write(out / REPORT, summary, about)
-    write_json(out / MEASURE, summary.to_dict())
+    failure = failure or _nothing_seen(outputs, consistency, setup)
+    done = outputs.summary(
+        setup,
+        report.poses,
+        consistency,
+        grounds_of(report.poses, report.truth(about)),
+        skew=pairs.skew,
+        error=str(failure) if failure else None,
+        assumed_fps=about.assumed_fps,
+        zoom=zooms_of(zoomed),
+    )
+    if out is not None:
+        progress.update(0, 0, "writing the report")
+        report.write(out / REPORT, done, about)
+        write_json(out / MEASURE, done.to_dict())
     if failure is not None:
-        raise _with_path(failure, outputs, out)
-    return summary, report.poses
+        raise failure if out is None else _with_path(failure, outputs, out)
+    return done
 
 
 def _steps(
@@ -196,87 +148,6 @@ def _one(tracker: TargetTracker, pair: Pair) -> Step:
     start_s = time.perf_counter()
     measured = tracker.take(*pair)
     return Step(pair=pair, measured=measured, ms=(time.perf_counter() - start_s) * 1e3, swapped=tracker.swapped)
-
-
-def _free(job: MeasureJob, rig: Rig) -> bool:
-    """Tell whether each view is to be taken at its own time. Raises UsageError where that cannot be."""
-    if job.timing not in TIMINGS:
-        raise UsageError(f"--timing {job.timing}", cure=f"Give one of {', '.join(TIMINGS)}")
-    tables = job.left_spots is not None or job.right_spots is not None
-    one_exposure = job.image is not None or rig.kind is RigKind.MIRROR
-    apart = not (one_exposure or job.stills or job.times is not None)
-    free = job.timing == "free" or (job.timing == "auto" and apart and (tables or runs_free(rig)))
-    if free and not apart:
-        raise UsageError(
-            "both views are one exposure"
-            if one_exposure
-            else "--stills and --times are for frames that belong in pairs",
-            cure="Leave --timing free away",
-        )
-    if free:
-        require_timing(rig)
-    elif tables or job.rate_hz is not None or job.at is not None:
-        raise UsageError(
-            "--left-spots, --right-spots, --rate and --at are for cameras that run free",
-            cure="Run armsight calibrate timing, and measure with the rig.yaml it writes",
-        )
-    if job.rate_hz is not None and job.at is not None:
-        raise UsageError("--rate and --at both say at which times poses are wanted", cure="Give one of them")
-    return free
-
-
-def _settings(job: MeasureJob, target: Target) -> SpotSettings:
-    mask: NDArray[np.bool_] | None = None
-    if job.mask is not None:
-        mask = read_image(job.mask) > 0
-    return SpotSettings(
-        threshold=job.threshold, inverted=job.inverted, mask=mask, colour=target.colour, method=job.method
-    )
-
-
-def _pairs(job: MeasureJob, rig: Rig, target: Target, times_s: list[float] | None) -> tuple[PairSource, bool]:
-    """Return the source of pairs, and whether both views are in one image, one upon the other."""
-    colour = target.colour is not None
-    if job.image is not None:
-        if job.left is not None or job.right is not None:
-            raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
-        asked = _settings_of_one(job.camera_settings, job.image)
-        source = partial(
-            open_source, job.image, colour=colour, fps=job.fps, times_s=times_s, settings=asked, reading=job.reading
-        )
-        return complex_pairs(source, rig)
-    if rig.kind is RigKind.MIRROR and job.left is not None and job.left == job.right:
-        raise UsageError(
-            f"left and right are both {job.left}, and the rig has mirrors: both of its views are in one image",
-            cure=f"Give --image {job.left} in place of --left and --right",
-        )
-    alone = (job.left or job.right) if job.left is None or job.right is None else None
-    if job.left is job.right is None or (alone is not None and not is_recording(alone)):
-        raise UsageError(
-            "there are no frames to measure", cure="Give --left and --right, one recording as --left, or --image"
-        )
-    pairs = open_pairs(
-        job.left,
-        job.right,
-        colour=colour,
-        fps=job.fps,
-        times_s=times_s,
-        max_skew_s=MAX_SKEW_S if job.max_skew_s is None else job.max_skew_s,
-        settings=job.camera_settings,
-        reading=job.reading,
-    )
-    return pairs, False
-
-
-def _settings_of_one(settings: PairSettings, image: str) -> CameraSettings:
-    """Return what is asked of the camera whose images hold both views. Raises UsageError for two different zooms."""
-    left, right = by_side(settings)
-    if left != right:
-        raise UsageError(
-            f"{image} is one camera, and two different zooms are to be set",
-            cure="Give --zoom-left and --zoom-right the same value; or leave --set-zoom away, and set the lenses first",
-        )
-    return left
 
 
 LIGHTS_ON = (
@@ -327,14 +198,31 @@ def _generator(pairs: PairSource) -> Generator[Pair, None, None]:
     yield from pairs
 
 
-def _zoomed_rig(path: Path, zoom: tuple[float | None, float | None]) -> tuple[Rig, Zoomed]:
+def about_pairs(
+    frames: FrameSources, name: str, times: FrameTimes, facts: Sequence[tuple[str, str]], *, stills: bool
+) -> About:
+    """Return what a report says beside the measurement of pairs of frames, which are called by this name."""
+    timed = [("time of the frames", times.source)] if times.source and not stills else []
+    zero_ns = origin_ns(frames.left or frames.image)
+    if zero_ns is not None:
+        timed.append(("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}"))
+    return About(
+        facts=[("frames", name), *facts, *timed],
+        assumed_fps=None if stills else times.assumed_fps,
+        stills=stills,
+        recordings=recordings_in(frames.left, frames.right, frames.image),
+    )
+
+
+def zoomed_rig(path: Path, zoom: tuple[float | None, float | None]) -> tuple[Rig, Zoomed]:
     """Return the rig in a file at these zooms. Raises as store.read_rig."""
     found = at_zoom(read_zoom_rig(path), zoom)
     states = zip(SIDES, found.states, strict=True)
     return found.rig, {side: state for side, state in states if state is not None}
 
 
-def _zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
+def zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
+    """Return the lines of a report on its zoom lenses."""
     return [
         (
             f"zoom, {side}",
@@ -345,11 +233,9 @@ def _zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
     ]
 
 
-def _with_zoom(summary: MeasureOutput, zoomed: Zoomed, out: Path) -> MeasureOutput:
-    """Return the figures of a run with those of its zoom lenses, and write them; as they are where there are none."""
-    if not zoomed:
-        return summary
-    cameras = {
+def zooms_of(zoomed: Zoomed | None) -> dict[str, ZoomAt] | None:
+    """Return the figures of the zoom lenses; None where there are none."""
+    found = {
         side: ZoomAt(
             zoom=state.zoom,
             interpolated=state.interpolated,
@@ -358,8 +244,6 @@ def _with_zoom(summary: MeasureOutput, zoomed: Zoomed, out: Path) -> MeasureOutp
             fx_interpolation_px=state.interpolation["fx"],
             pupil_m=state.pupil_m,
         )
-        for side, state in zoomed.items()
+        for side, state in (zoomed or {}).items()
     }
-    extended = replace(summary, zoom=cameras)
-    write_json(out / MEASURE, extended.to_dict())
-    return extended
+    return found or None

@@ -1,21 +1,32 @@
-"""Both cameras' frames or spots in the order of time, with stamps freed of jitter."""
+"""Where the frames of a measurement are: as pairs, or each camera's frames or spots with stamps freed of jitter."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from armsight.app.sources.frames import camera_source, is_recording
+from armsight.app.sources.frames import camera_source, complex_pairs, is_recording, open_pairs, open_source
 from armsight.arrays import Array
 from armsight.calibrate.timing.stamps import FEWEST_FRAMES, camera_clock
-from armsight.drivers import is_live
+from armsight.drivers import (
+    AS_THEY_ARE,
+    AUTOMATIC,
+    CameraSettings,
+    ImageReading,
+    PairSettings,
+    PairSource,
+    by_side,
+    is_live,
+)
+from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.begin import AnyFrame, SpotFrame
-from armsight.optics import SIDES, Camera, Rig
+from armsight.optics import SIDES, Camera, Rig, RigKind
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
 from armsight.store import read_spot_track
 
@@ -34,6 +45,110 @@ class Stream:
     def first(self, n: int) -> Stream:
         """Return the stream of its first n frames."""
         return replace(self, t_s=self.t_s[:n], read=lambda: islice(self.read(), n))
+
+
+TIMINGS = ("auto", "pairs", "free")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSources:
+    """The frames to measure, as they are named: left and right, images of both views, or tables of spots.
+
+    times: table of their times. fps: of folders. limit: how many. settings: asked of live cameras, or of each.
+    """
+
+    left: str | None = None
+    right: str | None = None
+    image: str | None = None
+    left_spots: Path | None = None
+    right_spots: Path | None = None
+    times: Path | None = None
+    fps: float | None = None
+    limit: int | None = None
+    max_skew_s: float | None = None
+    settings: PairSettings = AUTOMATIC
+    reading: ImageReading = AS_THEY_ARE
+
+    def run_free(
+        self, rig: Rig, timing: str, *, stills: bool, rate_hz: float | None = None, at: Path | None = None
+    ) -> bool:
+        """Tell whether each view is to be taken at its own time. Raises UsageError where that cannot be."""
+        if timing not in TIMINGS:
+            raise UsageError(f"--timing {timing}", cure=f"Give one of {', '.join(TIMINGS)}")
+        tables = self.left_spots is not None or self.right_spots is not None
+        one_exposure = self.image is not None or rig.kind is RigKind.MIRROR
+        apart = not (one_exposure or stills or self.times is not None)
+        free = timing == "free" or (timing == "auto" and apart and (tables or runs_free(rig)))
+        if free and not apart:
+            raise UsageError(
+                "both views are one exposure"
+                if one_exposure
+                else "--stills and --times are for frames that belong in pairs",
+                cure="Leave --timing free away",
+            )
+        if free:
+            require_timing(rig)
+        elif tables or rate_hz is not None or at is not None:
+            raise UsageError(
+                "--left-spots, --right-spots, --rate and --at are for cameras that run free",
+                cure="Run armsight calibrate timing, and measure with the rig.yaml it writes",
+            )
+        if rate_hz is not None and at is not None:
+            raise UsageError("--rate and --at both say at which times poses are wanted", cure="Give one of them")
+        if free and self.reading.bits is not None:
+            raise UsageError("--bits is for frames in pairs, and these cameras run free", cure="Give --timing pairs")
+        return free
+
+    def pairs(self, rig: Rig, times_s: list[float] | None, *, colour: bool) -> tuple[PairSource, bool]:
+        """Return the source of pairs, and whether both views are in one image, one upon the other."""
+        if self.image is not None:
+            if self.left is not None or self.right is not None:
+                raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
+            asked = _settings_of_one(self.settings, self.image)
+            more = {"colour": colour, "fps": self.fps, "times_s": times_s, "settings": asked, "reading": self.reading}
+            return complex_pairs(partial(open_source, self.image, **more), rig)  # type: ignore[arg-type]  # by name
+        if rig.kind is RigKind.MIRROR and self.left is not None and self.left == self.right:
+            raise UsageError(
+                f"left and right are both {self.left}, and the rig has mirrors: both of its views are in one image",
+                cure=f"Give --image {self.left} in place of --left and --right",
+            )
+        alone = (self.left or self.right) if self.left is None or self.right is None else None
+        if self.left is self.right is None or (alone is not None and not is_recording(alone)):
+            raise UsageError(
+                "there are no frames to measure", cure="Give --left and --right, one recording as --left, or --image"
+            )
+        pairs = open_pairs(
+            self.left,
+            self.right,
+            colour=colour,
+            fps=self.fps,
+            times_s=times_s,
+            max_skew_s=MAX_SKEW_S if self.max_skew_s is None else self.max_skew_s,
+            settings=self.settings,
+            reading=self.reading,
+        )
+        return pairs, False
+
+    def streams(self, rig: Rig, *, colour: bool) -> tuple[Stream, Stream]:
+        """Return both cameras' frames, each with its own times. Raises UsageError also for settings of no camera."""
+        sources, tables = (self.left, self.right), (self.left_spots, self.right_spots)
+        named = [text for text in sources if text is not None]
+        if not any(is_live(text) for text in named):
+            for asked in by_side(self.settings):
+                asked.require_none(named[0] if named else "a table of spots")
+        left, right = streams_of(rig, sources, tables, colour=colour, fps=self.fps)
+        return (left, right) if self.limit is None else (left.first(self.limit), right.first(self.limit))
+
+
+def _settings_of_one(settings: PairSettings, image: str) -> CameraSettings:
+    """Return what is asked of the camera whose images hold both views. Raises UsageError for two different zooms."""
+    left, right = by_side(settings)
+    if left != right:
+        raise UsageError(
+            f"{image} is one camera, and two different zooms are to be set",
+            cure="Give --zoom-left and --zoom-right the same value; or leave --set-zoom away, and set the lenses first",
+        )
+    return left
 
 
 def streams_of(

@@ -13,11 +13,10 @@ from typing import Annotated
 
 from armsight._files import real_path
 from armsight.app.record.recorder import Recorder
-from armsight.app.requests.measure import RecordJob
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.sources.frames import is_recording, open_pairs, recording_path
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import PairSource, Skew, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Skew, is_live
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.fields import Doc
@@ -26,9 +25,10 @@ from armsight.measure.poses.pipeline import check_sizes
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent
 from armsight.records.output import Output, output
+from armsight.shown import Shown
 from armsight.store import read_rig, read_target
 from armsight.store.atomic import disk_errors
-from armsight.store.recording import RecordingWriter, Repaired, repair
+from armsight.store.recording import ImageFormat, RecordingWriter, Repaired, repair
 
 CELL_FRAMES = 300
 """Pairs of a simulated cell where no limit is given: five seconds at 60 a second."""
@@ -55,6 +55,43 @@ class RecordOutput(Output):
     pairs_per_s: Annotated[float | None, Doc("Pairs a second.", unit="1/s")]
     size_bytes: Annotated[int, Doc("Size of the file, bytes.")]
     skew_s: Annotated[RecordedSkew | None, Doc("Time between the frames of live pairs; null of other sources.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        lost = f", {self.n_dropped} dropped because the disk or the processor is too slow" if self.n_dropped else ""
+        lost += f", {self.n_missed} missed by the cameras" if self.n_missed else ""
+        size = f"{self.size_bytes / 1e6:.1f} MB as {self.format}"
+        yield f"{self.n_pairs} pairs in {self.duration_s:.1f} s{lost}; {size} in {self.file}"
+
+
+def image_format(text: str) -> ImageFormat:
+    """Return how frames are kept, by its name. Raises UsageError."""
+    try:
+        return ImageFormat(text.lower())
+    except ValueError:
+        known = ", ".join(kind.value for kind in ImageFormat)
+        raise UsageError(f"frames are not kept as {text!r}", cure=f"Choose one of {known}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordJob:
+    """What to record: left and right, or a simulated cell; rig and target go into the recording. limit: pairs."""
+
+    out: Path
+    left: str | None = None
+    right: str | None = None
+    cell: str | None = None
+    seed: int = 0
+    rig: Path | None = None
+    target: Path | None = None
+    kind: ImageFormat = ImageFormat.PNG
+    colour: bool = False
+    fps: float | None = None
+    limit: int | None = None
+    seconds_s: float | None = None
+    max_skew_s: float | None = None
+    overwrite: bool = False
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordOutput:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from armsight.app.live.measurement import COMPLEX, DetectionSettings
 from armsight.app.live.station import Snapshot
 from armsight.app.live.views import SideView
-from armsight.app.requests.measure import MeasureJob
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,
@@ -36,6 +35,7 @@ from armsight.console.scene import Scene
 from armsight.console.state import Console, values_of
 from armsight.console.work import jog_card
 from armsight.errors import ArmsightError, UsageError
+from armsight.ops.measure import measure
 from armsight.units import DEG
 
 Refresh = Callable[[Snapshot], None]
@@ -249,7 +249,7 @@ def _draw(curves: list[Plot], moments: list[NDArray[np.float64]]) -> None:
 
 def _search(console: Console) -> None:
     with ui.element("div").classes("row"):
-        threshold = number_field(texts.THRESHOLD, MeasureJob, "threshold", step=1).style("min-width: 20rem")
+        threshold = number_field(texts.THRESHOLD, measure, "threshold", step=1).style("min-width: 20rem")
         threshold.value = console.look.threshold
         inverted = ui.checkbox(texts.INVERTED, value=console.look.inverted)
         masking = ui.checkbox(texts.MASK)
