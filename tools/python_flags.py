@@ -115,10 +115,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("kinematics path", "-o"): "`write_joints(path, t_s, track.q)`",
     ("batch", "--each"): "`{path.stem: {...} for path in folder.glob(...)}`",
     ("batch", "--name"): "the keys of `batch(jobs)`",
-    ("doctor", "--depth"): "`doctor(depths_m)`",
-    ("doctor", "--sigma"): "`doctor(sigma_px)`",
-    ("doctor", "--accuracy"): "`doctor(accuracy_m)`",
-    ("doctor", "--compile"): "`doctor(compile_ahead)`",
     ("teach", "--wait"): "read the frames when they are wanted",
 }
 """What a flag of one command is in Python, where that is no parameter of its name."""

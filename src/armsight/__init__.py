@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from armsight.api.links import check_robot as check_robot
     from armsight.api.links import jog as jog
     from armsight.api.links import twin as twin
-    from armsight.api.machine import doctor as doctor
-    from armsight.api.machine import reproduce as reproduce
     from armsight.api.motion import TeachResult as TeachResult
     from armsight.api.motion import play as play
     from armsight.api.motion import servo as servo
@@ -65,7 +63,6 @@ if TYPE_CHECKING:
     from armsight.api.simulation import read_scenario as read_scenario
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
-    from armsight.api.simulation import write_simulation as write_simulation
     from armsight.api.watch import LiveIdentification as LiveIdentification
     from armsight.api.watch import check_mastering as check_mastering
     from armsight.api.watch import identify_arm_live as identify_arm_live
@@ -135,6 +132,9 @@ if TYPE_CHECKING:
     from armsight.ops.files import join as join
     from armsight.ops.kinematics import show_arm as show_arm
     from armsight.ops.kinematics import write_formulas as write_formulas
+    from armsight.ops.machine import doctor as doctor
+    from armsight.ops.machine import reproduce as reproduce
+    from armsight.ops.machine import write_simulation as write_simulation
     from armsight.ops.measure import measure as measure
     from armsight.ops.measure import record as record
     from armsight.optics import Camera as Camera
@@ -200,7 +200,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api.links": ("check_robot", "jog", "twin"),
     "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
     "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
-    "armsight.api.machine": ("doctor", "reproduce"),
+    "armsight.ops.machine": ("doctor", "reproduce", "write_simulation"),
     "armsight.api.watch": (
         "LiveIdentification",
         "check_mastering",
@@ -235,7 +235,6 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "read_scenario",
         "scenarios",
         "simulate",
-        "write_simulation",
     ),
     "armsight.ops": ("paths",),
     "armsight_lab.api": ("history",),

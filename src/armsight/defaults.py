@@ -22,6 +22,7 @@ MOTION_S = 120.0
 MOTION_HZ = 125.0
 CAMERA_HZ = 30.0
 SPOT_STD_PX = 0.1
+"""Standard deviation of a spot's centre where the caller gives none: MATH 2.3 uses it for webcams."""
 
 PLATE_NEAR_M = 0.06
 """From the lens to the plate of a mirror rig, as designed."""

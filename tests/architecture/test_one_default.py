@@ -36,7 +36,6 @@ from armsight.fields import Bounds
 from armsight.ops.checks import bounds_of_parameters
 from armsight.ops.commands import parameter
 from armsight.optics import Plate
-from armsight.optics.parallelism import CENTROID_SIGMA_PX
 from armsight.store.cell_file import CellMirrors
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -175,7 +174,6 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
     known = (
         *((inspect.signature(one).parameters["lens"].default, BoardOptions().lens.value) for one in of_boards),
         (built.index, Plate(thickness_m=1e-3).index),
-        (import_module("armsight.app.requests.simulate").DoctorJob.sigma_px, CENTROID_SIGMA_PX),
     )
     for a, b in known:
         assert a == b

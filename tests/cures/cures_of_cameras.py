@@ -219,8 +219,8 @@ TRIED = {
         (beside, f"{MIRRORS} --image beside"),
         STEREO,
     ),
-    ("app/doctor.py", "Give --rig with it"): ("doctor --depth 1", "{} --rig rig.yaml"),
-    ("app/doctor.py", "Give --rig and --depth"): ("doctor --accuracy 1", "{} --rig rig.yaml --depth 1"),
+    ("ops/machine.py", "Give --rig with it"): ("doctor --depth 1", "{} --rig rig.yaml"),
+    ("ops/machine.py", "Give --rig and --depth"): ("doctor --accuracy 1", "{} --rig rig.yaml --depth 1"),
     ("app/simulate/run.py", "Leave --room and --zoom"): (
         "simulate arm-points --room dark -o s",
         "simulate arm-points -o s",

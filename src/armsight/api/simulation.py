@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from os import PathLike
 from types import NoneType
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.requests.simulate import SimulateJob
 from armsight.app.simulate.cells import load_cell, room_choice
-from armsight.app.simulate.run import CELL_FRAMES, SimulateOutput
-from armsight.app.simulate.run import simulate as write_files
+from armsight.app.simulate.run import CELL_FRAMES
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_model, scenario_names
 from armsight.arrays import Array, Image
 from armsight.drivers import CELLS, known
 from armsight.kinematics import Arm
-from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
+from armsight.ops.machine import Frames, Seed
 from armsight.optics import Rig
-from armsight.records import ByValue, Progress, Target, require_kind
+from armsight.records import ByValue, Target, require_kind
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping
 
@@ -113,12 +110,12 @@ class Simulation:
             yield SimulatedFrame(t_s=float(t_s), left=seen[0].image, right=right, T_rig_target=T)
 
 
-@speaks_python(SimulateJob)
+@speaks_python()
 def simulate(
     scenario: str | Mapping[str, Any] = "webcam-cell",
     *,
-    frames: int | None = None,
-    seed: int | None = None,
+    frames: Frames = None,
+    seed: Seed = None,
     room: str | None = None,
     zoom: float | None = None,
 ) -> Simulation:
@@ -178,29 +175,6 @@ def read_scenario(scenario: str) -> dict[str, Any]:
     require_kind("scenario", scenario, str, cure="Give one of scenarios(), or a scenario file's path")
     content: dict[str, Any] = load_scenario(scenario)[0].model_dump(mode="json", exclude_unset=True)
     return content
-
-
-@speaks_python(SimulateJob)
-def write_simulation(
-    scenario: str,
-    out: str | PathLike[str],
-    *,
-    frames: int | None = None,
-    seed: int | None = None,
-    room: str | None = None,
-    zoom: float | None = None,
-    progress: Progress | None = None,
-) -> SimulateOutput:
-    """Write a simulated cell's frames, files and truth into a folder; or a set for one calibration, by its name.
-
-    frames, seed, room, zoom: as `simulate` takes them. Raises as it, and DeviceFailed where the disk refuses.
-
-    Examples
-    --------
-    >>> armsight.write_simulation("hand-cell", folder / "cell", frames=2).n_frames
-    2
-    """
-    return write_files(scenario, as_path(out, "out"), seed=seed, frames=frames, room=room, zoom=zoom, progress=progress)
 
 
 def scenarios() -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from pathlib import Path
@@ -17,15 +17,14 @@ from armsight._version import __version__
 from armsight.app.simulate.scenarios import FILES, scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, cameras_there, cores, folder, known
 from armsight.drivers.aravis import genicam_cameras
-from armsight.errors import UsageError
 from armsight.fields import Doc
 from armsight.measure.planning import LEAST_COMMON, Choice, plan
 from armsight.optics import Rig, resolution
-from armsight.optics.parallelism import CENTROID_SIGMA_PX, Resolution
+from armsight.optics.parallelism import Resolution
 from armsight.records import Progress
 from armsight.records.checks import wide_rig
 from armsight.records.output import Output, output
-from armsight.store import read_zoom_rig
+from armsight.shown import Shown, Table, digits
 from armsight.units import MM
 
 
@@ -40,6 +39,29 @@ class AccuracyPlan(Output):
     settings: Annotated[tuple[Choice, ...], Doc("By setting; one without zoom.")]
     advice: Annotated[list[str], Doc("What to do.")]
 
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        rows = []
+        for one in self.settings:
+            zooms = " ".join(dict.fromkeys(f"{v:g}" for v in (one.zoom_left, one.zoom_right) if v is not None))
+            spots, rig, total = (
+                digits(None if value is None else value / MM)
+                for value in (one.now.spots_m, one.now.rig_m, one.now.total_m)
+            )
+            seen = [digits(one.now.width_m / MM), f"{100.0 * one.now.common:.0f}"]
+            baseline = "none" if one.baseline_m is None else f"{one.baseline_m / MM:.0f}"
+            total += " *" if one.reached else ""
+            rows.append([zooms or "-", digits(one.focal_px, 4), *seen, spots, rig, total, baseline])
+        depths = " to ".join(f"{value:g}" for value in sorted({min(self.depths_m), max(self.depths_m)}))
+        yield Table(
+            f"Wanted: +- {digits(self.accuracy_m / MM)} mm in the worst direction at {depths} m; spots taken as known "
+            f"to {digits(self.sigma_px, 2)} px (--sigma); baseline now {digits(self.baseline_m / MM, 4)} mm",
+            ["zoom", "f, px", "view", "in both, %", "spots +-", "rig +-", "total +-", "baseline for it"],
+            rows,
+        )
+        yield "Lengths in mm; * reaches it with the rig's own baseline"
+        yield from self.advice
+
 
 @output
 class RigResolution(Output):
@@ -50,6 +72,20 @@ class RigResolution(Output):
     sigma_px: Annotated[float, Doc("Standard deviation taken of a spot's centre, px.")]
     distances: Annotated[list[Resolution], Doc("By distance.")]
     accuracy: Annotated[AccuracyPlan | None, Doc("What reaches the accuracy of --accuracy.")] = None
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        rows = []
+        for row in self.distances:
+            along, across = row.sigma_depth_m / MM, max(row.sigma_lateral_m) / MM
+            rows.append([digits(row.depth_m), digits(along), digits(across), "yes" if row.in_view else "no"])
+        yield Table(
+            f"A spot known to {digits(self.sigma_px, 2)} px by a rig of {digits(self.baseline_m / MM, 4)} mm baseline",
+            ["distance, m", "+- along it, mm", "+- across, mm", "in both views"],
+            rows,
+        )
+        if self.accuracy is not None:
+            yield from self.accuracy.summary()
 
 
 def accuracy_plan(rig: Rig, accuracy_m: float, depths_m: Sequence[float], sigma_px: float) -> AccuracyPlan:
@@ -133,31 +169,23 @@ class DoctorOutput(Output):
     problems: Annotated[list[str], Doc("What is wrong, each with a cure.")]
     rig: Annotated[RigResolution | None, Doc("What the rig of --rig can tell apart; null without one.")]
 
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        rows = [[name, text] for name, text in self.versions.items()]
+        rows += [["system", self.machine.system], ["cores for armsight", str(self.machine.cores)]]
+        rows += [["cameras there", ", ".join(self.cameras) or "none"]]
+        rows += [[f"registered {group}", ", ".join(names) or "none"] for group, names in self.drivers.items()]
+        rows += [["compiled kernels kept", str(self.kernels.compiled)]]
+        yield Table("This machine", ["", ""], rows)
+        if self.rig is not None:
+            yield from self.rig.summary()
+        yield from (f"Problem: {problem}" for problem in self.problems)
+        if not self.problems:
+            yield "No problem found."
 
-def doctor(
-    rig: Path | None = None,
-    *,
-    depths_m: Sequence[float] = (),
-    sigma_px: float = CENTROID_SIGMA_PX,
-    accuracy_m: float | None = None,
-    compile_ahead: bool = False,
-    progress: Progress | None = None,
-) -> DoctorOutput:
-    """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline).
 
-    accuracy_m: tell also which settings and which baseline reach this standard deviation at the distances.
-    compile_ahead: first compile what is not compiled yet. Raises UsageError where an accuracy is wanted without a rig
-    or a distance, or a distance without a rig; Cancelled.
-    """
-    if depths_m and rig is None:
-        raise UsageError("--depth is of a rig", cure="Give --rig with it")
-    if accuracy_m is not None and (rig is None or not depths_m):
-        raise UsageError(
-            "--accuracy is of a rig at a distance",
-            cure="Give --rig and --depth (in m; again for the far end of a volume)",
-        )
-    failed = _compile(progress) if compile_ahead else []
-    told = None if rig is None else rig_resolution(read_zoom_rig(rig), depths_m, sigma_px, accuracy_m)
+def looked_at(told: RigResolution | None, failed: Sequence[str]) -> DoctorOutput:
+    """Look at the machine. told: what a rig can tell apart; failed: what was found wrong before."""
     drivers = {group.removeprefix("armsight."): list(known(group)) for group in (CAMERAS, ROBOTS, CELLS, SETS)}
     drivers["scenarios"] = list(scenario_names())
     packages = [Path(__file__).parent.parent]
@@ -212,7 +240,7 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _compile(progress: Progress | None) -> list[str]:
+def compiled_now(progress: Progress | None) -> list[str]:
     """Compile all that is not compiled yet; return what is wrong."""
     from armsight.app.compilation import compile_all
 

@@ -55,7 +55,7 @@ def add_action(
         asked = {**settled(), **{name: given[word] for name, word in names().items() if word in given}}
         if instead is None or not instead(face, asked):
             own = {name: asked[name] for name in done.parameters if name in asked}
-            result = done.run(own, face.progress(done.working) if done.working else None)
+            result = done.run(own, face.progress(done.working.format_map(own)) if done.working else None)
             show(face, result, asked.get(OUT), written=done.writes)
 
     text = SECTION.split(call.__doc__ or "")[0]

@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from armsight.app import requests
 from armsight.app.requests.shared import OutFolder
-from armsight.app.requests.simulate import Room
 from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
     calibrate_cameras,
@@ -39,11 +37,12 @@ from armsight.cli.command import (
 )
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.examples import add_examples
-from armsight.cli.tables import demo_tables, doctor_tables
+from armsight.cli.tables import demo_tables
 from armsight.fields import Bounds, Doc
 from armsight.file_names import DEMO, MEASURED
 from armsight.ops import kinematics as of_arms
 from armsight.ops import paths
+from armsight.ops.machine import Room, doctor, write_simulation
 
 __all__ = [
     "app",
@@ -108,40 +107,8 @@ def demo(
     demo_tables(face, result, out)  # last stands what to do next
 
 
-@command(app, keeps=(*SIMULATED, *WITH_ARM, *VIEWS, *SETS))
-def simulate(face: CommandUI, job: requests.simulate.SimulateJob) -> None:
-    """Write the frames of a simulated cell, its files and the truth into a folder; or a set for one calibration."""
-    from armsight.app.simulate.run import simulate as run
-
-    asked = {"seed": job.seed, "frames": job.frames, "room": job.room, "zoom": job.zoom}
-    done = run(job.scenario, job.out, **asked, progress=face.progress("simulating"))  # type: ignore[arg-type]
-    if done.commands is None:
-        face.say(f"{done.n_frames} frames of each view and the truth are in {job.out}")
-    else:
-        pictures = f"{done.n_frames} pictures, tables" if done.n_frames else "tables"
-        face.say(f"{pictures} and the truth are in {job.out}; in that folder, try:")
-        for command in done.commands:
-            face.say(f"  {command}")
-    face.result(done)
-
-
-@command(app)
-def doctor(face: CommandUI, job: requests.simulate.DoctorJob) -> None:
-    """Tell what this machine can do: versions, cameras, drivers, compiled kernels; and a rig's resolution."""
-    from armsight.app.doctor import doctor as run
-
-    found = run(
-        job.rig,
-        depths_m=job.depths_m or (),
-        sigma_px=job.sigma_px,
-        accuracy_m=job.accuracy_m,
-        compile_ahead=job.compile_ahead,
-        progress=face.progress("doctor") if job.compile_ahead else None,
-    )
-    doctor_tables(face, found)
-    face.result(found)
-
-
+add_action(app, write_simulation, keeps=(*SIMULATED, *WITH_ARM, *VIEWS, *SETS))
+add_action(app, doctor)
 for name in ("fk", "ik", "jacobian", "path"):
     add_action(kinematics, getattr(of_arms, name), streamed=True)
 add_action(kinematics, of_arms.write_formulas)

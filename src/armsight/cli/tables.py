@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
     from armsight.app.demo import DemoOutput, PoseErrors
-    from armsight.app.doctor import AccuracyPlan, DoctorOutput
     from armsight.records.result_parts import PoseStd
 
 figure = digits
@@ -27,67 +26,6 @@ def pose_rows(pose: RigidTransform, std: PoseStd) -> list[list[str]]:
     """Return the rows of a pose: position in mm and rotation vector in degrees, each with its standard deviation."""
     rotation = pose.rotation.as_rotvec()
     return shown.pose_rows(pose.translation.tolist(), rotation.tolist(), std.translation_m, std.rotation_rad)
-
-
-def doctor_tables(face: CommandUI, found: DoctorOutput) -> None:
-    """Print what the machine can do."""
-    rows = [[name, text] for name, text in found.versions.items()]
-    rows += [["system", found.machine.system], ["cores for armsight", str(found.machine.cores)]]
-    rows += [["cameras there", ", ".join(found.cameras) or "none"]]
-    rows += [[f"registered {group}", ", ".join(names) or "none"] for group, names in found.drivers.items()]
-    rows += [["compiled kernels kept", str(found.kernels.compiled)]]
-    face.table("This machine", ["", ""], rows)
-    if found.rig is not None:
-        distances = [
-            [
-                figure(row.depth_m),
-                figure(row.sigma_depth_m / MM),
-                figure(max(row.sigma_lateral_m) / MM),
-                "yes" if row.in_view else "no",
-            ]
-            for row in found.rig.distances
-        ]
-        face.table(
-            f"A spot known to {figure(found.rig.sigma_px, 2)} px by a rig of "
-            f"{figure(found.rig.baseline_m / MM, 4)} mm baseline",
-            ["distance, m", "+- along it, mm", "+- across, mm", "in both views"],
-            distances,
-        )
-        if found.rig.accuracy is not None:
-            _accuracy_table(face, found.rig.accuracy)
-    for problem in found.problems:
-        face.say(f"Problem: {problem}")
-    if not found.problems:
-        face.say("No problem found.")
-
-
-def _accuracy_table(face: CommandUI, plan: AccuracyPlan) -> None:
-    """Print which settings and which baseline reach a wanted accuracy."""
-    rows = []
-    for one in plan.settings:
-        zooms = " ".join(dict.fromkeys(f"{v:g}" for v in (one.zoom_left, one.zoom_right) if v is not None))
-        now = [figure(None if value is None else value / MM) for value in (one.now.spots_m, one.now.rig_m)]
-        rows.append(
-            [
-                zooms or "-",
-                figure(one.focal_px, 4),
-                figure(one.now.width_m / MM),
-                f"{100.0 * one.now.common:.0f}",
-                *now,
-                figure(None if one.now.total_m is None else one.now.total_m / MM) + (" *" if one.reached else ""),
-                "none" if one.baseline_m is None else f"{one.baseline_m / MM:.0f}",
-            ]
-        )
-    depths = " to ".join(f"{value:g}" for value in sorted({min(plan.depths_m), max(plan.depths_m)}))
-    face.table(
-        f"Wanted: +- {figure(plan.accuracy_m / MM)} mm in the worst direction at {depths} m; spots taken as known to "
-        f"{figure(plan.sigma_px, 2)} px (--sigma); baseline now {figure(plan.baseline_m / MM, 4)} mm",
-        ["zoom", "f, px", "view", "in both, %", "spots +-", "rig +-", "total +-", "baseline for it"],
-        rows,
-    )
-    face.say("Lengths in mm; * reaches it with the rig's own baseline")
-    for text in plan.advice:
-        face.say(text)
 
 
 def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:

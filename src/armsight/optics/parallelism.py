@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
+from armsight.defaults import SPOT_STD_PX
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.optics.camera import INTRINSICS, SIDES
@@ -124,9 +125,6 @@ def _deviations(rig: Rig, covariance: NamedCovariance, depths: Array) -> Array:
 
 # What a rig can tell apart at a distance.
 
-CENTROID_SIGMA_PX = 0.1
-"""Standard deviation of a spot's centre where the caller gives none: MATH 2.3 uses it for webcams."""
-
 
 @output
 class Resolution(Output):
@@ -146,7 +144,7 @@ class Resolution(Output):
     sigma_px: float
 
 
-def resolution(rig: Rig, depth_m: float, sigma_px: float = CENTROID_SIGMA_PX) -> Resolution:
+def resolution(rig: Rig, depth_m: float, sigma_px: float = SPOT_STD_PX) -> Resolution:
     """Return the resolution of a rig at a distance; for parallel axes Z^2 / (B f) and Z / f (MATH 2.3).
 
     Raises Inconsistent where depth or standard deviation is not positive or a camera faces away from the point,

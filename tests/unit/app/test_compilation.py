@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from armsight.app.compilation import GROUPS, SHARES, compile_all
-from armsight.app.doctor import doctor
 from armsight.errors import Cancelled
+from armsight.ops.machine import doctor
 from armsight.records import Silent
 
 CODE = """

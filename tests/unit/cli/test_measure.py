@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.cli.tables import REASONS
 from armsight.errors import DeviceLost, Unseen
 from armsight.measure.consistency import diagnosis
+from armsight.measure.results import REASONS
 from armsight.records import Frame
 from refusals import names_it
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated
 
 from armsight.fields import Doc
+from armsight.file_names import REPORT
 from armsight.records.output import Output, output
+from armsight.shown import Shown, Table, digits
 
 Values = dict[str, float | None]
 
@@ -36,6 +39,17 @@ class ReproducedTable(Output):
     share_of_method: Annotated[Values, Doc("armsight's error over that of the paper's method on the same frames.")]
     notes: Annotated[dict[str, str], Doc("What to know about a row, where there is something.")]
 
+    def shown(self) -> Table:
+        """Return the table as people read it; a share in brackets is of a figure that is not believed."""
+        head = ["m, rad or px", "paper", "its method", "armsight", "truth", "share of print", "of method"]
+        return Table(self.title, head, [self._row(name) for name in self.rows])
+
+    def _row(self, name: str) -> list[str]:
+        values = (self.paper[name], self.paper_method[name], self.armsight[name], self.truth[name])
+        share = "-" if self.share[name] is None else digits(self.share[name], 2)
+        told = share if self.credible[name] or share == "-" else f"({share})"
+        return [name, *(digits(value, 4) for value in values), told, digits(self.share_of_method[name], 2)]
+
 
 @output
 class ReproduceOutput(Output):
@@ -53,3 +67,14 @@ class ReproduceOutput(Output):
     doubts: Annotated[list[str], Doc("Known doubts about the printed figures.")]
     missing: Annotated[list[str], Doc("Parts of the paper that are not reproduced, and why.")]
     seconds_s: Annotated[float, Doc("How long it took, s.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        yield from (item.shown() for item in self.tables.values())
+        yield from (f"- not reproduced: {note}" for note in self.missing)
+        if self.n_compared:
+            yield (
+                f"armsight's error is at most a third of the paper's in {self.n_reached} of {self.n_compared} rows "
+                "that can be compared" + (f"; not in {', '.join(self.missed)}" if self.missed else "")
+            )
+        yield f"Result: open {{out}}/{REPORT}"

@@ -16,6 +16,7 @@ from armsight.errors import Cancelled, UsageError
 from armsight.fields import Doc
 from armsight.records import Frame, Motion, Progress, Silent
 from armsight.records.output import Output, output
+from armsight.shown import Shown
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
 from armsight.store.arm_file import ARM_YAML, arm_from_mapping, write_arm
 from armsight.store.covariances import POSE_COLUMNS
@@ -43,6 +44,15 @@ class SimulateOutput(Output):
     views: Annotated[list[str] | None, Doc("The views: left, right or image.")] = None
     out: Annotated[str, Doc("The folder.")]
     commands: Annotated[list[str] | None, Doc("What reads the set, run in its folder.")] = None
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        if self.commands is None:
+            yield f"{self.n_frames} frames of each view and the truth are in {self.out}"
+            return
+        pictures = f"{self.n_frames} pictures, tables" if self.n_frames else "tables"
+        yield f"{pictures} and the truth are in {self.out}; in that folder, try:"
+        yield from (f"  {command}" for command in self.commands)
 
 
 def simulate(
