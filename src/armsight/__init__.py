@@ -39,15 +39,8 @@ if TYPE_CHECKING:
     from armsight.api.identify import ArmIdentification as ArmIdentification
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
-    from armsight.api.links import check_robot as check_robot
-    from armsight.api.links import jog as jog
-    from armsight.api.links import twin as twin
     from armsight.api.machine import doctor as doctor
     from armsight.api.machine import reproduce as reproduce
-    from armsight.api.motion import TeachResult as TeachResult
-    from armsight.api.motion import play as play
-    from armsight.api.motion import servo as servo
-    from armsight.api.motion import teach as teach
     from armsight.api.pose import LightTarget as LightTarget
     from armsight.api.pose import PoseEstimate as PoseEstimate
     from armsight.api.pose import PoseTracker as PoseTracker
@@ -58,6 +51,7 @@ if TYPE_CHECKING:
     from armsight.api.remote import RobotConnection as RobotConnection
     from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
+    from armsight.api.remote import twin as twin
     from armsight.api.runs import MeasureResult as MeasureResult
     from armsight.api.runs import VerifyResult as VerifyResult
     from armsight.api.runs import measure as measure
@@ -78,6 +72,7 @@ if TYPE_CHECKING:
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
     from armsight.app.join import JoinResult as JoinResult
+    from armsight.app.teach import TeachResult as TeachResult
     from armsight.calibrate.arm import ArmResult as ArmResult
     from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
     from armsight.calibrate.camera_noise.photon_transfer import NoiseResult as NoiseResult
@@ -137,6 +132,11 @@ if TYPE_CHECKING:
     from armsight.ops.files import join as join
     from armsight.ops.kinematics import show_arm as show_arm
     from armsight.ops.kinematics import write_formulas as write_formulas
+    from armsight.ops.motion import play as play
+    from armsight.ops.motion import servo as servo
+    from armsight.ops.robots import check_robot as check_robot
+    from armsight.ops.robots import jog as jog
+    from armsight.ops.teach import teach as teach
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
@@ -192,6 +192,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.app.join": ("JoinResult",),
     "armsight.ops.files": ("compare", "join"),
     "armsight.ops.kinematics": ("show_arm", "write_formulas"),
+    "armsight.ops.motion": ("play", "servo"),
+    "armsight.ops.teach": ("teach",),
+    "armsight.ops.robots": ("check_robot", "jog"),
+    "armsight.app.teach": ("TeachResult",),
     "armsight.ops.calibrate_cameras": ("calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"),
     "armsight.ops.calibrate_mirrors": ("calibrate_mirrors", "check_mirrors"),
     "armsight.ops.calibrate_rig": ("calibrate_noise", "calibrate_target", "calibrate_timing"),
@@ -203,8 +207,6 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.calibrate.cell": ("CellResult",),
     "armsight.calibrate.handeye": ("HandEyeResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
-    "armsight.api.links": ("check_robot", "jog", "twin"),
-    "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
     "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
     "armsight.api.machine": ("doctor", "reproduce"),
     "armsight.api.watch": (
@@ -236,7 +238,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "write_joints",
         "write_table",
     ),
-    "armsight.api.remote": ("RemoteState", "RobotConnection", "RobotDriver", "connect"),
+    "armsight.api.remote": ("RemoteState", "RobotConnection", "RobotDriver", "connect", "twin"),
     "armsight.api.simulation": (
         "SimulatedFrame",
         "Simulation",

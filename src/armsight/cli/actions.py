@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from armsight.cli.command import Command, add
+from armsight.cli.command import Command, ResultsDoubted, add
 from armsight.cli.command_ui import CommandUI
 from armsight.fields import Flag, marks
-from armsight.ops.action import OUT
+from armsight.ops.action import OUT, action_of
 from armsight.shown import WRITTEN
 
 if TYPE_CHECKING:
-    from armsight.ops.action import Action
     from armsight.records.output import Output
 
 
@@ -31,12 +30,13 @@ def add_action(
     call: Callable[..., Any],
     instead: Callable[[CommandUI, Mapping[str, Any]], bool] | None = None,
     flags: Callable[[], Mapping[str, tuple[Any, Any]]] = dict,
+    beside: Callable[[CommandUI, Mapping[str, Any]], Mapping[str, Any]] = lambda *_: {},
     **more: Any,
 ) -> None:
     """Add an action (armsight.ops) to a group as a command; more: of Command.
 
     instead: does another job where what was asked, by parameter, means that one, and tells whether it did. flags:
-    further ones, of that job.
+    further ones, of that job. beside: what else the function gets, made of the face and of what was asked.
     """
     done = action_of(call)
 
@@ -52,7 +52,7 @@ def add_action(
     def run(face: CommandUI, **given: Any) -> None:
         asked = {name: given[word] for name, word in names().items() if word in given}
         if instead is None or not instead(face, asked):
-            own = {name: asked[name] for name in done.parameters if name in asked}
+            own = {name: asked[name] for name in done.parameters if name in asked} | dict(beside(face, asked))
             show(face, done.run(own, face.progress(done.working) if done.working else None), asked.get(OUT))
 
     text = SECTION.split(call.__doc__ or "")[0]
@@ -60,14 +60,11 @@ def add_action(
     add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **about))
 
 
-def action_of(call: Callable[..., Any]) -> Action:
-    """Return what a function does for people."""
-    done: Action = vars(call)["action"]
-    return done
-
-
 def show(face: CommandUI, result: Output, out: Path | None) -> None:
-    """Show a result, which was written to `out`, if it is of a file. Raises Exit where it is not as it should be."""
+    """Show a result, which was written to `out`, if it is of a file.
+
+    Raises ResultsDoubted where it is not as it should be.
+    """
     from armsight.report.pages import page_path
 
     lines, page = list(result.summary()), None if out is None else page_path(out, result)
@@ -80,7 +77,7 @@ def show(face: CommandUI, result: Output, out: Path | None) -> None:
             face.table(*one)
     face.result(result)
     if result.exit_code:
-        raise typer.Exit(result.exit_code)
+        raise ResultsDoubted
 
 
 def _word(name: str, hint: Any) -> str:

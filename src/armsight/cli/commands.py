@@ -19,7 +19,6 @@ from armsight.cli import (
     identify,
     measure,
     motion,
-    robot,
     serve,
     verify,
 )
@@ -54,7 +53,6 @@ __all__ = [
     "identify",
     "measure",
     "motion",
-    "robot",
     "serve",
     "verify",
 ]
