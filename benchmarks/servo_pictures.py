@@ -57,7 +57,7 @@ def run(seed: int, shown: str, begun_s: float, room: str) -> Any:
     devices = ServoDevices(
         robot=cell.robot, pairs=cell.pairs, clock=clock, overlaid=cell.one_image, origin_s=lambda: cell.origin_s
     )
-    vision = Vision(setup, devices, 0.0, QueueSink())
+    vision = Vision(setup, devices, QueueSink())
     vision.source = source
     loop = ControlLoop(cell.robot, Guard(arm, Limits(), cycle_s), source, clock, enabled=lambda: True)
     log, pair_of, last = judge.Log(), cell.pairs.pair, {}

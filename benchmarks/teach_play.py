@@ -28,11 +28,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.requests.motion import ServoJob, TeachJob
 from armsight.app.servo.vision import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import load_scenario
-from armsight.app.teach import teach_following
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
@@ -41,6 +39,7 @@ from armsight.control.paths import smoothed
 from armsight.control.play import PathPlan, PathSource, PlaySettings, Weave, plan_path
 from armsight.control.status import RobotStatus
 from armsight.kinematics import Arm
+from armsight.ops.teach import teach
 from armsight.records import TaughtPath
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.handeye_file import read_handeye, write_handeye_poses
@@ -96,16 +95,18 @@ def taught(
         origin_s=lambda: float(cell.origin_s),
         stepped=clock,
     )
-    job = ServoJob(
-        robot=f"sim:{scenario}",
-        rig=files / "rig.yaml",
-        target=files / "target.yaml",
+    done = teach(
+        files / "rig.yaml",
+        files / "target.yaml",
+        robot=devices,
         handeye=folder / "handeye.yaml",
         arm=files / f"{arm}.yaml",
         out=folder,
         seconds_s=seconds,
+        every=every,
+        mean=every > 1,
+        confirm=True,
     )
-    done = teach_following(TeachJob(out=folder, every=every, mean=every > 1), job, lambda _: True, devices=devices)
     path = read_path(folder / "path.csv")
     ahead_s = (np.arange(every) - 0.5 * (every - 1)) / SERVO_FPS
     true = [

@@ -23,22 +23,18 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.play.play_path import Opened, run_play
-from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob, TeachJob
-from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.jog import jog_by_hand, jog_robot
-from armsight.app.robot.opening import arm_of, open_robot
-from armsight.app.robot.run_motion import run_motion
-from armsight.app.servo.run_servo import run_servo
+from armsight.app.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.app.servo.vision import ServoDevices, SteppedClock
 from armsight.app.simulate.run import simulate
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.teach import teach_following
 from armsight.clock import Clock, ManualClock
 from armsight.control.guard import Box, Limits
 from armsight.control.setpoints import Hold
 from armsight.drivers.jog_inputs import JogAxes
 from armsight.errors import ArmsightError, NotEnoughData
+from armsight.ops import motion, robots
+from armsight.ops.action import action_of
+from armsight.ops.teach import teach
 from armsight.records import Motion, Silent, TaughtPath
 from armsight.store import write_text
 from armsight.store.limits_file import write_limits
@@ -105,6 +101,11 @@ class Steps:
         return self.cycle not in self._open
 
 
+def acted(call: Callable[..., Any], **given: Any) -> Any:
+    """Do an action (armsight.ops) as the command line does: files are named, and so are flags in errors."""
+    return action_of(call).run(given)
+
+
 def tool_path(file: Path, length_m: float = 0.01) -> Path:
     """Write a path before the tool of the webcam cell's robot as it stands, with a corner in it."""
     clock = ManualClock()
@@ -129,20 +130,17 @@ def play(out: Path, *, after_s: float = 60.0, steps: Steps | None = None, fault:
     robot, run = open_robot(WEBCAM, clock), Run(out / "play.mcap")
     if fault:
         steps.acts[50] = lambda _: robot.fault(fault)
-    job = PlayJob(
-        robot=WEBCAM,
-        path=tool_path(out.parent / "path.csv"),
-        out=out,
-        **{"approach_speed_m_s": 0.05, "retract_m": 0.004, "blend_m": 0.002, **more},
-    )
     return run.of(
-        lambda: run_play(
-            job,
-            run.confirm,
+        lambda: acted(
+            motion.play,
+            robot=ClockedRobot(robot=robot, clock=clock, called=WEBCAM),
+            path=tool_path(out.parent / "path.csv"),
+            out=out,
+            confirm=run.confirm,
             progress=Until(clock, after_s),
-            opened=Opened(robot, clock),
             begun=steps.begun,
             enabled=steps.enabled,
+            **{"approach_speed_m_s": 0.05, "retract_m": 0.004, "blend_m": 0.002, **more},
         )
     )
 
@@ -188,16 +186,20 @@ def cell(out: Path, name: str) -> Path:
 def watched(out: Path) -> Run:
     """Run a path before cameras that see the nominal arm's tip elsewhere, until they stop it."""
     made, run, files = devices(ROBOT, fps=20.0), Run(out / "play.mcap"), cell(out, ROBOT)
-    job = PlayJob(
-        robot=WEBCAM,
-        path=tool_path(out.parent / "path.csv"),
-        out=out,
-        approach_speed_m_s=0.05,
-        retract_m=0.004,
-        stop_m=0.0003,
-        **{name: files / f"{name}.yaml" for name in ("rig", "target", "handeye")},
+    return run.of(
+        lambda: acted(
+            motion.play,
+            robot=made,
+            path=tool_path(out.parent / "path.csv"),
+            out=out,
+            confirm=run.confirm,
+            show=lambda *args: run.shown.append(args),
+            approach_speed_m_s=0.05,
+            retract_m=0.004,
+            stop_m=0.0003,
+            **{name: files / f"{name}.yaml" for name in ("rig", "target", "handeye")},
+        )
     )
-    return run.of(lambda: run_play(job, run.confirm, lambda *args: run.shown.append(args), devices=made))
 
 
 def servo(
@@ -212,15 +214,14 @@ def servo(
         handeye["T_flange_camera"]["quat_xyzw"] = quat.as_quat().tolist()
         (files / "handeye.yaml").write_text(yaml.safe_dump(handeye))
     named = {key: files / f"{key}.yaml" for key in ("rig", "target", "handeye")}
-    job = ServoJob(robot=f"sim:{name}", **named, out=out, **more)
     progress, show = Until(made.clock, after_s), lambda *args: run.shown.append(args)
+    asked = {"robot": made, **named, "out": out, "confirm": run.confirm, "show": show, "progress": progress, **more}
     if taught:
-        teach = TeachJob(out=out, every=2, mean=True)
-        return run.of(lambda: teach_following(teach, job, run.confirm, show, progress, devices=made))
-    return run.of(lambda: run_servo(job, run.confirm, show, progress, devices=made))
+        return run.of(lambda: acted(teach, **asked, every=2, mean=True))
+    return run.of(lambda: acted(motion.servo, **asked))
 
 
-def motion(out: Path, *, after_s: float = 60.0, steps: Steps | None = None, fault: str = "", **more: Any) -> Run:
+def joint_motion(out: Path, *, after_s: float = 60.0, steps: Steps | None = None, fault: str = "", **more: Any) -> Run:
     """Run a motion of the joints."""
     clock, steps, run = ManualClock(), steps or Steps({}), Run(out / "motion.mcap")
     robot = open_robot(WEBCAM, clock)
@@ -231,16 +232,17 @@ def motion(out: Path, *, after_s: float = 60.0, steps: Steps | None = None, faul
     t = np.arange(200) / 100.0
     swing = 0.02 + 0.05 * np.outer(np.sin(np.pi * t / 2.0) ** 2, [1.0, -0.5, 0.4, 0.3, 0.2, 0.1])
     write_joints(out.parent / "motion.csv", Motion(t_s=t, q=q + swing))
-    job = RunMotionJob(robot=WEBCAM, motion=out.parent / "motion.csv", out=out, **more)
     return run.of(
-        lambda: run_motion(
-            job,
-            run.confirm,
-            Until(clock, after_s),
-            clock=clock,
-            opened=robot,
+        lambda: acted(
+            robots.run_motion,
+            robot=ClockedRobot(robot=robot, clock=clock, called=WEBCAM),
+            motion=out.parent / "motion.csv",
+            out=out,
+            confirm=run.confirm,
+            progress=Until(clock, after_s),
             begun=steps.begun,
             enabled=steps.enabled,
+            **more,
         )
     )
 
@@ -259,8 +261,9 @@ def jog(out: Path, *, after_s: float = 60.0, cut: bool = False, **more: Any) -> 
 
         robot.step_joints = cut_to_nothing  # type: ignore[method-assign]
     out.mkdir()
-    job = JogJob(robot=WEBCAM, record=out / "jog.mcap", **{"joint": 2, "by": 0.1, **more})
-    return run.of(lambda: jog_robot(job, run.confirm, Until(clock, after_s), clock=clock, opened=robot))
+    asked = {"record": out / "jog.mcap", "progress": Until(clock, after_s), "joint": 2, "by": 0.1, **more}
+    given = ClockedRobot(robot=robot, clock=clock, called=WEBCAM)
+    return run.of(lambda: acted(robots.jog, robot=given, confirm=run.confirm, **asked))
 
 
 class Led:
@@ -319,8 +322,9 @@ def led(out: Path, frame: str) -> Run:
 
     robot.step_joints = looked_at  # type: ignore[method-assign]
     out.mkdir()
-    job = HandJogJob(robot=WEBCAM, hand="keyboard", frame=frame, record=out / "jog.mcap")
-    return run.of(lambda: jog_by_hand(job, confirm, clock=clock, opened=robot, inputs=inputs))
+    given = ClockedRobot(robot=robot, clock=clock, called=WEBCAM)
+    asked = {"hand": "keyboard", "frame": frame, "record": out / "jog.mcap", "inputs": inputs}
+    return run.of(lambda: acted(robots.jog, robot=given, confirm=confirm, **asked))
 
 
 def tight(out: Path) -> Path:
@@ -354,11 +358,11 @@ CASES: dict[str, Callable[[Path], Run]] = {
     "servo beside": lambda out: servo(out, ROBOT, at="tool", seconds_s=0.5, hand="circle", rotation="hold", gain=1.0),
     "servo of wrong cameras": lambda out: servo(out, CARRIED, seconds_s=6.0, hand="still", turned=True),
     "servo taught": lambda out: servo(out, CARRIED, seconds_s=1.0, taught=True, **CIRCLE),
-    "run": motion,
-    "run steered": lambda out: motion(out, steps=steered(), speed=0.6),
-    "run let go of": lambda out: motion(out, after_s=1.0),
-    "run held on": lambda out: motion(out, steps=held()),
-    "run of a frozen link": lambda out: motion(out, fault="frozen"),
+    "run": joint_motion,
+    "run steered": lambda out: joint_motion(out, steps=steered(), speed=0.6),
+    "run let go of": lambda out: joint_motion(out, after_s=1.0),
+    "run held on": lambda out: joint_motion(out, steps=held()),
+    "run of a frozen link": lambda out: joint_motion(out, fault="frozen"),
     "jog": jog,
     "jog back at full speed": lambda out: jog(out, joint=6, by=-0.3, speed=1.0),
     "jog let go of": lambda out: jog(out, after_s=0.3),

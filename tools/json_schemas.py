@@ -34,7 +34,7 @@ from armsight.app.servo.run_servo import ServoOutput
 from armsight.app.simulate.reproduced import ReproduceOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
-from armsight.app.teach import TeachOutput
+from armsight.app.teach import TeachResult
 from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm import ArmResult, RobotWorldResult
 from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
@@ -124,7 +124,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "robot-run": RunMotionOutput,
     "play": PlayOutput,
     "servo": ServoOutput,
-    "teach": TeachOutput,
+    "teach": TeachResult,
     "doctor": DoctorOutput,
     "error": RefusalOutput,
 }

@@ -38,13 +38,6 @@ if TYPE_CHECKING:
     from armsight.api.identify import ArmIdentification as ArmIdentification
     from armsight.api.identify import identify_arm as identify_arm
     from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
-    from armsight.api.links import check_robot as check_robot
-    from armsight.api.links import jog as jog
-    from armsight.api.links import twin as twin
-    from armsight.api.motion import TeachResult as TeachResult
-    from armsight.api.motion import play as play
-    from armsight.api.motion import servo as servo
-    from armsight.api.motion import teach as teach
     from armsight.api.pose import LightTarget as LightTarget
     from armsight.api.pose import PoseEstimate as PoseEstimate
     from armsight.api.pose import PoseTracker as PoseTracker
@@ -55,6 +48,7 @@ if TYPE_CHECKING:
     from armsight.api.remote import RobotConnection as RobotConnection
     from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
+    from armsight.api.remote import twin as twin
     from armsight.api.runs import VerifyResult as VerifyResult
     from armsight.api.runs import plan_verification as plan_verification
     from armsight.api.runs import verify as verify
@@ -69,6 +63,7 @@ if TYPE_CHECKING:
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
     from armsight.app.join import JoinResult as JoinResult
+    from armsight.app.teach import TeachResult as TeachResult
     from armsight.calibrate.arm import ArmResult as ArmResult
     from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
     from armsight.calibrate.camera_noise.photon_transfer import NoiseResult as NoiseResult
@@ -137,6 +132,11 @@ if TYPE_CHECKING:
     from armsight.ops.machine import write_simulation as write_simulation
     from armsight.ops.measure import measure as measure
     from armsight.ops.measure import record as record
+    from armsight.ops.motion import play as play
+    from armsight.ops.motion import servo as servo
+    from armsight.ops.robots import check_robot as check_robot
+    from armsight.ops.robots import jog as jog
+    from armsight.ops.teach import teach as teach
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
@@ -186,6 +186,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.app.join": ("JoinResult",),
     "armsight.ops.files": ("compare", "join"),
     "armsight.ops.kinematics": ("show_arm", "write_formulas"),
+    "armsight.ops.motion": ("play", "servo"),
+    "armsight.ops.teach": ("teach",),
+    "armsight.ops.robots": ("check_robot", "jog"),
+    "armsight.app.teach": ("TeachResult",),
     "armsight.ops.calibrate_cameras": ("calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"),
     "armsight.ops.calibrate_mirrors": ("calibrate_mirrors", "check_mirrors"),
     "armsight.ops.calibrate_rig": ("calibrate_noise", "calibrate_target", "calibrate_timing"),
@@ -197,8 +201,6 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.calibrate.cell": ("CellResult",),
     "armsight.calibrate.handeye": ("HandEyeResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
-    "armsight.api.links": ("check_robot", "jog", "twin"),
-    "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
     "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
     "armsight.ops.machine": ("doctor", "reproduce", "write_simulation"),
     "armsight.api.watch": (
@@ -228,7 +230,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "write_joints",
         "write_table",
     ),
-    "armsight.api.remote": ("RemoteState", "RobotConnection", "RobotDriver", "connect"),
+    "armsight.api.remote": ("RemoteState", "RobotConnection", "RobotDriver", "connect", "twin"),
     "armsight.api.simulation": (
         "SimulatedFrame",
         "Simulation",

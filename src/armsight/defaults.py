@@ -12,6 +12,8 @@ BLEND_M = 0.003
 APPROACH_SPEED_M_S = 0.02
 RETRACT_M = 0.05
 """A path's start is neared from so far before it."""
+HAND_SPEED_M_S = 0.05
+"""With which the target of a simulated cell is led."""
 
 SWEEP_SPEED = 0.1
 """Share of a joint's travel a second in a sweep."""

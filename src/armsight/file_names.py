@@ -15,6 +15,18 @@ VERIFIED = (VERIFY, ERRORS, REPORT, LIVE, MASTERING)
 COMPARE = "compare.json"
 COMPARED = (COMPARE, REPORT)
 
+PLAY, PLAY_RECORDING = "play.json", "play.mcap"
+PLAYED = (PLAY, PLAY_RECORDING)
+
+SERVO, SERVO_RECORDING = "servo.json", "servo.mcap"
+FOLLOWED = (SERVO, SERVO_RECORDING)
+
+TEACH, PATH, TARGETS = "teach.json", "path.csv", "targets.csv"
+TAUGHT = (TEACH, PATH, TARGETS, *FOLLOWED)
+
+MOTION, MOTION_RECORDING, READINGS, FRAMES = "motion.json", "motion.mcap", "joints.csv", "frames.mcap"
+MOVED = (MOTION, MOTION_RECORDING, READINGS, FRAMES)
+
 CELL = "cell.json"
 CELL_CALIBRATED = (RIG, WORLD, TARGET, ARM, CELL, REPORT)
 

@@ -23,7 +23,6 @@ from typer.models import ArgumentInfo
 import armsight
 from armsight.app.operator.identify_run import IdentifyRequest
 from armsight.app.operator.path_editor import PlayRequest
-from armsight.app.requests import motion
 from armsight.calibrate.cameras import BoardOptions
 from armsight.cli.command import Command
 from armsight.cli.commands import app
@@ -156,14 +155,15 @@ def test_numbers_on_pages_are_those_of_the_requests() -> None:
 
 def test_what_the_program_below_assumes_is_what_is_asked() -> None:
     play, servo = PlaySettings(), {one.name: one.default for one in dataclasses.fields(ServoSettings)}
+    followed = inspect.signature(armsight.servo).parameters
+    played = {name: one.default for name, one in inspect.signature(armsight.play).parameters.items()}
     asked = (
-        (motion.PlayJob.path_speed_m_s, play.speed_m_s),
-        *((getattr(motion.PlayJob, name), getattr(play, name)) for name in ("blend_m", "approach_speed_m_s")),
-        *((getattr(motion.PlayJob, name), getattr(play, name)) for name in ("retract_m", "keep_rotation")),
-        *((getattr(motion.ServoJob, name), servo[name]) for name in ("resume_m", "resume_rad", "predict")),
-        (motion.HandJogJob.speed, motion.JogJob.speed),
-        (motion.JogJob.speed, FIRST_OVERRIDE),
-        (PlayRequest.speed_m_s, motion.PlayJob.path_speed_m_s),
+        (played["path_speed_m_s"], play.speed_m_s),
+        *((played[name], getattr(play, name)) for name in ("blend_m", "approach_speed_m_s")),
+        *((played[name], getattr(play, name)) for name in ("retract_m", "keep_rotation")),
+        *((followed[name].default, servo[name]) for name in ("resume_m", "resume_rad", "predict")),
+        (inspect.signature(armsight.jog).parameters["speed"].default, FIRST_OVERRIDE),
+        (PlayRequest.speed_m_s, played["path_speed_m_s"]),
         (IdentifyRequest.frames, Pace().frames),
     )
     for a, b in asked:

@@ -19,8 +19,6 @@ from scipy.spatial import cKDTree
 from tests.contracts.conftest import WRONG, until
 from tests.truth.emulated_links import World, link_of
 
-from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.run_motion import run_motion
 from armsight.clock import ManualClock, SystemClock
 from armsight.control.play.path_source import JointMotionSource
 from armsight.drivers import RobotState
@@ -29,6 +27,7 @@ from armsight.drivers.rtde.link import ControllerState, address
 from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 from armsight.kinematics import Arm, Joint
+from armsight.ops.robots import run_motion
 from armsight.records import Motion
 from armsight.store.arm_file import write_arm
 from armsight.store.tracks import read_joints, write_joints
@@ -287,9 +286,9 @@ def test_a_motion_is_run_to_its_end_though_the_enable_was_let_go_of_and_its_read
     write_joints(tmp_path / "motion.csv", motion)
     for attempt in range(3):  # where ur-rtde's process ended on a busy machine, as above
         out, switch = tmp_path / f"moved{attempt}", Switch(after=500, off=200)
-        job = RunMotionJob(robot="rtde", motion=tmp_path / "motion.csv", out=out, arm=str(arm_file))
+        steered = {"confirm": True, "begun": switch.follow, "enabled": switch}
         robot = RtdeRobot(twin.host, settings=PATIENT)
-        done = run_motion(job, lambda _: True, opened=robot, begun=switch.follow, enabled=switch)
+        done = run_motion(robot, tmp_path / "motion.csv", out=out, arm=arm_file, **steered)
         if "ended" not in done.stopped_by:
             break
     true = twin.order("track").reshape(-1, 6)

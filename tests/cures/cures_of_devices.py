@@ -23,9 +23,8 @@ from cures_of_runs import BOARD, CAMERAS, DESIGN, FIND
 from armsight.app.identify.live import Known, _ask, _modelled
 from armsight.app.live.measurement import LiveJob, require_kind
 from armsight.app.record.free_cameras import FreeJob
-from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.recorder import require_recorded
-from armsight.app.robot.run_motion import _cameras
+from armsight.app.robot.run_motion import recorded_cameras
 from armsight.cli.serve import _of_robot
 from armsight.console.state import Console
 from armsight.drivers import CameraSettings, LivePairs
@@ -278,8 +277,6 @@ TRIED = {
     ),
     ("app/robot/run_motion.py", "Give --left and --right too"): (
         moved(camera_settings=EXPOSED),
-        lambda: _cameras(
-            RunMotionJob(robot=SIM, motion=Path("motion.csv"), out=Path("moved"), camera_settings=EXPOSED, **LIVE_EYES)
-        ),
+        lambda: recorded_cameras(*LIVE_EYES.values(), EXPOSED, Path("moved")),
     ),
 }

@@ -13,19 +13,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.identify.live import _check as check_identify
 from armsight.app.identify.live import open_devices, read_limits
-from armsight.app.play.play_job import _check_speeds
 from armsight.app.play.play_job import check as check_play
-from armsight.app.play.play_path import Opened, run_play
+from armsight.app.play.play_job import check_speeds
 from armsight.app.requests.identify import LiveJob, joint_numbers
-from armsight.app.requests.motion import PlayJob, ServoJob
-from armsight.app.requests.run_motion import RunMotionJob
+from armsight.app.requests.motion import RobotJob
 from armsight.app.requests.verify import LiveVerifyJob, MasteringJob
-from armsight.app.robot.opening import arm_of, open_robot
+from armsight.app.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.app.robot.robot_run import check_arm
-from armsight.app.robot.run_motion import run_motion
-from armsight.app.servo.run_servo import _check as check_servo
-from armsight.app.servo.run_servo import _handeye, _turning, measuring, run_servo
-from armsight.app.servo.vision import ServoDevices, open_servo
+from armsight.app.servo.run_servo import require_axis, turning
+from armsight.app.servo.vision import CameraNames, ServoDevices, measuring, open_servo, placed_cameras
 from armsight.app.verify.live import _check as check_live
 from armsight.app.verify.live import _check_arm, open_supervised
 from armsight.app.verify.mastering import _middle, run_mastering
@@ -37,10 +33,12 @@ from armsight.control.play.shape import shaped
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.drivers.jog_inputs import open_jog_input
 from armsight.kinematics import preset
+from armsight.ops import motion, robots
+from armsight.ops.action import action_of
 from armsight.records import TaughtPath
 from armsight.store import read_rig, read_target
-from armsight.store.path_file import write_path
 
+H_YAML = Path("h.yaml")
 FILES: dict[str, str] = {
     "motion.csv": "t_s,q1,q2,q3,q4,q5,q6\n"
     + "".join(f"{0.1 * k},{0.01 * k},-1.05,1.6,-0.5,1.7,0.1\n" for k in range(8)),
@@ -71,15 +69,6 @@ def planned(path, arm=UR, at=AT, **more):
     return lambda: plan_path(path, arm, Limits(), at, settings)
 
 
-def play(**more):
-    return PlayJob(**{"robot": SIM, "path": Path("path.csv"), "out": Path("played"), **more})
-
-
-def servo(**more):
-    files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "target", "handeye")}
-    return ServoJob(**{"robot": SIM, "out": Path("followed"), **files, **more})
-
-
 def supervised(**more):
     files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "target", "world")}
     eyes = {side: f"camera:{SIM}:{side}" for side in ("left", "right")}
@@ -97,8 +86,9 @@ def moved(*, yes=True, **more):
 
     def go():
         clock = ManualClock()
-        job = RunMotionJob(**{"robot": SIM, "motion": Path("motion.csv"), "out": Path("moved"), **more})
-        return run_motion(job, lambda _: yes, clock=clock, opened=open_robot(SIM, clock))
+        robot = ClockedRobot(robot=open_robot(SIM, clock), clock=clock, called=SIM)
+        asked = {"motion": Path("motion.csv"), "out": Path("moved"), "confirm": lambda _: yes, **more}
+        return action_of(robots.run_motion).run({"robot": robot, **asked})
 
     return go
 
@@ -128,9 +118,12 @@ def lights(target, rig="cell/rig.yaml", *, overlaid=False):
 
 
 def eyes(**more):
-    return lambda: open_servo(
-        servo(robot="egm:6510", **more), read_rig(Path("rig.yaml")), read_target(Path("lit.yaml"))
-    )
+    rig, lit = Path("rig.yaml"), Path("lit.yaml")
+    return lambda: open_servo(RobotJob(robot="egm:6510"), read_rig(rig), read_target(lit), None, named(**more))
+
+
+def named(left=None, right=None):
+    return CameraNames(left, right, None, None)
 
 
 def target():
@@ -149,9 +142,10 @@ def played(*, yes=True, wrap=lambda robot: robot, told=None):
             stand = RigidTransform.from_matrix(arm.fk(arm.values(robot.read().q)))
         path = through([[0.0, 0.0, 0.005], [0.01, 0.0, 0.005]], stand=stand)
         clock = ManualClock()
-        job = play(arm=told, path=Path("seam.csv"), approach_speed_m_s=0.05, retract_m=0.004, path_speed_m_s=0.05)
-        write_path(job.path, path)
-        return run_play(job, lambda _: yes, opened=Opened(wrap(open_robot(SIM, clock)), clock))
+        robot = ClockedRobot(robot=wrap(open_robot(SIM, clock)), clock=clock, called=SIM)
+        speeds = {"approach_speed_m_s": 0.05, "path_speed_m_s": 0.05}
+        more = {"arm": told, "retract_m": 0.004, "confirm": lambda _: yes}
+        return action_of(motion.play).run({"robot": robot, "path": path, "out": Path("played"), **speeds, **more})
 
     return go
 
@@ -188,10 +182,11 @@ def followed(*, yes=True, wrap=lambda robot: robot, arm=None):
     """Return a call that follows the cell's target for a moment."""
 
     def go():
-        job = servo(arm=arm, at="tool", seconds_s=0.1)
-        rig, lights = read_rig(job.rig), read_target(job.target)
-        devices = open_servo(job, rig, lights)
-        return run_servo(job, lambda _: yes, devices=replace(devices, robot=wrap(devices.robot)))
+        files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "target", "handeye")}
+        devices = open_servo(RobotJob(robot=SIM), read_rig(files["rig"]), read_target(files["target"]), None, named())
+        robot = replace(devices, robot=wrap(devices.robot), called=SIM)
+        asked = {"arm": arm, "at": "tool", "seconds_s": 0.1, "out": Path("followed"), "confirm": lambda _: yes}
+        return action_of(motion.servo).run({"robot": robot, **files, **asked})
 
     return go
 
@@ -210,16 +205,16 @@ IN_CELL = (
 
 TRIED = {
     ("app/play/play_job.py", "Give {} (--frame)"): (
-        lambda: check_play(play(frame="tool")),
-        lambda: [check_play(play(frame=name)) for name in ("world", "base")],
+        lambda: check_play("tool", 0.01),
+        lambda: [check_play(name, 0.01) for name in ("world", "base")],
     ),
     ("app/play/play_job.py", "Give m: {} mm are"): (
-        lambda: check_play(play(stop_m=10.0)),
-        lambda: check_play(play(stop_m=0.01)),
+        lambda: check_play("world", 10.0),
+        lambda: check_play("world", 0.01),
     ),
     ("app/play/play_job.py", "Give m/s: "): (
-        lambda: _check_speeds(play(path_speed_m_s=50.0), Limits()),
-        lambda: _check_speeds(play(path_speed_m_s=0.05), Limits()),
+        lambda: check_speeds(PlaySettings(speed_m_s=50.0), Limits(), 1.0),
+        lambda: check_speeds(PlaySettings(speed_m_s=0.05), Limits(), 1.0),
     ),
     ("control/play/shape.py", "Round them less (--blend"): (
         planned(CORNER, blend_m=0.04),
@@ -242,26 +237,18 @@ TRIED = {
     ("drivers/jog_inputs.py", "Give keyboard, gamepad or"): (pressed("joystick"), pressed("gamepad:/dev/null")),
     ("drivers/jog_inputs.py", "Plug it in, look"): (pressed("gamepad:/dev/input/js99"), pressed("gamepad:/dev/null")),
     ("drivers/jog_inputs.py", "Run it in a terminal"): (pressed("keyboard"), jog(joint=1, by=0.02)),
-    ("cli/robot.py", "Give --joint and --by"): (f"robot jog --robot {SIM} --yes --joint 1", jog(joint=1, by=0.02)),
-    ("app/servo/run_servo.py", "Give seconds, more than zero"): (
-        lambda: check_servo(servo(seconds_s=-1.0)),
-        lambda: check_servo(servo(seconds_s=1.0)),
-    ),
-    ("app/requests/motion.py", "Make it with: armsight calibrate handeye"): (
-        lambda: play(rig=Path("rig.yaml"), target=Path("target.yaml"), handeye=Path("h.yaml")).cameras(),
-        (
-            PAIRS,
-            f"{HANDEYE} --pairs pairs.csv",
-            lambda: play(rig=Path("rig.yaml"), target=Path("target.yaml"), handeye=Path("h.yaml")).cameras(),
-        ),
+    ("ops/robots.py", "Give --joint and --by"): (f"robot jog --robot {SIM} --yes --joint 1", jog(joint=1, by=0.02)),
+    ("app/servo/vision.py", "Make it with: armsight calibrate handeye"): (
+        lambda: placed_cameras(Path("h.yaml")),
+        (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: placed_cameras(Path("h.yaml"))),
     ),
     ("app/servo/run_servo.py", "Give --at tool"): (
-        (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: _handeye(servo(handeye=Path("h.yaml"), at="camera"))),
-        lambda: _handeye(servo(handeye=Path("h.yaml"), at="tool")),
+        (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: require_axis("camera", placed_cameras(H_YAML), H_YAML)),
+        lambda: require_axis("tool", placed_cameras(H_YAML), H_YAML),
     ),
-    ("app/servo/run_servo.py", "(--rotation)"): (lambda: _turning("x"), lambda: _turning("align")),
-    ("app/servo/run_servo.py", "Give a target of lights"): (lights("board.yaml"), lights("cell/target.yaml")),
-    ("app/servo/run_servo.py", "Give --image"): (
+    ("app/servo/run_servo.py", "(--rotation)"): (lambda: turning("x"), lambda: turning("align")),
+    ("app/servo/vision.py", "Give a target of lights"): (lights("board.yaml"), lights("cell/target.yaml")),
+    ("app/servo/vision.py", "Give --image"): (
         lights("lit.yaml", "mirrors.yaml"),
         lights("lit.yaml", "mirrors.yaml", overlaid=True),
     ),
@@ -318,7 +305,7 @@ TRIED = {
         lambda: [checked_limits([[0.0, 1.0]], [0.5]), checked_limits([[0.0, 3.0]], [2.0])],
     ),
     ("control/teach.py", "Give 1 or more (--every)"): (recorder(0), recorder(1)),
-    ("cli/motion.py", "or --from poses.csv"): ("teach -o taught", "teach --from poses.csv -o taught"),
+    ("ops/motion.py", "or --from poses.csv"): ("teach -o taught", "teach --from poses.csv -o taught"),
     ("app/teach.py", "Give --world world.yaml, made with"): (f"{TEACH} {VIEWS}", "{} --world cell/world.yaml"),
     ("app/teach.py", "--image for a mirror rig, or"): (
         f"{TEACH} --left cell/left --world cell/world.yaml",

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from armsight.app.requests.motion import HandJogJob, JogJob, settings_of
+from armsight.app.requests.motion import settings_of
 from armsight.app.requests.plant import PlantFlags
 from armsight.app.robot.jog import _check_frame as check_hand
-from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.opening import arm_model, driver_settings, guard_for, open_robot
+from armsight.app.robot.opening import ClockedRobot, arm_model, driver_settings, guard_for, open_robot
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import KeyboardInput
 from armsight.kinematics import preset
+from armsight.ops import robots
+from armsight.ops.action import action_of
 
 SIM = "sim:webcam-cell"
 URL = "opc.tcp://127.0.0.1:4840"
@@ -30,7 +31,8 @@ def jog(*, yes=True, **job):
     def go():
         clock = ManualClock()
         robot = open_robot(SIM, clock)
-        return jog_robot(JogJob(robot=SIM, **{"joint": 1, "by": 0.1, **job}), lambda _: yes, clock=clock, opened=robot)
+        given = ClockedRobot(robot=robot, clock=clock, called=SIM)
+        return action_of(robots.jog).run({"robot": given, "joint": 1, "by": 0.1, "confirm": lambda _: yes, **job})
 
     return go
 
@@ -65,12 +67,12 @@ TRIED = {
         jog(by=0.02, limits=Path("box.yaml"), speed=1.0),
     ),
     ("app/robot/jog.py", "Give joints, base or tool"): (
-        lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="wrist"), True, SIM),
-        lambda: check_hand(HandJogJob(robot=SIM, hand="keyboard", frame="tool"), True, SIM),
+        lambda: check_hand("wrist", True, SIM),
+        lambda: check_hand("tool", True, SIM),
     ),
     ("app/robot/jog.py", "or --frame joints"): (
-        lambda: check_hand(HandJogJob(robot="egm:6510", hand="keyboard", frame="tool"), False, "egm"),
-        lambda: check_hand(HandJogJob(robot="egm:6510", hand="keyboard", frame="joints"), False, "egm"),
+        lambda: check_hand("tool", False, "egm"),
+        lambda: check_hand("joints", False, "egm"),
     ),
     ("drivers/jog_inputs.py", "Use --joint and --by"): (lambda: KeyboardInput(0, 9), jog(joint=1, by=0.1)),
     ("app/robot/opening.py", "Omit --robot-set"): (

@@ -1,23 +1,29 @@
-"""A robot behind `armsight serve`: watch it, stop it, drive it."""
+"""A robot behind `armsight serve`: watch it, stop it, drive it; and emulated controllers to try things on."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from types import NoneType, TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight.api.results import Result, Row
+from armsight.app.requests.motion import TwinJob
+from armsight.app.robot.twin import twin_beside
 from armsight.arrays import Array
 from armsight.drivers.remote import Heart, Link, ServerAddress
 from armsight.drivers.remote import protocol as say
-from armsight.errors import DeviceFailed
+from armsight.errors import ArmsightError, DeviceFailed
+from armsight.ops.checks import speaks_python
+from armsight.ops.commands import in_python
+from armsight.ops.given import ArmLike, Given
 from armsight.records import real_array, require_kind
 from armsight.units import MS
 
@@ -265,3 +271,36 @@ def _state(link: Link) -> RemoteState:
         missed=now.missed,
         lateness_p99_s=now.lateness_p99_s,
     )
+
+
+@speaks_python(TwinJob)
+@contextmanager
+def twin(
+    name: Literal["alter", "rsi", "egm", "rtde"],
+    *,
+    port: str | None = None,
+    connect: str | None = None,
+    arm: ArmLike | None = None,
+    cycle_s: float | None = None,
+) -> Iterator[str]:
+    """Run an emulated controller in a process of its own while the block runs; gives what opens it, DRIVER:DEVICE.
+
+    port: where it listens. connect: HOST:PORT where the driver listens, for rsi and egm. arm: which it has. cycle_s: of
+    the controller. Raises UsageError, DeviceNotFound with the twins there are, DeviceFailed.
+
+    Examples
+    --------
+    >>> with armsight.twin("alter") as robot:
+    ...     robot.partition(":")[0]
+    'alter'
+    """
+    for text, value in (("name", name), ("port", port or ""), ("connect", connect or "")):
+        require_kind(text, value, str)
+    with Given() as given:
+        model = None if arm is None else given.arm("arm", arm)
+        try:
+            with twin_beside(name, port=port, connect=connect, arm=model, cycle_s=cycle_s) as address:
+                yield address
+        except ArmsightError as error:
+            in_python(error)
+            raise

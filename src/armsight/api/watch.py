@@ -9,11 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.api.links import Confirm, Settings, as_question
 from armsight.app.identify.live import OperatorCallbacks, in_radians, read_limits, run_identify_live
 from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
 from armsight.app.requests.identify import LiveJob, PaceFlags
+from armsight.app.requests.motion import RobotSettings as Settings
 from armsight.app.requests.verify import LiveVerifyJob, MasteringJob
+from armsight.app.robot.robot_run import as_question
 from armsight.app.verify.live import run_verify_live
 from armsight.app.verify.mastering import propose_mastering, run_mastering
 from armsight.control.joint_sweep import Pace
@@ -21,6 +22,7 @@ from armsight.drivers import CameraSettings
 from armsight.kinematics import Arm
 from armsight.ops.checks import speaks_python
 from armsight.ops.given import ArmLike, Given, PathText, PoseLike, RigLike, TableLike, TargetLike
+from armsight.ops.kinds import Confirm
 from armsight.records import Progress, checked_array, require_count, require_kind
 from armsight.records.output import extended, output
 from armsight.store.arm_file import read_arm

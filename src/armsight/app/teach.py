@@ -2,50 +2,48 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.live.pace import pace_of
-from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
-from armsight.app.requests.motion import ServoJob, StandingJob, TeachJob
-from armsight.app.robot.robot_run import Confirm
-from armsight.app.servo.run_servo import ServoOutput, Show, run_servo
-from armsight.app.servo.vision import ServoDevices
-from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
+from armsight.app.servo.run_servo import ServoOutput
+from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.control.servo import Mount, ServoSource
 from armsight.control.status import QueueSink
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig
-from armsight.drivers import CameraSettings, PairSource
+from armsight.drivers import PairSource
 from armsight.errors import StaleData, UsageError
 from armsight.fields import Doc
+from armsight.file_names import PATH, TARGETS, TEACH
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup, TargetTracker
-from armsight.measure.settings import SpotSettings
-from armsight.optics import Rig
-from armsight.records import Frame, Progress, Silent, Target, TargetPose
+from armsight.records import Frame, Progress, TargetPose, TaughtPath
 from armsight.records.output import Output, output
-from armsight.store import World, read_poses, read_rig, read_world, write_poses
+from armsight.shown import Shown
+from armsight.store import World, write_poses
 from armsight.store.atomic import write_json
 from armsight.store.path_file import write_path
+from armsight.units import MM
 
-PATH, TARGETS, SUMMARY = "path.csv", "targets.csv", "teach.json"
-
-Begun = Callable[[PathRecorder], None]
-"""Is given the recorder once it is there, so that a key or a page may start, pause, undo and tag."""
+AS_MEASURED = "as measured"
+"""The frame of a poses.csv: world where it was measured with a world.yaml, else the cameras' own."""
+Pair = tuple[Frame, Frame]
+Seen = Callable[[TargetPose], object]
+"""Is told of each pose as it is measured, in rig axes."""
 
 
 @output
-class TeachOutput(Output):
-    """armsight teach."""
+class TeachResult(Output):
+    """armsight teach. taught: the path; targets: the poses of the target that it was made of."""
 
     state: Annotated[str | None, Doc("The guard's last state; null: no robot took part.")]
     n_cycles: Annotated[int, Doc("Cycles of the control loop; 0 without a robot.")]
@@ -62,127 +60,151 @@ class TeachOutput(Output):
     n_lost: Annotated[int, Doc("Frames without the target: not recorded.")]
     n_unplaced: Annotated[int, Doc("Frames at whose exposure the arm's place was not known: not recorded.")]
     servo: Annotated[ServoOutput | None, Doc("How the arm followed; null: none did.")]
+    taught: TaughtPath
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield how the arm followed, and what the path is."""
+        if self.servo is not None:
+            yield from self.servo.summary()
+        yield (
+            f"{self.n_rows} poses over {self.length_m / MM:.1f} mm in {self.n_stretches} stretches, frame: "
+            f"{self.parent}; of the frames while recording {self.n_ok} were taken, {self.n_position_only} told the "
+            f"place only, {self.n_lost} did not show the target, {self.n_unplaced} came when the arm's place was not "
+            f"known; ended by: {self.stopped_by}. Path: {self.path}"
+        )
+        if self.parent == "base":
+            yield "note: the path is in base axes: play it with --frame base"
+        elif self.parent != "world":
+            yield "note: without --world the path is in the axes of poses.csv: play it only if those are the world's"
+
+    @property
+    def exit_code(self) -> int:
+        """As that of the servo."""
+        return 0 if self.servo is None else self.servo.exit_code
+
+    def write(self, folder: Path) -> None:
+        """Write teach.json into a folder."""
+        write_json(folder / TEACH, self.to_dict())
 
 
-def save(job: TeachJob, recorder: PathRecorder) -> None:
-    """Write path.csv and targets.csv. Raises NotEnoughData for less than two poses."""
-    speed = np.nan if job.path_speed_m_s is None else job.path_speed_m_s
-    path = recorder.path(speed_m_s=speed)
-    job.out.mkdir(parents=True, exist_ok=True)
-    write_path(job.out / PATH, path)
-    write_poses(job.out / TARGETS, recorder.targets())
+def require_speed(path_speed_m_s: float | None) -> None:
+    """Raise UsageError for what is no speed."""
+    if path_speed_m_s is not None and not (math.isfinite(path_speed_m_s) and path_speed_m_s > 0.0):
+        raise UsageError(
+            f"--path-speed {path_speed_m_s:g} is no speed",
+            consequence="Nothing is taught",
+            cure="Give m/s, more than zero",
+        )
 
 
-def saved(job: TeachJob, recorder: PathRecorder, stopped_by: str, servo: ServoOutput | None = None) -> TeachOutput:
-    """Write the files and return the figures. Raises NotEnoughData for less than two poses."""
-    save(job, recorder)
-    path, counts = recorder.path(), recorder.counts
-    done = TeachOutput(
-        state=None if servo is None else servo.state,
-        n_cycles=0 if servo is None else servo.n_cycles,
-        late=0 if servo is None else servo.late,
-        stopped_by=stopped_by,
-        path=str(job.out / PATH),
-        parent=path.parent,
-        n_rows=len(path),
-        n_stretches=recorder.stretches,
-        length_m=float(path.length_m[-1]),
-        n_ok=counts.ok,
-        n_doubtful=counts.doubtful,
-        n_position_only=counts.position_only,
-        n_lost=counts.lost,
-        n_unplaced=counts.unplaced,
-        servo=servo,
-    )
-    write_json(job.out / SUMMARY, done.to_dict())
-    return done
+def refuse_beside(what: str, others: Mapping[str, object]) -> None:
+    """Raise UsageError for options that mean nothing beside another."""
+    given = ", ".join(f"--{name}" for name, value in others.items() if value is not None)
+    if given:
+        raise UsageError(f"with {what}, {given} means nothing", consequence="Nothing is taught", cure="Leave it out")
 
 
-AS_MEASURED = "as measured"
-"""The frame of a poses.csv: world where it was measured with a world.yaml, else the cameras' own."""
-Pair = tuple[Frame, Frame]
-Seen = Callable[[TargetPose], None]
-"""Is told of each pose as it is measured, in rig axes."""
+def at_tip(tip_m: Array | None) -> RigidTransform:
+    """Return T_target_tip of a tip (3,) in target axes, m; None: the target's origin."""
+    return RigidTransform.identity() if tip_m is None else RigidTransform.from_translation(tip_m)
 
 
-def teach_standing(
-    job: TeachJob,
-    seen_by: StandingJob,
-    progress: Progress | None = None,
-    *,
-    pairs: PairSource | None = None,
-    begun: Begun = lambda _: None,
-    seen: Seen = lambda _: None,
-) -> TeachOutput:
-    """Measure frame after frame until they end or progress is cancelled, and record the tip's path; write job.out.
+def standing_recorder(world: World | None, tip_m: Array | None, *, every: int, mean: bool) -> PathRecorder:
+    """Return what records before cameras that stand; world: None: the path is in the axes of the poses."""
+    T = RigidTransform.identity() if world is None else world.T_parent_rig
+    parent = AS_MEASURED if world is None else world.parent
+    return PathRecorder(StandingRig(T_world_rig=T), at_tip(tip_m), every=every, mean=mean, parent=parent)
 
-    pairs: in place of the sources the job names. What was taught before a failure is in the files when the error is
-    raised. Raises UsageError, also where the rig's position is not told, DataRefused, DeviceFailed; NotEnoughData for
-    less than two poses.
-    """
-    progress = progress or Silent()
-    if seen_by.world is None:
+
+class Lesson:
+    """A path while it is taught; out: where its files go, None: nowhere. speed_m_s: written into it."""
+
+    def __init__(self, recorder: PathRecorder, out: Path | None, speed_m_s: float | None = None) -> None:
+        self.recorder = recorder
+        self._out = out
+        self._speed_m_s = np.nan if speed_m_s is None else speed_m_s
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Write the files of what was taught until a failure."""
+        try:
+            yield
+        except BaseException:
+            if len(self.recorder) > 1:
+                self.save()
+            raise
+
+    def save(self) -> TaughtPath:
+        """Write path.csv and targets.csv, and return the path. Raises NotEnoughData for less than two poses."""
+        path = self.recorder.path(speed_m_s=self._speed_m_s)
+        if self._out is not None:
+            self._out.mkdir(parents=True, exist_ok=True)
+            write_path(self._out / PATH, path)
+            write_poses(self._out / TARGETS, self.recorder.targets())
+        return path
+
+    def result(self, stopped_by: str, servo: ServoOutput | None = None) -> TeachResult:
+        """Write the files and return the figures. Raises NotEnoughData for less than two poses."""
+        path, counts = self.save(), self.recorder.counts
+        return TeachResult(
+            state=None if servo is None else servo.state,
+            n_cycles=0 if servo is None else servo.n_cycles,
+            late=0 if servo is None else servo.late,
+            stopped_by=stopped_by,
+            path="" if self._out is None else str(self._out / PATH),
+            parent=path.parent,
+            n_rows=len(path),
+            n_stretches=self.recorder.stretches,
+            length_m=float(path.length_m[-1]),
+            n_ok=counts.ok,
+            n_doubtful=counts.doubtful,
+            n_position_only=counts.position_only,
+            n_lost=counts.lost,
+            n_unplaced=counts.unplaced,
+            servo=servo,
+            taught=replace(path, parent="world") if path.parent == AS_MEASURED else path,
+        )
+
+
+def require_world(world: World | None) -> None:
+    """Raise UsageError where nobody says where the cameras stand."""
+    if world is None:
         raise UsageError(
             "where the cameras stand is not said",
             consequence="The path would be in their own axes, where no arm can run it, and nothing is taught",
             cure="Give --world world.yaml, made with: armsight calibrate robot-world",
         )
-    rig, target = read_rig(seen_by.rig), target_of(seen_by.target)
-    recorder = _recorder(job, read_world(seen_by.world))
-    overlaid = False
+
+
+def require_pairs(pairs: tuple[PairSource, bool] | None) -> tuple[PairSource, bool]:
+    """Return the pairs. Raises UsageError where they are not said."""
     if pairs is None:
-        pairs, overlaid = _pairs(seen_by, rig, target)
-    pace = pace_of(seen_by.left, seen_by.right, seen_by.image)
-    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour), overlaid=overlaid, pace=pace)
-    prepare(progress)
-    if not job.wait:
-        recorder.start()
-    begun(recorder)
-    with _kept(job, recorder), pairs:
-        stopped_by = _taught(recorder, setup, pairs, seen_by.seconds_s, progress, seen)
-    return saved(job, recorder, stopped_by)
-
-
-@contextmanager
-def _kept(job: TeachJob, recorder: PathRecorder) -> Iterator[None]:
-    try:
-        yield
-    except BaseException:
-        if len(recorder) > 1:
-            save(job, recorder)
-        raise
-
-
-def teach_poses(job: TeachJob, poses: Path, *, world: Path | None = None) -> TeachOutput:
-    """Make a path of a poses.csv that was measured; write job.out. Raises BadFile, NotEnoughData.
-
-    world: where the rig stood; None: the path is in the frame of the file, which the file does not tell.
-    """
-    recorder = _recorder(job, None if world is None else read_world(world))
-    recorder.start()
-    for pose in read_poses(poses):
-        recorder.observe(pose, pose.t_s)
-    return saved(job, recorder, "end")
-
-
-def _recorder(job: TeachJob, world: World | None) -> PathRecorder:
-    T = RigidTransform.identity() if world is None else world.T_parent_rig
-    parent = AS_MEASURED if world is None else world.parent
-    return PathRecorder(StandingRig(T_world_rig=T), job.T_target_tip(), every=job.every, mean=job.mean, parent=parent)
-
-
-def _pairs(job: StandingJob, rig: Rig, target: Target) -> tuple[PairSource, bool]:
-    """Return the pairs of the sources, not yet open, and whether one image holds both views."""
-    colour, settings = target.colour is not None, CameraSettings(exposure_s=job.exposure_s)
-    if job.image is not None and job.left is job.right is None:
-        return complex_pairs(partial(open_source, job.image, colour=colour, settings=settings), rig)
-    if job.image is not None or job.left is None or job.right is None:
         raise UsageError(
             "which cameras see the target is not said",
             consequence="Nothing is taught",
             cure="Give --left and --right, --image for a mirror rig, or --from poses.csv",
         )
-    return open_pairs(job.left, job.right, colour=colour, settings=settings), False
+    return pairs
+
+
+def teach_standing(
+    lesson: Lesson,
+    setup: Setup,
+    pairs: PairSource,
+    seconds_s: float | None,
+    progress: Progress,
+    *,
+    seen: Seen = lambda _: None,
+) -> TeachResult:
+    """Measure frame after frame until they end or progress is cancelled, and record the tip's path.
+
+    seconds_s: of the frames' own time. What was taught before a failure is in the files when the error is raised.
+    Raises DataRefused, DeviceFailed; NotEnoughData for less than two poses.
+    """
+    prepare(progress)
+    with lesson.kept(), pairs:
+        stopped_by = _taught(lesson.recorder, setup, pairs, seconds_s, progress, seen)
+    return lesson.result(stopped_by)
 
 
 def _taught(
@@ -215,12 +237,11 @@ def _taught(
 class TaughtBeside:
     """A recorder beside a servo: is told of each frame, and tells its events to the recording."""
 
-    def __init__(self, job: TeachJob) -> None:
+    def __init__(self, tip_m: Array | None, *, every: int, mean: bool) -> None:
         self._rig_pose: RigPose | None = None
         self._clock: Clock | None = None
         self._sink: QueueSink | None = None
-        T_target_tip = job.T_target_tip()
-        self.recorder = PathRecorder(self._placed, T_target_tip, every=job.every, mean=job.mean, notify=self._note)
+        self.recorder = PathRecorder(self._placed, at_tip(tip_m), every=every, mean=mean, notify=self._note)
 
     def begin(self, source: ServoSource, arm: Arm, clock: Clock, sink: QueueSink) -> None:
         """Take the readings that the servo gathers, and what takes events."""
@@ -245,27 +266,3 @@ class TaughtBeside:
     def _note(self, text: str) -> None:
         if self._sink is not None and self._clock is not None:
             self._sink.event(self._clock.now_s(), text, "info", "teach")
-
-
-def teach_following(
-    job: TeachJob,
-    servo: ServoJob,
-    confirm: Confirm,
-    show: Show = lambda *_: None,
-    progress: Progress | None = None,
-    *,
-    devices: ServoDevices | None = None,
-    begun: Begun = lambda _: None,
-) -> TeachOutput:
-    """Follow the target as run_servo does, and record the path of the tip in world; write job.out.
-
-    What was taught before a failure is in the files when the error is raised. Raises as run_servo; NotEnoughData where
-    less than two poses were taught.
-    """
-    beside = TaughtBeside(job)
-    if not job.wait:
-        beside.recorder.start()
-    begun(beside.recorder)
-    with _kept(job, beside.recorder):
-        done = run_servo(servo, confirm, show, progress, devices=devices, beside=beside)
-    return saved(job, beside.recorder, done.stopped_by, done)

@@ -15,11 +15,10 @@ from armsight.cli.command import Command, ResultsDoubted, add
 from armsight.cli.command_ui import CommandUI
 from armsight.fields import Flag, marks
 from armsight.file_names import REPORT, report_path
-from armsight.ops.action import OUT
+from armsight.ops.action import OUT, action_of
 from armsight.shown import WRITTEN, Shown
 
 if TYPE_CHECKING:
-    from armsight.ops.action import Action
     from armsight.records.output import Output
 
 
@@ -33,12 +32,14 @@ def add_action(
     instead: Callable[[CommandUI, Mapping[str, Any]], bool] | None = None,
     flags: Callable[[], Mapping[str, tuple[Any, Any]]] = dict,
     settled: Callable[[], Mapping[str, Any]] = dict,
+    beside: Callable[[CommandUI, Mapping[str, Any]], Mapping[str, Any]] = lambda *_: {},
     **more: Any,
 ) -> None:
     """Add an action (armsight.ops) to a group as a command; more: of Command.
 
     instead: does another job where what was asked, by parameter, means that one, and tells whether it did. flags:
-    further ones, of that job. settled: what holds where a flag is not given, by parameter.
+    further ones, of that job. settled: what holds where a flag is not given, by parameter. beside: what else the
+    function gets, made of the face and of what was asked.
     """
     done = action_of(call)
 
@@ -54,7 +55,7 @@ def add_action(
     def run(face: CommandUI, **given: Any) -> None:
         asked = {**settled(), **{name: given[word] for name, word in names().items() if word in given}}
         if instead is None or not instead(face, asked):
-            own = {name: asked[name] for name in done.parameters if name in asked}
+            own = {name: asked[name] for name in done.parameters if name in asked} | dict(beside(face, asked))
             result = done.run(own, face.progress(done.working.format_map(own)) if done.working else None)
             show(face, result, asked.get(OUT), written=done.writes)
 
@@ -63,16 +64,10 @@ def add_action(
     add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **about))
 
 
-def action_of(call: Callable[..., Any]) -> Action:
-    """Return what a function does for people."""
-    done: Action = vars(call)["action"]
-    return done
-
-
 def show(face: CommandUI, result: Output, out: Any, *, written: bool = False) -> None:
-    """Show a result, which was written to `out`, if it is of a file. Raises Exit where it is not as it should be.
+    """Show a result, which was written to `out`, if it is of a file.
 
-    written: it says itself where its files are.
+    written: it says itself where its files are. Raises ResultsDoubted where it is not as it should be.
     """
     from armsight.report.pages import page_path
 

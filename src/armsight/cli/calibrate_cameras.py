@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from armsight.cli.actions import action_of, add_action, show
+from armsight.cli.actions import add_action, show
 from armsight.cli.command import calibrate
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import UsageError
 from armsight.fields import Doc
+from armsight.ops.action import action_of
 from armsight.ops.calibrate_cameras import calibrate_camera, calibrate_stereo, calibrate_zoom_rig
 from armsight.ops.calibrate_mirrors import calibrate_mirrors, check_mirrors
 from armsight.ops.calibrate_rig import calibrate_target, calibrate_timing

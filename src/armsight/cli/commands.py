@@ -17,7 +17,6 @@ from armsight.cli import (
     identify,
     measure,
     motion,
-    robot,
     serve,
     verify,
 )
@@ -53,7 +52,6 @@ __all__ = [
     "identify",
     "measure",
     "motion",
-    "robot",
     "serve",
     "verify",
 ]

@@ -170,3 +170,9 @@ def action(command: str, **more: Any) -> Callable[[Callable[P, R]], Callable[P, 
         return run
 
     return decorated
+
+
+def action_of(call: Callable[..., Any]) -> Action:
+    """Return what a function does for people."""
+    done: Action = vars(call)["action"]
+    return done

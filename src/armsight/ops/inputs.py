@@ -18,9 +18,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight._files import arm_source
 from armsight.app.compare.run import GivenResult
+from armsight.app.requests.motion import RobotJob
+from armsight.app.robot.opening import ClockedRobot
 from armsight.arrays import Array
 from armsight.calibrate.arm import ArmPoints
+from armsight.clock import SystemClock
 from armsight.control.guard import Limits
+from armsight.drivers import Robot, RobotState
 from armsight.drivers.images import read_image
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm
@@ -224,6 +228,52 @@ def limits(name: str, value: Any, given: Given, undo: ExitStack) -> Limits:
         require_kind(name, value, Limits, cure="Give a record or a file")
         return value  # type: ignore[no-any-return]  # Limits
     return read_limits(path)
+
+
+ROBOT_MEMBERS = ("__enter__", "__exit__", *(name for name in vars(Robot) if not name.startswith("_")))
+"""What a driver of one's own has to have."""
+
+
+def robot(name: str, value: Any, given: Given, undo: ExitStack) -> RobotJob:
+    """Return a robot that is named DRIVER:DEVICE, or a driver of one's own, with what its driver is told beside it."""
+    settings, config = given.get("robot_settings"), given.get("rsi_config")
+    config = None if config is None else Path(config)
+    if isinstance(value, RobotJob):
+        return value
+    if isinstance(value, str):
+        return RobotJob(robot=value, robot_settings=settings, rsi_config=config)
+    device = value if isinstance(value, ClockedRobot) else ClockedRobot(robot=value, clock=SystemClock())
+    return RobotJob(robot=device.called or _name_of(device.robot, settings, config), device=device)
+
+
+def _name_of(robot: Any, *told: object) -> str:
+    """Return DRIVER:DEVICE, or the name of a driver of one's own.
+
+    told: settings for the driver, None where there are none. Raises UsageError where a driver of one's own is not
+    complete, or told something: it was made with its settings.
+    """
+    if not hasattr(robot, "step_joints"):
+        return as_text("robot", robot)
+    lacking = [name for name in ROBOT_MEMBERS if not hasattr(robot, name)]
+    if isinstance(robot, type):
+        what = "is a class: it has to be called first"
+    elif lacking:
+        what = f"has no {', '.join(lacking)}"
+    elif not isinstance(robot.state, RobotState):
+        what = f"has the state {robot.state!r}, which is no RobotState"
+    elif any(one is not None for one in told):
+        raise UsageError(
+            f"robot_settings and rsi_config are for robots that are named DRIVER:DEVICE, and {robot.name} is an object",
+            consequence="They would not be used, and nothing is opened",
+            cure="Make the object with its settings",
+        )
+    else:
+        return str(robot.name)
+    raise UsageError(
+        f"the robot {getattr(robot, 'name', type(robot).__name__)!r} {what}",
+        consequence="It cannot be driven",
+        cure="Give an object with all that help(armsight.Robot) lists; its state is such as RobotState.READY",
+    )
 
 
 def readings(name: str, value: Any, given: Given, undo: ExitStack) -> str:

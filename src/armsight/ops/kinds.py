@@ -5,6 +5,7 @@ Type checkers see Any: in the action stands the object, at its caller whatever i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, TypeAlias
 
 from armsight.app.requests.shared import BOARD, SRC
@@ -57,6 +58,19 @@ Readings: TypeAlias = Annotated[Any, Input(f"{READERS}:readings", kind=str)]
 """Joint readings (n,), written as 0,-1.2,0.4, or the path of a joints.csv."""
 AsFile: TypeAlias = Annotated[Any, Input(f"{READERS}:file")]
 """A file's path, or what becomes one: a table's columns, a pose."""
+RobotLike: TypeAlias = Annotated[
+    Any,
+    Doc("sim:SCENARIO, alter:/dev/PORT, rsi:UDP_PORT, egm:UDP_PORT, rtde:HOST[:PORT] or ws://HOST:PORT."),
+    Input(f"{READERS}:robot", kind=str),
+    Flag("--robot", metavar="DRIVER:DEVICE"),
+]
+"""DRIVER:DEVICE, a driver of one's own that keeps drivers.Robot, or one of these with its clock."""
+Confirm: TypeAlias = bool | Callable[[str], bool]
+"""Whether the arm may move: True, or what is asked with the motion in words."""
+GuardLimits: TypeAlias = Annotated[
+    Any, Doc("limits.yaml: what the guard keeps. [default: its own]"), Input(f"{READERS}:file")
+]
+"""Limits, or the path of a limits.yaml, whose name errors tell."""
 Left: TypeAlias = Annotated[Any, Doc(f"Left frames: {SRC}."), FRAMES, Flag(metavar="SRC")]
 """Frames as the command line names them, or images in order."""
 Right: TypeAlias = Annotated[Any, Doc("Right frames, in step with the left ones."), FRAMES, Flag(metavar="SRC")]

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from armsight.app.arm_files import load_arm
-from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.opening import open_robot
-from armsight.app.robot.run_motion import RunMotionOutput, run_motion
+from armsight.app.robot.opening import ClockedRobot, open_robot
+from armsight.app.robot.run_motion import RunMotionOutput
 from armsight.app.simulate.run import simulate
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.observations import JointLog
@@ -22,6 +21,7 @@ from armsight.control.guard import Box, JointLimit, Limits
 from armsight.control.play.path_source import JointMotionSource
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
+from armsight.ops import robots
 from armsight.records import Motion, Silent
 from armsight.store import read_target
 from armsight.store.limits_file import write_limits
@@ -35,6 +35,7 @@ from armsight_lab.cell_plan.run import free_of, links_of, motion_bounds, run_cel
 from armsight_lab.cell_plan.scene import Scene, places, roadmap
 from armsight_lab.cell_plan.tour import longest
 from refusals import refuses
+from robot_runs import acted
 
 START = "-0.0078,-1.0686,1.6257,-0.5679,1.7323,0.1617"
 Q = np.array([float(value) for value in START.split(",")])
@@ -85,15 +86,11 @@ def moved(
     out: Path,
     *,
     confirm=lambda _: True,
-    progress=None,
-    begun=lambda _: None,
-    enabled=lambda: True,
     **more: object,
 ) -> RunMotionOutput:
     clock = ManualClock()
-    robot = open_robot("sim:webcam-cell", clock)
-    wanted = RunMotionJob(robot="sim:webcam-cell", motion=motion, out=out, **more)
-    return run_motion(wanted, confirm, progress, clock=clock, opened=robot, begun=begun, enabled=enabled)
+    robot = ClockedRobot(robot=open_robot("sim:webcam-cell", clock), clock=clock, called="sim:webcam-cell")
+    return acted(robots.run_motion, robot=robot, motion=motion, out=out, confirm=confirm, **more)
 
 
 def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard(cell: Path, tmp_path: Path) -> None:

@@ -5,12 +5,11 @@ from pathlib import Path
 import pytest
 
 from armsight.app.identify.live import read_limits
-from armsight.app.requests.motion import JogJob
-from armsight.app.robot.jog import jog_robot
 from armsight.app.robot.opening import guard_for, open_robot
 from armsight.clock import SystemClock
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.ops.kinematics import show_arm
+from armsight.ops.robots import jog
 from armsight.store.arm_file import read_arm
 from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees
 from armsight.store.urdf import arm_from_urdf
@@ -41,9 +40,8 @@ def test_limits_of_a_live_identification() -> None:
 
 def test_a_joint_is_not_jogged_by_degrees() -> None:
     asked: list[str] = []
-    job = JogJob(robot="sim:webcam-cell", joint=1, by=10.0)
     with refuses(Inconsistent, "degrees", "573"):
-        jog_robot(job, lambda question: bool(asked.append(question)))
+        jog("sim:webcam-cell", 1, 10.0, confirm=lambda question: bool(asked.append(question)))
     assert not asked
 
 

@@ -2,14 +2,13 @@
 
 import dataclasses
 import re
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armsight.app import requests
-from armsight.app.requests.motion import RobotJob, RobotTestJob, settings_of
+from armsight.app.requests.motion import RobotJob, settings_of
 from armsight.app.robot import opening
 from armsight.app.robot.hosting import spec_of
 from armsight.app.robot.opening import LinkArm, driver_settings, robot_of
@@ -17,6 +16,8 @@ from armsight.clock import ManualClock
 from armsight.control.guard import Limits
 from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import presets
+from armsight.ops import motion, robots
+from armsight.ops.action import action_of
 from refusals import refuses
 
 Q = np.array([0.3, -1.1, 1.6, -0.9, 1.2, 0.4])
@@ -48,21 +49,21 @@ def test_only_the_driver_that_needs_it_gets_it() -> None:
 
 def test_settings_of_the_command_line_reach_the_driver_and_its_words_name_what_it_knows() -> None:
     texts = ["controller=192.168.0.10", "cycle_s=0.012", "lower_rad=-1,-1,-1,-1,-1,-1"]
-    job = RobotTestJob(robot="rsi:49152", robot_settings=settings_of(texts))
+    job = RobotJob(robot="rsi:49152", robot_settings=settings_of(texts))
     kept = robot_of(job, ManualClock()).settings  # type: ignore[attr-defined]  # the driver's own
     assert (kept.controller, kept.cycle_s, kept.lower_rad) == ("192.168.0.10", 0.012, [-1.0] * 6)
     served = spec_of(job, presets.ur10(), Limits())
     assert served.settings["cycle_s"] == "0.012" and served.robot == "rsi:49152"
     with refuses(UsageError, "nonsense", "controller", "bind", "cycle_s"):
-        robot_of(RobotTestJob(robot="egm:6510", robot_settings={"nonsense": 1}), ManualClock())
+        robot_of(RobotJob(robot="egm:6510", robot_settings={"nonsense": 1}), ManualClock())
     with refuses(UsageError, "cycle_s"):
-        robot_of(RobotTestJob(robot="rtde:192.0.2.1", robot_settings={"cycle_s": "fast"}), ManualClock())
+        robot_of(RobotJob(robot="rtde:192.0.2.1", robot_settings={"cycle_s": "fast"}), ManualClock())
 
 
 @pytest.mark.parametrize(("robot", "given"), [("sim:webcam-cell", {"cycle_s": 0.004}), ("alter:p", {"arm": "ur10"})])
 def test_settings_that_would_be_ignored_are_refused(robot: str, given: dict[str, object]) -> None:
     with refuses(UsageError, next(iter(given)).replace("arm", "--arm")):
-        robot_of(RobotTestJob(robot=robot, robot_settings=given), ManualClock())
+        robot_of(RobotJob(robot=robot, robot_settings=given), ManualClock())
 
 
 @pytest.mark.parametrize("texts", [["cycle_s"], ["=1"], ["cycle_s="], ["cycle_s=1", "cycle_s=2"]])
@@ -72,10 +73,18 @@ def test_what_is_no_setting_is_refused(texts: list[str]) -> None:
 
 
 def test_every_request_that_names_a_robot_takes_its_settings() -> None:
-    modules = (requests.motion, requests.identify, requests.verify, import_module("armsight.app.requests.run_motion"))
+    modules = (requests.motion, requests.identify, requests.verify)
     kinds = {kind for module in modules for kind in vars(module).values() if dataclasses.is_dataclass(kind)}
     named = {kind for kind in kinds if {"robot", "arm"} <= {one.name for one in dataclasses.fields(kind)}}
-    assert len(named) > 5 and all(issubclass(kind, RobotJob) for kind in named)  # type: ignore[arg-type]  # classes
+    assert named and all(issubclass(kind, RobotJob) for kind in named)  # type: ignore[arg-type]  # classes
+    calls = [
+        call
+        for module in (motion, robots)
+        for call in vars(module).values()
+        if "action" in getattr(call, "__dict__", {})
+    ]
+    asked = [set(action_of(call).parameters) for call in calls]
+    assert len(asked) > 5 and all({"robot_settings", "rsi_config"} < one for one in asked if "robot" in one)
 
 
 def test_robots_are_opened_in_one_place() -> None:
@@ -91,7 +100,7 @@ def test_robots_are_opened_in_one_place() -> None:
 
 def test_a_link_that_knows_its_controller_listens_where_that_is_reached() -> None:
     def listens(**settings: str) -> str:
-        return robot_of(RobotTestJob(robot="egm:6510", robot_settings=settings), ManualClock())._own_address()  # type: ignore[attr-defined]
+        return robot_of(RobotJob(robot="egm:6510", robot_settings=settings), ManualClock())._own_address()  # type: ignore[attr-defined]
 
     assert listens() == "0.0.0.0"
     assert listens(controller="127.0.0.1") == "127.0.0.1"

@@ -15,17 +15,18 @@ import pytest
 
 from armsight.app.record import free_cameras
 from armsight.app.record.free_cameras import SILENT_S, CameraRecorded, FreeCameras, FreeJob, record_free
-from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot import run_motion as run_motion_module
-from armsight.app.robot.opening import open_robot
-from armsight.app.robot.run_motion import RunMotionOutput, run_motion
+from armsight.app.robot.opening import ClockedRobot, open_robot
+from armsight.app.robot.run_motion import RunMotionOutput
 from armsight.app.sources.frames import camera_source
 from armsight.clock import ManualClock
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+from armsight.ops import robots
 from armsight.records import Frame, Motion, Silent
 from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints, write_joints
 from refusals import refuses
+from robot_runs import acted
 
 AHEAD_S = 1000.0
 PATIENCE_S = 60.0
@@ -35,6 +36,7 @@ from pathlib import Path
 import numpy as np
 from armsight.clock import SystemClock
 from armsight.errors import DeviceLost, DeviceNotFound
+from armsight.ops import robots
 from armsight.records import Frame
 
 class Camera:
@@ -85,8 +87,9 @@ def moved(folder: Path, progress: Silent | None = None, begun: Any = lambda _: N
     t = np.arange(500) / 100.0
     swing = Motion(t_s=t, q=np.tile(q, (500, 1)) + 0.05 * np.sin(2.0 * np.pi * t / 5.0)[:, None] ** 2)
     write_joints(folder / "motion.csv", swing)
-    job = RunMotionJob(robot="sim:webcam-cell", motion=folder / "motion.csv", out=folder / "out", **more)
-    return run_motion(job, lambda _: True, progress, clock=clock, opened=robot, begun=begun)
+    given = ClockedRobot(robot=robot, clock=clock, called="sim:webcam-cell")
+    asked = {"confirm": lambda _: True, "progress": progress, "begun": begun, **more}
+    return acted(robots.run_motion, robot=given, motion=folder / "motion.csv", out=folder / "out", **asked)
 
 
 def test_both_cameras_are_recorded_from_before_a_motion_until_after_it_each_with_its_own_times(

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+import armsight
 from armsight.app.live.pace import pace_of
-from armsight.app.requests.motion import StandingJob, TeachJob
-from armsight.app.teach import AS_MEASURED, teach_poses, teach_standing
+from armsight.app.teach import AS_MEASURED
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.errors import UsageError
+from armsight.ops.teach import teach
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import read_poses, write_poses, write_text
 from refusals import refuses
+from robot_runs import acted
 
 VARIANCES = np.array([1e-8, 4e-8, 9e-8, 1e-6, 4e-6, 9e-6])
 WORLD = "format: armsight/world\nversion: 1\nT_base_rig: {xyz_m: [0.0, 0.0, 0.5], quat_xyzw: [0.0, 0.0, 0.0, 1.0]}\n"
@@ -27,18 +29,18 @@ def seen(k: int) -> TargetPose:
 
 
 def test_cameras_whose_place_is_not_told_teach_nothing(tmp_path: Path) -> None:
-    job = StandingJob(rig=tmp_path / "rig.yaml", target=tmp_path / "target.yaml", left="left", right="right")
+    cell = armsight.simulate("hand-cell", frames=1, room="dark")
     with refuses(UsageError, "cameras stand") as refused:
-        teach_standing(TeachJob(out=tmp_path / "out"), job)
+        acted(teach, rig=cell.rig, target=cell.target, left="left", right="right", out=tmp_path / "out")
     assert "--world" in str(refused.value) and not (tmp_path / "out").exists()
 
 
 def test_poses_without_a_world_are_not_called_world(tmp_path: Path) -> None:
     write_poses(tmp_path / "poses.csv", [seen(k) for k in range(3)])
     write_text(tmp_path / "world.yaml", WORLD)
-    done = teach_poses(TeachJob(out=tmp_path / "out"), tmp_path / "poses.csv")
+    done = acted(teach, poses=tmp_path / "poses.csv", out=tmp_path / "out")
     assert done.parent == AS_MEASURED
-    done = teach_poses(TeachJob(out=tmp_path / "out"), tmp_path / "poses.csv", world=tmp_path / "world.yaml")
+    done = acted(teach, poses=tmp_path / "poses.csv", out=tmp_path / "out", world=tmp_path / "world.yaml")
     assert done.parent == "base"
     targets = read_poses(tmp_path / "out" / "targets.csv")
     assert [float(np.diag(pose.covariance)[1]) for pose in targets] == pytest.approx([4e-8] * 3)

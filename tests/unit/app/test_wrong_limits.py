@@ -12,18 +12,16 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
-from armsight.app.play.play_path import run_play
-from armsight.app.requests.motion import JogJob, PlayJob, ServoJob
-from armsight.app.robot.jog import jog_robot
-from armsight.app.robot.opening import guard_for, open_robot
-from armsight.app.servo.run_servo import run_servo
+from armsight.app.robot.opening import ClockedRobot, guard_for, open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock, SystemClock
 from armsight.control.guard import Box, Guard, JointLimit, Limits
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint, preset
+from armsight.ops import motion, robots
 from armsight.store.limits_file import limits_from_mapping, read_limits
 from refusals import names_it, refuses
+from robot_runs import acted
 
 SIM = "sim:webcam-cell"
 HEAD = "format: armsight/limits\nversion: 1\n"
@@ -129,9 +127,9 @@ def test_a_wrong_file_is_told_in_words_and_nothing_moves(tmp_path: Path, name: s
     path.write_text(text)
     asked: list[str] = []
     robot = open_robot(SIM, clock := ManualClock())
-    job = JogJob(robot=SIM, joint=1, by=0.02, limits=path)
+    job = {"robot": ClockedRobot(robot=robot, clock=clock), "joint": 1, "by": 0.02, "limits": path}
     with refuses((BadFile, Inconsistent, UsageError), told) as caught:
-        jog_robot(job, lambda question: bool(asked.append(question)), clock=clock, opened=robot)
+        acted(robots.jog, **job, confirm=lambda question: bool(asked.append(question)))
     assert caught.value.cause.startswith(str(path))
     assert caught.value.consequence and caught.value.cure
     assert not asked and clock.now_s() == 0.0
@@ -242,7 +240,8 @@ def test_every_command_that_takes_limits_refuses_them(tmp_path: Path, command: s
     path.write_text(HEAD + "speed_m_s: 100\n")
     CliRunner().invoke(app, ["simulate", "webcam-cell", "--frames", "1", "-o", str(tmp_path / "set")])
     files = [f"--{name}={tmp_path / 'set' / name}.yaml" for name in ("rig", "target", "handeye")]
-    (tmp_path / "path.csv").write_text("index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag\n")
+    rows = [f"{k},,{0.01 * k},0.5,0.5,0,0,0,1,0.02," for k in range(2)]
+    (tmp_path / "path.csv").write_text("index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag\n" + "\n".join(rows) + "\n")
     args = {
         "jog": ["robot", "jog", "--joint", "1", "--by", "0.02", "--yes"],
         "play": ["play", "--path", str(tmp_path / "path.csv"), "-o", str(tmp_path / "out"), "--yes"],
@@ -262,13 +261,14 @@ def test_servo_and_play_tell_of_an_arm_that_stands_outside(tmp_path: Path) -> No
     CliRunner().invoke(app, ["simulate", "webcam-cell", "--frames", "1", "-o", str(tmp_path / "set")])
     rig, target, handeye = (tmp_path / "set" / f"{name}.yaml" for name in ("rig", "target", "handeye"))
     asked: list[str] = []
-    servo = ServoJob(robot=SIM, rig=rig, target=target, handeye=handeye, out=tmp_path / "servo", at="tool", limits=path)
+    eyes = {"rig": rig, "target": target, "handeye": handeye}
+    servo = {"robot": SIM, **eyes, "out": tmp_path / "servo", "at": "tool", "limits": path}
     with pytest.raises(Cancelled):
-        run_servo(servo, lambda question: bool(asked.append(question)))
+        acted(motion.servo, **servo, confirm=lambda question: bool(asked.append(question)))
     assert names_it(asked[0], "Note", "outside")
     rows = [f"{k},,{-0.78 + 0.001 * k},-0.163941,0.255445,0.5,-0.5,-0.5,0.5,0.02," for k in range(11)]
     (tmp_path / "path.csv").write_text("index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag\n" + "\n".join(rows) + "\n")
-    play = PlayJob(robot=SIM, path=tmp_path / "path.csv", out=tmp_path / "play", limits=path)
+    play = {"robot": SIM, "path": tmp_path / "path.csv", "out": tmp_path / "play", "limits": path}
     with refuses(Inconsistent, "outside", "limits"):
-        run_play(play, lambda question: bool(asked.append(question)))
+        acted(motion.play, **play, confirm=lambda question: bool(asked.append(question)))
     assert len(asked) == 1

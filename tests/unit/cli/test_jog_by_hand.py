@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.requests.motion import HandJogJob
-from armsight.app.robot.jog import jog_by_hand
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.opening import ClockedRobot, open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import GamepadInput, JogAxes, KeyboardInput, open_jog_input
 from armsight.errors import Cancelled, DeviceFailed, DeviceNotFound, UsageError
+from armsight.ops import robots
 from refusals import refuses
+from robot_runs import acted
 
 SIM = "sim:webcam-cell"
 
@@ -112,7 +112,8 @@ def moved(then: Callable[[], JogAxes], by: float = 0.02, **job):
         asked.append(question)
         return confirmed
 
-    done = jog_by_hand(HandJogJob(robot=SIM, hand="keyboard", **job), confirm, clock=clock, opened=robot, inputs=inputs)
+    given = ClockedRobot(robot=robot, clock=clock, called=SIM)
+    done = acted(robots.jog, robot=given, hand="keyboard", confirm=confirm, inputs=inputs, **job)
     return done, first[0], asked
 
 

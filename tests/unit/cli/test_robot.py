@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.requests.motion import JogJob, RobotTestJob
-from armsight.app.robot.jog import _Watcher, jog_robot
-from armsight.app.robot.link_test import test_robot as read_link
-from armsight.app.robot.opening import open_robot
+from armsight.app.robot.jog import _Watcher
+from armsight.app.robot.opening import ClockedRobot, open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, GuardState, JointLimit, Limits
 from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, StaleData, UsageError
+from armsight.ops import robots
 from armsight.records import JointReading, Silent
 from armsight.store.limits_file import read_limits, write_limits
 from refusals import names_it, refuses
+from robot_runs import acted
 
 SIM = "sim:webcam-cell"
 
@@ -31,11 +31,18 @@ def yes(_: str) -> bool:
 
 def jog(clock: ManualClock | None = None, confirm=yes, progress=None, **job):
     clock = clock or ManualClock()
-    return jog_robot(JogJob(robot=SIM, **job), confirm, progress, clock=clock)
+    robot = job.pop("robot", None) or open_robot(SIM, clock)
+    asked = {"confirm": confirm, "progress": progress, **job}
+    return acted(robots.jog, robot=ClockedRobot(robot=robot, clock=clock, called=SIM), **asked)
+
+
+def read_link(for_s: float, clock: ManualClock, robot=None):
+    given = ClockedRobot(robot=robot or open_robot(SIM, clock), clock=clock, called=SIM)
+    return acted(robots.check_robot, robot=given, for_s=for_s)
 
 
 def test_a_link_test_moves_nothing() -> None:
-    done = read_link(RobotTestJob(robot=SIM, for_s=0.4), clock=ManualClock())
+    done = read_link(0.4, ManualClock())
     assert done.driver == "sim"
     assert done.cycle_s == pytest.approx(0.008)
     assert (done.n_cycles, done.late, done.missed) == (50, 0, 0)
@@ -49,7 +56,7 @@ def test_a_link_that_falls_silent_is_a_failure() -> None:
     robot = open_robot(SIM, clock)
     with pytest.raises(StaleData):
         robot.fault("frozen")
-        read_link(RobotTestJob(robot=SIM, for_s=2.0), clock=clock, opened=robot)
+        read_link(2.0, clock, robot)
 
 
 def test_readings_that_stop_for_a_moment_are_told_and_the_test_goes_on() -> None:
@@ -63,7 +70,7 @@ def test_readings_that_stop_for_a_moment_are_told_and_the_test_goes_on() -> None
         return read()
 
     robot.read = halting  # type: ignore[method-assign]
-    done = read_link(RobotTestJob(robot=SIM, for_s=1.0), clock=clock, opened=robot)
+    done = read_link(1.0, clock, robot)
     assert done.n_cycles == 125
     assert done.silence_ms == pytest.approx(304.0, abs=8.1)
 
@@ -86,7 +93,7 @@ def test_a_jog_that_is_not_confirmed_moves_nothing() -> None:
     clock = ManualClock()
     robot = open_robot(SIM, clock)
     with refuses(Cancelled, "confirmed"):
-        jog_robot(JogJob(robot=SIM, joint=1, by=0.1), lambda _: False, clock=clock, opened=robot)
+        jog(clock, lambda _: False, robot=robot, joint=1, by=0.1)
     assert robot.true_joints(clock.now_s())[0] == 0.0
 
 
@@ -130,7 +137,7 @@ def test_a_link_that_is_lost_under_way_is_a_failure() -> None:
             return False
 
     with pytest.raises(DeviceFailed):
-        jog_robot(JogJob(robot=SIM, joint=1, by=1.0), yes, Cut(), clock=clock, opened=robot)
+        jog(clock, yes, Cut(), robot=robot, joint=1, by=1.0)
 
 
 def test_a_box_in_the_way_ends_the_jog_before_it(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +14,17 @@ import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.play.play_path import Opened, run_play
-from armsight.app.requests.motion import PlayJob, ServoJob, TeachJob
-from armsight.app.robot.opening import arm_of, open_robot
+from armsight.app.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.app.simulate.run import simulate
-from armsight.app.teach import TaughtBeside, teach_following
+from armsight.app.teach import TaughtBeside
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.play import PathSource
 from armsight.drivers.jog_inputs import listening
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import presets
+from armsight.ops import motion
+from armsight.ops.teach import teach
 from armsight.records import PoseStatus, Silent, TargetPose, TaughtPath
 from armsight.store import read_poses, write_poses, write_text
 from armsight.store.arm_file import write_arm
@@ -33,7 +32,7 @@ from armsight.store.path_file import read_path, write_path
 from armsight.store.recording import Recording
 from armsight.units import MM
 from refusals import names_it, refuses
-from robot_runs import devices
+from robot_runs import acted, devices
 
 SIM = "sim:webcam-cell"
 
@@ -63,14 +62,11 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "path.csv"
 
 
-def job(path: Path, **more) -> PlayJob:
-    return PlayJob(robot=SIM, path=path, out=path.parent / "out", approach_speed_m_s=0.05, retract_m=0.004, **more)
-
-
-def played(wanted: PlayJob, *, confirm=lambda _: True, progress=None, begun=lambda _: None):
+def played(path: Path, **more):
     clock = ManualClock()
-    opened = Opened(open_robot(SIM, clock), clock)
-    return run_play(wanted, confirm, progress=progress, opened=opened, begun=begun)
+    robot = ClockedRobot(robot=open_robot(SIM, clock), clock=clock, called=SIM)
+    asked = {"confirm": lambda _: True, "out": path.parent / "out", "approach_speed_m_s": 0.05, "retract_m": 0.004}
+    return acted(motion.play, **{"robot": robot, "path": path, **asked, **more})
 
 
 def test_a_path_is_made_of_measured_poses(tmp_path: Path) -> None:
@@ -108,14 +104,16 @@ def test_a_path_is_taught_before_cameras_that_stand(cell: Path, tmp_path: Path) 
     ("args", "why"),
     [
         ((), "--rig, --target are needed"),
-        (("--robot", SIM, "--rig", "r.yaml", "--target", "t.yaml"), "--handeye are needed"),
+        (("--robot", SIM, "--rig", "rig.yaml", "--target", "target.yaml"), "--handeye are needed"),
         (("--from", "poses.csv", "--robot", SIM), "with --from, --robot means nothing"),
-        (("--rig", "r.yaml", "--target", "t.yaml", "--hand", "circle"), "with no --robot, --hand means nothing"),
+        (("--rig", "rig.yaml", "--target", "target.yaml", "--hand", "circle"), "with no --robot, --hand means nothing"),
         (("--from", "poses.csv", "--path-speed", "-1"), "is no speed"),
     ],
 )
-def test_teaching_that_cannot_be_meant_is_refused(tmp_path: Path, monkeypatch, args, why: str) -> None:
+def test_teaching_that_cannot_be_meant_is_refused(cell: Path, tmp_path: Path, monkeypatch, args, why: str) -> None:
     monkeypatch.chdir(tmp_path)
+    for name in ("rig", "target"):
+        (tmp_path / f"{name}.yaml").symlink_to(cell / f"{name}.yaml")
     write_poses(tmp_path / "poses.csv", [TargetPose(t_s=0.0, status=PoseStatus.LOST, parent="rig")])
     code, refused, _ = command("teach", *args, "-o", tmp_path / "out")
     assert code == 2
@@ -125,7 +123,7 @@ def test_teaching_that_cannot_be_meant_is_refused(tmp_path: Path, monkeypatch, a
 
 def test_a_path_is_asked_for_run_and_recorded(path: Path) -> None:
     asked: list[str] = []
-    done = played(job(path), confirm=lambda question: bool(asked.append(question)) or True)
+    done = played(path, confirm=lambda question: bool(asked.append(question)) or True)
     assert done.finished and done.stopped_by == "end" and done.share == 1.0
     assert "along 10.0 mm" in asked[0] and "deg" in asked[0] and "no camera" in asked[0]
     with Recording(path.parent / "out" / "play.mcap") as recording:
@@ -135,7 +133,7 @@ def test_a_path_is_asked_for_run_and_recorded(path: Path) -> None:
     assert {c.kind for c in commands} == {"set_point", "joints"}
     assert any(text.startswith("path at") for text in told) and any(text.startswith("finished at") for text in told)
     with refuses(UsageError, "recording"):
-        played(job(path))
+        played(path)
 
 
 @pytest.mark.parametrize("weave", ["none", "sine:0.002:0.01"])
@@ -146,7 +144,7 @@ def test_the_speed_that_is_told_is_the_largest_of_the_recording(path: Path, weav
     turned = read_path(path).T_world_tip.copy()
     turned[:, :3, :3] = turned[:, :3, :3] @ Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()
     write_path(path, TaughtPath.of_poses(RigidTransform.from_matrix(turned), speed_m_s=0.03))
-    played(job(path, tip=tip, weave=weave), confirm=lambda question: bool(asked.append(question)) or True)
+    played(path, tip=tip, weave=weave, confirm=lambda question: bool(asked.append(question)) or True)
     told_mm_s = float(re.search(r"at up to ([0-9.]+) mm/s", asked[0])[1])
     with open_robot(SIM, ManualClock()) as robot:
         arm = arm_of(robot, None)
@@ -171,18 +169,18 @@ def test_the_speed_that_is_told_is_the_largest_of_the_recording(path: Path, weav
 )
 def test_speeds_and_lengths_in_millimetres_are_refused(path: Path, more: dict, why: str) -> None:
     with refuses(UsageError, why) as refused:
-        played(replace(job(path), **more))
+        played(path, **more)
     assert "mm" in str(refused.value.cure)
 
 
 def test_a_share_of_the_limits_slows_the_way_to_the_path_too(path: Path) -> None:
-    slow = played(replace(job(path), speed=0.1))  # a share of the limits slows what was asked for, and refuses nothing
+    slow = played(path, speed=0.1)  # a share of the limits slows what was asked for, and refuses nothing
     assert slow.finished and slow.planned_fastest_m_s < 0.01
 
 
 def test_nothing_is_written_or_moved_without_a_yes(path: Path) -> None:
     with pytest.raises(Cancelled):
-        played(job(path), confirm=lambda _: False)
+        played(path, confirm=lambda _: False)
     assert not (path.parent / "out").exists()
 
 
@@ -195,38 +193,38 @@ def test_the_operator_brings_it_to_rest(path: Path) -> None:
             return any(source.progress.s_m > 0.002 for source in self.sources)
 
     progress = LetGo()
-    done = played(job(path), progress=progress, begun=progress.sources.append)
+    done = played(path, progress=progress, begun=progress.sources.append)
     assert done.stopped_by == "operator" and not done.finished and 0.0 < done.share < 1.0
     assert done.state == "disabled"
 
 
-def test_files_of_another_arm_and_missing_ones_are_refused(path: Path, tmp_path: Path) -> None:
+def test_files_of_another_arm_and_missing_ones_are_refused(cell: Path, path: Path, tmp_path: Path) -> None:
     write_arm(tmp_path / "puma.yaml", presets.puma761())
     with refuses(Inconsistent, "flange"):
-        played(job(path, arm=tmp_path / "puma.yaml"))
+        played(path, arm=tmp_path / "puma.yaml")
     write_arm(tmp_path / "rrp.yaml", presets.stanford_rrp())
     with pytest.raises(UsageError, match="6 joints"):
-        played(job(path, arm=tmp_path / "rrp.yaml"))
+        played(path, arm=tmp_path / "rrp.yaml")
     with refuses(UsageError, "--target", "--handeye"):
-        played(job(path, rig=tmp_path / "rig.yaml"))
-    eyes = {name: tmp_path / f"{name}.yaml" for name in ("rig", "target", "handeye")}
+        played(path, rig=cell / "rig.yaml")
+    eyes = {name: cell / f"{name}.yaml" for name in ("rig", "target")}
     with refuses(BadFile, "hand-eye"):
-        played(job(path, **eyes))
+        played(path, **eyes, handeye=tmp_path / "handeye.yaml")
     with refuses(UsageError, "frame"):
-        played(job(path, frame="tool"))
+        played(path, frame="tool")
     far = read_path(path)
     T = far.T_world_tip.copy()
     T[1, :3, 3] += 3.0
     write_path(tmp_path / "far.csv", TaughtPath.of_poses(RigidTransform.from_matrix(T)))
     with refuses(Inconsistent, "run it"):
-        played(job(tmp_path / "far.csv"))
+        played(tmp_path / "far.csv")
     assert not (path.parent / "out").exists()
 
 
 def test_cameras_that_see_the_tip_elsewhere_stop_the_arm(cell: Path, path: Path) -> None:
     eyes = {name: cell / f"{name}.yaml" for name in ("rig", "target", "handeye")}
-    wanted = job(path, **eyes, stop_m=0.0003)  # the nominal arm is off by more
-    done = run_play(wanted, lambda _: True, devices=devices("webcam-cell", fps=20.0))
+    made = devices("webcam-cell", fps=20.0)
+    done = played(path, robot=made, **eyes, stop_m=0.0003)  # the nominal arm is off by more
     assert names_it(done.stopped_by, "cameras", "0.3 mm")
     assert done.state == "stopped" and not done.finished
     assert done.measured is not None and 0.0003 < done.measured.max_m < 0.01
@@ -236,16 +234,9 @@ def test_a_path_is_taught_while_the_arm_follows(tmp_path: Path) -> None:
     files = tmp_path / "cell"
     simulate("pachidis2005-static", files, frames=1, room="dark")
     made = devices("pachidis2005-static", fps=1.0 / 0.07, hand="circle", speed_m_s=0.03)
-    servo = ServoJob(
-        robot="sim:pachidis2005-static",
-        rig=files / "rig.yaml",
-        target=files / "target.yaml",
-        handeye=files / "handeye.yaml",
-        arm=files / "arm_true.yaml",
-        out=tmp_path / "out",
-        seconds_s=3.0,
-    )
-    done = teach_following(TeachJob(out=tmp_path / "out"), servo, lambda _: True, devices=made)
+    named = {name: files / f"{name}.yaml" for name in ("rig", "target", "handeye")}
+    more = {"arm": files / "arm_true.yaml", "out": tmp_path / "out", "seconds_s": 3.0}
+    done = acted(teach, robot=made, **named, **more, confirm=lambda _: True)
     assert done.state == "running" and done.stopped_by == "time" and done.servo.followed > 0.5
     taught = read_path(tmp_path / "out" / "path.csv")
     origin_s = made.origin_s()
@@ -273,7 +264,7 @@ def test_a_hand_eye_calibration_of_a_camera_mounted_otherwise_stops_a_servo(tmp_
 
 
 def test_a_recorder_knows_no_place_before_the_servo_began() -> None:
-    beside = TaughtBeside(TeachJob(out=Path("out")))
+    beside = TaughtBeside(None, every=1, mean=False)
     beside.recorder.start()
     T = np.eye(4)
     beside.observe(

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,14 +19,16 @@ from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.app.path.check import PathCheckOutput, checked
-from armsight.app.play.play_job import Seen, sight_of
-from armsight.app.play.play_path import Opened, PlayOutput, run_play
-from armsight.app.requests.motion import PlayJob
+from armsight.app.play.play_job import Seen, WatchedRobot, sight_of
+from armsight.app.play.play_path import PlayOutput
+from armsight.app.requests.motion import ABOVE_0
 from armsight.clock import Clock, SystemClock
 from armsight.control.paths import offset_along_tool, resampled, reversed_path, smoothed, tilted, without_rows
 from armsight.control.play import PathSource
 from armsight.control.status import QueueSink
+from armsight.defaults import PATH_SPEED_M_S
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
+from armsight.ops.motion import play
 from armsight.records import PoseStatus, TaughtPath
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import HandEyeFile
@@ -186,7 +189,7 @@ class PlayRequest:
 
     folder: Path
     cell: CellFile
-    speed_m_s: float = PlayJob.path_speed_m_s
+    speed_m_s: Annotated[float, ABOVE_0] = PATH_SPEED_M_S
     keep_rotation: bool = True
 
 
@@ -208,7 +211,7 @@ def check_path(asked: PlayRequest, robot: RobotCell, editor: PathEditor) -> Path
     return found
 
 
-def play(
+def play_path(
     asked: PlayRequest,
     robot: RobotCell,
     editor: PathEditor,
@@ -217,21 +220,11 @@ def play(
 ) -> PlayOutput:
     """Run the path while the operator holds the enable, at the session's override; station: watches it where it can.
 
-    Raises as run_play.
+    Raises as ops.motion.play.
     """
     path = editor.require()
-    clock = SystemClock()
-    session = robot.session
+    clock, session = SystemClock(), robot.session
     moved = background.robot(session, clock, waits=False)
-    job = PlayJob(
-        robot=robot.robot,
-        path=asked.folder / FILE,
-        out=asked.folder / time.strftime("played-%Y%m%d-%H%M%S"),
-        limits=cell_path(asked.folder, asked.cell.limits, "limits"),
-        override=session.override,
-        path_speed_m_s=asked.speed_m_s,
-        keep_rotation=asked.keep_rotation,
-    )
 
     def begun(source: PathSource) -> None:
         editor.source = source
@@ -240,15 +233,21 @@ def play(
         if editor.source is not None and not np.isclose(editor.source.override, session.override):
             editor.source.override = session.override
 
+    watcher = watcher_of(asked.folder, asked.cell, station, clock)
     try:
-        return run_play(
-            job,
-            background.ask,
-            follow_override,
-            background,
-            opened=Opened(moved, clock, watcher_of(asked.folder, asked.cell, station, clock), path),
+        return play(
+            WatchedRobot(robot=moved, clock=clock, called=robot.robot, watcher=watcher),
+            path,
+            confirm=background.ask,
+            out=asked.folder / time.strftime("played-%Y%m%d-%H%M%S"),
+            limits=cell_path(asked.folder, asked.cell.limits, "limits"),
+            override=session.override,
+            path_speed_m_s=asked.speed_m_s,
+            keep_rotation=asked.keep_rotation,
+            show=follow_override,
             begun=begun,
             enabled=lambda: session.enabled(background.browser),
+            progress=background,
         )
     finally:
         editor.source = None

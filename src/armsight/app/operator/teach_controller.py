@@ -8,13 +8,13 @@ from pathlib import Path
 from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
-from armsight.app.requests.motion import TeachJob
-from armsight.app.teach import save
+from armsight.app.teach import Lesson, at_tip
 from armsight.clock import Clock
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig, Teaching
 from armsight.errors import NotEnoughData
 from armsight.records.motion import JointHistory
 from armsight.store.cell_file import CellFile, cell_path
+from armsight.store.handeye_file import read_tip
 
 FOLDER = "taught"
 EVERY = 5
@@ -39,9 +39,9 @@ class TeachController(StationFollower):
         super().__init__(Snapshots(station, clock), robot)
         self.out = folder / FOLDER
         tip = cell_path(folder, cell.tip, "tip")
-        self._job = TeachJob(out=self.out, tip=tip, every=EVERY, mean=True)
+        T_target_tip = at_tip(None if tip is None else read_tip(tip).tip_m)
         rig_pose = _rig_pose(folder, cell, robot, self._history)
-        self.recorder = PathRecorder(rig_pose, self._job.T_target_tip(), every=EVERY, mean=True)
+        self.recorder = PathRecorder(rig_pose, T_target_tip, every=EVERY, mean=True)
         self._points = 0
         self.follow()
 
@@ -75,7 +75,7 @@ class TeachController(StationFollower):
     def save(self) -> Path:
         """Write path.csv and targets.csv, and return the former. Raises NotEnoughData for less than two poses."""
         self.recorder.pause()
-        save(self._job, self.recorder)
+        Lesson(self.recorder, self.out).save()
         return self.out / "path.csv"
 
     def _take(self, shown: Snapshot) -> None:

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.measure.run import target_of
-from armsight.app.requests.motion import PlayJob
-from armsight.app.servo.run_servo import measuring
-from armsight.app.servo.vision import ServoDevices, Vision, open_servo, watch
-from armsight.control.guard import Guard, Limits
-from armsight.control.play import CameraPlacement, PathPlan, PlaySettings, plan_path
+from armsight.app.robot.opening import ClockedRobot
+from armsight.app.servo.vision import ServoDevices, Vision, watch
+from armsight.control.guard import Limits
+from armsight.control.play import CameraPlacement, PlaySettings
 from armsight.control.servo import Mount
 from armsight.control.status import QueueSink
 from armsight.errors import ArmsightError, UsageError
 from armsight.kinematics import Arm
-from armsight.records import PoseStatus, TargetPose, TaughtPath
-from armsight.store import read_rig
-from armsight.store.handeye_file import HandEyeFile, read_handeye, read_tip
+from armsight.measure.poses.pipeline import Setup
+from armsight.records import PoseStatus, TargetPose
+from armsight.store.handeye_file import HandEyeFile
 from armsight.units import MM
 
 STOP_MOST_M = 0.5
@@ -32,29 +29,24 @@ STOP_MOST_M = 0.5
 FRAMES = ("world", "base")
 
 
-def check(job: PlayJob) -> None:
+def check(frame: str, stop_m: float) -> None:
     """Raise UsageError for what cannot be meant."""
-    if job.frame not in FRAMES:
+    if frame not in FRAMES:
         raise UsageError(
-            f"{job.frame!r} is no frame of a path",
+            f"{frame!r} is no frame of a path",
             consequence="Nothing is moved",
             cure=f"Give {' or '.join(FRAMES)} (--frame)",
         )
-    if job.stop_m is not None and not (np.isfinite(job.stop_m) and job.stop_m > 0.0):
+    if not (np.isfinite(stop_m) and stop_m > 0.0):
         raise UsageError(
-            f"--stop-at {job.stop_m:g} is no distance", consequence="Nothing is moved", cure="Give m, more than zero"
+            f"--stop-at {stop_m:g} is no distance", consequence="Nothing is moved", cure="Give m, more than zero"
         )
-    if job.stop_m is not None and job.stop_m > STOP_MOST_M:
+    if stop_m > STOP_MOST_M:
         raise UsageError(
-            f"--stop-at {job.stop_m:g} is in m: the arm would not be stopped before its tip is so far off",
+            f"--stop-at {stop_m:g} is in m: the arm would not be stopped before its tip is so far off",
             consequence="Nothing is moved",
-            cure=f"Give m: {job.stop_m:g} mm are {job.stop_m * MM:g}",
+            cure=f"Give m: {stop_m:g} mm are {stop_m * MM:g}",
         )
-
-
-def tipped(arm: Arm, tip: Path | None) -> Arm:
-    """Return the arm with its tool's frame moved to the tip of a tip.yaml, in flange axes. Raises BadFile."""
-    return arm if tip is None else with_tip(arm, read_tip(tip).tip_m)
 
 
 def with_tip(arm: Arm, tip_m: NDArray[np.float64]) -> Arm:
@@ -62,27 +54,16 @@ def with_tip(arm: Arm, tip_m: NDArray[np.float64]) -> Arm:
     return replace(arm, T_flange_tool=RigidTransform.from_components(tip_m, arm.T_flange_tool.rotation))
 
 
-def tipped_guard(guard: Guard, tip: Path | None) -> Guard:
-    """Return the same guard for the tip of a tip.yaml, which is then what keeps the limits of the tool."""
-    return guard if tip is None else Guard(tipped(guard.arm, tip), guard.limits, guard.cycle_s)
+def check_speeds(settings: PlaySettings, limits: Limits, share: float) -> None:
+    """Raise UsageError for a speed that was asked for and that the limits forbid: mm/s given as m/s.
 
-
-def planned(job: PlayJob, path: TaughtPath, arm: Arm, limits: Limits, q: ArrayLike) -> PathPlan:
-    """Return the path made ready, as the job says, for an arm that stands at q (n,) and whose tool is the tip.
-
-    Nothing moves. Raises UsageError, NotEnoughData, and Inconsistent for a path that cannot be run, with why.
+    share: of the guard's speeds, which limits are slowed by already.
     """
-    _check_speeds(job, limits)
-    return plan_path(path, arm, limits, q, job.settings)
-
-
-def _check_speeds(job: PlayJob, limits: Limits) -> None:
-    """Raise UsageError for a speed that was asked for and that the limits forbid: mm/s given as m/s."""
     usual = PlaySettings()
-    most = limits.speed_m_s / job.speed  # the share of it that is given slows what was asked for
+    most = limits.speed_m_s / share  # the share of it that is given slows what was asked for
     for flag, value, otherwise in (
-        ("--path-speed", job.path_speed_m_s, usual.speed_m_s),
-        ("--approach-speed", job.approach_speed_m_s, usual.approach_speed_m_s),
+        ("--path-speed", settings.speed_m_s, usual.speed_m_s),
+        ("--approach-speed", settings.approach_speed_m_s, usual.approach_speed_m_s),
     ):
         if value > max(most, otherwise):
             raise UsageError(
@@ -90,6 +71,17 @@ def _check_speeds(job: PlayJob, limits: Limits) -> None:
                 consequence="Nothing is moved",
                 cure=f"Give m/s: {value:g} mm/s are {value * MM:g}; or allow more (speed_m_s in --limits)",
             )
+
+
+def require_cameras(**files: object) -> None:
+    """Raise UsageError where cameras are to watch and what they need is missing."""
+    missing = ", ".join(f"--{name}" for name, value in files.items() if value is None)
+    if missing:
+        raise UsageError(
+            f"cameras are to watch, and {missing} is missing",
+            consequence="Where they see the tip cannot be told, and nothing is moved",
+            cure="Give rig, target and hand-eye calibration, or none of them and no camera",
+        )
 
 
 def sight_of(handeye: HandEyeFile) -> CameraPlacement:
@@ -124,24 +116,26 @@ class Watcher(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WatchedRobot(ClockedRobot):
+    """A robot whose path somebody watches."""
+
+    watcher: Watcher | None
+
+
 class TargetMonitor:
     """Cameras that watch: robot and cameras of one clock, and what measuring needs. Nothing is open."""
 
-    def __init__(self, job: PlayJob, devices: ServoDevices | None, arm: Arm | None) -> None:
-        """devices: in place of those that the job names; arm: as given. Raises UsageError, BadFile, DeviceNotFound."""
-        cameras = job.cameras()
-        rig, target = read_rig(cameras.rig), target_of(cameras.target)
-        self.sight = sight_of(read_handeye(cameras.handeye))
-        self.devices = devices or open_servo(cameras, rig, target, arm=arm)
-        self.setup = measuring(rig, target, self.devices)
-        self.latency_s = job.latency_s
-        self.stepped = self.devices.stepped is not None
+    def __init__(self, devices: ServoDevices, setup: Setup, handeye: HandEyeFile) -> None:
+        self.sight = sight_of(handeye)
+        self.devices, self.setup = devices, setup
+        self.stepped = devices.stepped is not None
         self._vision: Vision | None = None
         self._ended: Callable[[], ArmsightError | None] = lambda: None
 
     def open(self, stack: ExitStack, sink: QueueSink, seen: Seen) -> None:
         """Open the cameras and measure what they see until stack ends. Raises where too few frames come."""
-        self._vision = Vision(self.setup, self.devices, self.latency_s, sink)
+        self._vision = Vision(self.setup, self.devices, sink)
         self._ended = watch(stack, self._vision, self.devices)
         self._vision.beside = seen
 

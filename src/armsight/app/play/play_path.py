@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 
-from armsight.app.arm_files import given_arm
-from armsight.app.measure.warm_up import prepare
-from armsight.app.play.play_job import TargetMonitor, Watcher, check, planned, tipped_guard
-from armsight.app.requests.motion import PlayJob
-from armsight.app.robot.opening import robot_of, standing
-from armsight.app.robot.recorder import require_new
+from armsight.app.play.play_job import Watcher
+from armsight.app.robot.opening import standing
 from armsight.app.robot.robot_run import (
-    Confirm,
     CycleTally,
     RecordedSource,
     RobotRun,
     ToolRunOutput,
     check_arm,
-    run_output,
 )
 from armsight.app.servo.run_servo import LAG_CYCLES
-from armsight.app.servo.vision import ServoDevices
-from armsight.clock import Clock, SystemClock
+from armsight.arrays import Array
 from armsight.control.guard import Guard
 from armsight.control.play import PathPlan, PathSource, PlayProgress, PlayWatch, WatchFigures
 from armsight.control.play.plan import TURNS_RAD
@@ -34,13 +27,14 @@ from armsight.control.setpoints import CycleState, SetPoint
 from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.fields import Doc
-from armsight.records import PoseStatus, Progress, Silent, TaughtPath
+from armsight.file_names import PLAY
+from armsight.records import PoseStatus
 from armsight.records.output import Output, extended, output
+from armsight.shown import Shown, digits
 from armsight.store.atomic import write_json
-from armsight.store.path_file import read_path
-from armsight.units import DEG, MM
+from armsight.units import DEG, MM, MS
 
-Show = Callable[[RobotStatus, PlayProgress, WatchFigures | None], None]
+Show = Callable[[RobotStatus, PlayProgress, WatchFigures | None], object]
 """Is told now and then of a cycle, of where the path is, and of what the cameras saw."""
 
 
@@ -80,6 +74,28 @@ class PlayOutput(ToolRunOutput):
     ]
     measured: Annotated[PlayMeasuredOutput | None, Doc("What the cameras saw; null: none watched.")]
 
+    def summary(self) -> Iterator[Shown]:
+        """Yield how far it was run, what the cameras saw, and where it held."""
+        yield (
+            f"{100.0 * self.share:.0f} % of {self.length_m / MM:.1f} mm in {self.took_s:.1f} s; {self.n_cycles} "
+            f"cycles, {self.late} late, {self.missed} missed; ended by: {self.stopped_by}"
+        )
+        seen = self.measured
+        if seen is not None and seen.rms_m is not None and seen.max_m is not None:
+            yield (
+                f"the cameras saw the tip {digits(seen.rms_m / MM)} mm RMS from where it was told to be, "
+                f"{digits(seen.max_m / MM)} mm at most, in {seen.n} frames (the arm lags by "
+                f"{seen.arm_lag_s / MS:.0f} ms)"
+            )
+        elif seen is not None:
+            yield f"note: no frame showed the tip ({seen.n_lost} without the target): it was not watched"
+        yield from self.held()
+        yield f"Recording: {self.recording}"
+
+    def write(self, folder: Path) -> None:
+        """Write play.json into a folder."""
+        write_json(folder / PLAY, self.to_dict())
+
 
 class PlayedSource(RecordedSource):
     """A path whose set points and events go into the recording, and its commands to the watch."""
@@ -112,24 +128,23 @@ class PlayedSource(RecordedSource):
                 self._sink.event(t_s, f"{text} at {at.s_m:.4f} m", "info", "play")
 
 
-def play_output(
+def _output(
+    run: RobotRun,
     tally: CycleTally,
     timing: Timing,
     source: PathSource,
     watch: PlayWatch | None,
     measured: PlayMeasuredOutput | None,
-    recording: Path,
-    outside: str,
 ) -> PlayOutput:
     """Return the figures of a path that ended."""
     plan, finished = source.plan, source.progress.stage == "finished"
     exceeded = "" if watch is None else watch.exceeded
     return extended(
-        run_output(tally, timing, exceeded or tally.stopped_by(finished=finished), recording),
+        run.output(tally, timing, exceeded or tally.stopped_by(finished=finished)),
         PlayOutput,
         state=tally.state,
         wrong_premise=None if watch is None or watch.wrong is None else watch.wrong.cause.value,
-        outside=outside,
+        outside=run.outside,
         finished=finished,
         share=source.progress.share,
         length_m=plan.length_m,
@@ -160,84 +175,35 @@ def _measured(watch: PlayWatch, counts: Mapping[PoseStatus, int]) -> PlayMeasure
     )
 
 
-RECORDING, SUMMARY = "play.mcap", "play.json"
-
-Begun = Callable[[PathSource], None]
+Begun = Callable[[PathSource], object]
 """Is given the path once it may move, so that a key or a page may pause it and change its override."""
 
 
-class Opened(NamedTuple):
-    """A robot with its clock, what watches it, and the path in place of the job's file."""
-
-    robot: Robot
-    clock: Clock
-    watcher: Watcher | None = None
-    path: TaughtPath | None = None
-
-
-def run_play(
-    job: PlayJob,
-    confirm: Confirm,
-    show: Show = lambda *_: None,
-    progress: Progress | None = None,
-    *,
-    devices: ServoDevices | None = None,
-    opened: Opened | None = None,
-    begun: Begun = lambda _: None,
-    enabled: Callable[[], bool] = lambda: True,
-) -> PlayOutput:
-    """Run the path to its end, until the operator lets go or the guard stopped; write job.out.
-
-    confirm: asked once, with the way in mm and degrees, before anything moves; all refusals come before. progress: its
-    cancelled() is the operator's enable, let go of. devices: in place of robot and cameras of a watched job, opened: of
-    another. enabled: whether a deadman is held besides; else it waits.
-    Raises UsageError, DataRefused (a path with a jump, out of reach or singular; another arm's file; no hand-eye),
-    DeviceFailed, Cancelled.
-    """
-    progress = progress or Silent()
-    check(job)
-    require_new(job.out, RECORDING)
-    model, path = given_arm(job.arm), None
-    monitor = TargetMonitor(job, devices, model) if job.watched else None
-    watcher: Watcher | None = monitor
-    if monitor is not None:
-        robot, clock = monitor.devices.robot, monitor.devices.clock
-    elif opened is not None:
-        robot, clock, watcher, path = opened
-    else:
-        clock = SystemClock()
-        robot = robot_of(job, clock, model)
-    run = RobotRun(job, robot, model, clock, progress)
-    run.require_lengths("Where its tip goes is not known, and nothing is moved")
-    run.guard, path = tipped_guard(run.guard, job.tip), path or read_path(job.path, parent=job.frame)
-    if job.watched:
-        prepare(progress)  # before the robot is opened: at its first picture the arm would wait for compilers
-    done = _played(run, job, path, watcher, confirm, show, begun, enabled)
-    write_json(job.out / SUMMARY, done.to_dict())
-    return done
-
-
-def _played(
+def run_path(
     run: RobotRun,
-    job: PlayJob,
-    path: TaughtPath,
+    plan: Callable[[Array], PathPlan],
     watcher: Watcher | None,
-    confirm: Confirm,
+    *,
+    override: float,
+    stop_m: float,
     show: Show,
     begun: Begun,
     enabled: Callable[[], bool],
 ) -> PlayOutput:
-    """Plan the path from where the arm stands, ask, run it, and return what it came to."""
+    """Plan the path from where the arm stands, ask, run it, and return what it came to.
+
+    plan: of the readings (n,) at which the arm stands. enabled: whether a deadman is held besides; else it waits.
+    """
     guard, progress = run.guard, run.progress
     with ExitStack() as stack:
         stack.enter_context(run)
         check_arm(run.robot, guard.arm)
         with run.planning():
-            plan = planned(job, path, guard.arm, guard.limits, standing(run.robot, guard.arm.n))
-        source, tally = PathSource(plan, override=job.override), CycleTally(progress.cancelled)
-        run.ask(confirm, question(run.robot, guard, plan, watcher is not None))
-        sink = stack.enter_context(run.recorded(job.out / RECORDING))
-        watch = None if watcher is None else _watch(run, job, watcher, stack, sink)
+            made = plan(standing(run.robot, guard.arm.n))
+        source, tally = PathSource(made, override=override), CycleTally(progress.cancelled)
+        run.ask(question(run.robot, guard, made, watcher is not None))
+        sink = stack.enter_context(run.recorded())
+        watch = None if watcher is None else _watch(run, watcher, stack, sink, stop_m)
         begun(source)
 
         def show_progress(status: RobotStatus | None) -> None:
@@ -256,14 +222,14 @@ def _played(
             stepped=watcher is not None and watcher.stepped,
         )
     measured = None if watch is None or watcher is None else _measured(watch, watcher.counts())
-    return play_output(tally, timing, source, watch, measured, job.out / RECORDING, run.outside)
+    return _output(run, tally, timing, source, watch, measured)
 
 
-def _watch(run: RobotRun, job: PlayJob, watcher: Watcher, stack: ExitStack, sink: QueueSink) -> PlayWatch:
+def _watch(run: RobotRun, watcher: Watcher, stack: ExitStack, sink: QueueSink, stop_m: float) -> PlayWatch:
     """Open the cameras until stack ends, and return what compares."""
     guard, clock = run.guard, run.clock
     lag_s = LAG_CYCLES * guard.cycle_s
-    watch = PlayWatch(watcher.sight, guard.arm, stop_m=job.stop_m, arm_lag_s=lag_s, cycle_s=guard.cycle_s)
+    watch = PlayWatch(watcher.sight, guard.arm, stop_m=stop_m, arm_lag_s=lag_s, cycle_s=guard.cycle_s)
     run.failed = watcher.failed
     watcher.open(stack, sink, lambda pose, exposed_s: watch.observe(pose, exposed_s, clock.now_s()))
     return watch

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import Annotated
 
 import numpy as np
 
-from armsight.app.requests.motion import HandJogJob, JogJob
 from armsight.app.robot.opening import beside_outside
-from armsight.app.robot.robot_run import Confirm, RobotRun
+from armsight.app.robot.robot_run import RobotRun
 from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState
 from armsight.control.setpoints import Enable, GoalSource, JogFrame, JogSource
 from armsight.control.status import QueueSink, RobotStatus
 from armsight.drivers import Robot
-from armsight.drivers.jog_inputs import JogInput, open_jog_input
+from armsight.drivers.jog_inputs import JogInput
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.fields import Doc
-from armsight.records import Progress
 from armsight.records.output import Output, output
+from armsight.shown import Shown, digits
 from armsight.units import DEG, MM, displayed
 
 SETTLE_S = 0.5
@@ -34,7 +33,7 @@ UNASKED = "without asking"
 
 @output
 class JogOutput(Output):
-    """robot jog: one joint moved by a given way, or the arm moved by hand."""
+    """robot jog: one joint moved by a given way, or the arm moved by hand. joint: the one, from 1; else None."""
 
     asked: Annotated[float | None, Doc("The way asked for, rad or m; null where a hand moved the arm.")]
     sent: Annotated[list[float], Doc("Where the robot was last told to go, rad or m.")]
@@ -42,6 +41,15 @@ class JogOutput(Output):
     limited: Annotated[list[str], Doc("The limits that slowed the motion, in words.")]
     outside: Annotated[str, Doc("Which limits the arm stood outside of at the start, by how much; empty: none.")]
     state: Annotated[str, Doc("What the robot can do now: ready, moving or stopped.")]
+    joint: int | None
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield where the robot stands."""
+        if self.joint is None:
+            yield f"the joints stand at {', '.join(digits(v, 6) for v in self.reached)} (rad or m)"
+        else:
+            stands = digits(self.reached[self.joint - 1], 6)
+            yield f"joint {self.joint} stands at {stands} (rad or m); the robot is {self.state}"
 
 
 ROUNDING = 1e-9
@@ -74,45 +82,36 @@ class _Watcher:
         return self.stuck or self._cycles * self._cycle_s > longest_s
 
 
-def jog_robot(
-    job: JogJob,
-    confirm: Confirm,
-    progress: Progress | None = None,
-    *,
-    clock: Clock | None = None,
-    opened: Robot | None = None,
-) -> JogOutput:
-    """Move one joint after asking, and return what was sent and reached.
+def jog_joint(run: RobotRun, joint: int, by: float) -> JogOutput:
+    """Move one joint (from 1) by a way in rad or m after asking, and return what was sent and reached.
 
-    confirm: asked once, with the motion in deg and mm, before anything moves. opened: in place of the robot named.
     Raises UsageError; Inconsistent for a way beyond a limit; DeviceFailed, DeviceLost where the robot or the guard
     stopped; Cancelled.
     """
-    run = RobotRun.of(job, progress, clock, opened)
     robot = run.robot
-    _check(job, robot)
-    _check_degrees(job, run.guard)
-    j = job.joint - 1
+    _check(joint, by, robot)
+    _check_degrees(joint, by, run.guard)
+    j = joint - 1
     with run:
         start = robot.read().q
-        goal = start + job.by * (np.arange(len(start)) == j)
+        goal = start + by * (np.arange(len(start)) == j)
         with run.planning():
-            _check_range(job, run.guard, float(start[j]), run.outside)
-        run.ask(confirm, question(job, robot, run.guard, float(start[j])), unasked=UNASKED)
+            _check_range(joint, by, run.guard, float(start[j]), run.outside)
+        run.ask(question(joint, by, robot, run.guard, float(start[j])), unasked=UNASKED)
         watcher = _Watcher(robot.cycle_s)
 
         def show_progress(status: RobotStatus | None) -> None:
             if status is not None:
-                run.progress.update(100.0 * abs(float(status.q_sent[j] - start[j]) / job.by), 100.0)
+                run.progress.update(100.0 * abs(float(status.q_sent[j] - start[j]) / by), 100.0)
 
-        with run.recorded(job.record) as sink:
+        with run.recorded() as sink:
             run.follow(GoalSource(goal, "jog"), sink, watcher, show_progress)
         with beside_outside(run.outside):
             _check_end(run.status, robot, stuck=watcher.stuck)
-        return jog_output(run, watcher.limited, job.by)
+        return _output(run, watcher.limited, by, joint)
 
 
-def jog_output(run: RobotRun, limited: list[str], asked: float | None) -> JogOutput:
+def _output(run: RobotRun, limited: list[str], asked: float | None, joint: int | None) -> JogOutput:
     """Return where an open robot was sent, and stands."""
     return JogOutput(
         asked=asked,
@@ -121,58 +120,57 @@ def jog_output(run: RobotRun, limited: list[str], asked: float | None) -> JogOut
         limited=limited,
         outside=run.outside,
         state=run.robot.state.value,
+        joint=joint,
     )
 
 
-def question(job: JogJob, robot: Robot, guard: Guard, start: float) -> str:
+def question(number: int, by: float, robot: Robot, guard: Guard, start: float) -> str:
     """Return what is asked before the joint moves: in degrees or mm, with the speed it may reach."""
-    joint = guard.arm.joints[job.joint - 1]
-    slides = not guard.arm.revolute[job.joint - 1]
+    joint = guard.arm.joints[number - 1]
+    slides = not guard.arm.revolute[number - 1]
     name, unit = displayed("m" if slides else "rad")
-    most = (
-        guard.bounds.speed[job.joint - 1] if slides else min(guard.bounds.speed[job.joint - 1], guard.limits.turn_rad_s)
-    )
+    most = guard.bounds.speed[number - 1] if slides else min(guard.bounds.speed[number - 1], guard.limits.turn_rad_s)
     return (
-        f"Move joint {job.joint} ({joint.name}) of {robot.name} by {job.by / unit:+.2f} {name}, "
-        f"from {start / unit:.2f} to {(start + job.by) / unit:.2f} {name}, at up to {most / unit:.1f} {name}/s and "
+        f"Move joint {number} ({joint.name}) of {robot.name} by {by / unit:+.2f} {name}, "
+        f"from {start / unit:.2f} to {(start + by) / unit:.2f} {name}, at up to {most / unit:.1f} {name}/s and "
         f"{guard.limits.speed_m_s / MM:.0f} mm/s at the tool?"
     )
 
 
-def _check(job: JogJob, robot: Robot) -> None:
-    if not 1 <= job.joint <= robot.n_joints:
+def _check(joint: int, by: float, robot: Robot) -> None:
+    if not 1 <= joint <= robot.n_joints:
         raise UsageError(
-            f"{robot.name} has joints 1 to {robot.n_joints}, not {job.joint}",
+            f"{robot.name} has joints 1 to {robot.n_joints}, not {joint}",
             consequence="Nothing is moved",
             cure="Give one of them (--joint)",
         )
-    if not (math.isfinite(job.by) and job.by != 0.0):
+    if not (math.isfinite(by) and by != 0.0):
         raise UsageError(
-            f"a way of {job.by:g} is none",
+            f"a way of {by:g} is none",
             consequence="Nothing is moved",
             cure="Give rad or m (--by), for instance 0.1",
         )
 
 
-def _check_degrees(job: JogJob, guard: Guard) -> None:
+def _check_degrees(joint: int, by: float, guard: Guard) -> None:
     """Raise Inconsistent for a way of a revolute joint that is more than half a turn: degrees given for radians."""
-    if guard.arm.revolute[job.joint - 1] and abs(job.by) > math.pi:
+    if guard.arm.revolute[joint - 1] and abs(by) > math.pi:
         raise Inconsistent(
-            f"a way of {job.by:g} rad is {job.by / DEG:.0f} degrees: it looks like degrees",
+            f"a way of {by:g} rad is {by / DEG:.0f} degrees: it looks like degrees",
             consequence="Nothing was moved",
-            cure=f"Give radians (--by {job.by * DEG:.4f} is {job.by:g} degrees), and more than half a turn in parts",
+            cure=f"Give radians (--by {by * DEG:.4f} is {by:g} degrees), and more than half a turn in parts",
         )
 
 
-def _check_range(job: JogJob, guard: Guard, start: float, outside: str) -> None:
+def _check_range(joint: int, by: float, guard: Guard, start: float, outside: str) -> None:
     """Raise Inconsistent for a goal beyond the joint's range, unless the way there leads back towards it."""
-    j, goal = job.joint - 1, start + job.by
+    j, goal = joint - 1, start + by
     low, high = float(guard.bounds.lower[j]), float(guard.bounds.upper[j])
     beyond, before = (max(low - q, q - high) for q in (goal, start))
     if beyond > 0.0 and not beyond < before:
         way = low - start if start < low else high - start
         raise Inconsistent(
-            f"joint {job.joint} would go to {goal:.4g}, its limits are {low:.4g} to {high:.4g} rad or m"
+            f"joint {joint} would go to {goal:.4g}, its limits are {low:.4g} to {high:.4g} rad or m"
             + (f"; {outside}" if outside else ""),
             consequence="Nothing was moved",
             cure=f"Go back within them (--by {way:.4g} and more), or take the limits of where it stands"
@@ -210,33 +208,28 @@ LOOK_S = 0.05
 """Longest time between two looks at the hand."""
 
 
-def jog_by_hand(
-    job: HandJogJob,
-    confirm: Confirm,
-    progress: Progress | None = None,
-    *,
-    clock: Clock | None = None,
-    opened: Robot | None = None,
-    inputs: Callable[[str, int], AbstractContextManager[JogInput]] = open_jog_input,
-) -> JogOutput:
-    """Move a robot as a hand says until it is done, and return where the robot stands.
+Inputs = Callable[[str, int], AbstractContextManager[JogInput]]
+"""Opens what a hand moves, by its name and the number of axes."""
 
-    confirm: asked once, before anything can move. opened, inputs: in place of what the job names. Raises UsageError,
-    DeviceNotFound; DeviceFailed where robot, guard or gamepad failed; Cancelled.
+
+def jog_by_hand(run: RobotRun, hand: str, frame: str, inputs: Inputs) -> JogOutput:
+    """Move a robot as a hand (keyboard, gamepad[:DEVICE]) says until it is done; return where the robot stands.
+
+    Asked once, before anything can move. Raises UsageError, DeviceNotFound; DeviceFailed where robot, guard or gamepad
+    failed; Cancelled.
     """
-    run = RobotRun.of(job, progress, clock, opened)
     robot, clock = run.robot, run.clock
-    _check_frame(job, run.knows_lengths, robot.name)
-    source = JogSource(robot.n_joints, job.frame, speed_m_s=run.guard.limits.speed_m_s)
+    _check_frame(frame, run.knows_lengths, robot.name)
+    source = JogSource(robot.n_joints, frame, speed_m_s=run.guard.limits.speed_m_s)
     axes = robot.n_joints if source.frame is JogFrame.JOINTS else 6
-    with run, inputs(job.hand, axes) as hand:
+    with run, inputs(hand, axes) as led:
         with run.planning():
-            asked = hand_question(robot, run.guard, source.frame, hand)
-        run.ask(confirm, asked, unasked=UNASKED)
+            asked = hand_question(robot, run.guard, source.frame, led)
+        run.ask(asked, unasked=UNASKED)
         enable = Enable(clock)
-        with run.recorded(job.record) as sink:
-            limited = _follow(run, source, sink, _Hand(hand, source, enable, clock), enable)
-        return jog_output(run, limited, None)
+        with run.recorded() as sink:
+            limited = _follow(run, source, sink, _Hand(led, source, enable, clock), enable)
+        return _output(run, limited, None, None)
 
 
 def _follow(run: RobotRun, source: JogSource, sink: QueueSink, hand: _Hand, enable: Enable) -> list[str]:
@@ -317,15 +310,15 @@ class _Hand(threading.Thread):
         self._enable.release()
 
 
-def _check_frame(job: HandJogJob, lengths_known: bool, name: str) -> None:
+def _check_frame(frame: str, lengths_known: bool, name: str) -> None:
     """Refuse a frame that is none, or one that needs the arm's lengths where they are not known."""
-    if job.frame not in set(JogFrame):
+    if frame not in set(JogFrame):
         raise UsageError(
-            f"{job.frame!r} is no frame", consequence="Nothing is moved", cure="Give joints, base or tool (--frame)"
+            f"{frame!r} is no frame", consequence="Nothing is moved", cure="Give joints, base or tool (--frame)"
         )
-    if job.frame != JogFrame.JOINTS and not lengths_known:
+    if frame != JogFrame.JOINTS and not lengths_known:
         raise UsageError(
-            f"the lengths of {name} are not known, so its tool cannot be led along {job.frame} axes",
+            f"the lengths of {name} are not known, so its tool cannot be led along {frame} axes",
             consequence="Nothing is moved",
             cure="Give the arm (--arm), or --frame joints",
         )

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Annotated
 
-from armsight.app.requests.motion import RobotTestJob
-from armsight.app.robot.opening import robot_of
+from armsight.app.robot.opening import ClockedRobot
 from armsight.app.robot.recorder import run_with_progress
-from armsight.clock import Clock, SystemClock
+from armsight.clock import Clock
 from armsight.control.loop import LATE_SHARE, quiet_interpreter
 from armsight.control.status import Jitter
 from armsight.drivers import Robot, RobotState
 from armsight.errors import Cancelled, DeviceFailed, StaleData
 from armsight.fields import Doc
-from armsight.records import JointReading, Progress, Silent
+from armsight.records import JointReading, Progress
 from armsight.records.output import Output, output
+from armsight.shown import Shown
 from armsight.units import MS
 
 UNPROVEN = "not proven yet: the first motion begins with a probe of 0.04 degrees"
@@ -51,19 +51,26 @@ class RobotTestOutput(Output):
     ]
     proof: Annotated[str, Doc("What is still to be shown before the robot moves; empty: nothing.")]
 
+    def summary(self) -> Iterator[Shown]:
+        """Yield how punctual the link is."""
+        measured_s = self.measured_cycle_s
+        clock = "" if measured_s is None else f"Its controller sends every {1e3 * measured_s:.3g} ms. "
+        yield (
+            f"{self.driver}: {self.n_cycles} cycles of {1e3 * self.cycle_s:g} ms, {self.late} late, {self.missed} "
+            f"missed; periods {self.period_ms.median:.3f} ms median, {self.period_ms.p99:.3f} p99, "
+            f"{self.period_ms.max:.3f} longest; new readings at most {self.silence_ms:.0f} ms apart. "
+            f"{clock}The robot is {self.state}" + (f"; {self.proof}." if self.proof else ".")
+        )
 
-def test_robot(
-    job: RobotTestJob, progress: Progress | None = None, *, clock: Clock | None = None, opened: Robot | None = None
-) -> RobotTestOutput:
+
+def test_robot(driver: str, device: ClockedRobot, for_s: float, progress: Progress) -> RobotTestOutput:
     """Read a robot once a cycle for a time, and return how punctual that was and where it stands.
 
-    opened: in place of the robot that the job names. Raises UsageError, DeviceNotFound,
-    BadFile, DeviceLost, StaleData, DeviceFailed, Cancelled.
+    Raises DeviceNotFound, BadFile, DeviceLost, StaleData, DeviceFailed, Cancelled.
     """
-    clock, progress = clock or SystemClock(), progress or Silent()
-    arm, for_s = opened or robot_of(job, clock), job.for_s
+    arm, clock, shown = device.robot, device.clock, progress
     with arm:
-        start_s, shown = clock.now_s(), progress
+        start_s = clock.now_s()
         jitter, reading, silence_s = run_with_progress(
             lambda: _watched(arm, for_s, shown.cancelled, clock),
             lambda: shown.update(min(for_s, clock.now_s() - start_s), for_s),
@@ -73,7 +80,7 @@ def test_robot(
     timing = jitter.timing()
     median, p99, most = (value / MS for value in timing.period_s)
     return RobotTestOutput(
-        driver=job.robot.partition(":")[0],
+        driver=driver,
         cycle_s=arm.cycle_s,
         n_cycles=timing.n_cycles,
         late=timing.late,

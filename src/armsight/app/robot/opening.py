@@ -75,6 +75,21 @@ class LinkArm:
         return self.arm.readings(found[0].q)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClockedRobot:
+    """A robot, not yet open, and the clock that its loop runs on. called: DRIVER:DEVICE, where it is one's."""
+
+    robot: Robot
+    clock: Clock
+    called: str = ""
+
+
+def clocked_robot(job: RobotJob, arm: Arm | None = None) -> ClockedRobot:
+    """Return the robot that a job names or brings, and its clock; nothing is opened yet. Raises as open_robot."""
+    clock = SystemClock()
+    return job.device or ClockedRobot(robot=robot_of(job, clock, arm), clock=clock)
+
+
 def robot_of(job: RobotJob, clock: Clock, arm: Arm | None = None) -> Robot:
     """Return the robot that a job names, with its driver's settings; nothing is opened yet. Raises as open_robot."""
     settings = driver_settings(job.robot, job.robot_settings, arm=arm, rsi_config=job.rsi_config)

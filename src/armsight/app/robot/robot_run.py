@@ -15,12 +15,17 @@ from typing import Annotated, Any, Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.arm_files import given_arm
-from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob
-from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.robot.opening import arm_of, beside_outside, guard_for, noted, robot_of, standing_outside
+from armsight.app.requests.motion import RobotJob
+from armsight.app.robot.opening import (
+    ClockedRobot,
+    arm_of,
+    beside_outside,
+    clocked_robot,
+    guard_for,
+    noted,
+    standing_outside,
+)
 from armsight.app.robot.recorder import LoopRecorder, run_with_progress
-from armsight.clock import Clock, SystemClock
 from armsight.control.guard import GuardState
 from armsight.control.loop import ControlLoop
 from armsight.control.play import PathSource
@@ -28,19 +33,25 @@ from armsight.control.servo import ServoSource
 from armsight.control.setpoints import CycleState, Hold, SetPoint, SetPointSource, ToolPose, ToolTwist
 from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot, RobotTraits
-from armsight.errors import ArmsightError, Cancelled, Inconsistent, UsageError
+from armsight.errors import ArmsightError, Cancelled, DataRefused, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.geometry import pose_difference, xyz_quat
 from armsight.kinematics import Arm
-from armsight.records import Progress, Silent
+from armsight.records import Progress, Silent, require_kind
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM
 
-MovingJob = ServoJob | PlayJob | RunMotionJob | JogJob | HandJogJob
-"""What says which robot moves, within which limits, at which share of their speeds."""
-
 Confirm = Callable[[str], bool]
 """Is asked whether the arm may move; the text says how."""
+
+
+def as_question(confirm: bool | Confirm) -> Confirm:
+    """Return what is asked before motion. Raises UsageError for what is neither truth nor function."""
+    if callable(confirm):
+        return confirm
+    require_kind("confirm", confirm, bool, cure="Give True, or a function of the question")
+    return lambda _: confirm
+
 
 SHOWN_S = 0.2
 """Simulated time between two calls of show."""
@@ -59,7 +70,13 @@ class RunOutput(Output):
     missed: Annotated[int, Doc("Cycles that never began.")]
     stopped_by: Annotated[str, Doc("Why it ended: end, time, operator, or in words what stopped it.")]
     holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
-    recording: Annotated[str, Doc("The recording: set points, commands, readings, poses and events.")]
+    recording: Annotated[
+        str, Doc("The recording: set points, commands, readings, poses and events; empty: none was asked for.")
+    ]
+
+    def held(self) -> Iterator[str]:
+        """Yield a line for each reason for which the arm held."""
+        yield from (f"  it held: {why}" for why in self.holds)
 
 
 @output
@@ -72,6 +89,11 @@ class ToolRunOutput(RunOutput):
         Doc("What the target's motion contradicts: hand-eye, rig, target, pictures or robot; null: nothing."),
     ]
     outside: Annotated[str, Doc("Which limits the arm stood outside of at the start, by how much; empty: none.")]
+
+    @property
+    def exit_code(self) -> int:
+        """3 where the target's motion contradicts what was given."""
+        return 0 if self.wrong_premise is None else DataRefused.exit_code
 
 
 class CycleTally:
@@ -155,23 +177,32 @@ class RobotRun:
     was looked at; status: the last cycle, once the loop has ended.
     """
 
-    def __init__(self, job: MovingJob, robot: Robot, arm: Arm | None, clock: Clock, progress: Progress) -> None:
-        """arm: as given. Nothing is opened. Raises UsageError, BadFile, Inconsistent, as guard_for."""
-        self.job, self.robot, self.clock, self.progress = job, robot, clock, progress
-        self.guard = guard_for(robot, arm, job.limits, share=job.speed)
-        self.knows_lengths = arm_of(robot, arm) is not None
+    def __init__(
+        self,
+        job: RobotJob,
+        arm: Arm | None,
+        progress: Progress | None,
+        *,
+        confirm: bool | Confirm,
+        recording: Path | None,
+        limits: Path | None,
+        speed: float,
+        device: ClockedRobot | None = None,
+    ) -> None:
+        """arm: as given. recording: an .mcap file, None: none is made. limits, speed: as guard_for takes them.
+
+        device: the robot, where it is made already. Nothing is opened. Raises as clocked_robot and guard_for.
+        """
+        device = device or clocked_robot(job, arm)
+        self.robot, self.clock, self.progress = device.robot, device.clock, progress or Silent()
+        self.guard = guard_for(self.robot, arm, limits, share=speed)
+        self.knows_lengths = arm_of(self.robot, arm) is not None
         self.failed: Callable[[], ArmsightError | None] = lambda: None
         self.outside = ""
         self.status: RobotStatus | None = None
+        self.recording = recording
+        self._job, self._limits, self._confirm = job, limits, as_question(confirm)
         self._moves = False
-
-    @classmethod
-    def of(
-        cls, job: MovingJob, progress: Progress | None = None, clock: Clock | None = None, opened: Robot | None = None
-    ) -> Self:
-        """Return the run of a job; opened: in place of the robot that it names. Raises as open_robot and guard_for."""
-        clock, arm = clock or SystemClock(), given_arm(job.arm)
-        return cls(job, opened or robot_of(job, clock, arm), arm, clock, progress or Silent())
 
     def __enter__(self) -> Self:
         self.robot.__enter__()
@@ -198,17 +229,18 @@ class RobotRun:
         with beside_outside(self.outside):
             yield
 
-    def ask(self, confirm: Confirm, question: str, *, unasked: str = "unasked") -> None:
+    def ask(self, question: str, *, unasked: str = "unasked") -> None:
         """Ask whether the arm may move, with what is to be known of it besides. Raises Cancelled."""
-        if not confirm(question + noted(self.outside, self.guard, self.job, self.job.limits)):
+        if not self._confirm(question + noted(self.outside, self.guard, self._job, self._limits)):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure=f"Give --yes to move {unasked}")
 
     @contextmanager
-    def recorded(self, path: Path | None) -> Iterator[QueueSink]:
-        """Record what the sink takes into an .mcap file, None: nowhere; raise at the end what the run failed of.
+    def recorded(self) -> Iterator[QueueSink]:
+        """Record what the sink takes; raise at the end what the run failed of.
 
         Nothing is left of a run that ended before the arm might move, or the next one would be refused beside it.
         """
+        path = self.recording
         if path is None:
             yield QueueSink(longest=0)
             return
@@ -260,17 +292,16 @@ class RobotRun:
         self.status = loop.status
         return timing
 
-
-def run_output(tally: CycleTally, timing: Timing, stopped_by: str, recording: Path) -> RunOutput:
-    """Return what the loop came to."""
-    return RunOutput(
-        n_cycles=timing.n_cycles,
-        late=timing.late,
-        missed=timing.missed,
-        stopped_by=stopped_by,
-        holds=tally.holds,
-        recording=str(recording),
-    )
+    def output(self, tally: CycleTally, timing: Timing, stopped_by: str) -> RunOutput:
+        """Return what the loop came to."""
+        return RunOutput(
+            n_cycles=timing.n_cycles,
+            late=timing.late,
+            missed=timing.missed,
+            stopped_by=stopped_by,
+            holds=tally.holds,
+            recording="" if self.recording is None else str(self.recording),
+        )
 
 
 def check_arm(robot: Robot, arm: Arm) -> None:

@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from armsight.app.record.free_cameras import CameraRecorded, FreeCameras, FreeJob
-from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.opening import standing
-from armsight.app.robot.recorder import require_new
-from armsight.app.robot.robot_run import Confirm, CycleTally, RobotRun, RunOutput, run_output
+from armsight.app.robot.robot_run import CycleTally, RobotRun, RunOutput
 from armsight.arrays import Array
-from armsight.clock import Clock
 from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
 from armsight.control.play.path_source import JointMotionSource
 from armsight.control.status import RobotStatus
-from armsight.drivers import AUTOMATIC, Robot
+from armsight.drivers import AUTOMATIC, PairSettings, Robot
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
-from armsight.records import Motion, Progress
+from armsight.file_names import FRAMES, MOTION, MOTION_RECORDING, READINGS
+from armsight.records import Motion
 from armsight.records.output import extended, output
+from armsight.shown import Shown
 from armsight.store.atomic import write_json
 from armsight.store.recording import Recording
-from armsight.store.tracks import read_joints, write_joints
+from armsight.store.tracks import write_joints
 from armsight.units import DEG, MM
 
-RECORDING, READINGS, SUMMARY, FRAMES = "motion.mcap", "joints.csv", "motion.json", "frames.mcap"
 CHECKED_S = 0.02
 """Time of the motion between two of its rows that are checked before it is run."""
 FEWEST_ROWS = 4
-
-Begun = Callable[[JointMotionSource], None]
-"""Is given the motion once it may move, so that a key may pause it and change its override."""
 
 
 @output
@@ -49,65 +45,63 @@ class RunMotionOutput(RunOutput):
     frames: Annotated[str, Doc("The recording of both cameras' frames; empty: none was asked for.")]
     cameras: Annotated[list[CameraRecorded], Doc("What was recorded of each camera.")]
 
+    def summary(self) -> Iterator[Shown]:
+        """Yield how far it was run, where it held, and what was recorded."""
+        yield (
+            f"{100.0 * self.share:.0f} % of the motion in {self.took_s:.1f} s; {self.n_cycles} cycles, "
+            f"{self.late} late, {self.missed} missed; ended by: {self.stopped_by}"
+        )
+        yield from self.held()
+        yield f"Recording: {self.recording}; readings: {self.joints}"
+        for one in self.cameras:
+            lost = f", {one.n_dropped} dropped" if one.n_dropped else ""
+            yield f"{one.camera}: {one.n_frames} frames over {one.duration_s:.1f} s{lost}: {self.frames}"
 
-def run_motion(
-    job: RunMotionJob,
-    confirm: Confirm,
-    progress: Progress | None = None,
-    *,
-    clock: Clock | None = None,
-    opened: Robot | None = None,
-    begun: Begun = lambda _: None,
-    enabled: Callable[[], bool] = lambda: True,
-) -> RunMotionOutput:
-    """Run a motion after asking: to its first reading, then along it; write recording and readings into job.out.
-
-    The whole motion is checked first: ranges of the joints, boxes of tool and flange. opened: in place of the robot.
-    begun: is given the motion once it may move. enabled: asked each cycle; while it is not the arm waits.
-    Raises UsageError, DataRefused for a motion beyond a limit, DeviceFailed, Cancelled.
-    """
-    cameras = _cameras(job)
-    require_new(job.out, RECORDING, FRAMES)
-    motion, run = read_joints(job.motion), RobotRun.of(job, progress, clock, opened)
-    source = JointMotionSource(_checked(job, motion, run.guard), override=job.override)
-    with run:
-        with run.planning():
-            asked = question(run.robot, run.guard, motion, standing(run.robot, run.guard.arm.n))
-        run.ask(confirm, asked)
-        done = _followed(run, job, source, cameras, begun, enabled)
-    _write_readings(job)
-    write_json(job.out / SUMMARY, done.to_dict())
-    return done
+    def write(self, folder: Path) -> None:
+        """Write motion.json into a folder, and the readings of the recording as joints.csv, each time once."""
+        with Recording(folder / MOTION_RECORDING) as recording:
+            readings = list(recording.joints())
+        if readings:
+            t = np.array([reading.t_s for reading in readings])
+            fresh = np.concatenate([[True], np.diff(np.maximum.accumulate(t)) > 0.0])
+            q = np.array([reading.q for reading in readings])
+            write_joints(folder / READINGS, Motion(t_s=t[fresh], q=q[fresh]))
+        write_json(folder / MOTION, self.to_dict())
 
 
-def _cameras(job: RunMotionJob) -> FreeJob | None:
-    """Return what the cameras are to record, None where none are given. Raises UsageError."""
-    if job.left is None and job.right is None:
-        if job.camera_settings != AUTOMATIC:
+def recorded_cameras(
+    left: str | None, right: str | None, settings: PairSettings | None, out: Path | None
+) -> FreeJob | None:
+    """Return what the cameras are to record into a folder, None where none are given. Raises UsageError."""
+    if left is None and right is None:
+        if settings not in (None, AUTOMATIC):
             raise UsageError("settings of cameras are given, and no cameras", cure="Give --left and --right too")
         return None
-    if job.left is None or job.right is None:
+    if left is None or right is None:
         raise UsageError(
-            f"{'--left' if job.left is None else '--right'} is missing",
+            f"{'--left' if left is None else '--right'} is missing",
             consequence="Nothing is moved: a cell is calibrated from both cameras",
             cure="Give both cameras, or none of them",
         )
-    return FreeJob(left=job.left, right=job.right, out=job.out / FRAMES, settings=job.camera_settings)
+    if out is None:
+        raise UsageError("cameras are to be recorded, and no folder is given", cure="Give one (-o)")
+    return FreeJob(left=left, right=right, out=out / FRAMES, settings=settings or AUTOMATIC)
 
 
-def _followed(
+def run_joints(
     run: RobotRun,
-    job: RunMotionJob,
-    source: JointMotionSource,
+    motion: Motion,
     frames: FreeJob | None,
-    begun: Begun,
+    *,
+    override: float,
+    begun: Callable[[JointMotionSource], object],
     enabled: Callable[[], bool],
 ) -> RunMotionOutput:
-    """Run the loop, and record it, the cameras from before it until after it; return what came of it.
+    """Ask, run the loop, and record it, the cameras from before it until after it; return what came of it.
 
     Raises what a recorder failed of where the motion was run nevertheless, DeviceFailed for cameras that do not begin.
     """
-    progress = run.progress
+    progress, source = run.progress, JointMotionSource(motion, override=override)
     cameras = None if frames is None else FreeCameras(frames, cancelled=progress.cancelled)
     tally = CycleTally(progress.cancelled)
     unseen: list[str] = []
@@ -119,10 +113,14 @@ def _followed(
         return tally(status) or bool(unseen)
 
     with ExitStack() as stack:
+        stack.enter_context(run)
+        with run.planning():
+            asked = question(run.robot, run.guard, motion, standing(run.robot, run.guard.arm.n))
+        run.ask(asked)
         if cameras is not None:
             progress.update(0.0, source.length_s, "waiting for the cameras")
             stack.enter_context(cameras)
-        sink = stack.enter_context(run.recorded(job.out / RECORDING))
+        sink = stack.enter_context(run.recorded())
         begun(source)
         show = lambda _: progress.update(source.at_s, source.length_s, source.stage)  # noqa: E731
         timing = run.follow(source, sink, over, show, enabled=lambda: enabled() and not progress.cancelled())
@@ -130,13 +128,13 @@ def _followed(
         raise cameras.failed  # after the end, while the rest was written
     finished = source.stage == "finished"
     return extended(
-        run_output(tally, timing, (*unseen, tally.stopped_by(finished=finished))[0], job.out / RECORDING),
+        run.output(tally, timing, (*unseen, tally.stopped_by(finished=finished))[0]),
         RunMotionOutput,
         finished=finished,
         share=source.at_s / source.length_s,
         took_s=tally.took_s,
-        joints=str(job.out / READINGS),
-        frames="" if cameras is None else str(job.out / FRAMES),
+        joints="" if run.recording is None else str(run.recording.parent / READINGS),
+        frames="" if frames is None else str(frames.out),
         cameras=[] if cameras is None else list(cameras.recorded),
     )
 
@@ -156,36 +154,24 @@ def question(robot: Robot, guard: Guard, motion: Motion, stands: Array) -> str:
     )
 
 
-def _checked(job: RunMotionJob, motion: Motion, guard: Guard) -> Motion:
-    """Return the motion. Raises where it is none of this arm, or leaves a limit that a slower motion would not keep."""
+def checked_motion(motion: Motion, guard: Guard, where: str) -> Motion:
+    """Return the motion of a file. Raises where it is none of this arm, or leaves a limit at any speed."""
     if motion.q.shape[1] != guard.arm.n:
         raise Inconsistent(
-            f"{job.motion} moves {motion.q.shape[1]} joints, {guard.arm.name} has {guard.arm.n}",
+            f"{where} moves {motion.q.shape[1]} joints, {guard.arm.name} has {guard.arm.n}",
             consequence="Nothing is moved",
             cure="Plan a motion for this arm",
         )
     if len(motion.t_s) < FEWEST_ROWS:
-        raise NotEnoughData(f"{job.motion} holds {len(motion.t_s)} rows", consequence="Nothing is moved")
+        raise NotEnoughData(f"{where} holds {len(motion.t_s)} rows", consequence="Nothing is moved")
     space = Space(guard.arm, guard.limits, guard.bounds)
     still = np.zeros(guard.arm.n)
     for i in np.unique(np.searchsorted(motion.t_s, np.arange(motion.t_s[0], motion.t_s[-1], CHECKED_S))).tolist():
         found = space.at(motion.q[i], still, still, in_space=False)
         if found.outside().any():
             raise Inconsistent(
-                f"{job.motion}: at {motion.t_s[i]:.2f} s the arm would stand {found.describe()}",
+                f"{where}: at {motion.t_s[i]:.2f} s the arm would stand {found.describe()}",
                 consequence="Nothing is moved",
                 cure="Plan it with the limits that it is run with (--limits)",
             )
     return motion
-
-
-def _write_readings(job: RunMotionJob) -> None:
-    """Write the readings of the recording as joints.csv, each time once."""
-    with Recording(job.out / RECORDING) as recording:
-        readings = list(recording.joints())
-    if not readings:
-        return
-    t = np.array([reading.t_s for reading in readings])
-    fresh = np.concatenate([[True], np.diff(np.maximum.accumulate(t)) > 0.0])
-    q = np.array([reading.q for reading in readings])
-    write_joints(job.out / READINGS, Motion(t_s=t[fresh], q=q[fresh]))

@@ -3,52 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
-from armsight.app.arm_files import given_arm
-from armsight.app.live.pace import live_pace
-from armsight.app.measure.run import target_of
-from armsight.app.measure.warm_up import prepare
-from armsight.app.requests.motion import ServoJob, require_handeye
-from armsight.app.robot.recorder import require_new
-from armsight.app.robot.robot_run import (
-    Confirm,
-    CycleTally,
-    RecordedSource,
-    RobotRun,
-    ToolRunOutput,
-    check_arm,
-    run_output,
-)
-from armsight.app.servo.vision import CAMERA, TOOL, Beside, ServoDevices, Vision, open_servo, watch
+from armsight.app.robot.robot_run import CycleTally, RecordedSource, RobotRun, ToolRunOutput, check_arm
+from armsight.app.servo.vision import CAMERA, TOOL, Beside, ServoDevices, Vision, watch
 from armsight.control.guard import Guard, GuardState, TargetState
-from armsight.control.servo import Gain, Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
+from armsight.control.servo import Gain, Mount, ServoSettings, ServoSource, Turning, chosen_gain
 from armsight.control.servo.law import CameraDelay
 from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
-from armsight.kinematics import Arm
+from armsight.file_names import SERVO
 from armsight.measure.poses.pipeline import Setup
-from armsight.measure.settings import SpotSettings
-from armsight.optics import Rig, RigKind
-from armsight.records import PoseStatus, Progress, Silent, Target
+from armsight.records import PoseStatus
 from armsight.records.output import Output, extended, output
-from armsight.store import read_rig
+from armsight.shown import Shown, digits
 from armsight.store.atomic import write_json
-from armsight.store.handeye_file import HandEyeFile, read_handeye
+from armsight.store.handeye_file import HandEyeFile
 from armsight.units import DEG, MM, MS
 
-RECORDING, SUMMARY = "servo.mcap", "servo.json"
 LAG_CYCLES = 2.0
 """Cycles from a command to the arm's motion where nobody says: one until it is taken, one for the drives."""
 
-Show = Callable[[RobotStatus, float | None], None]
+Show = Callable[[RobotStatus, float | None], object]
 """Is told now and then of a cycle, and of the error of position in m where the target is followed."""
 
 
@@ -92,6 +75,32 @@ class ServoOutput(ToolRunOutput):
     error: Annotated[ServoErrorOutput, Doc("How far the target was from where it is wanted.")]
     followed: Annotated[float, Doc("Share of the cycles in which the target was followed, 0 to 1.")]
     vision_ms: Annotated[ServoTimeOutput | None, Doc("How long measuring took; null: no pair came.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield how well the target was followed, and where the arm held."""
+        if self.gain.note:
+            yield f"note: {self.gain.note}"
+        yield (
+            f"{self.n_cycles} cycles, {self.late} late, {self.missed} missed; {self.n_frames} pairs of frames, "
+            f"{self.n_ok} whole, {self.n_position_only} place only, {self.n_lost} without the target; ended by: "
+            f"{self.stopped_by}"
+        )
+        error = self.error
+        if error.rms_m is not None and error.max_m is not None and error.last_m is not None:
+            yield (
+                f"followed in {100.0 * self.followed:.0f} % of the cycles; {digits(error.rms_m / MM)} mm RMS from "
+                f"where it is wanted, {digits(error.max_m / MM)} mm at most, {digits(error.last_m / MM)} mm and "
+                f"{digits((error.last_rad or 0.0) / DEG)} deg at the end"
+            )
+        yield from self.held()
+        yield (
+            f"gain {digits(self.gain.used)} 1/s; delay {self.delay.camera_s / MS:.0f} ms of the cameras, "
+            f"{self.delay.arm_s / MS:.0f} ms of the arm. Recording: {self.recording}"
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write servo.json into a folder."""
+        write_json(folder / SERVO, self.to_dict())
 
 
 class FollowedSource(RecordedSource):
@@ -151,24 +160,60 @@ class ServoTally(CycleTally):
         return super().stopped_by(finished=finished) if stopped or self._cancelled() else "time"
 
 
-def servo_output(
-    tally: ServoTally,
-    timing: Timing,
-    vision: Vision,
-    source: ServoSource,
-    gain: Gain,
-    recording: Path,
-    outside: str,
+def follow_target(
+    run: RobotRun,
+    devices: ServoDevices,
+    setup: Setup,
+    settings: ServoSettings,
+    gain: float | None,
+    for_s: float,
+    show: Show,
+    beside: Beside | None,
+) -> ServoOutput:
+    """Find the delay, ask, follow the target for so long, and return what it came to.
+
+    settings: with a gain of zero. gain: None: the largest that the delay allows. beside: is told of each frame
+    meanwhile. Raises Inconsistent for another arm's file, and for a gain that is not stable.
+    """
+    guard, progress, clock = run.guard, run.progress, run.clock
+    with ExitStack() as stack:
+        stack.enter_context(run)
+        check_arm(run.robot, guard.arm)
+        sink = stack.enter_context(run.recorded())
+        vision = Vision(setup, devices, sink)
+        run.failed = watch(stack, vision, devices)
+        chosen, source = _source(gain, guard, vision.delay, settings, setup)
+        vision.source = source  # which sees from now on
+        if beside is not None:
+            beside.begin(source, guard.arm, clock, sink)
+            vision.beside = beside.observe
+        with run.planning():
+            asked = question(run.robot, guard, chosen, source)
+        run.ask(asked)
+        tally, started_s = ServoTally(source, progress.cancelled), clock.now_s()
+
+        def show_progress(status: RobotStatus | None) -> None:
+            progress.update(clock.now_s() - started_s, 0.0 if math.isinf(for_s) else for_s)
+            if status is not None:
+                show(status, tally.error_m)
+
+        recorded, stepped = FollowedSource(source, sink), devices.stepped is not None
+        doubt = lambda: source.contradiction  # noqa: E731
+        timing = run.follow(recorded, sink, tally, show_progress, for_s=for_s, doubt=doubt, stepped=stepped)
+    return _output(run, tally, timing, vision, source, chosen)
+
+
+def _output(
+    run: RobotRun, tally: ServoTally, timing: Timing, vision: Vision, source: ServoSource, gain: Gain
 ) -> ServoOutput:
     """Return the figures of a servo that ended."""
-    took = np.array(vision.took_ms)
-    counts = vision.counts
+    took, counts = np.array(vision.took_ms), vision.counts
     return extended(
-        run_output(tally, timing, tally.stopped_by(), recording),
+        run.output(tally, timing, tally.stopped_by()),
         ServoOutput,
         state=tally.state,
         wrong_premise=None if source.wrong is None else source.wrong.cause.value,
-        outside=outside,
+        outside=run.outside,
         n_frames=sum(counts.values()),
         n_ok=counts[PoseStatus.OK],
         n_doubtful=counts[PoseStatus.DOUBTFUL],
@@ -184,136 +229,33 @@ def servo_output(
     )
 
 
-def run_servo(
-    job: ServoJob,
-    confirm: Confirm,
-    show: Show = lambda *_: None,
-    progress: Progress | None = None,
-    *,
-    devices: ServoDevices | None = None,
-    beside: Beside | None = None,
-) -> ServoOutput:
-    """Follow the target until the operator lets go, seconds_s have passed or the guard stopped; write job.out.
-
-    confirm: asked once, with gain, limits and delay, before anything moves. progress: its cancelled() is the operator's
-    enable, let go of. show: told of the newest cycle now and then. devices: in place of those the job names.
-    beside: is told of each frame meanwhile. Raises UsageError, DataRefused (another arm's file, no hand-eye, a gain
-    that is not stable), DeviceFailed, Cancelled.
-    """
-    progress = progress or Silent()
-    _check(job)
-    require_new(job.out, RECORDING)
-    rig, target, handeye = read_rig(job.rig), target_of(job.target), _handeye(job)
-    arm = given_arm(job.arm)
-    devices = devices or open_servo(job, rig, target, arm=arm)
-    run = RobotRun(job, devices.robot, arm, devices.clock, progress)
-    run.require_lengths("Where its cameras are is not known, and nothing is moved")
-    settings = _settings(job, handeye, run.guard.arm, devices.robot.cycle_s)
-    prepare(progress)
-    setup = measuring(rig, target, devices)
-    done = _followed(run, job, devices, settings, setup, beside, confirm, show)
-    write_json(job.out / SUMMARY, done.to_dict())
-    return done
-
-
-def _followed(
-    run: RobotRun,
-    job: ServoJob,
-    devices: ServoDevices,
-    settings: ServoSettings,
-    setup: Setup,
-    beside: Beside | None,
-    confirm: Confirm,
-    show: Show,
-) -> ServoOutput:
-    """Find the delay, ask, follow the target, and return what it came to."""
-    guard, progress, clock = run.guard, run.progress, run.clock
-    for_s = math.inf if job.seconds_s is None else job.seconds_s
-    with ExitStack() as stack:
-        stack.enter_context(run)
-        check_arm(run.robot, guard.arm)
-        sink = stack.enter_context(run.recorded(job.out / RECORDING))
-        vision = Vision(setup, devices, job.latency_s, sink)
-        run.failed = watch(stack, vision, devices)
-        gain, source = _source(job, guard, vision.delay, settings, setup)
-        vision.source = source  # which sees from now on
-        if beside is not None:
-            beside.begin(source, guard.arm, clock, sink)
-            vision.beside = beside.observe
-        with run.planning():
-            asked = question(run.robot, guard, gain, source)
-        run.ask(confirm, asked)
-        tally, started_s = ServoTally(source, progress.cancelled), clock.now_s()
-
-        def show_progress(status: RobotStatus | None) -> None:
-            progress.update(clock.now_s() - started_s, 0.0 if math.isinf(for_s) else for_s)
-            if status is not None:
-                show(status, tally.error_m)
-
-        recorded, stepped = FollowedSource(source, sink), devices.stepped is not None
-        doubt = lambda: source.contradiction  # noqa: E731
-        timing = run.follow(recorded, sink, tally, show_progress, for_s=for_s, doubt=doubt, stepped=stepped)
-    return servo_output(tally, timing, vision, source, gain, job.out / RECORDING, run.outside)
-
-
 def _source(
-    job: ServoJob, guard: Guard, delay: CameraDelay, settings: ServoSettings, setup: Setup
+    gain: float | None, guard: Guard, delay: CameraDelay, settings: ServoSettings, setup: Setup
 ) -> tuple[Gain, ServoSource]:
     """Return the gain that the measured delay allows, and the source."""
-    gain = chosen_gain(job.gain, max(guard.cycle_s, delay.period_s), delay.delay_s + settings.arm_lag_s)
-    source = ServoSource(guard.arm, setup.rig, setup.target, settings.with_gain(gain.used), guard.cycle_s)
+    chosen = chosen_gain(gain, max(guard.cycle_s, delay.period_s), delay.delay_s + settings.arm_lag_s)
+    source = ServoSource(guard.arm, setup.rig, setup.target, settings.with_gain(chosen.used), guard.cycle_s)
     source.warm_up()
-    return gain, source
+    return chosen, source
 
 
-def _check(job: ServoJob) -> None:
-    if job.at not in (CAMERA, TOOL):
-        raise UsageError(f"--at {job.at} is neither {CAMERA} nor {TOOL}", cure="Say whose axis the target is wanted on")
-    positive = (
-        ("--latency", job.latency_s),
-        ("--arm-lag", job.arm_lag_s),
-        ("--hand-speed", job.hand_speed_m_s),
-        ("--resume-mm", job.resume_m),
-        ("--resume-deg", job.resume_rad),
-    )
-    for name, value in positive:
-        if value is not None and not (np.isfinite(value) and value >= 0.0):
-            raise UsageError(f"{name} {value:g} cannot be", cure="Give a number, zero or more")
-    if job.seconds_s is not None and not job.seconds_s > 0.0:
-        raise UsageError(f"--seconds {job.seconds_s:g} is no time", cure="Give seconds, more than zero")
+def require_axis(at: str, handeye: HandEyeFile, file: Path) -> None:
+    """Raise UsageError where the target is wanted on neither the camera's nor the tool's axis.
 
-
-def _handeye(job: ServoJob) -> HandEyeFile:
-    """Return the hand-eye calibration. Raises BadFile where it is missing, Inconsistent where it does not fit."""
-    require_handeye(job.handeye)
-    handeye = read_handeye(job.handeye)
-    if handeye.setup.value == Mount.EYE_TO_HAND.value and job.at == CAMERA:
+    Raises Inconsistent for the axis of cameras (handeye.yaml: file) that stand beside the robot.
+    """
+    if at not in (CAMERA, TOOL):
+        raise UsageError(f"--at {at} is neither {CAMERA} nor {TOOL}", cure="Say whose axis the target is wanted on")
+    if handeye.setup.value == Mount.EYE_TO_HAND.value and at == CAMERA:
         raise Inconsistent(
-            f"by {job.handeye} the cameras stand beside the robot, and the target is wanted on their axis",
+            f"by {file} the cameras stand beside the robot, and the target is wanted on their axis",
             consequence="The robot cannot bring it there",
             cure="Give --at tool: the tool then goes where the target is, at --distance",
         )
-    return handeye
 
 
-def _settings(job: ServoJob, handeye: HandEyeFile, arm: Arm, cycle_s: float) -> ServoSettings:
-    """Return how the target is followed, with a gain of zero: it waits for the delay."""
-    T_flange_frame = handeye.T_parent_camera if job.at == CAMERA else arm.T_flange_tool
-    return ServoSettings(
-        mount=Mount(handeye.setup.value),
-        T_parent_camera=handeye.T_parent_camera,
-        T_flange_desired=on_axis(T_flange_frame, job.distance_m),
-        gain_t=0.0,
-        gain_r=0.0,
-        arm_lag_s=LAG_CYCLES * cycle_s if job.arm_lag_s is None else job.arm_lag_s,
-        predict=job.predict,
-        turning=_turning(job.rotation),
-        resume_m=job.resume_m,
-        resume_rad=job.resume_rad,
-    )
-
-
-def _turning(name: str) -> Turning:
+def turning(name: str) -> Turning:
+    """Return how the arm turns after a target, by its name. Raises UsageError."""
     try:
         return Turning(name)
     except ValueError as error:
@@ -322,16 +264,6 @@ def _turning(name: str) -> Turning:
             consequence="Nothing is moved",
             cure=f"Give {', '.join(Turning)} (--rotation)",
         ) from error
-
-
-def measuring(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
-    """Return what measuring needs. Raises UsageError for a board, whose pose takes longer than a servo's cycle."""
-    if target.is_board:
-        raise UsageError("a board takes too long to find for a servo", cure="Give a target of lights (--target)")
-    if rig.kind is RigKind.MIRROR and not devices.overlaid:
-        raise UsageError("the rig has mirrors: both of its views are in one image", cure="Give --image")
-    settings = SpotSettings(colour=target.colour)
-    return Setup(rig=rig, target=target, settings=settings, overlaid=devices.overlaid, pace=live_pace())
 
 
 NOT_SEEN = (

@@ -9,26 +9,31 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Protocol, cast
 
 import numpy as np
 
-from armsight.app.requests.motion import ServoJob
-from armsight.app.robot.opening import refuse_settings, robot_of
+from armsight.app.live.pace import live_pace
+from armsight.app.requests.motion import LATENCY_S, RobotJob
+from armsight.app.robot.opening import ClockedRobot, clocked_robot, refuse_settings
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
-from armsight.clock import Clock, ManualClock, SystemClock
+from armsight.clock import Clock, ManualClock
 from armsight.control.servo import ServoSource
 from armsight.control.servo.law import CameraDelay
 from armsight.control.status import QueueSink
-from armsight.drivers import CameraSettings, PairSource, Robot, is_live
-from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
+from armsight.defaults import HAND_SPEED_M_S
+from armsight.drivers import CameraSettings, PairSource, is_live
+from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, lost_pair
-from armsight.optics import Rig
+from armsight.measure.settings import SpotSettings
+from armsight.optics import Rig, RigKind
 from armsight.records import Frame, PoseStatus, Target, TargetPose
+from armsight.store.handeye_file import HandEyeFile, read_handeye
 
 Pair = tuple[Frame, Frame]
 
@@ -87,18 +92,18 @@ class SteppedClock(ManualClock):
 CAMERA, TOOL = "camera", "tool"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoDevices:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ServoDevices(ClockedRobot):
     """A robot and its cameras, not yet open. overlaid: one image holds both views.
 
     origin_s: tells the clock's time of the cameras' zero once they are open, None where only arrivals tell it.
-    stepped: the clock of a simulated cell, which moves only as far as the loop waits; None: real time.
+    latency_s: from the middle of an exposure to the frame in memory, where only arrivals do. stepped: the clock of a
+    simulated cell, which moves only as far as the loop waits; None: real time.
     """
 
-    robot: Robot
     pairs: PairSource
-    clock: Clock
     overlaid: bool = False
+    latency_s: float = LATENCY_S
     origin_s: Callable[[], float] | None = None
     stepped: SteppedClock | None = None
 
@@ -130,7 +135,7 @@ class Beside(Protocol):
 class Vision:
     """Measures pair after pair, and gives the poses to a source once there is one."""
 
-    def __init__(self, setup: Setup, devices: ServoDevices, latency_s: float, sink: QueueSink) -> None:
+    def __init__(self, setup: Setup, devices: ServoDevices, sink: QueueSink) -> None:
         self.source: ServoSource | None = None
         self.beside: Callable[[TargetPose, float], None] | None = None
         self.delay = CameraDelay()
@@ -140,7 +145,6 @@ class Vision:
         self._setup = setup
         self._devices = devices
         self._clock: Clock = devices.clock
-        self._latency_s = latency_s
         self._sink = sink
         self._tracker = TargetTracker(setup)
         self._last: tuple[Frame, Frame] | None = None
@@ -169,7 +173,7 @@ class Vision:
         if self._devices.origin_s is not None:
             return self._devices.origin_s()
         newest_s = max(frame.t_s for frame in pair)
-        self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._latency_s)
+        self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._devices.latency_s)
         return self._ahead_s
 
     def _stands(self, pair: tuple[Frame, Frame]) -> bool:
@@ -259,49 +263,102 @@ def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | Non
         clock.sleep_until(clock.now_s() + 0.02)
 
 
+def measuring(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
+    """Return what measuring needs. Raises UsageError for a board, whose pose takes longer than a servo's cycle."""
+    if target.is_board:
+        raise UsageError("a board takes too long to find for a servo", cure="Give a target of lights (--target)")
+    if rig.kind is RigKind.MIRROR and not devices.overlaid:
+        raise UsageError("the rig has mirrors: both of its views are in one image", cure="Give --image")
+    settings = SpotSettings(colour=target.colour)
+    return Setup(rig=rig, target=target, settings=settings, overlaid=devices.overlaid, pace=live_pace())
+
+
+def placed_cameras(handeye: Path) -> HandEyeFile:
+    """Return where the cameras are. Raises BadFile where there is no hand-eye calibration."""
+    if not handeye.exists():
+        raise BadFile(
+            f"the hand-eye calibration {handeye} is missing",
+            consequence="Where the cameras are on the robot is not known, and nothing is moved",
+            cure="Make it with: armsight calibrate handeye",
+        )
+    return read_handeye(handeye)
+
+
 SIM = "sim:"
 
 
+@dataclass(frozen=True, slots=True)
+class CameraNames:
+    """Cameras as people name them, or files of them: left and right, or the one image of a mirror rig.
+
+    exposure_s: None: as they choose it. latency_s: see ServoDevices.
+    """
+
+    left: str | None
+    right: str | None
+    image: str | None
+    exposure_s: float | None
+    latency_s: float = LATENCY_S
+
+    def pairs(self, rig: Rig, target: Target, clock: Clock | None = None) -> tuple[PairSource, bool] | None:
+        """Return their pairs, not yet open, and whether one image holds both views; None where they are not said."""
+        colour, settings = target.colour is not None, CameraSettings(exposure_s=self.exposure_s)
+        if self.image is not None and self.left is self.right is None:
+            return complex_pairs(partial(open_source, self.image, colour=colour, settings=settings, clock=clock), rig)
+        if self.image is not None or self.left is None or self.right is None:
+            return None
+        return open_pairs(self.left, self.right, colour=colour, settings=settings), False
+
+    def require_live(self) -> None:
+        """Raise UsageError for what does not see the target now."""
+        for text in (self.image, self.left, self.right):
+            if text is not None and (not is_live(text) or text.startswith("camera:sim:")):
+                raise UsageError(f"{text} does not see the target now", cure="Give camera:NAME")
+
+
 def open_servo(
-    job: ServoJob, rig: Rig, target: Target, clock: Clock | None = None, arm: Arm | None = None
+    job: RobotJob,
+    rig: Rig,
+    target: Target,
+    arm: Arm | None,
+    cameras: CameraNames,
+    *,
+    hand: str | None = None,
+    hand_speed_m_s: float = HAND_SPEED_M_S,
 ) -> ServoDevices:
-    """Return what the job names; nothing is opened yet. Raises UsageError, DeviceNotFound, BadFile."""
-    if job.robot.startswith(SIM):
+    """Return a robot with its cameras; nothing is opened yet.
+
+    hand, hand_speed_m_s: how the target of a simulated cell is led. Raises UsageError, DeviceNotFound, BadFile.
+    """
+    if isinstance(job.device, ServoDevices):
+        return job.device
+    if job.device is None and job.robot.startswith(SIM):
         refuse_settings(job)
-        return _simulated(job)
-    if job.hand is not None:
+        return _simulated(job.robot, cameras, hand, hand_speed_m_s)
+    if hand is not None:
         raise UsageError(f"--hand leads a simulated target, and {job.robot} is no simulated robot", cure="Leave it out")
-    clock = clock or SystemClock()
-    settings, colour = CameraSettings(exposure_s=job.exposure_s), target.colour is not None
-    if job.image is not None and job.left is job.right is None:
-        _check_live(job.image)
-        source = partial(open_source, job.image, colour=colour, settings=settings, clock=clock)
-        pairs, overlaid = complex_pairs(source, rig)
-        return ServoDevices(robot=robot_of(job, clock, arm), pairs=pairs, clock=clock, overlaid=overlaid)
-    if job.image is not None or job.left is None or job.right is None:
+    robot = clocked_robot(job, arm)
+    cameras.require_live()
+    pairs = cameras.pairs(rig, target, robot.clock)
+    if pairs is None:
         raise UsageError(
             "which cameras see the target is not said", cure="Give --left and --right, or --image for a mirror rig"
         )
-    _check_live(job.left)
-    _check_live(job.right)
-    both = open_pairs(job.left, job.right, colour=colour, settings=settings)
-    return ServoDevices(robot=robot_of(job, clock, arm), pairs=both, clock=clock)
+    both, overlaid = pairs
+    return ServoDevices(
+        robot=robot.robot, clock=robot.clock, pairs=both, overlaid=overlaid, latency_s=cameras.latency_s
+    )
 
 
-def _check_live(text: str) -> None:
-    if not is_live(text) or text.startswith("camera:sim:"):
-        raise UsageError(f"{text} does not see the target now", cure="Give camera:NAME")
-
-
-def _simulated(job: ServoJob) -> ServoDevices:
+def _simulated(robot: str, cameras: CameraNames, hand: str | None, hand_speed_m_s: float) -> ServoDevices:
     """Return a simulated cell, whose time moves with the loop."""
-    given = [name for name in ("left", "right", "image", "exposure_s") if getattr(job, name) is not None]
+    given = [name for name, value in asdict(cameras).items() if value is not None and name != "latency_s"]
     if given:
         raise UsageError(
-            f"the simulated cell {job.robot} has its own cameras, and {', '.join(given)} is given", cure="Leave it out"
+            f"the simulated cell {robot} has its own cameras, and {', '.join(given)} is given", cure="Leave it out"
         )
     clock = SteppedClock()
-    cell = live_cell(job.robot.removeprefix(SIM), clock, hand=job.hand, speed_m_s=job.hand_speed_m_s)
+    cell = live_cell(robot.removeprefix(SIM), clock, hand=hand, speed_m_s=hand_speed_m_s)
     return ServoDevices(
         robot=cell.robot,
         pairs=cell.pairs,

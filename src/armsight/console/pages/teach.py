@@ -13,7 +13,6 @@ from armsight.app.operator.path_editor import JOB_NAME, TOOLS, PathEditor, PlayR
 from armsight.app.operator.teach_controller import TeachController
 from armsight.app.path.check import PathCheckOutput
 from armsight.app.play.play_path import PlayOutput
-from armsight.app.requests.motion import PlayJob
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,
@@ -233,7 +232,7 @@ class _Play:
         self._browser = page_name()
         with card(texts.PLAY_CARD):
             with ui.element("div").classes("row"):
-                self._speed = number_field(texts.PLAY_SPEED, PlayJob, "path_speed_m_s", MM)
+                self._speed = number_field(texts.PLAY_SPEED, PlayRequest, "speed_m_s", MM)
                 self._keep = ui.checkbox(texts.PLAY_KEEP, value=PlayRequest.keep_rotation)
             with ui.element("div").classes("row"):
                 button(texts.PATH_CHECK, self._check, kind="act quiet", testid="check")
@@ -274,7 +273,7 @@ class _Play:
 
     def _play(self) -> None:
         with refusals_in(self._said):
-            act = partial(path_desk.play, self._asked(), self._robot, self._editor, self._console.station)
+            act = partial(path_desk.play_path, self._asked(), self._robot, self._editor, self._console.station)
             self._robot.jobs.begin(JOB_NAME, self._browser, act)
             say(self._said, "")
 

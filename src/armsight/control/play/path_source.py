@@ -99,6 +99,11 @@ class PathSource:
     def override(self, share: float) -> None:
         self._override = checked_override(share)
 
+    @property
+    def paused(self) -> bool:
+        """Whether it is paused."""
+        return self._paused
+
     def pause(self) -> None:
         """Come to rest along the path, and wait there."""
         self._paused = True
