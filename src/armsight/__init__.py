@@ -59,12 +59,9 @@ if TYPE_CHECKING:
     from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
     from armsight.api.runs import MeasureResult as MeasureResult
-    from armsight.api.runs import VerifyResult as VerifyResult
     from armsight.api.runs import measure as measure
-    from armsight.api.runs import plan_verification as plan_verification
     from armsight.api.runs import record as record
     from armsight.api.runs import repair_recording as repair_recording
-    from armsight.api.runs import verify as verify
     from armsight.api.simulation import SimulatedFrame as SimulatedFrame
     from armsight.api.simulation import Simulation as Simulation
     from armsight.api.simulation import read_scenario as read_scenario
@@ -73,10 +70,7 @@ if TYPE_CHECKING:
     from armsight.api.simulation import write_simulation as write_simulation
     from armsight.api.tracks import PoseTrack as PoseTrack
     from armsight.api.watch import LiveIdentification as LiveIdentification
-    from armsight.api.watch import check_mastering as check_mastering
     from armsight.api.watch import identify_arm_live as identify_arm_live
-    from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
-    from armsight.api.watch import supervise as supervise
     from armsight.app.join import JoinResult as JoinResult
     from armsight.calibrate.arm import ArmResult as ArmResult
     from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
@@ -137,6 +131,11 @@ if TYPE_CHECKING:
     from armsight.ops.files import join as join
     from armsight.ops.kinematics import show_arm as show_arm
     from armsight.ops.kinematics import write_formulas as write_formulas
+    from armsight.ops.verify import check_mastering as check_mastering
+    from armsight.ops.verify import plan_verification as plan_verification
+    from armsight.ops.verify import propose_mastering_poses as propose_mastering_poses
+    from armsight.ops.verify import supervise as supervise
+    from armsight.ops.verify import verify as verify
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
@@ -154,6 +153,7 @@ if TYPE_CHECKING:
     from armsight.store.foreign import FrameNames as FrameNames
     from armsight.store.interpret import TableFormat as TableFormat
     from armsight.store.recording import Recording as Recording
+    from armsight.verify.results import VerifyResult as VerifyResult
     from armsight_lab.api import history as history
     from armsight_lab.api.batch import BatchResult as BatchResult
     from armsight_lab.api.batch import batch as batch
@@ -170,15 +170,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "find_spots",
     ),
     "armsight.api.tracks": ("PoseTrack",),
-    "armsight.api.runs": (
-        "MeasureResult",
-        "VerifyResult",
-        "measure",
-        "plan_verification",
-        "record",
-        "repair_recording",
-        "verify",
-    ),
+    "armsight.api.runs": ("MeasureResult", "measure", "record", "repair_recording"),
+    "armsight.ops.verify": ("check_mastering", "plan_verification", "propose_mastering_poses", "supervise", "verify"),
+    "armsight.verify.results": ("VerifyResult",),
     "armsight_lab.api.design": ("design",),
     "armsight_lab.api.batch": ("BatchResult", "batch"),
     "armsight.ops.calibrate_cell": ("calibrate_cell",),
@@ -207,13 +201,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
     "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
     "armsight.api.machine": ("doctor", "reproduce"),
-    "armsight.api.watch": (
-        "LiveIdentification",
-        "check_mastering",
-        "identify_arm_live",
-        "propose_mastering_poses",
-        "supervise",
-    ),
+    "armsight.api.watch": ("LiveIdentification", "identify_arm_live"),
     "armsight.api.convert": (
         "convert",
         "cut_recording",

@@ -15,7 +15,6 @@ from armsight.cli.command import Command, add
 from armsight.cli.command_ui import CommandUI
 from armsight.fields import Flag, marks
 from armsight.ops.action import OUT
-from armsight.shown import WRITTEN
 
 if TYPE_CHECKING:
     from armsight.ops.action import Action
@@ -71,11 +70,11 @@ def show(face: CommandUI, result: Output, out: Path | None) -> None:
     from armsight.report.pages import page_path
 
     lines, page = list(result.summary()), None if out is None else page_path(out, result)
-    told = out is None or hasattr(result, "write") or any(str(one).startswith(WRITTEN) for one in lines)
+    told = out is None or hasattr(result, "write") or any("{out}" in str(one) for one in lines)
     for one in lines if told else [*lines, f"Result: {out}" + ("" if page is None else f"; open {page}")]:
         if isinstance(one, str):
-            report = "" if out is None else str(out.with_suffix(".report.html"))
-            face.say(one.replace("{out}", str(out)).replace("{report}", report))
+            report = "" if out is None else out.with_suffix(".report.html") if page is None else page
+            face.say(one.replace("{out}", str(out)).replace("{report}", str(report)))
         else:
             face.table(*one)
     face.result(result)

@@ -14,14 +14,12 @@ if TYPE_CHECKING:
     from armsight.app.requests import measure as measure
     from armsight.app.requests import motion as motion
     from armsight.app.requests import simulate as simulate
-    from armsight.app.requests import verify as verify
 else:
     _MODULES = (
         "identify",
         "measure",
         "motion",
         "simulate",
-        "verify",
     )
 
     def __getattr__(name: str) -> object:
