@@ -21,18 +21,17 @@ from typing import Any, Self
 
 import numpy as np
 
-from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.simulate.scenarios import load_scenario
-from armsight.app.verify.live import run_verify_live
 from armsight.app.verify.supervising import Supervised
 from armsight.clock import ManualClock, SystemClock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import DeviceFailed
+from armsight.ops import verify
 from armsight.records import Frame, JointReading
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.worlds import World, write_world
-from armsight.verify.supervision import Level, Limits
+from armsight.verify.supervision import Level
 from armsight_sim.live import live_cell
 from armsight_sim.scenario_builder import build_world
 from bench import machine, table
@@ -185,13 +184,12 @@ def supervise(seconds_s: float, room: str) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         files(folder, room)
-        job = LiveVerifyJob(
-            robot="prepared", left="prepared", right="prepared", rig=folder / "rig.yaml",
-            target=folder / "target.yaml", arm=str(folder / "arm.yaml"), world=folder / "world.yaml",
-            out=folder / "out", limits=Limits(warn_m=0.001), seconds_s=seconds_s,
-        )  # fmt: skip
         devices = Supervised(robot=robot, pairs=pairs, origin_s=lambda: pairs.origin_s)
-        done = run_verify_live(job, show, clock=clock, devices=devices)
+        done = verify.supervise(
+            "prepared", folder / "rig.yaml", folder / "target.yaml", "prepared", "prepared", folder / "arm.yaml",
+            folder / "world.yaml", warn_m=0.001, seconds_s=seconds_s, out=folder / "out", show=show, clock=clock,
+            devices=devices,
+        )  # fmt: skip
     told(done, pairs, np.array(decided_s), levels, seconds_s)
 
 

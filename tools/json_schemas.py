@@ -35,7 +35,6 @@ from armsight.app.simulate.reproduced import ReproduceOutput
 from armsight.app.simulate.run import SimulateOutput
 from armsight.app.tables import ConvertTableOutput
 from armsight.app.teach import TeachResult
-from armsight.app.verify.plan import VerifyPlanOutput
 from armsight.calibrate.arm import ArmResult, RobotWorldResult
 from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
@@ -52,7 +51,9 @@ from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
 from armsight.store.recording import Repaired
-from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput, VerifyOutput
+from armsight.verify.iso9283.plan import VerifyPlanOutput
+from armsight.verify.live import VerifyLiveOutput
+from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
 from armsight_lab.batch.results import BatchOutput
 from armsight_lab.cell_plan.run import CellPlanOutput
 from armsight_lab.design.records import DesignOutput
@@ -85,7 +86,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-robot-world": RobotWorldResult,
     "identify": IdentifyOutput,
     "identify-propose": ProposedPlanOutput,
-    "verify": VerifyOutput,
+    "verify": VerifyResult,
     "verify-plan": VerifyPlanOutput,
     "verify-live": VerifyLiveOutput,
     "verify-mastering": MasteringOutput,

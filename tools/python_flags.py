@@ -87,7 +87,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("verify", "--speed"): "`plan_verification(speed_m_s)`",
     ("verify", "--live"): "`supervise`",
     ("verify", "--mastering"): "`propose_mastering_poses`, then `check_mastering`",
-    ("verify", "--joint-std"): "`supervise(joint_std)`, rad or m",
     ("identify", "--sweep"): "`identify_arm(joint, q, xyz_m)` of `read_table(path)`",
     ("identify", "--world"): "`identify_arm(T_base_rig)`",
     ("identify", "--live"): "`identify_arm_live(robot)`",

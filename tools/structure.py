@@ -44,8 +44,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "long": {
         "api/motion.py:teach": FLAGS,
         "cli/serve.py:serve": FLAGS,
-        "cli/verify.py:verify": FLAGS,
         "ops/paths.py:export": FLAGS,
+        "ops/verify.py": FLAGS,
         "ops/calibrate_*": FLAGS,
     },
     "arguments": {
@@ -83,8 +83,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "app/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",
         "app/identify/results.py:JointStd": "an arm's entries have the same names everywhere",
         "app/live/views.py:Counts": "what a page counts and what a recorder does go on apart",
-        "app/requests/verify.py:LimitsFlags": FLAGS,
-        "verify/results.py:IsoFigure": "a figure of the standard, which an earlier run's file holds without its symbol",
+        "verify/iso9283/figure.py:IsoFigure": "a figure of the standard, whose file holds no symbol",
     },
     "files": {
         "measure/spots/kernels/scan.py": "thresholds and connected components of one pass over an image",

@@ -49,19 +49,13 @@ if TYPE_CHECKING:
     from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
     from armsight.api.remote import twin as twin
-    from armsight.api.runs import VerifyResult as VerifyResult
-    from armsight.api.runs import plan_verification as plan_verification
-    from armsight.api.runs import verify as verify
     from armsight.api.simulation import SimulatedFrame as SimulatedFrame
     from armsight.api.simulation import Simulation as Simulation
     from armsight.api.simulation import read_scenario as read_scenario
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
     from armsight.api.watch import LiveIdentification as LiveIdentification
-    from armsight.api.watch import check_mastering as check_mastering
     from armsight.api.watch import identify_arm_live as identify_arm_live
-    from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
-    from armsight.api.watch import supervise as supervise
     from armsight.app.join import JoinResult as JoinResult
     from armsight.app.teach import TeachResult as TeachResult
     from armsight.calibrate.arm import ArmResult as ArmResult
@@ -137,6 +131,11 @@ if TYPE_CHECKING:
     from armsight.ops.robots import check_robot as check_robot
     from armsight.ops.robots import jog as jog
     from armsight.ops.teach import teach as teach
+    from armsight.ops.verify import check_mastering as check_mastering
+    from armsight.ops.verify import plan_verification as plan_verification
+    from armsight.ops.verify import propose_mastering_poses as propose_mastering_poses
+    from armsight.ops.verify import supervise as supervise
+    from armsight.ops.verify import verify as verify
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
@@ -154,6 +153,7 @@ if TYPE_CHECKING:
     from armsight.store.foreign import FrameNames as FrameNames
     from armsight.store.interpret import TableFormat as TableFormat
     from armsight.store.recording import Recording as Recording
+    from armsight.verify.results import VerifyResult as VerifyResult
     from armsight_lab.api import history as history
     from armsight_lab.api.batch import BatchResult as BatchResult
     from armsight_lab.api.batch import batch as batch
@@ -170,7 +170,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "find_spots",
     ),
     "armsight.measure.track": ("PoseTrack",),
-    "armsight.api.runs": ("VerifyResult", "plan_verification", "verify"),
+    "armsight.ops.verify": ("check_mastering", "plan_verification", "propose_mastering_poses", "supervise", "verify"),
+    "armsight.verify.results": ("VerifyResult",),
     "armsight.ops.measure": ("measure", "record"),
     "armsight.measure.results": ("MeasureResult",),
     "armsight_lab.api.design": ("design",),
@@ -203,13 +204,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
     "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
     "armsight.ops.machine": ("doctor", "reproduce", "write_simulation"),
-    "armsight.api.watch": (
-        "LiveIdentification",
-        "check_mastering",
-        "identify_arm_live",
-        "propose_mastering_poses",
-        "supervise",
-    ),
+    "armsight.api.watch": ("LiveIdentification", "identify_arm_live"),
     "armsight.ops.convert": ("convert", "export_recording"),
     "armsight.api.files": (
         "cut_recording",

@@ -32,9 +32,11 @@ class ArmsightError(Exception):
     cause: what is wrong, with the place (file, row, key, image).
     consequence: what does not happen because of it.
     cure: what the person can do.
+    kept: the result of what was done until then, which an action writes all the same; None where nothing was.
     """
 
     exit_code: ClassVar[int] = 1
+    kept: object = None
 
     def __init__(self, cause: str, *, consequence: str = "", cure: str = "") -> None:
         self.cause = cause

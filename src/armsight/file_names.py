@@ -10,6 +10,7 @@ MEASURED = (POSES, POINTS, SPOTS, TUM, MEASURE, REPORT)
 DEMO = "demo.json"
 
 VERIFY, ERRORS, LIVE, MASTERING = "verify.json", "errors.csv", "live.mcap", "mastering.csv"
+PLAN, PLAN_SUMMARY = "plan.csv", "plan.json"
 VERIFIED = (VERIFY, ERRORS, REPORT, LIVE, MASTERING)
 
 COMPARE = "compare.json"

@@ -12,6 +12,8 @@ REJECTED_SHOWN = 8
 """Lines of what was left out; the report and JSON have all."""
 WRITTEN = "Written: {out}"
 """The line of the file that was written: a result does not know its name, and who shows it fills it in."""
+RESULTS = "Results: {out}; open {report}"
+"""The line of a folder that was written, and of its page."""
 
 
 class Table(NamedTuple):

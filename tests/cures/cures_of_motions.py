@@ -17,20 +17,20 @@ from armsight.app.play.play_job import check as check_play
 from armsight.app.play.play_job import check_speeds
 from armsight.app.requests.identify import LiveJob, joint_numbers
 from armsight.app.requests.motion import RobotJob
-from armsight.app.requests.verify import LiveVerifyJob, MasteringJob
 from armsight.app.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.app.robot.robot_run import check_arm
 from armsight.app.servo.run_servo import require_axis, turning
 from armsight.app.servo.vision import CameraNames, ServoDevices, measuring, open_servo, placed_cameras
-from armsight.app.verify.live import _check as check_live
-from armsight.app.verify.live import _check_arm, open_supervised
-from armsight.app.verify.mastering import _middle, run_mastering
+from armsight.app.verify.live import check_arm as check_supervised_arm
+from armsight.app.verify.live import check_times, open_supervised
+from armsight.app.verify.mastering import drawn_about
 from armsight.calibrate.identify.plan import checked_limits
 from armsight.clock import ManualClock
 from armsight.control.guard import Limits
 from armsight.control.play import PlaySettings, Weave, plan_path
 from armsight.control.play.shape import shaped
 from armsight.control.teach import PathRecorder, StandingRig
+from armsight.drivers import CameraSettings
 from armsight.drivers.jog_inputs import open_jog_input
 from armsight.kinematics import preset
 from armsight.ops import motion, robots
@@ -69,10 +69,16 @@ def planned(path, arm=UR, at=AT, **more):
     return lambda: plan_path(path, arm, Limits(), at, settings)
 
 
-def supervised(**more):
-    files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "target", "world")}
-    eyes = {side: f"camera:{SIM}:{side}" for side in ("left", "right")}
-    return LiveVerifyJob(**{"robot": SIM, "arm": "ur10", "out": Path("watched"), **files, **eyes, **more})
+def supervised(*views, play=False):
+    """Return a call that opens a robot and the cameras that watch it."""
+    link, settings = RobotJob(robot="egm:6510"), CameraSettings()
+    return lambda: open_supervised(link, views, target(), ManualClock(), UR, play=play, camera_settings=settings)
+
+
+def times(**more):
+    """Return a call that checks the times of a supervision."""
+    good = {"latency_s": 0.03, "latency_std_s": 0.01, "blind_stop_s": None, "joint_std": 0.0}
+    return lambda: check_times(**{**good, **more})
 
 
 def identified(**more):
@@ -101,9 +107,8 @@ def pressed(name):
     return go
 
 
-def around(**more):
-    job = MasteringJob(**{"out": Path("m"), "arm": "irb120", "around": "0.1,0.2,0.1,0.2,0.9,0.3", **more})
-    return lambda: _middle(job, preset("irb120"))
+def around(span_rad):
+    return lambda: drawn_about(preset("irb120"), "0.1,0.2,0.1,0.2,0.9,0.3", span_rad, None)
 
 
 def recorder(every):
@@ -254,31 +259,27 @@ TRIED = {
     ),
     ("app/servo/vision.py", "or --image for a mirror rig"): (eyes(), eyes(**LIVE_EYES)),
     ("app/verify/live.py", "Give seconds, more than zero"): (
-        lambda: check_live(supervised(blind_stop_s=0.0)),
-        lambda: check_live(supervised(blind_stop_s=0.5)),
+        times(blind_stop_s=0.0),
+        times(blind_stop_s=0.5),
     ),
     ("app/verify/live.py", "Give degrees, zero or more"): (
-        lambda: check_live(supervised(joint_std=-1.0)),
-        lambda: check_live(supervised(joint_std=0.0)),
+        times(joint_std=-1.0),
+        times(joint_std=0.0),
     ),
     ("app/verify/live.py", "Give seconds, zero or more"): (
-        lambda: check_live(supervised(latency_s=-1.0)),
-        lambda: check_live(supervised(latency_s=0.0)),
+        times(latency_s=-1.0),
+        times(latency_s=0.0),
     ),
     ("app/verify/live.py", "Leave --play away"): (
-        lambda: open_supervised(supervised(robot="egm:6510", play=True, **LIVE_EYES), target(), ManualClock(), UR),
-        lambda: open_supervised(supervised(robot="egm:6510", **LIVE_EYES), target(), ManualClock(), UR),
+        supervised(*LIVE_EYES.values(), play=True),
+        supervised(*LIVE_EYES.values()),
     ),
     ("app/verify/live.py", "Give camera:NAME for"): (
-        lambda: open_supervised(supervised(robot="egm:6510"), target(), ManualClock(), UR),
-        lambda: open_supervised(supervised(robot="egm:6510", **LIVE_EYES), target(), ManualClock(), UR),
+        supervised(f"camera:{SIM}:left", f"camera:{SIM}:right"),
+        supervised(*LIVE_EYES.values()),
     ),
     ("app/verify/mastering.py", "Give --around q1"): (MASTERING, "{} --around 0.1,0.2,0.1,0.2,0.9,0.3"),
     ("app/verify/mastering.py", "Give degrees above 0"): (around(span_rad=0.0), around(span_rad=0.3)),
-    ("app/verify/mastering.py", "Give --measured poses.csv"): (
-        lambda: run_mastering(MasteringJob(out=Path("m"), arm="irb120")),
-        f"{MASTERING} --measured poses.csv --joints j.csv",
-    ),
     ("app/verify/mastering.py", "Give a pose before both cameras"): (
         f"{IN_CELL} --around=0,-1.57,0,0,0,0",
         f"{IN_CELL} --around={START}",
@@ -320,8 +321,8 @@ TRIED = {
         lambda: check_arm(telling(UR), UR),
     ),
     ("app/verify/live.py", "Give the file of this arm"): (
-        lambda: _check_arm(preset("iiwa14"), SimpleNamespace(robot=telling(UR))),
-        lambda: _check_arm(UR, SimpleNamespace(robot=telling(UR))),
+        lambda: check_supervised_arm(preset("iiwa14"), SimpleNamespace(robot=telling(UR))),
+        lambda: check_supervised_arm(UR, SimpleNamespace(robot=telling(UR))),
     ),
     ("app/identify/live.py", "Give camera:NAME for --left"): (
         lambda: open_devices(identified(robot="rsi:49152", left="left", right="right"), target(), ManualClock()),

@@ -155,9 +155,9 @@ TRIED = {
         f"{VERIFY} {OF_ARM} --compare done",
         f"{VERIFY}0 {OF_ARM} && {VERIFY} {OF_ARM} --compare v0",
     ),
-    ("app/verify/plan.py", "Give --arm with its file"): ("verify --plan -o p", PLANNED),
+    ("cli/verify.py", "Give --arm with its file"): ("verify --plan -o p", PLANNED),
     ("cli/verify.py", "Give --measured FILE, or"): ("verify -o p", PLANNED),
-    ("cli/verify.py", "Give --arm FILE.urdf"): (
+    ("app/verify/run.py", "Give --arm FILE.urdf"): (
         f"{VERIFY} --commanded places.csv --tip tool0",
         "convert arm irb120 -o arm.urdf && verify --measured poses.csv -o v --joints j.csv --arm arm.urdf --tip tool",
     ),

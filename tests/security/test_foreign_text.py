@@ -23,9 +23,7 @@ import typer
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
-from armsight.app.requests.verify import VerifyJob
 from armsight.app.tables import convert_table
-from armsight.app.verify.run import run_verify
 from armsight.cli.command_ui import CommandUI, visible
 from armsight.cli.commands import app as commands
 from armsight.control.guard import Box, Limits
@@ -33,6 +31,7 @@ from armsight.control.paths import check_path
 from armsight.errors import BadFile
 from armsight.kinematics import Arm, pose, preset
 from armsight.kinematics.symbolic import python_source
+from armsight.ops.verify import verify
 from armsight.records import PoseStatus, Spots, TargetPose, TaughtPath
 from armsight.records.result_parts import Verdict
 from armsight.report import html as pages
@@ -169,7 +168,7 @@ def repeats(folder: Path, name: str) -> Path:
 
 @pytest.mark.parametrize("name", ["<a href='https://evil.example'>x</a>", "=1+1", "a,=1+1", 'a"b'])
 def test_a_verification_shows_names_as_text_and_writes_no_formula(name: str, tmp_path: Path) -> None:
-    run_verify(VerifyJob(measured=repeats(tmp_path, name), out=tmp_path / "out"))
+    verify(measured=repeats(tmp_path, name), out=tmp_path / "out")
     check((tmp_path / "out" / "report.html").read_text())
     rows = rows_of(tmp_path / "out" / "errors.csv")
     assert {len(row) for row in rows} == {len(rows[0])}

@@ -16,7 +16,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.fields import Flag, marks
 from armsight.file_names import REPORT, report_path
 from armsight.ops.action import OUT, action_of
-from armsight.shown import WRITTEN, Shown
+from armsight.shown import Shown
 
 if TYPE_CHECKING:
     from armsight.records.output import Output
@@ -72,28 +72,28 @@ def show(face: CommandUI, result: Output, out: Any, *, written: bool = False) ->
     from armsight.report.pages import page_path
 
     lines, page = list(result.summary()), None if out is None or written else page_path(out, result)
-    told = out is None or written or hasattr(result, "write") or any(str(one).startswith(WRITTEN) for one in lines)
-    show_lines(face, lines if told else [*lines, f"Result: {out}" + ("" if page is None else f"; open {page}")], out)
+    told = out is None or written or hasattr(result, "write") or any("{out}" in str(one) for one in lines)
+    lines = lines if told else [*lines, f"Result: {out}" + ("" if page is None else f"; open {page}")]
+    show_lines(face, lines, out, page)
     face.result(result)
     if result.exit_code:
         raise ResultsDoubted
 
 
-def show_lines(face: CommandUI, lines: Iterable[Shown], out: Any) -> None:
-    """Show tables and lines, with the name of what was written in its place."""
+def show_lines(face: CommandUI, lines: Iterable[Shown], out: Any, page: Path | None = None) -> None:
+    """Show tables and lines, with the names of what was written in place of {out} and {report}."""
     for one in lines:
         if isinstance(one, str):
-            face.say(_with_names(one, out))
+            face.say(_with_names(one, out, page))
         else:
             face.table(*one)
 
 
-def _with_names(line: str, out: Any) -> str:
-    """Return a line with the names of what was written in place of {out} and {report}."""
+def _with_names(line: str, out: Any, page: Path | None) -> str:
     if not isinstance(out, Path):
         return line
     if "{report}" in line:
-        line = line.replace("{report}", str(report_path(out)))
+        line = line.replace("{report}", str(page or report_path(out)))
     return line.replace(f"{{out}}/{REPORT}", str(out / REPORT)).replace("{out}", str(out))
 
 

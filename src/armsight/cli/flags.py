@@ -94,7 +94,10 @@ class Parts:
 
 
 class PartialRequest(Generic[Request]):
-    """One of the requests that a command can make: which of its flags were given, and the request itself."""
+    """One of the requests that a command can make: which of its flags were given, and the request itself.
+
+    Of a mode's own flags (CommandFlags) it is a dictionary of their values.
+    """
 
     def __init__(self, parts: Parts, values: Mapping[str, Any], defaults: Mapping[str, Any], notify: Notify) -> None:
         self._parts, self._values, self._defaults, self._notify = parts, values, defaults, notify
@@ -113,10 +116,8 @@ class PartialRequest(Generic[Request]):
     @property
     def missing(self) -> tuple[str, ...]:
         """The flags that were not given and that it cannot do without."""
-        needed = {one.name for one in dataclasses.fields(self._parts.kind) if not _has_default(one)}
-        return tuple(
-            one.written for one in self._parts.flags() if one.name in needed and self._values[one.name] is None
-        )
+        needed = [one for one in self._parts.flags() if one.parameter.default is inspect.Parameter.empty]
+        return tuple(one.written for one in needed if self._values[one.name] is None)
 
     def value(self, name: str) -> Any:
         """Return one of its values, None where it was not given and has no default of its own. Raises UsageError."""
@@ -138,7 +139,10 @@ def taken_by(function: Callable[..., None]) -> dict[str, tuple[Any, Any]]:
 
 
 class CommandFlags:
-    """The flags of a command, of hint and default of each parameter; their order is that of the help."""
+    """The flags of a command, of hint and default of each parameter; their order is that of the help.
+
+    In place of a hint may stand a mode's own flags: a mapping of their hints and defaults, asked for as PartialRequest.
+    """
 
     def __init__(self, taken: Mapping[str, tuple[Any, Any]]) -> None:
         self._parts = [_taken(name, *one) for name, one in taken.items()]
@@ -165,6 +169,8 @@ def _taken(name: str, hint: Any, default: Any) -> tuple[OneFlag | Parts, bool]:
     """Return the flags of a parameter, and whether it is one of several requests."""
     if get_origin(hint) is PartialRequest:
         return _request(name, get_args(hint)[0]), True
+    if isinstance(hint, Mapping):
+        return Parts(name=name, kind=dict, parts=tuple(_field(one, *what) for one, what in hint.items())), True
     if dataclasses.is_dataclass(hint):
         return _request(name, hint), False  # type: ignore[arg-type]  # a class
     return _field(name, hint, default), False
@@ -236,10 +242,6 @@ def _default(one: dataclasses.Field[Any]) -> Any:
     if one.default is not MISSING:
         return one.default
     return inspect.Parameter.empty if one.default_factory is MISSING else None
-
-
-def _has_default(one: dataclasses.Field[Any]) -> bool:
-    return one.default is not MISSING or one.default_factory is not MISSING
 
 
 def _or_none(default: Any) -> Any:

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from functools import cached_property, wraps
 from os import PathLike, fspath
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from armsight._files import real_path
-from armsight.errors import UsageError
+from armsight.errors import ArmsightError, UsageError
 from armsight.fields import Doc, Flags, known_hints, loaded, marks
 
 if TYPE_CHECKING:
@@ -113,7 +114,12 @@ class Action:
                     taken[name] = self.inputs[name].object_of(name, value, taken, undo)
             if PROGRESS in self.parameters and taken.get(PROGRESS) is None:
                 taken[PROGRESS] = progress
-            result = self.function(**taken)
+            try:
+                result = self.function(**taken)
+            except ArmsightError as error:
+                if error.kept is not None and outs is not None and not self.writes:
+                    self._write(Path(outs), error.kept, given)
+                raise
         if outs is not None and not self.writes:
             self._write(Path(outs), result, given)
         return result
@@ -134,17 +140,24 @@ class Action:
                     cure=f"Give another {'folder' if self.keeps else 'name'} with -o",
                 )
 
-    def _write(self, out: Path, result: Output, given: Given) -> None:
-        """Write the result's file, with the hashes of what went in, frames last, and its page beside it."""
-        from armsight.report.pages import page_of, page_path
-        from armsight.store import write_text
-        from armsight.store.saving import write_result
-
+    def _write(self, out: Path, result: object, given: Given) -> None:
+        """Write the result's files, with the hashes of what went in, frames last."""
         read = sorted(self.inputs.items(), key=lambda item: bool(item[1].files))
-        files = [file for name, one in read for file in one.hashed_files(given.get(name))]
-        write_result(out, result, files)
-        if (page := page_path(out, result)) is not None:
-            write_text(page, page_of(result, files, given))
+        write_with_page(out, result, [file for name, one in read for file in one.hashed_files(given.get(name))], given)
+
+
+def write_with_page(out: Path, result: object, files: Sequence[Path] = (), given: Given = MappingProxyType({})) -> None:
+    """Write a result's files, with the hashes of the files that went in, and its page beside them. Raises DeviceFailed.
+
+    given: what the action was called with, of which the page tells.
+    """
+    from armsight.report.pages import page_of, page_path
+    from armsight.store import write_text
+    from armsight.store.saving import write_result
+
+    write_result(out, result, files)
+    if (page := page_path(out, result)) is not None:
+        write_text(page, page_of(result, files, given))
 
 
 def _each(value: Any) -> Sequence[Any]:

@@ -15,6 +15,10 @@ from armsight.file_names import REPORT, report_path
 from armsight.report.arm_report import arm_report
 from armsight.report.cell_report import cell_report
 from armsight.report.handeye_report import handeye_report
+from armsight.report.verify_pages import live_report, mastering_report, repeats_report
+from armsight.report.verify_report import verify_report
+from armsight.verify.live import VerifyLiveOutput
+from armsight.verify.results import MasteringOutput, VerifyResult
 
 FILES_SHOWN = 20
 """Files of what went in that a page lists; the result's own file has all, with their hashes."""
@@ -44,19 +48,46 @@ def _arm(result: ArmResult, files: Sequence[Path], given: Given) -> str:
     return arm_report(result, inputs=inputs)
 
 
+def _verification(result: VerifyResult, files: Sequence[Path], given: Given) -> str:
+    if result.verification is None:
+        return repeats_report(result)
+    arm = given.get("arm")
+    if isinstance(arm, str | PathLike):
+        links = {name: str(given[name]) for name in ("tip", "base") if given.get(name) is not None}
+        given = {**given, "arm": arm_source(str(arm), **links)}
+    return verify_report(result, inputs=_named(given, ("measured", "arm", "joints", "commanded", "world"), ("arm",)))
+
+
+def _supervision(result: VerifyLiveOutput, files: Sequence[Path], given: Given) -> str:
+    devices = ("robot", "left", "right", "arm")
+    return live_report(result, inputs=_named(given, (*devices, "rig", "target", "world"), devices))
+
+
+def _named(given: Given, names: Sequence[str], in_full: Sequence[str]) -> list[tuple[str, str]]:
+    """Return what went in by name where it was said in words: files by their names alone but for those in full."""
+    told = [(name, given.get(name)) for name in names]
+    texts = [(name, str(value)) for name, value in told if isinstance(value, str | PathLike)]
+    return [(name, text if name in in_full else Path(text).name) for name, text in texts]
+
+
 PAGES: Mapping[type, Callable[[Any, Sequence[Path], Given], str]] = {
     HandEyeResult: _hand_eye,
     CellResult: _cell,
     ArmResult: _arm,
+    VerifyResult: _verification,
+    VerifyLiveOutput: _supervision,
+    MasteringOutput: lambda result, files, given: mastering_report(result),
 }
 """By class of result: the page, from the result, the files that went in, and what the action was called with."""
+IN_FOLDERS = (CellResult, VerifyResult, VerifyLiveOutput, MasteringOutput)
+"""Results that have a folder of their own, and their page in it."""
 
 
 def page_path(out: Path, result: object) -> Path | None:
     """Return where a result's page goes, None where it has none: into the folder, or beside a file, rig.report.html."""
     if type(result) not in PAGES:
         return None
-    return out / REPORT if isinstance(result, CellResult) else report_path(out)
+    return out / REPORT if isinstance(result, IN_FOLDERS) else report_path(out)
 
 
 def page_of(result: object, files: Sequence[Path], given: Given) -> str:

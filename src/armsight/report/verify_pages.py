@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import PurePath
 
@@ -15,7 +14,10 @@ from armsight.report.html import Card, Page, add_recordings, bullets, page_unit,
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import DEG, MM, displayed, figure_of, with_deviation
 from armsight.verify import Measured, Repeats
-from armsight.verify.results import IsoFigure, MasteringOutput, VerifyLiveOutput, VerifyOutput
+from armsight.verify.iso9283.figure import IsoFigure
+from armsight.verify.live import LiveSeries, VerifyLiveOutput
+from armsight.verify.results import MasteringOutput, VerifyResult
+from armsight.verify.supervision import Limits
 
 COURSE = (
     "Length of the error of place and angle of the error of rotation; dotted: three standard deviations of what "
@@ -23,33 +25,10 @@ COURSE = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LiveSeries:
-    """Rows over time t_s (m,): error (m, 6) in m and rad, std (m, 2) along it; NaN where nothing was compared."""
-
-    t_s: Array
-    error: Array
-    std: Array
-
-    @property
-    def place_m(self) -> Array:
-        """Length of the error of place (m,)."""
-        return np.asarray(np.linalg.norm(self.error[:, :3], axis=1))
-
-    @property
-    def turn_rad(self) -> Array:
-        """Angle of the error of rotation (m,)."""
-        return np.asarray(np.linalg.norm(self.error[:, 3:], axis=1))
-
-
 def live_report(
-    series: LiveSeries,
-    summary: VerifyLiveOutput,
-    *,
-    inputs: Sequence[tuple[str, str]] = (),
-    created: datetime | None = None,
+    summary: VerifyLiveOutput, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
 ) -> str:
-    """Return the page as HTML text that needs no other file. summary: what verify.json holds."""
+    """Return the page as HTML text that needs no other file."""
     page = Page(
         title="Supervision of a running arm",
         subtitle=f"{summary.n} pairs of frames, {summary.n_compared} compared",
@@ -59,7 +38,7 @@ def live_report(
     if summary.alarms:
         rows = [[f"{item.t_s:.3f}", item.level, item.why] for item in summary.alarms]
         page.add("Alarms", "", table(["t, s", "level", "why"], rows, numbers=(0,)))
-    page.add("Errors over time", COURSE, page.plot(live_course(series, summary)))
+    page.add("Errors over time", COURSE, page.plot(_live_course(summary.log.series(), summary.levels)))
     if summary.doubts:
         page.add("What to know", "", bullets(summary.doubts))
     add_recordings(page, [PurePath(summary.recording).name] if summary.recording else [])
@@ -94,10 +73,9 @@ def _cards(summary: VerifyLiveOutput) -> list[Card]:
     return cards
 
 
-def live_course(series: LiveSeries, summary: VerifyLiveOutput) -> Figure:
+def _live_course(series: LiveSeries, levels: Limits) -> Figure:
     """Return errors of place and rotation over time, with noise and levels."""
     data: list[Plot] = []
-    levels = summary.levels
     courses = (
         (series.place_m, MM, levels.warn_m, levels.stop_m),
         (series.turn_rad, DEG, levels.warn_rad, levels.stop_rad),
@@ -131,13 +109,11 @@ def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> Plot
 ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."
 
 
-def mastering_report(
-    summary: MasteringOutput, name: str, *, slides: Collection[int] = (), created: datetime | None = None
-) -> str:
-    """Return the page as HTML text that needs no other file. summary: what verify.json holds; slides: the indices,
-    from 1, of joints that slide."""
+def mastering_report(summary: MasteringOutput, *, created: datetime | None = None) -> str:
+    """Return the page as HTML text that needs no other file."""
+    slides = summary.slides
     page = Page(
-        title=f"After a crash: {name}",
+        title=f"After a crash: {'' if summary.model is None else summary.model.name}",
         subtitle=f"{summary.n} poses compared, {len(summary.rejected)} left out",
         verdict=summary.verdict_,
         cards=[
@@ -168,17 +144,9 @@ CARD_NAMES: Mapping[str, str] = {
 COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
-def repeats_report(
-    measured: Measured,
-    repeats: Repeats,
-    summary: VerifyOutput,
-    *,
-    other: tuple[str, VerifyOutput] | None = None,
-    created: datetime | None = None,
-) -> str:
-    """Return the page as HTML text that needs no other file. summary: what verify.json holds; other: the folder and
-    the summary of a run to stand beside this one."""
-    iso = summary.iso9283
+def repeats_report(summary: VerifyResult, *, created: datetime | None = None) -> str:
+    """Return the page of repeats alone as HTML text that needs no other file."""
+    iso, other = summary.iso9283, summary.earlier
     page = Page(
         title="Repeatability",
         subtitle=f"{summary.n} rows, {len(summary.rejected)} left out",
@@ -187,8 +155,10 @@ def repeats_report(
     )
     page.add("ISO 9283", ISO_TOLD, iso_table(iso))
     if other is not None:
-        page.add("Beside the other run", f"The other run is {other[0]}. SI units.", _compared(iso, other[1].iso9283))
-    if any(repeats.at_pose):
+        beside = _compared(iso, other.result.iso9283)
+        page.add("Beside the other run", f"The other run is {other.name}. SI units.", beside)
+    if summary.repeated is not None and any(summary.repeated[1].at_pose):
+        measured, repeats = summary.repeated
         page.add("Visits about their mean", "Each row less the mean of its pose.", _about(page, measured, repeats))
         text = "Distance of each row from the mean of its pose, in the order of the rows: a drift climbs or falls."
         page.add("Deviation over the rows", text, page.plot(_course(measured, repeats)))

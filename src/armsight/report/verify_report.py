@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
@@ -28,11 +28,11 @@ from armsight.report.figures import (
     trace,
 )
 from armsight.report.html import Card, Page, bullets, page_unit, table, text
-from armsight.units import DEG, MM, MS, displayed, displayed_name, figure_of, pair_of, with_deviation
+from armsight.units import DEG, MM, MS, displayed_name, figure_of, pair_of, with_deviation
 from armsight.verify import Verification
-from armsight.verify.iso9283.figure import unit_of
+from armsight.verify.iso9283.figure import IsoFigure, symbol_of
 from armsight.verify.pairing import bare_arm
-from armsight.verify.results import IsoFigure, VerifyOutput
+from armsight.verify.results import VerifyResult
 
 PRINT = """@page{{size:A4;margin:12mm}}
 @media print{{section:nth-of-type(n+{first}){{display:none}}main{{zoom:{zoom}}}.verdict{{font-size:15px}}
@@ -74,25 +74,13 @@ LISTED = 40
 HISTOGRAM_BARS = 40
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class OtherRun:
-    """An earlier run to compare with: its folder's name, its result, its errors of place (k,) in m."""
-
-    name: str
-    summary: VerifyOutput
-    error_m: Array
-
-
 def verify_report(
-    result: Verification,
-    summary: VerifyOutput,
-    *,
-    arm: Arm | None,
-    inputs: Sequence[tuple[str, str]] = (),
-    other: OtherRun | None = None,
-    created: datetime | None = None,
+    summary: VerifyResult, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
 ) -> str:
-    """Return the page as HTML text that needs no other file. summary: what verify.json holds."""
+    """Return the page as HTML text that needs no other file; of what was compared with an arm or with commands."""
+    result, arm, other = summary.verification, summary.model, summary.earlier
+    if result is None:
+        raise ValueError("repeats alone have a page of their own")
     page = Page(
         title="Verification" if arm is None else f"Verification of {arm.name}",
         subtitle=f"{summary.n} rows compared, {len(summary.rejected)} left out",
@@ -108,8 +96,9 @@ def verify_report(
         page.add("ISO 9283", ISO_TOLD, iso_table(iso))
     page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
     page.style = PRINT.format(first=4 + shown - (not summary.joints), zoom=0.52 if shown else 0.72)
-    if other is not None:
-        page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
+    if other is not None and other.error_m is not None:
+        compared = _compared(page, result, summary, other.result, other.error_m)
+        page.add("Beside the other run", f"The other run is {other.name}.", compared)
     if arm is not None and result.paired.q is not None:
         page.add("The arm", ARROWS_TOLD, page.plot(arrows(result, arm)))
         page.add("Errors over joint angles", JOINTWISE, page.plot(over_joints(result, arm)))
@@ -119,7 +108,7 @@ def verify_report(
     return page.html(created=created or datetime.now())
 
 
-def _add_background(page: Page, summary: VerifyOutput, inputs: Sequence[tuple[str, str]]) -> None:
+def _add_background(page: Page, summary: VerifyResult, inputs: Sequence[tuple[str, str]]) -> None:
     """Add what the figures rest on: base and tool, what to know, rows left out, files."""
     page.add("Base and tool", "", _alignment_table(summary))
     if summary.doubts:
@@ -132,7 +121,7 @@ def _add_background(page: Page, summary: VerifyOutput, inputs: Sequence[tuple[st
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
 
 
-def _cards(summary: VerifyOutput) -> list[Card]:
+def _cards(summary: VerifyResult) -> list[Card]:
     after, before, time = summary.after, summary.before, summary.time
     if after is None or before is None:
         return []  # of repeats alone
@@ -160,7 +149,7 @@ def _cards(summary: VerifyOutput) -> list[Card]:
     return cards
 
 
-def _task_table(summary: VerifyOutput) -> str:
+def _task_table(summary: VerifyResult) -> str:
     rows = []
     for name, figures in summary.task.items():
         stem, unit, factor = displayed_name(name)
@@ -171,7 +160,7 @@ def _task_table(summary: VerifyOutput) -> str:
     return table(header, rows, numbers=range(1, len(header)))
 
 
-def _joint_table(summary: VerifyOutput) -> str:
+def _joint_table(summary: VerifyResult) -> str:
     rows = []
     for joint in summary.joints:
         shown = [_degrees(x) for x in (joint.me, joint.mae, joint.max, joint.sd, joint.measurement_std)]
@@ -195,12 +184,6 @@ def _joint_table(summary: VerifyOutput) -> str:
 
 def _degrees(value: float | None) -> str:
     return figure_of(None if value is None else value / DEG)
-
-
-def symbol_of(name: str) -> tuple[str, str, float]:
-    """Return a figure's symbol, the unit it is shown in, and that unit in SI."""
-    symbol, unit = unit_of(name)
-    return (symbol, "%", 0.01) if unit == "1" else (symbol, page_unit(displayed(unit)[0]), displayed(unit)[1])
 
 
 def iso_table(figures: Mapping[str, IsoFigure]) -> str:
@@ -262,7 +245,7 @@ def _repeats(item: IsoFigure) -> str:
     return f"{item.n} of {item.wanted}" if item.n < item.wanted else str(item.n)
 
 
-def _alignment_table(summary: VerifyOutput) -> str:
+def _alignment_table(summary: VerifyResult) -> str:
     alignment = summary.alignment
     rows = []
     for words, pose in ((BASE, alignment.T_measured_base), (TOOL, alignment.T_flange_tool)):
@@ -357,17 +340,17 @@ def over_joints(result: Verification, arm: Arm) -> Figure:
     return Figure(data=data, layout=layout(showlegend=False, **more), height_px=260 * lines)
 
 
-def _compared(page: Page, result: Verification, summary: VerifyOutput, other: OtherRun) -> str:
-    after = [each.after for each in (other.summary, summary) if each.after is not None]
+def _compared(page: Page, result: Verification, summary: VerifyResult, other: VerifyResult, error_m: Array) -> str:
+    after = [each.after for each in (other, summary) if each.after is not None]
     rows: list[list[object]] = [
         ["place, mm RMS", *(figure_of(each.rms_m / MM) for each in after)],
         ["place, mm largest", *(figure_of(each.max_m / MM) for each in after)],
         ["rotation, ° RMS", *(_degrees(each.rms_rad) for each in after)],
-        ["rows", other.summary.n, summary.n],
-        ["cause", other.summary.cause, summary.cause],
+        ["rows", other.n, summary.n],
+        ["cause", other.cause, summary.cause],
     ]
     own = np.linalg.norm(result.task[:, :3], axis=1)
-    edges = np.linspace(0.0, float(max(own.max(), other.error_m.max())) / MM, HISTOGRAM_BARS + 1)
+    edges = np.linspace(0.0, float(max(own.max(), error_m.max())) / MM, HISTOGRAM_BARS + 1)
     middle, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
     data = [
         bars(
@@ -379,7 +362,7 @@ def _compared(page: Page, result: Verification, summary: VerifyOutput, other: Ot
             opacity=0.6,
             hoverinfo="skip",
         )
-        for name, error, colour in (("other", other.error_m, GREY), ("this", own, BLUE))
+        for name, error, colour in (("other", error_m, GREY), ("this", own, BLUE))
     ]
     shape = layout(xaxis=axis("error of place, mm"), yaxis=axis("share of the rows", tickformat=".0%"))
     figure = Figure(data=data, layout=shape, height_px=300)

@@ -18,23 +18,38 @@ from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
-from armsight.file_names import ARM, CELL, RIG, TARGET, WORLD
+from armsight.file_names import (
+    ARM,
+    CELL,
+    ERRORS,
+    MASTERING,
+    PLAN,
+    PLAN_SUMMARY,
+    RIG,
+    TARGET,
+    VERIFY,
+    WORLD,
+)
 from armsight.kinematics import Arm
 from armsight.measure.track import PoseTrack
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
-from armsight.store.atomic import write_json
+from armsight.store.atomic import write_json, write_text
 from armsight.store.calibrated_arm import write_calibrated_arm
 from armsight.store.handeye_file import write_handeye, write_tip
 from armsight.store.limits_file import write_limits
-from armsight.store.path_file import write_path
+from armsight.store.path_file import write_path, write_test_plan
 from armsight.store.rigs import write_camera, write_rig
+from armsight.store.tables import cells, table_text, word
 from armsight.store.targets import write_target
 from armsight.store.tracks import write_poses, write_tum
 from armsight.store.urdf import write_urdf
 from armsight.store.worlds import World, write_world
 from armsight.store.zoom import with_setting, write_zoom_camera
+from armsight.verify.iso9283.plan import VerifyPlanOutput
+from armsight.verify.live import VerifyLiveOutput
+from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
 
 Writer = Callable[[Path, Any], object]
 
@@ -93,6 +108,29 @@ def write_placed_rig(path: Path, result: RobotWorldResult, *, inputs: Sequence[P
     write_world(path, world, inputs=inputs)
 
 
+def write_verified(
+    folder: Path, result: VerifyResult | VerifyLiveOutput | MasteringOutput, *, inputs: Sequence[Path] = ()
+) -> None:
+    """Write verify.json into a folder, and errors.csv where the result has rows."""
+    write_json(folder / VERIFY, result.to_dict())
+    if not isinstance(result, MasteringOutput):
+        write_text(folder / ERRORS, table_text(result.table))
+
+
+def write_poses_to_measure(folder: Path, result: MasteringPlanOutput, *, inputs: Sequence[Path] = ()) -> None:
+    """Write mastering.csv into a folder: the joint readings to drive to."""
+    n = len(result.poses[0].q)
+    lines = [",".join(["pose", *(f"q{i + 1}" for i in range(n)), "decides"])]
+    lines += [f"{k},{cells(pose.q)},{word(' '.join(pose.decides))}" for k, pose in enumerate(result.poses, 1)]
+    write_text(folder / MASTERING, "\n".join(lines) + "\n")
+
+
+def write_planned_test(folder: Path, result: VerifyPlanOutput, *, inputs: Sequence[Path] = ()) -> None:
+    """Write plan.csv and plan.json into a folder."""
+    write_test_plan(folder / PLAN, result)
+    write_json(folder / PLAN_SUMMARY, result.to_dict())
+
+
 WRITERS: Mapping[type, Mapping[str, Writer]] = {
     Camera: dict.fromkeys(YAML, write_camera),
     Rig: dict.fromkeys(YAML, write_rig),
@@ -113,6 +151,11 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     TargetResult: dict.fromkeys(YAML, write_lights),
     TimingResult: dict.fromkeys(YAML, write_rig_of),
     ToolTipResult: dict.fromkeys(YAML, write_tip),
+    VerifyResult: {"": write_verified},
+    VerifyLiveOutput: {"": write_verified},
+    MasteringOutput: {"": write_verified},
+    MasteringPlanOutput: {"": write_poses_to_measure},
+    VerifyPlanOutput: {"": write_planned_test},
 }
 """By class; a class stands before its bases."""
 

@@ -7,7 +7,7 @@ import difflib
 import io
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -370,6 +370,17 @@ def bare(text: str) -> str:
 def cells(values: Sequence[float] | Array) -> str:
     """Return numbers as comma-separated cells in full precision."""
     return ",".join(["" if value != value else repr(float(value)) for value in values])
+
+
+def table_text(columns: Mapping[str, NDArray[Any] | list[str]]) -> str:
+    """Return columns as a table: numbers in full precision, NaN as an empty cell, whole ones as they are, texts."""
+    shown = []
+    for column in columns.values():
+        if isinstance(column, list):
+            shown.append(map(word, column))
+        else:
+            shown.append(map(number if column.dtype.kind == "f" else str, column.tolist()))
+    return "\n".join([",".join(columns), *map(",".join, zip(*shown, strict=True))]) + "\n"
 
 
 def read_columns(data: bytes) -> Columns:

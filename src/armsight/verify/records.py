@@ -14,6 +14,8 @@ from armsight.records import frozen_array
 from armsight.records.checks import check_spread
 from armsight.records.output import Output, output
 
+Columns = dict[str, Array | Index | list[str]]
+"""A table by column: numbers, NaN where there is none, or texts."""
 Rejected = tuple[tuple[int, str], ...]
 """(row of the file from 1, why)."""
 

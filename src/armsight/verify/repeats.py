@@ -10,12 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array, Index
 from armsight.calibrate.timing.sampling import SHARED
+from armsight.columns import POSITION
 from armsight.errors import Inconsistent
 from armsight.verify.body import FEWEST, Bodies, bodies_of
 from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, Stamps
 from armsight.verify.iso9283.observations import random_part
 from armsight.verify.iso9283.pose import pose_figures
-from armsight.verify.records import Measured, Repeats
+from armsight.verify.records import Columns, Measured, Repeats
 
 SAME_COMMAND_M = 1e-3
 """Commands of one pose's visits that lie further apart are not of one pose."""
@@ -308,3 +309,20 @@ def polyline(T: Array, turned: bool, speed_m_s: float | None = None) -> Commande
         return None
     quat = Rotation.from_matrix(T[kept, :3, :3]).as_quat() if turned else None
     return CommandedPath(xyz_m=T[kept, :3, 3], quat_xyzw=quat, speed_m_s=speed_m_s)
+
+
+def about_mean(measured: Measured, repeats: Repeats) -> Columns:
+    """Return the measured places row by row with their repeat, and how far each is from the mean of its pose, m."""
+    pose = np.array(repeats.at_pose)
+    apart = np.full(len(measured), np.nan)
+    for name in sorted(set(pose) - {""}):
+        own = measured.xyz_m[pose == name]
+        apart[pose == name] = np.linalg.norm(own - own.mean(axis=0), axis=1)
+    return {
+        "row": measured.rows,
+        "pose": list(repeats.pose),
+        "visit": list(repeats.visit),
+        "run": list(repeats.run),
+        **dict(zip(POSITION, measured.xyz_m.T, strict=True)),
+        "from_mean_m": apart,
+    }

@@ -1,77 +1,29 @@
-"""What a verification comes to: of a recording, live, and of an arm's zeros."""
+"""What a verification comes to: of a recording, and of an arm's zeros after a crash."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.arrays import Array
+from armsight.columns import POSE6
 from armsight.fields import Doc
+from armsight.kinematics import Arm, JointType
+from armsight.records.by_value import Saveable
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import MEANING, RejectedRow, Verdict
-from armsight.units import figure_of, with_deviation
-from armsight.verify.records import Figures
-from armsight.verify.supervision import Limits
-from armsight.verify.verdicts import live_verdict, mastering_verdict, verify_verdict
-from armsight.verify.verification import Configurations
-
-
-@output
-class LiveAlarm(Output):
-    """A level that was raised, or something that supervision lost."""
-
-    t_s: Annotated[float, Doc("When, on the cameras' clock, s: the middle of the exposure that told it.")]
-    level: Annotated[str, Doc("warn, stop, or blind: nothing could be compared for a while.")]
-    why: Annotated[str, Doc("What was off and by how much, or what was lost.")]
-
-
-@output
-class LiveErrors(Output):
-    """Errors of the poses compared."""
-
-    rms_m: Annotated[float | None, Doc("Of the place, root mean square, m; null where nothing was compared.")]
-    max_m: Annotated[float | None, Doc("Largest error of the place, m.")]
-    rms_rad: Annotated[float | None, Doc("Of the rotation, root mean square, rad.")]
-    max_rad: Annotated[float | None, Doc("Largest error of the rotation, rad.")]
-    std_m: Annotated[
-        float | None, Doc("What measurement and expectation may be off along the error, RMS of standard deviations, m.")
-    ]
-    std_rad: Annotated[float | None, Doc("The same of the rotation, rad.")]
-
-
-@output
-class DecisionTime(Output):
-    """Time from a pair of frames in memory to the decision on it, ms."""
-
-    median: Annotated[float, Doc("Median, ms.")]
-    p99: Annotated[float, Doc("99 of 100 took less, ms.")]
-
-
-@output
-class VerifyLiveOutput(Output):
-    """armsight verify --live."""
-
-    n: Annotated[int, Doc("Pairs of frames seen.")]
-    n_compared: Annotated[int, Doc("Pairs that were compared.")]
-    n_lost: Annotated[int, Doc("Pairs in which the target was not seen whole.")]
-    n_stale: Annotated[int, Doc("Pairs for which the joints were not known.")]
-    duration_s: Annotated[float, Doc("From the first pair to the last, s.")]
-    rate_hz: Annotated[float | None, Doc("Pairs a second; null for fewer than two.")]
-    missed: Annotated[int, Doc("Frames of the left camera that never arrived, by their numbers.")]
-    level: Annotated[str, Doc("The gravest level raised: good, warn or stop; unknown where nothing was compared.")]
-    stopped: Annotated[bool, Doc("Whether the robot was told to stop.")]
-    alarms: Annotated[list[LiveAlarm], Doc("What was raised, in the order of time.")]
-    errors: Annotated[LiveErrors, Doc("Measured minus expected.")]
-    levels: Annotated[Limits, Doc("The levels of alarm.")]
-    blind_s: Annotated[float, Doc("Longest time in which nothing could be compared, s.")]
-    decision_ms: Annotated[DecisionTime | None, Doc("How long a decision took; null without one.")]
-    recording: Annotated[str | None, Doc("The recording; null where none was made.")]
-    doubts: Annotated[list[str], Doc("What to know before believing it.")]
-    verdict: Annotated[str, Doc("What it comes to, in words.")]
-
-    @figure(MEANING, optional=True)
-    def verdict_(self) -> Verdict:
-        return live_verdict(self)
+from armsight.shown import REJECTED_SHOWN, RESULTS, Bars, Shown, Table, digits
+from armsight.units import DEG, MM, MS, displayed_name
+from armsight.verify.iso9283.figure import IsoFigure, symbol_of
+from armsight.verify.records import Columns, Figures, Measured, Repeats
+from armsight.verify.repeats import about_mean
+from armsight.verify.verdicts import mastering_verdict, verify_verdict
+from armsight.verify.verification import Configurations, Verification
 
 
 @output
@@ -93,6 +45,17 @@ class MasteringPlanOutput(Output):
     ]
     file: Annotated[str, Doc("The table of joint targets that was written.")]
     notes: Annotated[list[str], Doc("What to know before driving.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        rows = [
+            [f"{k}", *(f"{value:.4f}" for value in pose.q), " ".join(pose.decides)]
+            for k, pose in enumerate(self.poses, 1)
+        ]
+        header = ["pose", *(f"q{i + 1}" for i in range(len(self.poses[0].q))), "decides"]
+        yield Table("Poses to measure, rad or m", header, rows)
+        yield from (f"- {note}" for note in self.notes)
+        yield f"Drive to each and measure there; then give --measured poses.csv --joints {self.file}"
 
 
 @output
@@ -124,10 +87,29 @@ class MasteringOutput(Output):
     rejected: Annotated[list[RejectedRow], Doc("Rows left out, and why.")]
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
+    model: Arm | None = None
 
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         return mastering_verdict(self)
+
+    @property
+    def slides(self) -> list[int]:
+        """The indices, from 1, of the joints that slide."""
+        joints = () if self.model is None else self.model.joints
+        return [k for k, joint in enumerate(joints, 1) if joint.type is JointType.PRISMATIC]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        rows = []
+        for joint in self.joints:
+            shown = [digits(None if one is None else one / DEG) for one in (joint.offset_rad, joint.std_rad)]
+            rows.append([f"{joint.index} {joint.name}", *shown, joint.why])
+        yield Table("Zeros", ["joint", "deg", "+-", ""], rows)
+        yield from (f"  left out: row {left.row}: {left.why}" for left in self.rejected)
+        yield from (f"  {text}" for text in self.doubts)
+        yield f"Cause: {self.cause}. {self.verdict}"
+        yield RESULTS
 
 
 @output
@@ -211,26 +193,6 @@ class Explained(Output):
 
 
 @output
-class IsoFigure(Output):
-    """A figure of ISO 9283."""
-
-    value: Annotated[float | None, Doc("The figure; null where withheld.")]
-    n: Annotated[int, Doc("Visits that it rests on.")]
-    wanted: Annotated[int, Doc("Visits that the norm asks for.")]
-    withheld: Annotated[str | None, Doc("Why it is not given; null where it is.")]
-    std: Annotated[float | None, Doc("Its standard deviation.")]
-    corrected: Annotated[float | None, Doc("Without the measurement's own scatter; null where not known.")]
-    corrected_std: Annotated[float | None, Doc("Its standard deviation.")]
-    note: Annotated[str, Doc("What else to know of it; empty where nothing.")]
-
-    def shown(self, factor: float) -> str:
-        """Return it ± its standard deviation, where it has one, both to the same digit; a dash where withheld."""
-        if self.value is None or not self.std:
-            return figure_of(None if self.value is None else self.value / factor)
-        return " ± ".join(with_deviation(self.value / factor, self.std / factor))
-
-
-@output
 class ComparedRun(Output):
     """The run that this one is compared with (--compare): its figures."""
 
@@ -240,9 +202,22 @@ class ComparedRun(Output):
     cause: Annotated[str, Doc("Its cause.")]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EarlierRun:
+    """A run to stand beside this one: its folder's name, its result, its errors of place (k,) in m; None of repeats."""
+
+    name: str
+    result: VerifyResult
+    error_m: Array | None
+
+
 @output
-class VerifyOutput(Output):
-    """armsight verify."""
+class VerifyResult(Output, Saveable):
+    """armsight verify.
+
+    verification, model: what was compared, and the arm; None of repeats alone, whose rows are repeated. earlier: the
+    run of --compare. These are for Python and for the page.
+    """
 
     n: Annotated[int, Doc("Rows compared.")]
     time: Annotated[VerifyTime, Doc("How measured rows and the arm's were laid on one time.")]
@@ -267,7 +242,112 @@ class VerifyOutput(Output):
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
     compared: Annotated[ComparedRun | None, Doc("The other run; with --compare.")] = None
+    verification: Verification | None = None
+    model: Arm | None = None
+    repeated: tuple[Measured, Repeats] | None = None
+    earlier: EarlierRun | None = None
 
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         return verify_verdict(self)
+
+    @property
+    def table(self) -> Columns:
+        """The columns of errors.csv: the errors row by row, or repeats about the mean of their pose."""
+        if self.verification is not None:
+            return _errors(self.verification)
+        return {} if self.repeated is None else about_mean(*self.repeated)
+
+    @property
+    def errors(self) -> dict[str, Array | list[str]]:
+        """Columns (n,) by row of what was compared: numbers where all cells are, NaN for empty ones, else texts."""
+        return {name: _numbers(column) for name, column in self.table.items()}
+
+    def bars(self) -> Bars:
+        """Return each row's error of place, mm."""
+        table = self.table
+        error_m = table["error_m"] if "error_m" in table else table["from_mean_m"]
+        values = [1e3 * float(one) for one in error_m]
+        return Bars(self.verdict, [str(row) for row in table["row"]], values, "row", "error, mm")
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        rows = []
+        for name, item in self.task.items():
+            stem, unit, factor = displayed_name(name)
+            values = (item.me, item.mae, item.max, item.sd, self.measurement_std.get(name))
+            rows.append([f"{stem} {unit}", *(digits(None if one is None else one / factor) for one in values)])
+        if rows:
+            yield Table("Measured minus expected", ["", "mean", "mean abs.", "largest", "sd", "measurement +-"], rows)
+        yield from self._joints_and_frames()
+        yield from (f"  {text}" for text in self.doubts)
+        yield from (f"  left out: row {left.row}: {left.why}" for left in self.rejected[:REJECTED_SHOWN])
+        if len(self.rejected) > REJECTED_SHOWN:
+            yield f"  ... and {len(self.rejected) - REJECTED_SHOWN} more, see verify.json"
+        yield from _iso_figures(self.iso9283)
+        if self.compared is not None and self.compared.after is not None and self.after is not None:
+            before, after = self.compared.after.rms_m / MM, self.after.rms_m / MM
+            yield f"Beside {self.compared.folder}: {digits(before)} mm RMS there, {digits(after)} here"
+        yield f"Cause: {self.cause}. {self.verdict}" if self.task else self.verdict
+        for q in self.decide_by or ():
+            yield "  measure at " + ", ".join(f"{value:.4f}" for value in q)
+        yield RESULTS
+
+    def _joints_and_frames(self) -> Iterator[Shown]:
+        if self.joints:
+            header = ["joint", "mean deg", "mean abs.", "largest", "zero deg", "+-", "alone explains"]
+            yield Table("Joints", header, [_joint_row(joint) for joint in self.joints])
+        if self.time.offset_s is not None and self.time.std_s is not None:
+            yield f"Time offset {self.time.offset_s:.6f} s +- {digits(self.time.std_s / MS, 2)} ms"
+        if self.alignment.undetermined:
+            yield f"Not determined by these rows: {', '.join(self.alignment.undetermined)}"
+
+
+def _errors(result: Verification) -> Columns:
+    """Return errors by row: of place and rotation in the base's axes, and of the joints where they are known."""
+    n, turned, at_s = len(result.task), result.task.shape[1] == 6, result.paired.at_s
+    nothing = np.full(n, np.nan)
+    columns: Columns = {
+        "row": result.paired.measured.rows[result.kept],
+        "t_s": nothing if at_s is None else at_s[result.kept],
+        **{name: result.task[:, k] if k < 3 or turned else nothing for k, name in enumerate(POSE6)},
+        "error_m": np.array([np.linalg.norm(error[:3]) for error in result.task]),
+        "error_rad": np.array([np.linalg.norm(error[3:]) for error in result.task]) if turned else nothing,
+    }
+    dq = np.empty((n, 0)) if result.joints is None else result.joints.dq
+    return columns | {f"dq{i + 1}": column for i, column in enumerate(dq.T)}
+
+
+def _numbers(column: Array | NDArray[np.intp] | Sequence[str]) -> Array | list[str]:
+    if isinstance(column, np.ndarray):
+        return column.astype(float)
+    try:
+        return np.array([float(cell) if cell else np.nan for cell in column])
+    except ValueError:
+        return list(column)
+
+
+def _joint_row(joint: VerifyJoint) -> list[str]:
+    values = (joint.me, joint.mae, joint.max, joint.offset_rad, joint.std_rad)
+    shown = [digits(None if one is None else one / DEG) for one in values]
+    gain = "-" if joint.gain_heldout is None else f"{100.0 * joint.gain_heldout:.1f} %"
+    return [f"{joint.index} {joint.name}", *shown, gain if joint.judged else "not judged"]
+
+
+def _iso_figures(iso: Mapping[str, IsoFigure]) -> Iterator[Shown]:
+    """Yield the figures of ISO 9283 that are given, and why others are not."""
+    given = {name: item for name, item in iso.items() if " " not in name and item.n}
+    rows = []
+    for name, item in given.items():
+        if item.value is not None:
+            repeats = f"{item.n} of {item.wanted}" if item.n < item.wanted else str(item.n)
+            symbol, unit, size = symbol_of(name)
+            shown = (digits(None if one is None else one / size) for one in (item.value, item.std))
+            rows.append([symbol, *shown, unit, repeats])
+    if rows:
+        yield Table("ISO 9283, the worst place", ["figure", "value", "+-", "unit", "repeats"], rows)
+    why: dict[str, list[str]] = {}
+    for name, item in given.items():
+        if item.withheld is not None:
+            why.setdefault(item.withheld, []).append(name)
+    yield from (f"  withheld: {', '.join(names)}: {text}" for text, names in why.items())

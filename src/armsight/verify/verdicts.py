@@ -11,7 +11,8 @@ from armsight.verify.alignment import FOREIGN
 from armsight.verify.effects import Kind
 
 if TYPE_CHECKING:
-    from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
+    from armsight.verify.live import VerifyLiveOutput
+    from armsight.verify.results import MasteringOutput, VerifyResult
 
 MANY_FOREIGN = 0.1
 """Share of the rows that miss what the others agree on from which something moved: slips and lost targets are fewer."""
@@ -78,7 +79,7 @@ MORE = 'Measure again with what is asked for under "Withheld" below.'
 WARM_UP = "Let the arm run until it is warm, and measure again; how far it goes in a shift, dAP and dRP tell."
 
 
-def verify_verdict(done: VerifyOutput) -> Verdict:
+def verify_verdict(done: VerifyResult) -> Verdict:
     """Return what a verification comes to. What base and tool, laid best, may hide is not called good, nor is a part of
     the rows where the others are gross."""
     if done.after is None:
@@ -100,19 +101,19 @@ def verify_verdict(done: VerifyOutput) -> Verdict:
     )
 
 
-def _hides(done: VerifyOutput) -> bool:
+def _hides(done: VerifyResult) -> bool:
     """Whether base and tool, laid best, may hide more of the arm's own errors than is left over."""
     hidden_m, after = done.alignment.hidden_m, done.after
     return hidden_m is not None and after is not None and hidden_m > after.rms_m
 
 
-def _foreign(done: VerifyOutput) -> bool:
+def _foreign(done: VerifyResult) -> bool:
     """Whether so many rows were left out as gross that those left are only a part of what happened."""
     gross = sum(row.why.startswith(FOREIGN) for row in done.rejected)
     return gross > MANY_FOREIGN * (done.n + gross)
 
 
-def _repeats(done: VerifyOutput) -> Verdict:
+def _repeats(done: VerifyResult) -> Verdict:
     """Return what repeats alone come to: first of all the repeatability of the worst pose, and what that means."""
     worst, said = done.iso9283.get("RP_m"), done.verdict
     if worst is not None and worst.value is not None:

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from armsight.app.requests.verify import VerifyJob
-from armsight.app.verify.run import run_verify
 from armsight.ops.files import join
+from armsight.ops.verify import verify
 from armsight.store.arm_points import read_arm_points
 from armsight.store.handeye_file import read_pairs
 from armsight.store.interpret import TableFormat
@@ -70,8 +69,8 @@ def test_a_point_touched_again_and_again_at_zero_was_not_lost():
 def test_zeros_do_not_turn_the_verdict_and_reach_no_table(tmp_path):
     folder = case("trackers")
     files = {"measured": folder / "xyz_zero.csv", "arm": "ur10", "joints": folder / "joints_off.csv"}
-    found = run_verify(VerifyJob(**files, out=tmp_path / "v"))
-    full = run_verify(VerifyJob(**{**files, "measured": folder / "xyz_full.csv"}, out=tmp_path / "full"))
+    found = verify(**files, out=tmp_path / "v")
+    full = verify(**{**files, "measured": folder / "xyz_full.csv"}, out=tmp_path / "full")
     assert found.cause == full.cause and found.n >= 110 and abs(found.time.offset_s) < 3 * found.time.std_s
     off_rad, std_rad = found.joints[2].offset_rad, found.joints[2].std_rad
     assert (

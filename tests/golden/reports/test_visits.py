@@ -2,14 +2,13 @@
 
 import pytest
 
-from armsight.app.requests.verify import VerifyJob
-from armsight.app.verify.run import run_verify
+from armsight.ops.verify import verify
 from refusals import names_it
 from reports import case
 
 
 def test_visits_that_drift_are_told_and_their_deviation_is_withheld(tmp_path):
-    done = run_verify(VerifyJob(measured=case("arms-25") / "visits.csv", out=tmp_path / "v"))
+    done = verify(measured=case("arms-25") / "visits.csv", out=tmp_path / "v")
     rp = done.iso9283["RP_m"]
     assert rp.value == pytest.approx(0.372e-3, abs=2e-6)  # by formula, as the case gives it
     assert rp.std is None and names_it(rp.note, "drift", "independent")

@@ -330,8 +330,8 @@ def figures_of(folder: Path | None = None, *, out: Path, value: float = 1.0) -> 
 
 def test_a_function_of_python_gets_the_jobs_folder_and_gives_its_figures(tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
-    made = _job("a", "armsight.api.runs.measure", {"rig": rig, "value": 2.0, "many": [rig, "x"]})
-    assert (made.command, made.inputs) == ("runs.measure", (str(rig), str(rig), "x"))
+    made = _job("a", "armsight.ops.measure.measure", {"rig": rig, "value": 2.0, "many": [rig, "x"]})
+    assert (made.command, made.inputs) == ("measure.measure", (str(rig), str(rig), "x"))
     ended = call(figures_of, job("a", value=2.0), tmp_path)
     assert ended.figures == {"out": str(tmp_path), "value": 2.0}
     with refuses(UsageError, "int", "dictionary"):

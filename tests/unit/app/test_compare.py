@@ -10,12 +10,11 @@ from typer.testing import CliRunner
 
 from armsight.app.compare.calibrations import Value, differences, judged
 from armsight.app.measure.outputs import made_with
-from armsight.app.requests.verify import VerifyJob
-from armsight.app.verify.run import run_verify
 from armsight.cli.commands import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import preset
 from armsight.ops.files import compare
+from armsight.ops.verify import verify
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance, Target, TargetKind
 from armsight.store import read_rig, write_camera, write_rig
@@ -242,7 +241,7 @@ def verify_folder(folder, seed, *, scatter_m=3e-5):
             x, y, z = np.array([x_m, 0.1, 0.4]) + scatter_m * rng.standard_normal(3)
             lines.append(f"{name},{visit},{x},{y},{z}")
     (folder / "visits.csv").write_text("\n".join(lines) + "\n")
-    run_verify(VerifyJob(measured=folder / "visits.csv", out=folder))
+    verify(measured=folder / "visits.csv", out=folder)
     return folder
 
 

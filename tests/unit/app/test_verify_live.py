@@ -11,18 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.simulate.scenarios import load_scenario
-from armsight.app.verify.live import run_verify_live
 from armsight.app.verify.supervising import Supervised
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, NotEnoughData
+from armsight.ops.verify import supervise
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.recording import Recording
 from armsight.store.worlds import World, write_world
-from armsight.verify.supervision import Limits
 from armsight_plant.options import FoxgloveOptions, PlantOptions
 from armsight_plant.publishing import Publishing
 from armsight_plant.state import PlantState, conditions
@@ -68,23 +66,21 @@ class Cell:
         content = {"format": "armsight/arm", "version": 1, **world.true.mapping(world.T_flange_tool)}
         write_arm(folder / "arm.yaml", arm_from_mapping(content, "arm"))
 
-    def run(self, show: Any = lambda *_: None, tell: Any = lambda _: None, **more: Any) -> dict[str, Any]:
+    def run(self, **more: Any) -> dict[str, Any]:
         """Supervise; return the summary."""
-        job = LiveVerifyJob(
-            robot="here", left="here", right="here", out=self.folder / "out", arm=str(self.folder / "arm.yaml"),
-            **{name: self.folder / f"{name}.yaml" for name in ("rig", "target", "world")}, **more,
-        )  # fmt: skip
         devices = Supervised(
             robot=self.cell.robot,
             pairs=self.cell.pairs,
             origin_s=lambda: self.cell.origin_s,
             on_step=self.clock.calls.append,
         )
-        return run_verify_live(job, show, tell=tell, clock=self.clock, devices=devices).to_dict()
+        files = {name: self.folder / f"{name}.yaml" for name in ("rig", "target", "arm", "world")}
+        given = {"robot": "here", "left": "here", "right": "here", "out": self.folder / "out", **files, **more}
+        return supervise(**given, clock=self.clock, devices=devices).to_dict()
 
 
 def test_a_good_arm_raises_nothing_though_it_moves(tmp_path: Path) -> None:
-    done = Cell(tmp_path, []).run(limits=Limits(warn_m=5e-4, stop_m=2e-3), limit=60)
+    done = Cell(tmp_path, []).run(warn_m=5e-4, stop_m=2e-3, frames=60)
     assert done["level"] == "good" and not done["stopped"] and done["alarms"] == []
     assert done["n"] == 60 and done["n_compared"] >= 58 and done["missed"] == 0
     assert done["errors"]["max_m"] < 5e-4
@@ -104,7 +100,7 @@ def test_a_fault_stops_the_robot_and_is_in_the_recording(tmp_path: Path, event: 
     stopped_at: list[float] = []
     stop = cell.cell.robot.stop
     cell.cell.robot.stop = lambda: (stopped_at.append(cell.clock.now_s()), stop())[1]
-    done = cell.run(limits=Limits(warn_m=5e-4, stop_m=2e-3), limit=200)
+    done = cell.run(warn_m=5e-4, stop_m=2e-3, frames=200)
     assert done["level"] == "stop" and done["stopped"]
     first = done["alarms"][0]
     assert 0.5 <= first["t_s"] <= 0.56, "no alarm before the fault, and one within some frames of it"
@@ -124,16 +120,7 @@ def test_what_is_lost_is_told_and_never_counted_as_good(tmp_path: Path) -> None:
         if len(seen) == 20:
             cell.cell.pairs.cover()
 
-    job = {"limits": Limits(stop_m=2e-3), "limit": 80, "blind_stop_s": 0.8}
-    devices = Supervised(
-        robot=cell.cell.robot, pairs=cell.cell.pairs, origin_s=lambda: cell.cell.origin_s,
-        on_step=cell.clock.calls.append,
-    )  # fmt: skip
-    files = {name: tmp_path / f"{name}.yaml" for name in ("rig", "target", "world")}
-    given = LiveVerifyJob(
-        robot="here", left="here", right="here", out=tmp_path / "out", arm=str(tmp_path / "arm.yaml"), **files, **job
-    )
-    done = run_verify_live(given, show, clock=cell.clock, devices=devices).to_dict()
+    done = cell.run(stop_m=2e-3, frames=80, blind_stop_s=0.8, show=show)
     assert done["n_lost"] >= 40 and done["n_compared"] <= 20 and done["blind_s"] >= 0.8
     assert [alarm["level"] for alarm in done["alarms"]] == ["blind", "stop"] and done["stopped"]
     assert f"{done['n_lost']} of {done['n_lost'] + done['n_compared']} pairs" in done["verdict"]
@@ -144,7 +131,7 @@ def test_joints_that_stand_still_in_the_link_are_stale_not_good(tmp_path: Path) 
     with cell.cell.robot:
         cell.cell.robot.fault(RobotFault.FROZEN)
     with pytest.raises(NotEnoughData, match="joints"):
-        cell.run(limits=Limits(warn_m=1e-3), limit=20)
+        cell.run(warn_m=1e-3, frames=20)
     summary = json.loads((tmp_path / "out" / "verify.json").read_text())
     assert summary["level"] == "unknown" and summary["n_compared"] == 0 and summary["n_stale"] == 20
 
@@ -197,7 +184,7 @@ def test_the_plant_is_told_of_each_pair_what_is_known_and_no_more(
         if len(told.states) == 29:
             told.log("info", "later")
 
-    cell.run(limits=Limits(warn_m=2e-3), limit=30, plant=told_of, show=show, tell=said.append)
+    cell.run(warn_m=2e-3, frames=30, plant=told_of, show=show, tell=said.append)
     tolerances = [one.seen.in_tolerance for one in told.states if one.seen is not None]
     assert len(told.states) == 30 and tolerances[-1] is False
     assert set(tolerances[: tolerances.index(False)]) <= {True, None} and True in tolerances
@@ -223,7 +210,7 @@ def test_the_plant_is_told_nothing_of_a_robot_whose_link_is_lost(
             cell.cell.robot.fault(RobotFault.LINK_LOST)
 
     told_of = Publishing(PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0)))
-    cell.run(limits=Limits(warn_m=2e-3), blind_stop_s=0.2, limit=60, show=show, plant=told_of)
+    cell.run(warn_m=2e-3, blind_stop_s=0.2, frames=60, show=show, plant=told_of)
     last = told.states[-1]
     assert last.robot is None and last.why
     assert "robot" in [one.name for one in conditions(last)]

@@ -7,7 +7,6 @@ import pytest
 
 import armsight.store
 import armsight_lab
-from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.columns import POSE6
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.cell_file import CellFile
@@ -27,6 +26,7 @@ from armsight.store.tracks import POINT_COLUMNS, SPOT_COLUMNS, parse_joints, par
 from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import dump_yaml, parse_yaml
 from armsight.store.zoom import is_zoom_camera, zoom_camera_from_mapping
+from armsight.verify.live import ERROR_COLUMNS
 from armsight_lab.batch.job_files import parse_jobs
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "file-formats.md"
@@ -66,7 +66,11 @@ READERS = {
     "index,x_m": lambda data: parse_table(data, "x", PLAN_COLUMNS, text=("tag", "pose"), series="q"),
     "row,t_s": lambda data: parse_table(data, "x", ("row", "t_s", *POSE6, "error_m", "error_rad"), series="dq"),
     "t_s,level": lambda data: parse_table(
-        data, "x", HEADER, text=("level", "lost"), blank=(*ERROR_COLUMNS, "decision_ms")
+        data,
+        "x",
+        ("t_s", "level", *ERROR_COLUMNS, "decision_ms", "lost"),
+        text=("level", "lost"),
+        blank=(*ERROR_COLUMNS, "decision_ms"),
     ),
     "q1,q2": lambda data: standard(data, "points"),
     "base_flange_x_m,base_flange_y_m": lambda data: standard(data, "pairs"),

@@ -185,7 +185,8 @@ def _kinds() -> list[tuple[str, type[Output]]]:
     from armsight.calibrate.handeye import HandEyeResult
     from armsight.calibrate.mirrors.result import MirrorsOutput
     from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
-    from armsight.verify.results import MasteringOutput, VerifyLiveOutput, VerifyOutput
+    from armsight.verify.live import VerifyLiveOutput
+    from armsight.verify.results import MasteringOutput, VerifyResult
 
     return [
         ("calibrate arm", ArmResult),
@@ -199,7 +200,7 @@ def _kinds() -> list[tuple[str, type[Output]]]:
         ("identify", IdentifyOutput),
         ("verify", MasteringOutput),
         ("verify", VerifyLiveOutput),
-        ("verify", VerifyOutput),
+        ("verify", VerifyResult),
     ]
 
 

@@ -16,9 +16,7 @@ from armsight.app.measure.run import target_of
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import StationPoses
-from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.mastering import seen_whole
-from armsight.app.verify.run import run_verify
 from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import PathSegment, PoseObserver, PoseVisit, Visitor
@@ -27,6 +25,7 @@ from armsight.drivers import Robot
 from armsight.errors import ArmsightError, DataRefused, NotEnoughData, UsageError
 from armsight.fields import Bounds
 from armsight.kinematics import Arm, singularity_distance, track_path
+from armsight.ops.verify import verify
 from armsight.records import Progress
 from armsight.store import World, read_rig, write_text, write_world
 from armsight.store.cell_file import CellFile, cell_path
@@ -36,7 +35,7 @@ from armsight.store.tables import cells
 from armsight.units import MM
 from armsight.verify.iso9283 import PlannedMotion, TestPlan
 from armsight.verify.iso9283.motions import PLANES, POSE_ORDER, SIDES_M, TestCube
-from armsight.verify.results import VerifyOutput
+from armsight.verify.results import VerifyResult
 
 JOB_NAME = "iso"
 SMALL_SIDES_M = (0.16, 0.1, 0.063)
@@ -79,7 +78,7 @@ class IsoPlan:
 class IsoDone:
     """What came of a run. ended: why it ended before the last cycle, empty where it did not."""
 
-    output: VerifyOutput
+    output: VerifyResult
     folder: Path
     cycles: int
     wanted: int
@@ -258,14 +257,14 @@ def judged(made: IsoPlan, asked: IsoRequest, visits: list[PoseVisit], ended: str
     if visits[0].poses[0].parent == "rig":
         world = out / "world.yaml"
         write_world(world, World(parent="world", T_parent_rig=made.T_world_rig))
-    job = VerifyJob(
-        measured=out / "visits.csv",
+    output = verify(
+        out / "visits.csv",
         commanded=out / "plan.csv",
         world=world,
         align=None if world is not None else "none",
         out=out,
     )
-    return IsoDone(output=run_verify(job), folder=out, cycles=complete, wanted=asked.cycles, ended=ended)
+    return IsoDone(output=output, folder=out, cycles=complete, wanted=asked.cycles, ended=ended)
 
 
 def visits_csv(visits: list[PoseVisit]) -> str:

@@ -12,22 +12,18 @@ from typing import Annotated
 from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
-from armsight.app.requests.verify import JOINT_STD, LATENCY_STD_S
-from armsight.app.verify.live_output import LiveLog, live_output
+from armsight.app.verify.supervising import Judge
 from armsight.clock import SystemClock
 from armsight.control.session.operator_session import Person
-from armsight.defaults import BLIND_S
+from armsight.defaults import BLIND_S, JOINT_STD, LATENCY_STD_S
 from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
-from armsight.file_names import ERRORS, REPORT, VERIFY
+from armsight.ops.action import write_with_page
 from armsight.records import PoseStatus, TargetPose
-from armsight.report.verify_pages import live_report
-from armsight.store import write_text
-from armsight.store.atomic import write_json
 from armsight.store.cell_file import CellFile
 from armsight.units import DEG, MM
-from armsight.verify.results import VerifyLiveOutput
-from armsight.verify.supervision import Compared, Level, Limits, PredictedPose, Seen, Watch
+from armsight.verify.live import VerifyLiveOutput, live_output
+from armsight.verify.supervision import Compared, Level, Limits, PredictedPose, Seen
 
 KEPT = 90_000
 """Moments kept for the files: the newest hour at 25 a second."""
@@ -74,32 +70,31 @@ class StationSupervisor(StationFollower):
         # with world.yaml the station's poses are in its frame, of the world or of the arm's base
         placement = read_placement(folder, cell, target=False)
         self._T_world_shown = placement.world_parent(self._expectation.arm) if cell.world else None
-        self._watch = Watch(limits)
-        self._log = LiveLog(limits=limits)
+        self._judge = Judge(limits, lambda: self._session.stop(SUPERVISION))
         self._last: tuple[Compared | None, str] = (None, "")
-        self._why = ""
-        self.seen = _nothing_yet(limits)
-        """The newest moment, for the plant's systems; that no picture came yet makes them blind too."""
         self._compared_s = time.monotonic()
         self.curve: deque[tuple[float, float, float]] = deque(maxlen=SHOWN)
         self.follow()
 
     @property
+    def seen(self) -> Seen:
+        """The newest moment, for the plant's systems; that no picture came yet makes them blind too."""
+        return self._judge.seen
+
+    @property
     def state(self) -> SupervisedState:
         """How far off the arm is."""
         compared, lost = self._last
-        why = self._why or ("" if compared is not None else lost)
-        return SupervisedState(level=self._watch.level, n=len(self._log.rows), compared=compared, why=why)
+        why = self._judge.why or ("" if compared is not None else lost)
+        return SupervisedState(level=self._judge.level, n=len(self._judge.log.rows), compared=compared, why=why)
 
     def end(self) -> VerifyLiveOutput:
         """End it; write verify.json, errors.csv and report.html. Raises NotEnoughData where nothing was seen."""
         self.close()
-        if not self._log.rows:
+        if not self._judge.log.rows:
             raise NotEnoughData("the cameras showed nothing", consequence="Nothing was supervised")
-        done = live_output(self._log, recording="", doubts=DOUBTS)
-        write_json(self.out / VERIFY, done.to_dict())
-        write_text(self.out / ERRORS, self._log.csv())
-        write_text(self.out / REPORT, live_report(self._log.series(), done, inputs=[]))
+        done = live_output(self._judge.log, recording="", doubts=DOUBTS)
+        write_with_page(self.out, done)
         return done
 
     def _look(self) -> None:
@@ -108,37 +103,20 @@ class StationSupervisor(StationFollower):
 
     def _take(self, shown: Snapshot) -> None:
         begun_s = time.perf_counter()
-        pose = shown.pose
+        pose, judge = shown.pose, self._judge
         compared, lost = self._compared(pose)
-        alarm = None if compared is None else self._watch.add(compared)
-        if alarm is not None:
-            self._log.raised(alarm)
-            self._why = alarm.why
-            if alarm.level is Level.STOP:
-                self._session.stop(SUPERVISION)
-                self._log.stopped = True
-        if self._watch.level is Level.GOOD:
-            self._why = ""
+        alarm = None if compared is None else judge.add(compared)
+        ms = (time.perf_counter() - begun_s) * 1e3
         self._last = (compared, lost)
         self._compared_s = self._compared_s if compared is None else time.monotonic()
-        self.seen = Seen(
-            pose=pose,
-            compared=compared,
-            level=self._watch.level,
-            why=self._why,
-            limits=self._log.limits,
-            lost=lost,
-            at_s=pose.t_s,
-            blind=time.monotonic() - self._compared_s > BLIND_S,
-        )
+        blind = time.monotonic() - self._compared_s > BLIND_S
+        judge.show(pose, compared, lost, alarm, at_s=pose.t_s, blind=blind)
         if compared is not None:
             self.curve.append((compared.t_s, compared.error_m / MM, compared.error_rad / DEG))
-        self._log.add(
-            shown.view.sequence, pose, compared, self._watch.level, lost, (time.perf_counter() - begun_s) * 1e3
-        )
+        judge.log.add(shown.view.sequence, pose, compared, judge.level, lost, ms)
         # a tenth at once: to shift the list by one with every picture would cost more each hour
-        if len(self._log.rows) > KEPT:
-            del self._log.rows[: KEPT // 10]
+        if len(judge.log.rows) > KEPT:
+            del judge.log.rows[: KEPT // 10]
 
     def _compared(self, pose: TargetPose) -> tuple[Compared | None, str]:
         if pose.status is not PoseStatus.OK or pose.T_parent_target is None:
@@ -150,12 +128,6 @@ class StationSupervisor(StationFollower):
             return expectation.compare(pose, self._history.at(pose.t_s)), ""
         except StaleData as error:
             return None, error.cause
-
-
-def _nothing_yet(limits: Limits) -> Seen:
-    now_s, why = time.monotonic(), "no pictures came yet"
-    pose = TargetPose(t_s=now_s, status=PoseStatus.LOST, parent="rig", why=why)
-    return Seen(pose=pose, compared=None, level=Level.GOOD, why="", limits=limits, lost=why, at_s=now_s)
 
 
 def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> PredictedPose:

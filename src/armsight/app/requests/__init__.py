@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from armsight.app.requests import identify as identify
     from armsight.app.requests import motion as motion
-    from armsight.app.requests import verify as verify
 else:
     _MODULES = (
         "identify",
         "motion",
-        "verify",
     )
 
     def __getattr__(name: str) -> object:

@@ -11,8 +11,8 @@ from armsight.store.verify_files import CommandedFile, MeasuredFile
 from armsight.verify import Align, Measured, Reported, Verification
 from armsight.verify.iso9283 import CommandedPath, evaluate
 from armsight.verify.iso9283.drift import trend
+from armsight.verify.iso9283.figure import IsoFigure
 from armsight.verify.repeats import PATH, Command, iso9283_test, polyline
-from armsight.verify.results import IsoFigure
 
 SAME_GOAL_M = 1e-6
 """Rows of one commanded pose's name that differ by more (m) contradict each other."""

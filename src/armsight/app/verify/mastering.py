@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.arm_files import load_arm
-from armsight.app.measure.run import target_of
-from armsight.app.requests.verify import MasteringJob
-from armsight.app.verify.run import in_world
 from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
-from armsight.file_names import MASTERING, REPORT, VERIFY
-from armsight.kinematics import Arm, JointType, fk
+from armsight.file_names import MASTERING
+from armsight.kinematics import Arm, fk
 from armsight.optics import SIDES, Rig
 from armsight.records import Target
 from armsight.records.result_parts import RejectedRow
-from armsight.report.verify_pages import mastering_report
-from armsight.store import World, read_rig, read_world, write_text
-from armsight.store.atomic import write_json
-from armsight.store.tables import cells, word
-from armsight.store.verify_files import MeasuredFile, read_measured, read_reported_joints
+from armsight.store import World
+from armsight.store.verify_files import MeasuredFile, read_reported_joints
 from armsight.units import read_value
 from armsight.verify import Align
 from armsight.verify.mastering import CANDIDATES, SPAN_M, Mastering, Proposal, check_mastering, propose
@@ -41,19 +34,16 @@ TILT_RAD = np.deg2rad(40.0)
 """By how much the target may be turned away from how it stands in the middle pose: lights shine one way."""
 
 
-def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:
-    """Return the poses to measure; write mastering.csv. Raises UsageError, DataRefused."""
-    arm, how, world = _arm(job)
-    middle = _middle(job, arm)
+View = tuple[Rig, Target, World]
+"""The cameras, the target on the tool, and where the cameras stand."""
+
+
+def propose_poses(arm: Arm, how: Align, q: Array, view: View | None, file: str) -> MasteringPlanOutput:
+    """Return the poses to measure, of joint values (m, n) that may be taken; file: what is written of them."""
     notes = ["nobody looked for obstacles: check every pose before driving to it"]
-    q = _drawn(arm, middle, job.span_rad)
-    if job.rig is not None and job.target is not None and world is not None:
-        q = q[_in_view(arm, q, middle, read_rig(job.rig), target_of(job.target), world.T_parent_rig)]
-    else:
+    if view is None:
         notes.append("without --rig, --target and --world nobody knows whether the cameras see the target there")
     found = propose(arm, q[:CANDIDATES], how, NOISE)
-    file = job.out / MASTERING
-    write_text(file, _poses_csv(arm, found))
     names = [joint.name for joint in arm.joints]
     return MasteringPlanOutput(
         poses=[
@@ -61,77 +51,66 @@ def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:
             for row, which in zip(arm.readings(found.q).tolist(), found.decides, strict=True)
         ],
         expected_std_rad=[float(s) if np.isfinite(s) else None for s in found.expected],
-        file=str(file),
+        file=file,
         notes=[*notes, *_unjudged(arm, found)],
     )
 
 
-def run_mastering(job: MasteringJob) -> MasteringOutput:
-    """Return what the poses measured say; write verify.json and report.html. Raises UsageError, DataRefused."""
-    arm, how, world = _arm(job)
-    if job.measured is None:
-        raise UsageError("no measured poses", cure="Give --measured poses.csv")
-    file = read_measured(job.measured)
-    if world is not None:
-        file = replace(file, measured=in_world(file.measured, world))
+def judge_poses(arm: Arm, how: Align, file: MeasuredFile, reported: Reported) -> MasteringOutput:
+    """Return what the poses measured at joint values say."""
     nominal = Mounts(base=arm.T_world_base, tools=(arm.T_flange_tool,))
-    paired = pair(arm, _reported(job, file, arm), file.measured, nominal, how)
-    result = check_mastering(arm, cast(Array, paired.q), paired.measured, how)  # of joints: _reported refuses others
-    done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
-    write_json(job.out / VERIFY, done.to_dict())
-    write_text(job.out / REPORT, mastering_report(done, arm.name, slides=_slides(arm)))
-    return done
+    paired = pair(arm, reported, file.measured, nominal, how)
+    result = check_mastering(arm, cast(Array, paired.q), paired.measured, how)  # of joints: readings_of refuses others
+    return _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
 
 
-def _slides(arm: Arm) -> list[int]:
-    """Return the indices, from 1, of the joints that slide."""
-    return [k for k, joint in enumerate(arm.joints, 1) if joint.type is JointType.PRISMATIC]
+def in_measured_frame(arm: Arm, world: World | None, tool: str | None) -> tuple[Arm, Align]:
+    """Return the arm in the frame of the measurements, and what is free of base and tool. Raises UsageError."""
+    if tool is not None and tool not in TOOLS:
+        raise UsageError(f"--tool {tool}", cure=f"Give one of {', '.join(TOOLS)}")
+    if world is None:
+        return arm, Align.BASE if tool == "fixed" else Align.BOTH
+    return arm.based() if world.parent == "base" else arm, Align.TOOL if tool == "free" else Align.NONE
 
 
-def _arm(job: MasteringJob) -> tuple[Arm, Align, World | None]:
-    """Return the arm in the frame of the measurements, what is free of base and tool, and where the rig is."""
-    if job.tool is not None and job.tool not in TOOLS:
-        raise UsageError(f"--tool {job.tool}", cure=f"Give one of {', '.join(TOOLS)}")
-    arm = load_arm(job.arm)
-    if job.world is None:
-        return arm, Align.BASE if job.tool == "fixed" else Align.BOTH, None
-    world = read_world(job.world)
-    if world.parent == "base":
-        arm = arm.based()
-    return arm, Align.TOOL if job.tool == "free" else Align.NONE, world
-
-
-def _reported(job: MasteringJob, file: MeasuredFile, arm: Arm) -> Reported:
+def readings_of(arm: Arm, file: MeasuredFile, measured: Path, joints: Path | None) -> Reported:
     """Return the joints' own values, row by row. Raises UsageError, Inconsistent."""
-    found = file.reported if job.joints is None else read_reported_joints(job.joints)
+    found = file.reported if joints is None else read_reported_joints(joints)
     if found is None or found.q is None:
         raise UsageError(
-            f"{job.measured} has no columns q1 .. qn, and no --joints were given",
+            f"{measured} has no columns q1 .. qn, and no --joints were given",
             cure=f"Give --joints with q1,...,qn row by row: {MASTERING} where each of its poses was measured, in order",
         )
     if found.q.shape[1] != arm.n:
         raise Inconsistent(
-            f"{job.joints or job.measured} has {found.q.shape[1]} joints, {arm.name} has {arm.n}",
+            f"{joints or measured} has {found.q.shape[1]} joints, {arm.name} has {arm.n}",
             consequence="Nothing is checked",
             cure="Give the file of this arm, with q1 .. qn in the order of its joints",
         )
     return Reported(q=found.q if arm.direct else arm.values(found.q))
 
 
-def _middle(job: MasteringJob, arm: Arm) -> Array:
+def drawn_about(arm: Arm, around: str | None, span_rad: float, view: View | None) -> Array:
+    """Return joint values (m, n) drawn about those readings, within the limits; of a view those that it sees whole."""
+    middle = _middle(arm, around, span_rad)
+    q = _drawn(arm, middle, span_rad)
+    return q if view is None else q[_in_view(arm, q, middle, *view)]
+
+
+def _middle(arm: Arm, around: str | None, span_rad: float) -> Array:
     """Return the joints' values (n,) about which poses are drawn."""
-    if job.around is None:
+    if around is None:
         raise UsageError(
             "where the poses shall be is not said",
             cure="Give --around q1,...,qn (rad or m, or as 90deg), a pose in the middle of what the cameras see; or "
             "--measured with the poses measured",
         )
     try:
-        q = np.array([read_value(part)[0] for part in job.around.split(",")])
+        q = np.array([read_value(part)[0] for part in around.split(",")])
     except ValueError:
-        raise UsageError(f"--around {job.around} is not q1,...,qn", cure="Write numbers with commas") from None
-    if not (np.isfinite(job.span_rad) and 0.0 < job.span_rad <= np.pi):
-        raise UsageError(f"--span {np.rad2deg(job.span_rad):g} deg", cure="Give degrees above 0, 180 at most")
+        raise UsageError(f"--around {around} is not q1,...,qn", cure="Write numbers with commas") from None
+    if not (np.isfinite(span_rad) and 0.0 < span_rad <= np.pi):
+        raise UsageError(f"--span {np.rad2deg(span_rad):g} deg", cure="Give degrees above 0, 180 at most")
     return arm.values(q)
 
 
@@ -144,9 +123,9 @@ def _drawn(arm: Arm, middle: Array, span_rad: float) -> Array:
     return np.random.default_rng(SEED).uniform(low, high, (DRAWN, arm.n))
 
 
-def _in_view(arm: Arm, q: Array, middle: Array, rig: Rig, target: Target, T_parent_rig: RigidTransform) -> Index:
+def _in_view(arm: Arm, q: Array, middle: Array, rig: Rig, target: Target, world: World) -> Index:
     """Return the places (k,) of the joint values at which both cameras see the whole target, turned to them."""
-    T = (T_parent_rig.inv() * RigidTransform.from_matrix(fk(arm, np.vstack([middle, q])))).as_matrix()
+    T = (world.T_parent_rig.inv() * RigidTransform.from_matrix(fk(arm, np.vstack([middle, q])))).as_matrix()
     seen = np.arccos(np.clip(T[:, :3, 2] @ T[0, :3, 2], -1.0, 1.0)) < TILT_RAD
     seen &= seen_whole(rig, target, T)
     if not seen[0]:
@@ -156,14 +135,6 @@ def _in_view(arm: Arm, q: Array, middle: Array, rig: Rig, target: Target, T_pare
             cure="Give a pose before both cameras; check --world and the arm's tool",
         )
     return np.flatnonzero(seen[1:])
-
-
-def _poses_csv(arm: Arm, found: Proposal) -> str:
-    names = [joint.name for joint in arm.joints]
-    lines = [",".join(["pose", *(f"q{i + 1}" for i in range(arm.n)), "decides"])]
-    for k, (q, which) in enumerate(zip(arm.readings(found.q), found.decides, strict=True), start=1):
-        lines.append(f"{k},{cells(q)},{word(' '.join(names[i] for i in which))}")
-    return "\n".join(lines) + "\n"
 
 
 def _unjudged(arm: Arm, found: Proposal) -> list[str]:
@@ -191,6 +162,7 @@ def _output(result: Mastering, arm: Arm, rejected: list[tuple[int, str]], notes:
         rejected=[RejectedRow(row=row, why=why) for row, why in sorted(rejected)],
         doubts=[*notes, *result.doubts],
         verdict=result.sentence,
+        model=arm,
     )
 
 

@@ -1,4 +1,4 @@
-"""A verification as programs get it: the summary's keys, and a table row by row."""
+"""A verification as programs get it: the summary's keys."""
 
 from __future__ import annotations
 
@@ -8,30 +8,29 @@ from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.kinematics import Arm
 from armsight.records.result_parts import RejectedRow
-from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile
 from armsight.units import DEG, MM, figure_of
 from armsight.verify import Cause, Figures, JointVerdict, Verification
 from armsight.verify.iso9283.drift import DRIFTING
+from armsight.verify.iso9283.figure import IsoFigure
 from armsight.verify.results import (
     CauseParameter,
     Explained,
-    IsoFigure,
     PoseError,
     VerifyAlignment,
     VerifyJoint,
-    VerifyOutput,
+    VerifyResult,
     VerifyTime,
 )
 
 
 def verify_output(
     result: Verification, arm: Arm | None, file: MeasuredFile, iso: dict[str, IsoFigure], notes: tuple[str, ...] = ()
-) -> VerifyOutput:
+) -> VerifyResult:
     """Return the figures of a verification as --json gives them; told: what to know of the figures of ISO 9283."""
     cause, found = result.cause, result.configurations
     rejected = sorted({*result.rejected, *file.rejected})
-    return VerifyOutput(
+    return VerifyResult(
         n=len(result.task),
         time=_time(result),
         alignment=_alignment(result, arm),
@@ -50,10 +49,12 @@ def verify_output(
         rejected=[RejectedRow(row=row, why=why) for row, why in rejected],
         doubts=[*file.notes, *result.doubts, *notes],
         verdict=_verdict(result),
+        verification=result,
+        model=arm,
     )
 
 
-def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], notes: tuple[str, ...]) -> VerifyOutput:
+def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], notes: tuple[str, ...]) -> VerifyResult:
     """Return what repeats alone tell, without an arm or a command for each row."""
     given = {name: item for name, item in iso.items() if item.value is not None and " " not in name}
     worst = given.get("RP_m", given.get("RT_m"))
@@ -63,7 +64,7 @@ def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], notes: tuple[s
         if worst is None or worst.value is None
         else f"{name} {figure_of(worst.value / MM, 'mm')}"
     )
-    return VerifyOutput(
+    return VerifyResult(
         n=len(file.measured),
         time=VerifyTime(offset_s=None, std_s=None, drift_ppm=None, bursts=False),
         alignment=VerifyAlignment(free=[], T_measured_base=None, T_flange_tool=None, std={}, undetermined=[]),
@@ -85,6 +86,7 @@ def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], notes: tuple[s
                 *(f"{note}." for note in notes if DRIFTING in note),
             ]
         ),
+        repeated=(file.measured, file.repeats),
     )
 
 
@@ -197,34 +199,3 @@ def _verdict(result: Verification) -> str:
     if result.cause is None:
         return f"{text} Without an arm's model no cause is looked for."
     return f"{text} {result.cause.sentence}"
-
-
-def errors_csv(result: Verification) -> str:
-    """Return the errors row by row: place and rotation in the base's axes, and of the joints where they are known."""
-    n = 0 if result.joints is None else result.joints.dq.shape[1]
-    turned = result.task.shape[1] == 6
-    header = ["row", "t_s", *POSE6, "error_m", "error_rad", *(f"dq{i + 1}" for i in range(n))]
-    lines = [",".join(header)]
-    at = result.paired.at_s
-    for k, index in enumerate(result.kept):
-        error = result.task[k]
-        values = [np.nan if at is None else at[index], *error, *([] if turned else [np.nan] * 3)]
-        values += [np.linalg.norm(error[:3]), np.linalg.norm(error[3:]) if turned else np.nan]
-        values += [] if result.joints is None else result.joints.dq[k].tolist()
-        lines.append(f"{result.paired.measured.rows[index]},{cells(values)}")
-    return "\n".join(lines) + "\n"
-
-
-def repeats_csv(file: MeasuredFile) -> str:
-    """Return the measured places row by row with their repeat, and how far each is from the mean of its pose."""
-    lines = ["row,pose,visit,run,x_m,y_m,z_m,from_mean_m"]
-    repeats, xyz = file.repeats, file.measured.xyz_m
-    pose = np.array(repeats.at_pose)
-    apart = np.full(len(xyz), np.nan)
-    for name in sorted(set(pose) - {""}):
-        own = pose == name
-        apart[own] = np.linalg.norm(xyz[own] - xyz[own].mean(axis=0), axis=1)
-    for k, row in enumerate(file.measured.rows):
-        words = ",".join(word(text) for text in (repeats.pose[k], repeats.visit[k], repeats.run[k]))
-        lines.append(f"{row},{words},{cells([*xyz[k], apart[k]])}")
-    return "\n".join(lines) + "\n"

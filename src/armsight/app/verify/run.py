@@ -1,4 +1,4 @@
-"""Files of measurements and of the arm in; verify.json, errors.csv and report.html out."""
+"""Measurements held against an arm at its joints, or against commands; an earlier run beside them."""
 
 from __future__ import annotations
 
@@ -10,33 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight._files import real_path
-from armsight.app.arm_files import load_arm
-from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
-from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
+from armsight.app.verify.output import repeats_output, verify_output
 from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent, UsageError
-from armsight.file_names import ERRORS, REPORT, VERIFY
+from armsight.file_names import ERRORS, VERIFY
 from armsight.kinematics import Arm
-from armsight.report.verify_pages import repeats_report
-from armsight.report.verify_report import OtherRun, verify_report
-from armsight.store import read_table, read_world, write_text
-from armsight.store.atomic import read_bytes, write_json
+from armsight.store import read_table
+from armsight.store.atomic import read_bytes
 from armsight.store.codec import read_output
-from armsight.store.verify_files import CommandedFile, MeasuredFile, read_commanded, read_measured, read_reported_joints
+from armsight.store.interpret import TableFormat
+from armsight.store.verify_files import CommandedFile, MeasuredFile, read_commanded, read_reported_joints
 from armsight.store.worlds import World
 from armsight.verify import Align, Measured, Repeats, Reported, verify
 from armsight.verify.repeats import Command
-from armsight.verify.results import ComparedRun, VerifyOutput
-
-Other = VerifyOutput | None
+from armsight.verify.results import ComparedRun, EarlierRun, VerifyResult
 
 MAX_SUMMARY_BYTES = 100_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Expected:
-    """What a job's other files say: the arm, what the controller says, whether that has rotations, the commands."""
+class Expected:
+    """What measurements are held against: the arm, what the controller says, whether that has rotations, the
+    commands."""
 
     arm: Arm | None
     reported: Reported
@@ -44,23 +40,14 @@ class _Expected:
     commanded: CommandedFile | None = None
 
 
-def run_verify(job: VerifyJob) -> VerifyOutput:
-    """Verify; write verify.json, errors.csv and report.html into the job's folder; return the figures.
+def verified(file: MeasuredFile, expected: Expected | None, how: Align | None, band_m: float | None) -> VerifyResult:
+    """Return how measurements differ from what was expected; without that, and where no row has a command, what
+    repeats alone tell.
 
-    Without arm and command, where the file says which repeat each row is of, what the repeats alone tell. Raises
-    UsageError, DataRefused.
+    how: what is laid where it fits best; None: both, of positions the base. Raises UsageError, DataRefused.
     """
-    _check_usage(job)
-    other = None if job.compare is None else read_run(job.compare)
-    file = read_measured(job.measured, job.table.of_camera)
-    world = None if job.world is None else read_world(job.world)
-    if world is not None:
-        file = replace(file, measured=in_world(file.measured, world), repeats=shared_in_world(file.repeats, world))
-    if job.arm is None and job.commanded is None:
-        return _repeats_alone(job, file, None, other)
-    expected = _expected(job, file)
-    if world is not None and world.parent == "base" and expected.arm is not None:
-        expected = replace(expected, arm=expected.arm.based())  # measured in base, and so expected there
+    if expected is None:
+        return _repeats_alone(file, None, how, band_m)
     measured = file.measured if expected.turned else replace(file.measured, rotation=None)
     commands = expected.commanded
     if commands is not None and by_name(file, commands):
@@ -68,15 +55,13 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
         file = replace(file, notes=(*file.notes, *uncommanded(file, commands)))
         named = _known(expected.reported, measured)
         if not len(named):
-            return _repeats_alone(job, file, commands, other)
+            return _repeats_alone(file, commands, how, band_m)
         measured = measured.take(named)
-    how = _align(job, expected.turned)
-    result = verify(expected.arm, expected.reported, measured, how, pose=_pose(file, measured))
+    laid = how or (Align.BOTH if expected.turned else Align.BASE)
+    result = verify(expected.arm, expected.reported, measured, laid, pose=_pose(file, measured))
     command = command_of(result, commands, file, expected.turned)
-    iso, commanded = iso_figures(file, file.measured, command, job.band_m)
-    done = _beside(job, verify_output(result, expected.arm, file, iso, commanded), other)
-    page = verify_report(result, done, arm=expected.arm, inputs=_inputs(job), other=_other_run(job.compare, other))
-    return _written(job, done, errors_csv(result), page)
+    iso, notes = iso_figures(file, file.measured, command, band_m)
+    return verify_output(result, expected.arm, file, iso, notes)
 
 
 def _known(reported: Reported, measured: Measured) -> NDArray[np.intp]:
@@ -90,8 +75,10 @@ def _pose(file: MeasuredFile, measured: Measured) -> Array | None:
     return None if file.pose is None else file.pose[np.isin(file.measured.rows, measured.rows)]
 
 
-def _repeats_alone(job: VerifyJob, file: MeasuredFile, commanded: CommandedFile | None, other: Other) -> VerifyOutput:
-    """Return and write what repeats tell without a command for each row; told: the paths that were commanded."""
+def _repeats_alone(
+    file: MeasuredFile, commanded: CommandedFile | None, how: Align | None, band_m: float | None
+) -> VerifyResult:
+    """Return what repeats tell without a command for each row; commanded: the paths that were."""
     if not file.repeats.any:
         raise UsageError(
             "what the measurements are to be compared with is missing",
@@ -105,75 +92,68 @@ def _repeats_alone(job: VerifyJob, file: MeasuredFile, commanded: CommandedFile 
             row=np.empty(0, dtype=np.intp),
             T=np.empty((0, 4, 4)),
             turned=commanded.turned,
-            in_frame=_align(job, commanded.turned) is Align.NONE,
+            in_frame=how is Align.NONE,
             paths=named_paths(commanded),
         )
-    iso, notes = iso_figures(file, file.measured, command, job.band_m)
-    done = _beside(job, repeats_output(file, iso, notes), other)
-    beside = None if other is None else (str(job.compare), other)
-    page = repeats_report(file.measured, file.repeats, done, other=beside)
-    return _written(job, done, repeats_csv(file), page)
+    iso, notes = iso_figures(file, file.measured, command, band_m)
+    return repeats_output(file, iso, notes)
 
 
-def _beside(job: VerifyJob, done: VerifyOutput, other: Other) -> VerifyOutput:
-    if other is None:
-        return done
-    compared = ComparedRun(folder=str(job.compare), n=other.n, after=other.after, cause=other.cause)
-    return replace(done, compared=compared)
-
-
-def _written(job: VerifyJob, done: VerifyOutput, table: str, page: str) -> VerifyOutput:
-    write_json(job.out / VERIFY, done.to_dict())
-    write_text(job.out / ERRORS, table)
-    write_text(job.out / REPORT, page)
-    return done
-
-
-def _check_usage(job: VerifyJob) -> None:
-    """Raise UsageError where the job does not say what is expected."""
-    if job.commanded is not None and (job.joints is not None or job.arm is not None):
+def check_usage(
+    *,
+    arm: object,
+    joints: object,
+    commanded: object,
+    links: tuple[str | None, ...],
+    align: str | None,
+    band_m: float | None,
+    folders: tuple[Path | None, Path | None],
+) -> None:
+    """Raise UsageError for what means nothing together. links: --tip, --base; folders: --compare, and the result's."""
+    if arm is None and any(one is not None for one in links):
+        raise UsageError("--tip and --base choose a chain of an arm, and none was given", cure="Give --arm FILE.urdf")
+    if commanded is not None and (joints is not None or arm is not None):
         raise UsageError(
             "both a commanded path and an arm were given",
             cure="Give --arm with --joints, or --commanded, and verify twice for both",
         )
-    if job.arm is None and job.joints is not None:
+    if arm is None and joints is not None:
         raise UsageError("joint readings were given without an arm", cure="Give --arm with the arm they are of")
-    if job.align is not None and job.align not in set(Align):
-        raise UsageError(f"--align {job.align} is not known", cure=f"Use one of: {', '.join(Align)}")
-    if job.band_m is not None and not (np.isfinite(job.band_m) and job.band_m > 0.0):
-        raise UsageError(f"--band {job.band_m:g} is not a positive length", cure="Give the limit band in m: 0.0005")
-    if job.compare is not None and real_path(job.compare) == real_path(job.out):
+    if align is not None and align not in set(Align):
+        raise UsageError(f"--align {align} is not known", cure=f"Use one of: {', '.join(Align)}")
+    if band_m is not None and not (np.isfinite(band_m) and band_m > 0.0):
+        raise UsageError(f"--band {band_m:g} is not a positive length", cure="Give the limit band in m: 0.0005")
+    compare, out = folders
+    if compare is not None and out is not None and real_path(compare) == real_path(out):
         raise UsageError("--compare names the folder that is written to", cure="Give the folder of an earlier run")
 
 
-def _align(job: VerifyJob, turned: bool) -> Align:
-    if job.align is not None:
-        return Align(job.align)
-    if job.world is not None:
-        return Align.NONE
-    return Align.BOTH if turned else Align.BASE
-
-
-def _expected(job: VerifyJob, file: MeasuredFile) -> _Expected:
-    """Return the arm and what the controller says, or what was commanded."""
-    if job.commanded is not None:
-        commanded = read_commanded(job.commanded, job.table)
-        return _Expected(arm=None, reported=commanded.reported, turned=commanded.turned, commanded=commanded)
-    arm = load_arm(job.arm or "")
-    names = job.table.of_arm(arm)
-    found = file.reported if job.joints is None else read_reported_joints(job.joints, names)
+def readings_of(arm: Arm, file: MeasuredFile, measured: Path, joints: Path | None, table: TableFormat) -> Expected:
+    """Return what the controller says: of its log, or of the measured file's own columns."""
+    found = file.reported if joints is None else read_reported_joints(joints, table.of_arm(arm))
     if found is None or found.q is None:
         raise UsageError(
-            f"{job.measured} has no columns q1 .. qn, and no --joints were given",
+            f"{measured} has no columns q1 .. qn, and no --joints were given",
             cure="Give --joints joints.csv: t_s,q1,...,qn, or q1,...,qn row by row",
         )
     if found.q.shape[1] != arm.n:
         raise Inconsistent(
-            f"{job.joints or job.measured} has {found.q.shape[1]} joints, {arm.name} has {arm.n}",
+            f"{joints or measured} has {found.q.shape[1]} joints, {arm.name} has {arm.n}",
             consequence="Nothing is verified",
             cure="Give the file of this arm, with q1 .. qn in the order of its joints",
         )
-    return _Expected(arm=arm, reported=found.values_of(arm), turned=True)
+    return Expected(arm=arm, reported=found.values_of(arm), turned=True)
+
+
+def commands_of(commanded: Path, table: TableFormat) -> Expected:
+    """Return what was commanded."""
+    found = read_commanded(commanded, table)
+    return Expected(arm=None, reported=found.reported, turned=found.turned, commanded=found)
+
+
+def file_in_world(file: MeasuredFile, world: World) -> MeasuredFile:
+    """Return measurements in a rig's axes, with what their rows share, in those of the rig's parent."""
+    return replace(file, measured=in_world(file.measured, world), repeats=_shared_in_world(file.repeats, world))
 
 
 def in_world(measured: Measured, world: World) -> Measured:
@@ -186,7 +166,7 @@ def in_world(measured: Measured, world: World) -> Measured:
     return replace(measured, xyz_m=T.apply(measured.xyz_m), rotation=rotation, covariance=covariance)
 
 
-def shared_in_world(repeats: Repeats, world: World) -> Repeats:
+def _shared_in_world(repeats: Repeats, world: World) -> Repeats:
     """Return repeats with the shared part of the covariance in the axes of a rig's parent."""
     if repeats.systematic is None:
         return repeats
@@ -194,12 +174,12 @@ def shared_in_world(repeats: Repeats, world: World) -> Repeats:
     return replace(repeats, systematic=turned @ repeats.systematic @ turned.T)
 
 
-def read_run(folder: Path) -> VerifyOutput:
+def read_run(folder: Path) -> VerifyResult:
     """Return what an earlier run found. Raises BadFile where the folder holds none."""
     path = folder / VERIFY
     held = read_bytes(path, limit=MAX_SUMMARY_BYTES)
     try:
-        return read_output(VerifyOutput, json.loads(held), path.name)
+        return read_output(VerifyResult, json.loads(held), path.name)
     except (ValueError, BadFile) as error:
         first = str(error).splitlines()[0]
         raise BadFile(
@@ -209,26 +189,17 @@ def read_run(folder: Path) -> VerifyOutput:
         ) from error
 
 
-def _other_run(folder: Path | None, done: VerifyOutput | None) -> OtherRun | None:
-    if folder is None or done is None or done.after is None:
-        return None
-    rows = read_table(
-        folder / ERRORS, ("row", "error_m"), optional=_columns(folder / ERRORS), blank=_columns(folder / ERRORS)
-    )
-    return OtherRun(name=str(folder), summary=done, error_m=rows.numbers["error_m"])
+def beside(done: VerifyResult, folder: Path, other: VerifyResult) -> VerifyResult:
+    """Return a result with the earlier run of a folder to stand beside it. Raises BadFile."""
+    error_m = None
+    if done.verification is not None and other.after is not None:
+        columns = _columns(folder / ERRORS)
+        rows = read_table(folder / ERRORS, ("row", "error_m"), optional=columns, blank=columns)
+        error_m = rows.numbers["error_m"]
+    compared = ComparedRun(folder=str(folder), n=other.n, after=other.after, cause=other.cause)
+    return replace(done, compared=compared, earlier=EarlierRun(name=str(folder), result=other, error_m=error_m))
 
 
 def _columns(path: Path) -> tuple[str, ...]:
     first = read_bytes(path, limit=MAX_SUMMARY_BYTES).split(b"\n", 1)[0].decode("utf-8", errors="replace")
     return tuple(name.strip() for name in first.split(",") if name.strip() not in ("row", "error_m"))
-
-
-def _inputs(job: VerifyJob) -> list[tuple[str, str]]:
-    named = (
-        ("measured", job.measured.name),
-        ("arm", job.arm),
-        ("joints", None if job.joints is None else job.joints.name),
-        ("commanded", None if job.commanded is None else job.commanded.name),
-        ("world", None if job.world is None else job.world.name),
-    )
-    return [(what, which) for what, which in named if which is not None]

@@ -8,25 +8,24 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 
 from armsight.app.record.recorder import Recorder
-from armsight.app.requests.verify import LiveVerifyJob
-from armsight.app.verify.live_output import LiveLog
 from armsight.clock import Clock
 from armsight.control.session.service import TokenBucket
 from armsight.defaults import BLIND_S
 from armsight.drivers import PairSource, Robot
 from armsight.errors import DeviceFailed, StaleData
-from armsight.file_names import LIVE
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
 from armsight.store.recording import ImageFormat, RecordingWriter
-from armsight.verify.supervision import Alarm, Compared, Level, PredictedPose, Seen, Watch
+from armsight.verify.live import LiveLog
+from armsight.verify.supervision import Alarm, Compared, Level, Limits, PredictedPose, Seen, Watch
 
 PLANT = "plant"
 WARNINGS_PER_S = 20.0
@@ -54,50 +53,116 @@ class Supervised:
     on_step: Callable[[Callable[[], None]], None] | None = None
 
 
+class Judge:
+    """Judges one pose after the other, stops the robot beyond a level that says so, and keeps what was found."""
+
+    def __init__(self, limits: Limits, stop: Callable[[], None]) -> None:
+        self.log = LiveLog(limits=limits)
+        self.seen = nothing_yet(limits)
+        """The newest pose, for the plant's systems."""
+        self.why = ""
+        self._watch, self._stop = Watch(limits), stop
+
+    @property
+    def level(self) -> Level:
+        """The level now."""
+        return self._watch.level
+
+    def add(self, compared: Compared) -> Alarm | None:
+        """Judge a pose that was compared; return the alarm where the level rises, its stop already sent."""
+        alarm = self._watch.add(compared)
+        if alarm is not None and alarm.level is Level.STOP:
+            self.stop()
+        return alarm
+
+    def stop(self) -> None:
+        """Stop the robot, and hold the level."""
+        self._stop()
+        self._watch.level = Level.STOP
+        self.log.stopped = True
+
+    def show(
+        self,
+        pose: TargetPose,
+        compared: Compared | None,
+        lost: str,
+        raised: Alarm | None,
+        *,
+        at_s: float,
+        blind: bool,
+    ) -> None:
+        """Make the pose the newest, and keep what was raised at it. at_s: of its exposure, on time.monotonic."""
+        if raised is not None:
+            self.log.alarms.append(raised)
+            self.why = self.why if raised.level is Level.GOOD else raised.why
+        if self.level is Level.GOOD:
+            self.why = ""
+        self.seen = Seen(
+            pose=pose,
+            compared=compared,
+            level=self.level,
+            why=self.why,
+            limits=self.log.limits,
+            lost=lost,
+            at_s=at_s,
+            blind=blind,
+        )
+
+
+def nothing_yet(limits: Limits) -> Seen:
+    """Return what is seen before the first picture."""
+    now_s, why = time.monotonic(), "no pictures came yet"
+    pose = TargetPose(t_s=now_s, status=PoseStatus.LOST, parent="rig", why=why)
+    return Seen(pose=pose, compared=None, level=Level.GOOD, why="", limits=limits, lost=why, at_s=now_s)
+
+
 class Supervision:
-    """What goes on from pair to pair: measured, compared, judged, the robot stopped; then written and told."""
+    """What goes on from pair to pair: measured, compared, judged, the robot stopped; then written and told.
+
+    latency_s: from exposure to frame in memory. blind_stop_s: stop where nothing was compared for so long.
+    """
 
     def __init__(
         self,
-        job: LiveVerifyJob,
         setup: Setup,
         expectation: PredictedPose,
         devices: Supervised,
         clock: Clock,
-        log: LiveLog,
-        show: Show,
-        tell: Callable[[str], None] = lambda _: None,
+        limits: Limits,
+        *,
+        latency_s: float,
+        blind_stop_s: float | None = None,
     ) -> None:
-        self.job = job
         self.devices = devices
-        self.log = log
-        self._setup = setup
-        self._expectation = expectation
-        self._clock = clock
-        self._show, self.tell = show, tell
-        self._watch = Watch(job.limits)
+        self.show: Show = lambda *_: None
+        self.tell: Callable[[str], None] = lambda _: None
+        """Takes what a person should hear of the plant's systems."""
+        self.judge = Judge(limits, devices.robot.stop)
+        self.stops = limits.stops or blind_stop_s is not None
+        self._expectation, self._clock = expectation, clock
+        self._latency_s, self._blind_stop_s = latency_s, blind_stop_s
         self._reader = JointReader(devices.robot, clock)
         self._recorder: Recorder | None = None
-        self._tracker = TargetTracker(self._setup)
+        self._frames = False
+        self._rig, self._tracker = setup.rig, TargetTracker(setup)
         self._ahead_s = np.inf  # the clock's time at the cameras' zero
         self._seen_s: float | None = None
         self._blind = False
         self._stopped_s: float | None = None
-        self._why = ""
         self.seen: Seen | None = None
         """The newest pair, for the plant's systems."""
         self._notes: deque[tuple[str, str]] = deque(maxlen=NOTES)
         self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, WARNINGS_PER_S, clock.now_s()), 0
 
-    def open(self, stack: ExitStack) -> None:
-        """Begin the recording and to read the joints; all ends with the stack."""
-        writer = RecordingWriter(self.job.out / LIVE, overwrite=True)
+    def open(self, stack: ExitStack, recording: Path, rig: Path, target: Path, *, frames: bool) -> None:
+        """Begin the recording, with the images where `frames`, and to read the joints; all ends with the stack."""
+        writer = RecordingWriter(recording, overwrite=True)
         stack.enter_context(writer)
-        writer.attach("rig.yaml", self.job.rig.read_bytes())
-        if self.job.target.exists():
-            writer.attach("target.yaml", self.job.target.read_bytes())
-        writer.rig(0.0, self._setup.rig)
-        self._recorder = stack.enter_context(Recorder(writer, ImageFormat.PNG, live=True))
+        writer.attach("rig.yaml", rig.read_bytes())
+        if target.exists():
+            writer.attach("target.yaml", target.read_bytes())
+        writer.rig(0.0, self._rig)
+        self._frames, self._recorder = frames, stack.enter_context(Recorder(writer, ImageFormat.PNG, live=True))
         if self.devices.on_step is not None:
             self.devices.on_step(self._reader.poll)  # the clock's owner lets time pass, and readings with it
         else:
@@ -107,41 +172,29 @@ class Supervision:
         """Measure, compare, judge, and only then write and tell."""
         begun_s = time.perf_counter()
         newest_s = max(pair[0].t_s, pair[1].t_s)
-        self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self.job.latency_s)
+        self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._latency_s)
         measured = self._tracker.take(*pair)
         pose = measured.pose
         zero_s = self._ahead_s if self.devices.origin_s is None else self.devices.origin_s()
         compared, lost = self._compared(pose, pose.t_s + zero_s)
-        alarm = None if compared is None else self._watch.add(compared)
-        raised = alarm or self._sight(pose.t_s, compared is not None, lost)
+        alarm = None if compared is None else self.judge.add(compared)
         if alarm is not None and alarm.level is Level.STOP:
-            self._stop(pose.t_s)
+            self._stopped_s = pose.t_s
+        raised = alarm or self._sight(pose.t_s, compared is not None, lost)
         ms = (time.perf_counter() - begun_s) * 1e3
-        self.log.add(pair[0].sequence, pose, compared, self._watch.level, lost, ms)
-        if raised is not None:
-            self.log.raised(raised)
-        if raised is not None and raised.level is not Level.GOOD:
-            self._why = raised.why
-        self.seen = Seen(
-            pose=pose,
-            compared=compared,
-            level=self._watch.level,
-            why=self._why,
-            limits=self.job.limits,
-            lost=lost,
-            at_s=self._monotonic_s(pose.t_s + zero_s),
-            blind=self._blind,
-        )
+        self.judge.log.add(pair[0].sequence, pose, compared, self.judge.level, lost, ms)
+        self.judge.show(pose, compared, lost, raised, at_s=self._monotonic_s(pose.t_s + zero_s), blind=self._blind)
+        self.seen = self.judge.seen
         self._record(pair, measured, raised, zero_s)
-        self._show(pose, compared, self._watch.level, lost)
+        self.show(pose, compared, self.judge.level, lost)
 
-    def ended(self) -> bool:
-        """Whether enough was seen."""
-        n, span_s = len(self.log.rows), self.log.duration_s
-        if self._stopped_s is not None and self.log.rows[-1].t_s - self._stopped_s >= AFTER_STOP_S:
+    def ended(self, seconds_s: float | None, pairs: int | None) -> bool:
+        """Whether enough was seen: so long, so many pairs, or how the arm came to rest after a stop."""
+        log = self.judge.log
+        if self._stopped_s is not None and log.rows[-1].t_s - self._stopped_s >= AFTER_STOP_S:
             return True
-        by_time = self.job.seconds_s is not None and span_s >= self.job.seconds_s
-        return by_time or (self.job.limit is not None and n >= self.job.limit)
+        by_time = seconds_s is not None and log.duration_s >= seconds_s
+        return by_time or (pairs is not None and len(log.rows) >= pairs)
 
     def _compared(self, pose: TargetPose, at_s: float) -> tuple[Compared | None, str]:
         if pose.status is not PoseStatus.OK:
@@ -157,25 +210,20 @@ class Supervision:
             self._seen_s, self._blind = t_s, False
             return None
         dark_s = t_s - self._seen_s
-        if self.job.blind_stop_s is not None and dark_s >= self.job.blind_stop_s and self._stopped_s is None:
-            self._stop(t_s)
-            self._watch.level = Level.STOP
+        if self._blind_stop_s is not None and dark_s >= self._blind_stop_s and self._stopped_s is None:
+            self.judge.stop()
+            self._stopped_s = t_s
             return Alarm(level=Level.STOP, t_s=t_s, why=f"stop: blind for {dark_s:.2f} s; {lost}")
         if self._blind or dark_s < BLIND_S:
             return None
         self._blind = True
         return Alarm(level=Level.GOOD, t_s=t_s, why=f"blind: nothing compared for {dark_s:.2f} s; {lost}")
 
-    def _stop(self, t_s: float) -> None:
-        self.devices.robot.stop()
-        self._stopped_s = t_s
-        self.log.stopped = True
-
     def _record(self, pair: tuple[Frame, Frame], measured: Measured, raised: Alarm | None, zero_s: float) -> None:
         recorder = self._recorder
         if recorder is None:
             return
-        if self.job.frames:
+        if self._frames:
             recorder.put(*pair)
         pose = measured.pose
         readings = self._reader.take()

@@ -13,8 +13,6 @@ from armsight.app.operator import iso_run
 from armsight.app.operator.iso_run import JOB_NAME, IsoDone, IsoPlan, IsoRequest
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.supervise import Levels, StationSupervisor, SupervisedState
-from armsight.app.requests.verify import VerifyJob
-from armsight.app.verify.run import run_verify
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,
@@ -36,9 +34,10 @@ from armsight.console.routes import page_name, reports
 from armsight.console.state import Console
 from armsight.console.work import Working, jog_card
 from armsight.errors import ArmsightError
+from armsight.ops.verify import verify
 from armsight.store.cell_file import within
 from armsight.units import DEG, MM
-from armsight.verify.results import VerifyOutput
+from armsight.verify.results import VerifyResult
 from armsight.verify.supervision import Level
 
 LEVELS = {Level.GOOD: "good", Level.WARN: "warn", Level.STOP: "bad"}
@@ -203,7 +202,7 @@ def verify_page(console: Console) -> None:
         said = text_of("p", role="alert").classes("hint")
         result = ui.element("div").classes("scroll")
 
-        async def verify() -> None:
+        async def begin() -> None:
             say(said, texts.RUNNING_VERIFY)
             result.clear()
             with refusals_in(said):
@@ -215,19 +214,18 @@ def verify_page(console: Console) -> None:
                     table((), ((texts.ROWS, str(done.n)), (texts.CAUSE, done.cause)))
                 listing.refresh(console)
 
-        button(texts.VERIFY_RUN, verify, testid="verify-run")
+        button(texts.VERIFY_RUN, begin, testid="verify-run")
     supervision_card(console)
     iso_card(console, lambda: listing.refresh(console))
     listing(console)
 
 
-def _verify(console: Console, names: dict[str, str]) -> VerifyOutput:
+def _verify(console: Console, names: dict[str, str]) -> VerifyResult:
     """Verify files of the cell's folder into a folder of their own, named after the time."""
     out = console.folder / f"verify-{datetime.now():%Y%m%d-%H%M%S}"
     measured, joints = (within(console.folder, names[name]) for name in FIELDS)
     arm = console.file("arm") if names["joints"] else None
-    job = VerifyJob(measured=measured, out=out, arm=None if arm is None else str(arm), joints=joints if arm else None)
-    return run_verify(job)
+    return verify(measured, arm=arm, joints=joints if arm else None, out=out)
 
 
 @ui.refreshable

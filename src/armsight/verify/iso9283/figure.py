@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import exp, lgamma, pi, sqrt
+from typing import Annotated
 
 import numpy as np
 
 from armsight.arrays import Array
 from armsight.errors import UsageError
-from armsight.verify.results import IsoFigure
+from armsight.fields import Doc
+from armsight.records.output import Output, output
+from armsight.units import displayed, figure_of, with_deviation
 
 UNITS = {"m": "m", "rad": "rad", "m/s": "m_s", "s": "s", "1": "ratio"}
 """Units of figures, and how keys spell them."""
@@ -22,6 +25,33 @@ def unit_of(name: str) -> tuple[str, str]:
         if name.endswith(f"_{tail}"):
             return name.removesuffix(f"_{tail}"), unit
     return name, "1"
+
+
+def symbol_of(name: str) -> tuple[str, str, float]:
+    """Return a figure's symbol, the unit it is shown in, and that unit in SI."""
+    symbol, unit = unit_of(name)
+    shown, size = displayed(unit)
+    return (symbol, "%", 0.01) if unit == "1" else (symbol, "°" if shown == "deg" else shown, size)
+
+
+@output
+class IsoFigure(Output):
+    """A figure of ISO 9283."""
+
+    value: Annotated[float | None, Doc("The figure; null where withheld.")]
+    n: Annotated[int, Doc("Visits that it rests on.")]
+    wanted: Annotated[int, Doc("Visits that the norm asks for.")]
+    withheld: Annotated[str | None, Doc("Why it is not given; null where it is.")]
+    std: Annotated[float | None, Doc("Its standard deviation.")]
+    corrected: Annotated[float | None, Doc("Without the measurement's own scatter; null where not known.")]
+    corrected_std: Annotated[float | None, Doc("Its standard deviation.")]
+    note: Annotated[str, Doc("What else to know of it; empty where nothing.")]
+
+    def shown(self, factor: float) -> str:
+        """Return it ± its standard deviation, where it has one, both to the same digit; a dash where withheld."""
+        if self.value is None or not self.std:
+            return figure_of(None if self.value is None else self.value / factor)
+        return " ± ".join(with_deviation(self.value / factor, self.std / factor))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,10 +13,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.arrays import Array
 from armsight.errors import Cancelled, DataRefused, UsageError
 from armsight.fields import Doc
+from armsight.file_names import PLAN, PLAN_SUMMARY
 from armsight.kinematics import Arm, JointPath, Solution, ik, link_frames, singularity_distance, track_path
 from armsight.records import Progress, Silent
 from armsight.records.checks import Shape
 from armsight.records.output import Output, extended, output
+from armsight.shown import Shown, Table
+from armsight.units import MM
 from armsight.verify.iso9283.motions import PLANES, SIDES_M, Motion, TestCube, motions_of
 
 STEPS_PER_SIDE = 25
@@ -33,6 +36,9 @@ RATED_SPEED_M_S = 0.25
 """Speed that is planned for where none is given: what machines may do with a person beside them."""
 SLOWEST = 0.1
 """Share of the wanted speed that the joints must allow: below it the position is as good as singular."""
+
+PATHS = ("line", "rectangle", "large_circle", "small_circle")
+CHOICES = ("cube", "poses", "paths")
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 FORWARD = (0.0, 0.7071067811865476, 0.0, 0.7071067811865476)
@@ -108,6 +114,39 @@ class TestPlan(Output):
         first = self.motions[0]
         rows = {name: i for i, name in enumerate(first.names)}
         return {name: PlannedPose(first.xyz_m[rows[name]], first.q[rows[name]]) for name in sorted(rows)}
+
+
+@output
+class VerifyPlanOutput(TestPlan):
+    """armsight verify --plan."""
+
+    poses: Annotated[dict[str, PlannedPose], Doc("P1 to P5.")]
+    files: Annotated[tuple[str, ...], Doc("What was written.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        centre = ", ".join(f"{value:.3f}" for value in self.cube.centre_m)
+        yield f"Cube of {self.cube.side_m / MM:.0f} mm about ({centre}) m in the base frame, {', '.join(self.branch)}"
+        yield from (f"  not {text}" for text in self.refused)
+        rows = [[motion.test, ", ".join(motion.figures), str(motion.repeats), str(motion.n)] for motion in self.motions]
+        yield Table("Motions", ["tag", "figures", "repeats", "rows"], rows)
+        yield f"Speed {self.speed_m_s:.3g} m/s. The arm's body and the cell are not checked: run it slowly first."
+        yield f"Results: {{out}}/{PLAN}"
+
+
+def chosen_motions(plan: TestPlan, part: str) -> VerifyPlanOutput:
+    """Return a part of a plan: cube (all motions), poses (all but paths), paths, or a motion by its name.
+
+    Raises UsageError for another.
+    """
+    names = list(dict.fromkeys(motion.test for motion in plan.motions))
+    if part not in (*CHOICES, *names):
+        raise UsageError(
+            f"--plan {part} is not known", cure=f"Use one of: {', '.join(dict.fromkeys([*CHOICES, *names]))}"
+        )
+    wanted = {"cube": set(names), "poses": set(names) - set(PATHS), "paths": set(PATHS)}.get(part, {part})
+    motions = tuple(motion for motion in plan.motions if motion.test in wanted)
+    return extended(plan, VerifyPlanOutput, motions=motions, poses=plan.tour, files=(PLAN, PLAN_SUMMARY))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,24 +1,129 @@
-"""What a supervision saw: row by row, as figures, and as the report draws it."""
+"""What a supervision saw: row by row, as figures, and in words."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
 from armsight.columns import POSE6
+from armsight.fields import Doc
 from armsight.records import PoseStatus, TargetPose
-from armsight.report.verify_pages import LiveSeries
-from armsight.store.tables import cells, number, word
+from armsight.records.output import Output, figure, output
+from armsight.records.result_parts import MEANING, Verdict
+from armsight.shown import RESULTS, Shown, digits
 from armsight.units import DEG, MM, figure_of
-from armsight.verify.results import DecisionTime, LiveAlarm, LiveErrors, VerifyLiveOutput
+from armsight.verify.records import Columns
 from armsight.verify.supervision import Alarm, Compared, Level, Limits
+from armsight.verify.verdicts import live_verdict
 
 ERROR_COLUMNS = (*POSE6, "error_m", "error_rad", "std_m", "std_rad")
-HEADER = ("t_s", "level", *ERROR_COLUMNS, "decision_ms", "lost")
+
+
+@output
+class LiveAlarm(Output):
+    """A level that was raised, or something that supervision lost."""
+
+    t_s: Annotated[float, Doc("When, on the cameras' clock, s: the middle of the exposure that told it.")]
+    level: Annotated[str, Doc("warn, stop, or blind: nothing could be compared for a while.")]
+    why: Annotated[str, Doc("What was off and by how much, or what was lost.")]
+
+
+@output
+class LiveErrors(Output):
+    """Errors of the poses compared."""
+
+    rms_m: Annotated[float | None, Doc("Of the place, root mean square, m; null where nothing was compared.")]
+    max_m: Annotated[float | None, Doc("Largest error of the place, m.")]
+    rms_rad: Annotated[float | None, Doc("Of the rotation, root mean square, rad.")]
+    max_rad: Annotated[float | None, Doc("Largest error of the rotation, rad.")]
+    std_m: Annotated[
+        float | None, Doc("What measurement and expectation may be off along the error, RMS of standard deviations, m.")
+    ]
+    std_rad: Annotated[float | None, Doc("The same of the rotation, rad.")]
+
+
+@output
+class DecisionTime(Output):
+    """Time from a pair of frames in memory to the decision on it, ms."""
+
+    median: Annotated[float, Doc("Median, ms.")]
+    p99: Annotated[float, Doc("99 of 100 took less, ms.")]
+
+
+@output
+class VerifyLiveOutput(Output):
+    """armsight verify --live."""
+
+    n: Annotated[int, Doc("Pairs of frames seen.")]
+    n_compared: Annotated[int, Doc("Pairs that were compared.")]
+    n_lost: Annotated[int, Doc("Pairs in which the target was not seen whole.")]
+    n_stale: Annotated[int, Doc("Pairs for which the joints were not known.")]
+    duration_s: Annotated[float, Doc("From the first pair to the last, s.")]
+    rate_hz: Annotated[float | None, Doc("Pairs a second; null for fewer than two.")]
+    missed: Annotated[int, Doc("Frames of the left camera that never arrived, by their numbers.")]
+    level: Annotated[str, Doc("The gravest level raised: good, warn or stop; unknown where nothing was compared.")]
+    stopped: Annotated[bool, Doc("Whether the robot was told to stop.")]
+    alarms: Annotated[list[LiveAlarm], Doc("What was raised, in the order of time.")]
+    errors: Annotated[LiveErrors, Doc("Measured minus expected.")]
+    levels: Annotated[Limits, Doc("The levels of alarm.")]
+    blind_s: Annotated[float, Doc("Longest time in which nothing could be compared, s.")]
+    decision_ms: Annotated[DecisionTime | None, Doc("How long a decision took; null without one.")]
+    recording: Annotated[str | None, Doc("The recording; null where none was made.")]
+    doubts: Annotated[list[str], Doc("What to know before believing it.")]
+    verdict: Annotated[str, Doc("What it comes to, in words.")]
+    log: LiveLog
+
+    @figure(MEANING, optional=True)
+    def verdict_(self) -> Verdict:
+        return live_verdict(self)
+
+    @property
+    def table(self) -> Columns:
+        """The columns of errors.csv, row by row; lost rows have no numbers."""
+        return self.log.columns()
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        for alarm in self.alarms:
+            yield f"  {alarm.t_s:.3f} s: {alarm.why}"
+        rate = "-" if self.rate_hz is None else f"{self.rate_hz:.1f} a second"
+        ms = "" if self.decision_ms is None else f"; decided in {digits(self.decision_ms.median)} ms (median)"
+        yield (
+            f"{self.n} pairs, {rate}: {self.n_compared} compared, {self.n_lost} without the target, {self.n_stale} "
+            f"without joints, {self.missed} never came{ms}"
+        )
+        if self.errors.rms_m is not None and self.errors.std_m is not None:
+            yield (
+                f"Error of place {digits(self.errors.rms_m / MM)} mm RMS, of which noise explains "
+                f"{digits(self.errors.std_m / MM)} mm; the decision's clock begins with a frame in memory"
+            )
+        yield from (f"  {text}" for text in self.doubts)
+        yield self.verdict
+        yield RESULTS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LiveSeries:
+    """Rows over time t_s (m,): error (m, 6) in m and rad, std (m, 2) along it; NaN where nothing was compared."""
+
+    t_s: Array
+    error: Array
+    std: Array
+
+    @property
+    def place_m(self) -> Array:
+        """Length of the error of place (m,)."""
+        return np.asarray(np.linalg.norm(self.error[:, :3], axis=1))
+
+    @property
+    def turn_rad(self) -> Array:
+        """Angle of the error of rotation (m,)."""
+        return np.asarray(np.linalg.norm(self.error[:, 3:], axis=1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,18 +174,17 @@ class LiveLog:
             )
         )
 
-    def raised(self, alarm: Alarm) -> None:
-        """Add an alarm."""
-        self.alarms.append(alarm)
-
-    def csv(self) -> str:
-        """Return errors.csv; lost rows have no numbers."""
-        lines = [",".join(HEADER)]
-        for row in self.rows:
-            sizes = np.linalg.norm(row.error.reshape(2, 3), axis=1)
-            figures = cells([*row.error, *sizes, *row.std, row.ms])
-            lines.append(f"{number(row.t_s)},{row.level.word if not row.lost else 'lost'},{figures},{word(row.lost)}")
-        return "\n".join(lines) + "\n"
+    def columns(self) -> Columns:
+        """Return the rows as the columns of errors.csv; lost ones have no numbers."""
+        series = self.series()
+        numbers = np.column_stack([series.error, series.place_m, series.turn_rad, series.std])
+        return {
+            "t_s": series.t_s,
+            "level": [row.level.word if not row.lost else "lost" for row in self.rows],
+            **dict(zip(ERROR_COLUMNS, numbers.T, strict=True)),
+            "decision_ms": np.array([row.ms for row in self.rows]),
+            "lost": [row.lost for row in self.rows],
+        }
 
     def series(self) -> LiveSeries:
         """Return the rows as columns."""
@@ -120,6 +224,7 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
         recording=recording,
         doubts=list(doubts),
         verdict=_verdict(log, series, known, grave),
+        log=log,
     )
 
 

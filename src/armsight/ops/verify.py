@@ -1,0 +1,399 @@
+"""Is the arm where it says it is: of files, before live cameras, after a crash; and the plan of a test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+from armsight.app.requests.motion import LATENCY_S, RobotJob, RobotSettings
+from armsight.app.requests.plant import PlantFlags
+from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
+from armsight.defaults import JOINT_STD, LATENCY_STD_S
+from armsight.fields import Bounds, Doc, Flag, Flags
+from armsight.file_names import ERRORS, PLAN, PLAN_SUMMARY, REPORT, VERIFY
+from armsight.file_names import LIVE as RECORDING
+from armsight.file_names import MASTERING as POSES_TO_MEASURE
+from armsight.ops.action import action
+from armsight.ops.kinds import CHAIN, ArmLike, AsFile, Readings
+from armsight.units import DEG, MM
+
+if TYPE_CHECKING:
+    from armsight.app.requests.plant import Publishing
+    from armsight.app.verify.supervising import Show, Supervised
+    from armsight.clock import Clock
+    from armsight.records import Progress
+    from armsight.verify.iso9283.plan import VerifyPlanOutput
+    from armsight.verify.live import VerifyLiveOutput
+    from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
+
+SPAN_RAD = 30.0 * DEG
+"""How far joints go from those about which poses are proposed."""
+Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
+AnArm: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
+OneArm: TypeAlias = Annotated[ArmLike, Doc(f"{KNOWN_ARM}.")]
+MeasuredFile: TypeAlias = Annotated[
+    AsFile,
+    Doc(
+        "Measured poses or points: poses.csv, points.csv, a tracker's table (x_m,y_m,z_m), TUM. With columns "
+        "pose and visit, or run, the figures of ISO 9283."
+    ),
+    Flag(metavar="FILE"),
+]
+JointsFile: TypeAlias = Annotated[AsFile, Doc("joints.csv of the controller. [default: q1 .. qn of the measured file]")]
+WorldFile: TypeAlias = Annotated[AsFile, Doc("world.yaml: where the measuring rig stands.")]
+RigFile: TypeAlias = Annotated[AsFile, Doc("rig.yaml of the two cameras."), Flag(panel=LIVE)]
+TargetFile: TypeAlias = Annotated[AsFile, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
+Tool: TypeAlias = Annotated[
+    Literal["fixed", "free"] | None,
+    Doc("Whether the tool is known from before. [default: fixed with --world, else free]"),
+    Flag(metavar="fixed|free", read=str, panel=MASTERING),
+]
+
+
+@action("verify", keeps=(VERIFY, ERRORS, REPORT))
+def verify(
+    measured: MeasuredFile,
+    *,
+    arm: AnArm | None = None,
+    joints: JointsFile = None,
+    commanded: Annotated[AsFile, Doc("Instead of an arm: the poses that were commanded."), Flag(metavar="FILE")] = None,
+    world: WorldFile = None,
+    align: Annotated[
+        Literal["none", "base", "tool", "both"] | None,
+        Doc("What is laid where it fits best. [default: both; none with --world]"),
+        Flag(metavar="none|base|tool|both", read=str),
+    ] = None,
+    compare: Annotated[
+        AsFile, Doc("An earlier run, to stand beside this one in the report."), Flag(metavar="FOLDER")
+    ] = None,
+    band_m: Annotated[
+        float | None,
+        Doc(
+            "For rows with a column arrival: the limit band that the arm settles into. [default: the pose "
+            "repeatability of the same pose]"
+        ),
+        Flag(quantity="m"),
+    ] = None,
+    tip: Tip = None,
+    base: Base = None,
+    table: TwoTables | None = None,
+    out: Out = None,
+) -> VerifyResult:
+    """Return how measured poses differ from where the arm says it is, and what the difference comes from.
+
+    Parameters
+    ----------
+    measured
+        Poses or points: a file, a PoseTrack, columns by name, (t_s, T). With columns pose and visit, or run, also the
+        figures of ISO 9283, in `iso9283`.
+    arm, joints
+        Where the arm says it is: an Arm, a preset's name or a file, and the controller's readings (t_s, q).
+    commanded
+        Instead of an arm: the poses that were commanded.
+    world
+        T_base_rig, where the measuring rig stands: nothing is then aligned.
+    align
+        What is laid where it fits best; else both, and none with world.
+    compare
+        The folder of an earlier run.
+    band_m
+        The limit band of arrivals at a pose.
+    tip, base
+        Of a URDF: the last link of the arm and its base link.
+    table
+        What is said of a foreign table: units, columns, the robot's maker.
+    out
+        A folder for verify.json, errors.csv and report.html; None writes nothing.
+
+    Raises
+    ------
+    NotEnoughData, Inconsistent, Degenerate
+        Rows that cannot carry the answer.
+    UsageError
+        Parameters that mean nothing together.
+
+    Examples
+    --------
+    >>> arm = armsight.presets.ur10()
+    >>> q = np.random.default_rng(1).uniform(-1.5, 1.5, (40, 6))
+    >>> armsight.verify(arm.fk(q), arm=arm, joints=q, align="none").after.rms_m < 1e-9
+    True
+    """
+    from armsight.app.verify import run
+    from armsight.store import read_world
+    from armsight.store.interpret import OURS
+    from armsight.store.verify_files import read_measured
+    from armsight.verify import Align
+
+    run.check_usage(
+        arm=arm,
+        joints=joints,
+        commanded=commanded,
+        links=(tip, base),
+        align=align,
+        band_m=band_m,
+        folders=(compare, out),
+    )
+    tables, expected = table or OURS, None
+    earlier = None if compare is None else run.read_run(compare)
+    file = read_measured(measured, tables.of_camera)
+    how = None if align is None else Align(align)
+    if world is not None:
+        stand = read_world(world)
+        file, how = run.file_in_world(file, stand), how or Align.NONE
+        # measured in base, and so expected there
+        arm = arm.based() if arm is not None and stand.parent == "base" else arm
+    if commanded is not None:
+        expected = run.commands_of(commanded, tables)
+    elif arm is not None:
+        expected = run.readings_of(arm, file, measured, joints, tables)
+    done = run.verified(file, expected, how, band_m)
+    return done if earlier is None else run.beside(done, compare, earlier)
+
+
+@action("verify", keeps=(PLAN, PLAN_SUMMARY))
+def plan_verification(
+    arm: AnArm,
+    out: Out = None,
+    part: Annotated[
+        str,
+        Doc("With --plan: which part of the test. [default: cube, all]"),
+        Flag(positional=True, metavar="[cube|poses|paths]", default=None),
+    ] = "cube",
+    *,
+    side_m: Annotated[
+        float | None, Doc("With --plan: the cube's side. [default: the largest that fits]"), Flag(quantity="m")
+    ] = None,
+    speed_m_s: Annotated[float | None, Doc("With --plan: the speed along the paths."), Flag(quantity="m/s")] = None,
+    tip: Tip = None,
+    base: Base = None,
+    progress: Progress | None = None,
+) -> VerifyPlanOutput:
+    """Write plan.csv, the test of ISO 9283 for an arm, into a folder, and return what it holds.
+
+    part: cube (all), poses, paths, or a motion's name. side_m: of the cube; else the largest that fits. speed_m_s:
+    along the paths. tip, base: as `verify` takes them. Raises UsageError, DataRefused where no cube fits.
+
+    Examples
+    --------
+    >>> armsight.plan_verification("irb120", folder / "plan", "poses", side_m=0.1).cube.side_m
+    0.1
+    """
+    from armsight.verify.iso9283.plan import PlanOptions, chosen_motions, plan_test
+
+    options = PlanOptions(side_m=side_m)
+    if speed_m_s is not None:
+        options = replace(options, speed_m_s=speed_m_s)
+    return chosen_motions(plan_test(arm, options, progress), part)
+
+
+@action("verify", working="supervising", keeps=(VERIFY, ERRORS, REPORT, RECORDING))
+def supervise(
+    robot: Annotated[str, Doc("Whose joints are read."), Flag(metavar="DRIVER:DEVICE", panel=LIVE)],
+    rig: RigFile,
+    target: TargetFile,
+    left: Annotated[str, Doc("The left camera: camera:NAME."), Flag(metavar="SRC", panel=LIVE)],
+    right: Annotated[str, Doc("The right camera."), Flag(metavar="SRC", panel=LIVE)],
+    arm: OneArm,
+    world: WorldFile,
+    *,
+    warn_m: Annotated[float | None, Doc("Error of place that warns."), Flag(unit=MM, panel=LIVE)] = None,
+    stop_m: Annotated[float | None, Doc("Error of place that stops the robot."), Flag(unit=MM, panel=LIVE)] = None,
+    warn_rad: Annotated[float | None, Doc("Error of rotation that warns."), Flag(unit=DEG, panel=LIVE)] = None,
+    stop_rad: Annotated[
+        float | None, Doc("Error of rotation that stops the robot."), Flag(unit=DEG, panel=LIVE)
+    ] = None,
+    blind_stop_s: Annotated[
+        float | None, Doc("Stop where nothing is seen for so long."), Flag("--stop-blind", metavar="S", panel=LIVE)
+    ] = None,
+    joint_std: Annotated[
+        float,
+        Doc("Of a joint reading, deg (a slide: m x 57). [default: 0.001]"),
+        Flag("--joint-std", unit=DEG, default=None, panel=LIVE),
+    ] = JOINT_STD,
+    latency_s: Annotated[
+        float, Doc("From exposure to frame in memory, s. [default: 0.03]"), Flag(default=None, panel=LIVE)
+    ] = LATENCY_S,
+    latency_std_s: Annotated[
+        float, Doc("How well that is known, s. [default: 0.01]"), Flag(default=None, panel=LIVE)
+    ] = LATENCY_STD_S,
+    seconds_s: Annotated[float | None, Doc("End after so long."), Bounds(above=0.0), Flag(panel=LIVE)] = None,
+    frames: Annotated[int | None, Doc("End after so many pairs."), Bounds(least=1), Flag(panel=LIVE)] = None,
+    keep_frames: Annotated[bool, Doc("Keep the images in the recording too."), Flag(panel=LIVE)] = False,
+    play: Annotated[bool, Doc("A simulated robot goes its scenario's way by itself."), Flag(panel=LIVE)] = False,
+    robot_settings: RobotSettings = None,
+    rsi_config: Annotated[
+        AsFile, Doc("Of rsi: the RSI Ethernet configuration, for its own tags."), Flag(metavar="FILE.xml")
+    ] = None,
+    plant: Annotated[Publishing | None, Flags(PlantFlags)] = None,
+    camera_settings: Cameras | None = None,
+    out: Out = None,
+    progress: Progress | None = None,
+    show: Show | None = None,
+    tell: Callable[[str], None] | None = None,
+    clock: Clock | None = None,
+    devices: Supervised | None = None,
+) -> VerifyLiveOutput:
+    """Watch a running arm with two cameras, stop it where it is not where it says, and return what was seen.
+
+    Parameters
+    ----------
+    robot, left, right
+        As identify_arm_live takes them, and robot_settings and rsi_config.
+    arm, world
+        Where the arm should be: its geometry, and where the rig stands (T_base_rig).
+    warn_m, stop_m, warn_rad, stop_rad
+        Errors that warn, and that stop the robot.
+    blind_stop_s
+        Stop where nothing was seen for so long.
+    joint_std, latency_s, latency_std_s
+        Of a reading (rad, m); from exposure to frame in memory, and how well that is known.
+    seconds_s, frames
+        When to end.
+    keep_frames, out
+        The images too; a folder for report and recording.
+    play
+        A simulated robot goes its scenario's way by itself.
+    plant, tell
+        What publishes it to a plant's systems, and what takes their notes.
+    show
+        Is told of every pair: pose, what was compared, level, and what was lost.
+    clock, devices
+        In place of the machine's and of those named.
+
+    Raises
+    ------
+    UsageError, DataRefused, DeviceFailed
+        Nothing could be compared, or a device failed; what was seen until then is written all the same.
+    """
+    from armsight.app.live.pace import live_pace
+    from armsight.app.measure.run import target_of
+    from armsight.app.measure.warm_up import prepare
+    from armsight.app.verify import live
+    from armsight.app.verify.supervising import Supervision
+    from armsight.clock import SystemClock
+    from armsight.drivers import AUTOMATIC
+    from armsight.measure.poses.pipeline import Setup
+    from armsight.measure.settings import SpotSettings
+    from armsight.ops.given import Given as Folder
+    from armsight.records import Silent
+    from armsight.store import read_rig, read_world
+    from armsight.verify.live import live_output
+    from armsight.verify.supervision import Limits, PredictedPose
+
+    limits = Limits(warn_m=warn_m, stop_m=stop_m, warn_rad=warn_rad, stop_rad=stop_rad)
+    clock, progress = clock or SystemClock(), progress or Silent()
+    seen, lights, stand = read_rig(rig), target_of(target), read_world(world)
+    live.check_times(latency_s, latency_std_s, blind_stop_s, joint_std)
+    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config)
+    settings = camera_settings or AUTOMATIC
+    devices = devices or live.open_supervised(
+        link, (left, right), lights, clock, arm, play=play, camera_settings=settings
+    )
+    expectation = PredictedPose(
+        arm=arm if stand.parent == "world" else arm.based(),
+        T_parent_rig=stand.T_parent_rig,
+        rig_covariance=None if stand.covariance is None else stand.covariance.matrix,
+        joint_std=joint_std,
+        time_std_s=0.0 if devices.origin_s is not None else latency_std_s,
+    )
+    live.check_arm(arm, devices)
+    setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
+    prepare(progress)
+    run = Supervision(setup, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
+    run.show, run.tell = show or run.show, tell or run.tell
+    with Folder(out) as folder:
+        recording = folder.out / RECORDING
+        failure = live.supervise_until_ended(
+            run,
+            lambda stack: run.open(stack, recording, rig, target, frames=keep_frames),
+            lambda: run.ended(seconds_s, frames),
+            plant,
+            progress,
+        )
+    latency = None if devices.origin_s is not None else (latency_s, latency_std_s)
+    known = live.doubts(limits, arm, stand, latency, failure)
+    done = live_output(run.judge.log, recording=str(recording), doubts=known)
+    if failure is not None:
+        raise live.with_kept(failure, done, out)
+    return done
+
+
+@action("verify", keeps=(POSES_TO_MEASURE,))
+def propose_mastering_poses(
+    arm: OneArm,
+    around: Annotated[
+        Readings,
+        Doc("Propose poses about these joints, rad or m (or 90deg)."),
+        Flag(metavar="Q1,..,QN", panel=MASTERING),
+    ],
+    *,
+    span_rad: Annotated[
+        float,
+        Doc("How far joints may go from there, deg. [default: 30]"),
+        Flag("--span", unit=DEG, default=None, panel=MASTERING),
+    ] = SPAN_RAD,
+    tool: Tool = None,
+    world: WorldFile = None,
+    rig: RigFile = None,
+    target: TargetFile = None,
+    out: Out = None,
+) -> MasteringPlanOutput:
+    """Return ten joint positions at which to measure an arm after a crash.
+
+    around: readings (n,) about which they are, within span_rad. tool: whether it is known from before. rig, target,
+    world: only poses that the cameras see. out: a folder for mastering.csv. Raises UsageError, DataRefused.
+
+    Examples
+    --------
+    >>> len(armsight.propose_mastering_poses("ur10", [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses)
+    10
+    """
+    from armsight.app.measure.run import target_of
+    from armsight.app.verify import mastering
+    from armsight.store import read_rig, read_world
+
+    stand = None if world is None else read_world(world)
+    placed, how = mastering.in_measured_frame(arm, stand, tool)
+    view = None
+    if rig is not None and target is not None and stand is not None:
+        view = (read_rig(rig), target_of(target), stand)
+    q = mastering.drawn_about(placed, around, span_rad, view)
+    return mastering.propose_poses(placed, how, q, view, "" if out is None else str(Path(out) / POSES_TO_MEASURE))
+
+
+@action("verify", keeps=(VERIFY, REPORT))
+def check_mastering(
+    measured: MeasuredFile,
+    joints: JointsFile,
+    arm: OneArm,
+    *,
+    tool: Tool = None,
+    world: WorldFile = None,
+    out: Out = None,
+) -> MasteringOutput:
+    """Return which joint's zero moved in a crash, from poses measured at joint positions.
+
+    measured, joints, arm, world: as `verify` takes them. tool: whether it is known from before. out: a folder for the
+    report. Raises UsageError, DataRefused.
+
+    Examples
+    --------
+    >>> arm = armsight.presets.ur10()
+    >>> q = np.array([pose.q for pose in armsight.propose_mastering_poses(arm, [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses])
+    >>> armsight.check_mastering(arm.fk(q), q, arm, tool="fixed").cause
+    'none'
+    """
+    from armsight.app.verify import mastering
+    from armsight.app.verify.run import in_world
+    from armsight.store import read_world
+    from armsight.store.verify_files import read_measured
+
+    stand = None if world is None else read_world(world)
+    placed, how = mastering.in_measured_frame(arm, stand, tool)
+    file = read_measured(measured)
+    if stand is not None:
+        file = replace(file, measured=in_world(file.measured, stand))
+    return mastering.judge_poses(placed, how, file, mastering.readings_of(placed, file, measured, joints))
