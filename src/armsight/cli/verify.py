@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from armsight.app.requests.plant import PLANT
 from armsight.app.requests.shared import CAMERAS, LIVE, MASTERING, TABLES, OutFolder
-from armsight.cli.actions import action_of, show
+from armsight.cli.actions import show
 from armsight.cli.command import Command, add, app
 from armsight.cli.command_ui import CommandUI, StatusLine
 from armsight.cli.flags import PartialRequest
@@ -16,6 +16,7 @@ from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
 from armsight.file_names import VERIFIED
 from armsight.ops import verify as ops
+from armsight.ops.action import action_of
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
