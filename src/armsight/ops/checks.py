@@ -185,6 +185,7 @@ SIMPLE: Mapping[str, Check] = {
     "Progress": _progress,
     "Confirm": _confirm,
     "Settings": _kind(Mapping),
+    "RobotSettings": _kind(Mapping),
     "TableFormat": _kind(TableFormat),
     "CameraSettings": _kind(CameraSettings),
     "PairSettings": _kind(CameraSettings, tuple),

@@ -40,7 +40,18 @@ def supervise_until_ended(
     ArmsightError where nothing was seen at all.
     """
     try:
-        _supervise(run, opened, ended, plant, progress)
+        with ExitStack() as stack:
+            robot = stack.enter_context(run.devices.robot)
+            stack.enter_context(run.devices.pairs)
+            opened(stack)
+            if plant is not None:
+                stack.enter_context(plant.supervised(run))
+            try:
+                _take_pairs(run, lambda: ended() or progress.cancelled())
+            except BaseException:
+                if run.stops:
+                    robot.stop()  # nobody watches any more
+                raise
     except ArmsightError as error:
         if not run.judge.log.rows:
             raise
@@ -48,30 +59,13 @@ def supervise_until_ended(
     return _nothing_compared(run.judge.log)
 
 
-def _supervise(
-    run: Supervision,
-    opened: Callable[[ExitStack], None],
-    ended: Callable[[], bool],
-    plant: Publishing | None,
-    progress: Progress,
-) -> None:
-    with ExitStack() as stack:
-        robot = stack.enter_context(run.devices.robot)
-        stack.enter_context(run.devices.pairs)
-        opened(stack)
-        if plant is not None:
-            stack.enter_context(plant.supervised(run))
-        try:
-            with closing(_generator(run)) as pairs:
-                for pair in pairs:
-                    run.take(pair)
-                    if ended() or progress.cancelled():
-                        return
-            raise DeviceFailed("the cameras ended", consequence="Nobody watches the arm any more", cure="Check them")
-        except BaseException:
-            if run.stops:
-                robot.stop()  # nobody watches any more
-            raise
+def _take_pairs(run: Supervision, ended: Callable[[], bool]) -> None:
+    with closing(_generator(run)) as pairs:
+        for pair in pairs:
+            run.take(pair)
+            if ended():
+                return
+    raise DeviceFailed("the cameras ended", consequence="Nobody watches the arm any more", cure="Check them")
 
 
 def _generator(run: Supervision) -> Generator[tuple[Frame, Frame], None, None]:
