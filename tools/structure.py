@@ -47,6 +47,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/verify.py:verify": FLAGS,
         "ops/paths.py:export": FLAGS,
         "ops/calibrate_*": FLAGS,
+        "ops/measure.py:*": FLAGS,
     },
     "arguments": {
         "api/*": FLAGS,
