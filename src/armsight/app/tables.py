@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +25,7 @@ from armsight.store.interpret import (
     kind_of_table,
 )
 from armsight.store.outputs import TextOutput
+from armsight.store.tables import Table as ParsedTable
 from armsight.store.tables import bare, parse_table, word
 
 KINDS = ("joints", "poses", "points", "pairs", "robot_poses", "sweep")
@@ -90,16 +91,7 @@ def convert_table(
             cure="Name them in the first line, or give --columns",
         )
     rows = [row for row in csv.reader(io.StringIO(found.data.decode("utf-8-sig"), newline="")) if row]
-    header = rows[0]
-    table = parse_table(
-        found.data,
-        str(source),
-        (),
-        optional=[name for name in header if not (name[0] == "q" and name[1:].isdecimal())],
-        text=[name for name in header if name in ("file", "point", "status", "spots")],
-        blank=header,
-        series="q",
-    )
+    header, table = rows[0], _parsed(found.data, rows[0], source)
     _check_units(table.numbers, str(source), format_)
     ranges = {name: _range(column) for name, column in table.numbers.items()}
     return ConvertTableOutput(
@@ -111,6 +103,19 @@ def convert_table(
         n=len(table),
         notes=[*found.notes, *(f"{name}: every cell is empty" for name, range_ in ranges.items() if range_ is None)],
         file=None if out is None else str(out),
+    )
+
+
+def _parsed(data: bytes, header: Sequence[str], source: Path) -> ParsedTable:
+    """Return the columns of a table in names of ours."""
+    return parse_table(
+        data,
+        str(source),
+        (),
+        optional=[name for name in header if not (name[0] == "q" and name[1:].isdecimal())],
+        text=[name for name in header if name in ("file", "point", "status", "spots")],
+        blank=header,
+        series="q",
     )
 
 

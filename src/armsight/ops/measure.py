@@ -135,7 +135,7 @@ def measure(
     (3, (3, 4, 4))
     """
     from armsight.app.measure.free_output import measure_free
-    from armsight.app.measure.run import about_pairs, run, target_of, zoom_facts, zoomed_rig
+    from armsight.app.measure.run import about_pairs, run, target_of, zoomed_rig
     from armsight.app.measure.streams import FrameSources
     from armsight.app.sources.bags import read_motion
     from armsight.app.sources.frames import frame_times
@@ -175,17 +175,8 @@ def measure(
     facts += [("place of the rig", str(world))] if place else []
     told = frame_times(left or image, times, fps)
     pairs, overlaid = sources.pairs(cameras, told.times_s, colour=colour is not None)
-    about = about_pairs(sources, pairs.name, told, [*facts, *zoom_facts(zoomed)], stills=stills)
-    return run(
-        setup(overlaid=overlaid),
-        pairs,
-        out,
-        world=place,
-        limit=frames,
-        progress=progress,
-        about=about,
-        zoomed=zoomed,
-    )
+    about = about_pairs(sources, pairs.name, told, facts, zoomed, stills=stills)
+    return run(setup(overlaid=overlaid), pairs, out, world=place, limit=frames, progress=progress, about=about)
 
 
 def _with_zoom(settings: PairSettings, zoom: tuple[float | None, float | None]) -> PairSettings:

@@ -19,11 +19,12 @@ from armsight.app.calibrate import mirrors, mirrors_lit_target
 from armsight.app.simulate.run import simulate
 from armsight.app.sources.frames import complex_pairs, open_source
 from armsight.calibrate.mirrors.result import reasons
+from armsight.cli.actions import action_of
 from armsight.cli.commands import app
 from armsight.drivers import PairSource
 from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.results import MeasureResult
-from armsight.ops.measure import measure
+from armsight.ops import measure as ops
 from armsight.optics import Camera, parallel_rig
 from armsight.records import NotSeen, PoseStatus, spot_target
 from armsight.store import read_poses, read_rig, write_camera, write_rig, write_target
@@ -40,6 +41,12 @@ BOARD = f"checkerboard:{COLUMNS}x{ROWS}:{SQUARE_M}"
 BLACK, WHITE, ROOM = 12.0, 95.0, 35.0
 BLUR_PX = 0.7
 LIGHTS_M = np.array([[-0.04, 0.0, 0.0], [0.022, -0.03, 0.0], [0.018, 0.03, 0.0]])
+
+
+def measure(**given: Any) -> MeasureResult:
+    """Measure as the command line does, and refuse in its words."""
+    done: MeasureResult = action_of(ops.measure).run(given)  # type: ignore[assignment]  # what it returns
+    return done
 
 
 def step(x: Array, at: Array | float, width: Array) -> Array:
@@ -364,4 +371,4 @@ def test_a_mirror_rig_needs_image(rig: Path, tmp_path: Path) -> None:
     job = {"rig": rig, "target": Path(BOARD), "out": tmp_path / "m", "left": images, "right": images}
     with pytest.raises(UsageError, match="mirrors") as caught:
         measure(**job)
-    assert "Give image" in caught.value.cure
+    assert "--image" in caught.value.cure

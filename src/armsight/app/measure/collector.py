@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
+from armsight.file_names import MEASURE, REPORT
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import MeasureResult
-from armsight.optics import SIDES
+from armsight.optics import SIDES, ZoomState
 from armsight.records import Frame, PoseStatus, TargetPose
 from armsight.report import (
     MeasureRun,
@@ -20,6 +21,10 @@ from armsight.report import (
     measure_report,
 )
 from armsight.store import World, write_text
+from armsight.store.atomic import write_json
+
+Zoomed = dict[str, ZoomState]
+"""The state of each camera that zooms, by left and right."""
 
 MAX_RESIDUALS = 20_000
 """Residual vectors kept per camera: a cloud of more is no clearer; beyond it every second one goes."""
@@ -33,7 +38,8 @@ class About:
     """What a report says beside the measurement: more lines on its inputs, and the true pose per pair where known.
 
     assumed_fps: frames a second that were assumed, where nothing tells the frames' times. stills: whether the frames
-    are single shots, which have no track and no seconds. recordings: files that the frames are in.
+    are single shots, which have no track and no seconds. recordings: files that the frames are in. zoomed: the cameras
+    that zoom.
     """
 
     title: str = "Measurement"
@@ -43,6 +49,7 @@ class About:
     assumed_fps: float | None = None
     stills: bool = False
     recordings: Sequence[str] = ()
+    zoomed: Zoomed = field(default_factory=dict)
 
 
 class Collector:
@@ -73,8 +80,8 @@ class Collector:
         """Return the true poses of the pairs so far, where they are known."""
         return None if about.truth is None else about.truth[: len(self._poses)]
 
-    def write(self, path: Path, summary: MeasureResult, about: About) -> None:
-        """Write the report of the pairs so far."""
+    def write(self, folder: Path, summary: MeasureResult, about: About) -> None:
+        """Write the report of the pairs so far, and their figures."""
         run = MeasureRun(
             poses=self._poses,
             rig=self._setup.rig,
@@ -95,7 +102,8 @@ class Collector:
             consistency=summary.consistency,
             verdict=summary.verdict_,
         )
-        write_text(path, measure_report(run))
+        write_text(folder / REPORT, measure_report(run))
+        write_json(folder / MEASURE, summary.to_dict())
 
     def _keep_residuals(self, number: int, pose: TargetPose) -> None:
         vectors = pose.residual_px.reshape(-1, len(SIDES), 2)  # (n, side, u v), model minus measured

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from armsight.app.measure.collector import Zoomed
 from armsight.app.measure.free_running import KINDS, FreeRun, MovingPose, measure_free_running
 from armsight.app.measure.outputs import Outputs, Velocity, moved_to
-from armsight.app.measure.run import Zoomed, zooms_of
+from armsight.app.measure.run import zooms_of
 from armsight.app.measure.streams import FrameSources
 from armsight.app.measure.warm_up import prepare
 from armsight.app.sources.frames import recordings_in
@@ -38,7 +39,7 @@ def measure_free(
     progress: Progress,
     world: World | None = None,
     facts: Sequence[tuple[str, str]] = (),
-    zoomed: Zoomed | None = None,
+    zoomed: Zoomed,
 ) -> MeasureResult:
     """Measure a moving target from views at their own times, into the folder out where there is one. See run.
 
@@ -57,6 +58,22 @@ def measure_free(
             consequence="There is no pose",
             cure="Check that the times of --at are those of the left camera's stamps",
         )
+    outputs = _written(out, setup, poses, done, world)
+    left_over = np.vstack(list(done.residuals.values()))[:, 1:] if done.residuals else np.empty((0, 2))
+    rms_px = float(np.sqrt(np.mean(np.sum(left_over**2, axis=1)))) if len(left_over) else None
+    views, grounds = (rms_px, FrameTime(median=ms, p99=None)), grounds_of(poses)
+    found = outputs.summary(setup, poses, done.consistency, grounds, views, timing=done.figures, zoom=zooms_of(zoomed))
+    if out is not None:
+        progress.update(0, 0, "writing the report")
+        write_text(out / REPORT, measure_report(_report(setup, frames, world, done, found, facts)))
+        write_json(out / MEASURE, found.to_dict())
+    return found
+
+
+def _written(
+    out: Path | None, setup: Setup, poses: Sequence[TargetPose], done: FreeRun, world: World | None
+) -> Outputs:
+    """Write the rows of poses in the world's frame, and of the views that they come from."""
     with Outputs(out, world=world, moving=True) as outputs:
         for pose, one in zip(poses, done.poses, strict=True):
             points = _points(setup, one.pose) if pose.status.size == 6 else None
@@ -64,22 +81,7 @@ def measure_free(
         for view in done.views:
             names = [setup.model.names[k] for k in view.lights.tolist()]
             outputs.spots(view.t_s, SIDES[view.side], names, Spots.of_centres(view.uv_px, view.cov_px2))
-    left_over = np.vstack(list(done.residuals.values()))[:, 1:] if done.residuals else np.empty((0, 2))
-    found = outputs.summary(
-        setup,
-        poses,
-        done.consistency,
-        grounds_of(poses),
-        reprojection_rms_px=float(np.sqrt(np.mean(np.sum(left_over**2, axis=1)))) if len(left_over) else None,
-        ms_per_frame=FrameTime(median=ms, p99=None),
-        timing=done.figures,
-        zoom=zooms_of(zoomed),
-    )
-    if out is not None:
-        progress.update(0, 0, "writing the report")
-        write_text(out / REPORT, measure_report(_report(setup, frames, world, done, found, facts)))
-        write_json(out / MEASURE, found.to_dict())
-    return found
+    return outputs
 
 
 def _velocity(one: MovingPose, world: World | None) -> Velocity:

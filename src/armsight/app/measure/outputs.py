@@ -175,19 +175,23 @@ class Outputs:
         self._kinds[Unseen.INCONSISTENT] += changed if inconsistent else -changed
 
     def summary(
-        self, setup: Setup, poses: Sequence[TargetPose], consistency: Consistency, grounds: Grounds, **more: Any
+        self,
+        setup: Setup,
+        poses: Sequence[TargetPose],
+        consistency: Consistency,
+        grounds: Grounds,
+        views: tuple[float | None, FrameTime] | None = None,
+        **more: Any,
     ) -> MeasureResult:
-        """Return the figures of all poses; more: of the result. The reprojection RMS is of the 2-D residual per point,
-        pooled over all frames."""
-        ms, n = np.array(self._ms), self._residuals
-        figures: dict[str, Any] = {
-            "reprojection_rms_px": float(np.sqrt(2.0 * self._squares_px2 / n)) if n else None,
-            "ms_per_frame": FrameTime(
-                median=float(np.median(ms)) if len(ms) else None,
-                p99=float(np.percentile(ms, 99)) if len(ms) else None,
-            ),
-        }
+        """Return the figures of all poses; more: of the result.
+
+        views: reprojection RMS (px) and time of views that are no frames of pairs; else it is of the 2-D residual per
+        point, pooled over all frames.
+        """
+        rms_px, took = views or self._of_pairs()
         return MeasureResult(
+            reprojection_rms_px=rms_px,
+            ms_per_frame=took,
             n_frames=self.n_frames,
             n_ok=self._counts[PoseStatus.OK],
             n_doubtful=self._counts[PoseStatus.DOUBTFUL],
@@ -200,8 +204,13 @@ class Outputs:
             made_with=made_with(setup.rig, setup.target),
             grounds=grounds,
             poses=PoseTrack(poses=tuple(poses)),
-            **(figures | more),
+            **more,
         )
+
+    def _of_pairs(self) -> tuple[float | None, FrameTime]:
+        ms, n = np.array(self._ms), self._residuals
+        median, p99 = (float(np.median(ms)), float(np.percentile(ms, 99))) if len(ms) else (None, None)
+        return float(np.sqrt(2.0 * self._squares_px2 / n)) if n else None, FrameTime(median=median, p99=p99)
 
 
 def _status_of_points(pose: TargetPose) -> PoseStatus:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from armsight.app.measure.collector import About, Collector
+from armsight.app.measure.collector import About, Collector, Zoomed
 from armsight.app.measure.outputs import Outputs
 from armsight.app.measure.streams import FrameSources
 from armsight.app.measure.warm_up import prepare
@@ -17,24 +17,19 @@ from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.frames import FrameTimes, recordings_in
 from armsight.drivers import PairSource, ordered_map
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData
-from armsight.file_names import MEASURE, REPORT
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
 from armsight.measure.results import MeasureResult, ZoomAt, grounds_of
-from armsight.optics import SIDES, Rig, ZoomState, at_zoom
+from armsight.optics import SIDES, Rig, at_zoom
 from armsight.records import Frame, PoseStatus, Progress, Target
 from armsight.records.checks import wide_rig
 from armsight.store import World, parse_board, read_target, read_zoom_rig
-from armsight.store.atomic import write_json
 
 Pair = tuple[Frame, Frame]
 
 SWAPPED_ENOUGH = 3
 """Pairs at the start of a run that look exchanged before it is refused: one may do so by a reflection."""
-
-Zoomed = dict[str, ZoomState]
-"""The state of each camera that zooms, by left and right."""
 
 MEASURING = "measuring"
 
@@ -63,7 +58,6 @@ def run(
     world: World | None = None,
     limit: int | None = None,
     about: About | None = None,
-    zoomed: Zoomed | None = None,
 ) -> MeasureResult:
     """Measure the pairs of a source not yet open, into the folder out where there is one: MEASURED.
 
@@ -71,20 +65,12 @@ def run(
     DataRefused or DeviceFailed, Cancelled.
     """
     about = about or About()
-    report, check = Collector(setup, world), RunCheck(setup)
-    failure: ArmsightError | None = None
+    report, check, outputs = Collector(setup, world), RunCheck(setup), Outputs(out, world=world)
     with pairs:
         prepare(progress)
-        with Outputs(out, world=world) as outputs:
-            try:
-                for step in _steps(setup, pairs, limit, progress, alone=about.stills or setup.target.is_board):
-                    start_s = time.perf_counter()
-                    measured = check.add(step.measured)
-                    pose = outputs.add(measured)
-                    report.add(*step.pair, measured, pose)
-                    outputs.took(step.ms + (time.perf_counter() - start_s) * 1e3)
-            except ArmsightError as error:
-                failure = error
+        steps = _steps(setup, pairs, limit, progress, alone=about.stills or setup.target.is_board)
+        with outputs:
+            failure = _taken(steps, check, outputs, report)
     if outputs.n_frames == 0 and failure is not None:
         raise failure
     consistency = check.finish()
@@ -98,15 +84,28 @@ def run(
         skew=pairs.skew,
         error=str(failure) if failure else None,
         assumed_fps=about.assumed_fps,
-        zoom=zooms_of(zoomed),
+        zoom=zooms_of(about.zoomed),
     )
     if out is not None:
         progress.update(0, 0, "writing the report")
-        report.write(out / REPORT, done, about)
-        write_json(out / MEASURE, done.to_dict())
+        report.write(out, done, about)
     if failure is not None:
         raise failure if out is None else _with_path(failure, outputs, out)
     return done
+
+
+def _taken(steps: Iterable[Step], check: RunCheck, outputs: Outputs, report: Collector) -> ArmsightError | None:
+    """Check, write and keep each step; return what ended them early."""
+    try:
+        for step in steps:
+            start_s = time.perf_counter()
+            measured = check.add(step.measured)
+            pose = outputs.add(measured)
+            report.add(*step.pair, measured, pose)
+            outputs.took(step.ms + (time.perf_counter() - start_s) * 1e3)
+    except ArmsightError as error:
+        return error
+    return None
 
 
 def _steps(
@@ -199,7 +198,13 @@ def _generator(pairs: PairSource) -> Generator[Pair, None, None]:
 
 
 def about_pairs(
-    frames: FrameSources, name: str, times: FrameTimes, facts: Sequence[tuple[str, str]], *, stills: bool
+    frames: FrameSources,
+    name: str,
+    times: FrameTimes,
+    facts: Sequence[tuple[str, str]],
+    zoomed: Zoomed,
+    *,
+    stills: bool,
 ) -> About:
     """Return what a report says beside the measurement of pairs of frames, which are called by this name."""
     timed = [("time of the frames", times.source)] if times.source and not stills else []
@@ -207,10 +212,11 @@ def about_pairs(
     if zero_ns is not None:
         timed.append(("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}"))
     return About(
-        facts=[("frames", name), *facts, *timed],
+        facts=[("frames", name), *facts, *_zoom_facts(zoomed), *timed],
         assumed_fps=None if stills else times.assumed_fps,
         stills=stills,
         recordings=recordings_in(frames.left, frames.right, frames.image),
+        zoomed=zoomed,
     )
 
 
@@ -221,8 +227,7 @@ def zoomed_rig(path: Path, zoom: tuple[float | None, float | None]) -> tuple[Rig
     return found.rig, {side: state for side, state in states if state is not None}
 
 
-def zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
-    """Return the lines of a report on its zoom lenses."""
+def _zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
     return [
         (
             f"zoom, {side}",
@@ -233,7 +238,7 @@ def zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
     ]
 
 
-def zooms_of(zoomed: Zoomed | None) -> dict[str, ZoomAt] | None:
+def zooms_of(zoomed: Zoomed) -> dict[str, ZoomAt] | None:
     """Return the figures of the zoom lenses; None where there are none."""
     found = {
         side: ZoomAt(
@@ -244,6 +249,6 @@ def zooms_of(zoomed: Zoomed | None) -> dict[str, ZoomAt] | None:
             fx_interpolation_px=state.interpolation["fx"],
             pupil_m=state.pupil_m,
         )
-        for side, state in (zoomed or {}).items()
+        for side, state in zoomed.items()
     }
     return found or None
