@@ -120,7 +120,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("doctor", "--sigma"): "`doctor(sigma_px)`",
     ("doctor", "--accuracy"): "`doctor(accuracy_m)`",
     ("doctor", "--compile"): "`doctor(compile_ahead)`",
-    ("teach", "--wait"): "read the frames when they are wanted",
 }
 """What a flag of one command is in Python, where that is no parameter of its name."""
 
@@ -138,8 +137,6 @@ WHY_NOT: Mapping[str | tuple[str, str], str] = {
             *("--mqtt", "--mqtt-ca", "--mqtt-user", "--mqtt-password-file", "--foxglove", "--stale-after"),
         )
     },
-    ("robot jog", "--with"): "a keyboard's or gamepad's motion: run the command; `connect` drives step by step",
-    ("robot jog", "--frame"): "a keyboard's or gamepad's motion: run the command; `connect` drives step by step",
 }
 """Commands and flags without a Python name, and why."""
 

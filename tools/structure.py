@@ -42,11 +42,12 @@ FLAGS = "a command: each of its flags is an argument, with a line or more of hel
 
 EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "long": {
-        "api/motion.py:teach": FLAGS,
         "cli/serve.py:serve": FLAGS,
         "cli/verify.py:verify": FLAGS,
         "ops/paths.py:export": FLAGS,
         "ops/calibrate_*": FLAGS,
+        "ops/motion.py:*": FLAGS,
+        "ops/teach.py:teach": FLAGS,
     },
     "arguments": {
         "api/*": FLAGS,
