@@ -114,7 +114,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("kinematics path", "-o"): "`write_joints(path, t_s, track.q)`",
     ("batch", "--each"): "`{path.stem: {...} for path in folder.glob(...)}`",
     ("batch", "--name"): "the keys of `batch(jobs)`",
-    ("teach", "--wait"): "read the frames when they are wanted",
 }
 """What a flag of one command is in Python, where that is no parameter of its name."""
 
@@ -132,8 +131,6 @@ WHY_NOT: Mapping[str | tuple[str, str], str] = {
             *("--mqtt", "--mqtt-ca", "--mqtt-user", "--mqtt-password-file", "--foxglove", "--stale-after"),
         )
     },
-    ("robot jog", "--with"): "a keyboard's or gamepad's motion: run the command; `connect` drives step by step",
-    ("robot jog", "--frame"): "a keyboard's or gamepad's motion: run the command; `connect` drives step by step",
 }
 """Commands and flags without a Python name, and why."""
 

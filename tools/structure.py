@@ -42,12 +42,13 @@ FLAGS = "a command: each of its flags is an argument, with a line or more of hel
 
 EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "long": {
-        "api/motion.py:teach": FLAGS,
         "cli/serve.py:serve": FLAGS,
         "ops/paths.py:export": FLAGS,
         "ops/verify.py": FLAGS,
         "ops/calibrate_*": FLAGS,
         "ops/measure.py:*": FLAGS,
+        "ops/motion.py:*": FLAGS,
+        "ops/teach.py:teach": FLAGS,
     },
     "arguments": {
         "api/*": FLAGS,

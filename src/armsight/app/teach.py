@@ -43,7 +43,7 @@ Seen = Callable[[TargetPose], object]
 
 @output
 class TeachResult(Output):
-    """armsight teach. taught: the path; targets: the poses of the target that it was made of."""
+    """armsight teach."""
 
     state: Annotated[str | None, Doc("The guard's last state; null: no robot took part.")]
     n_cycles: Annotated[int, Doc("Cycles of the control loop; 0 without a robot.")]

@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO
@@ -81,7 +81,7 @@ class CommandUI:
         self._before: list[tuple[int, Any]] = []
         self._bar: Bar | None = None
         self._listener: Bar | None = None
-        self._keys = contextlib.ExitStack()
+        self.held = contextlib.ExitStack()  # what lasts as long as the command
 
     def progress(self, what: str) -> Bar:
         """Return the progress of a piece of work; the one before it ends."""
@@ -124,13 +124,6 @@ class CommandUI:
 
         return confirm
 
-    def listen(self, told: str, keys: Mapping[str, Callable[[], object]]) -> None:
-        """Tell what keys do, and do that when they are pressed, until the command ends."""
-        from armsight.drivers.jog_inputs import listening
-
-        self.say(told)
-        self._keys.enter_context(listening(keys))
-
     def __enter__(self) -> Self:
         os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # OpenCV's own complaints repeat ours without a cure
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -142,7 +135,7 @@ class CommandUI:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._end_bar()
-        self._keys.close()
+        self.held.close()
         for number, handler in self._before:
             signal.signal(number, handler)
         if error is None and self._stopped.is_set() and not self.until_stopped:

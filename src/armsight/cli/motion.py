@@ -89,6 +89,14 @@ def motion_keys(source: PathSource | JointMotionSource) -> dict[str, Callable[[]
     return {" ": space, "+": lambda: by(STEP), "-": lambda: by(-STEP)}
 
 
+def _steered(face: CommandUI, told: str, keys: Mapping[str, Callable[[], object]]) -> None:
+    """Tell what keys do, and do that when they are pressed, until the command ends."""
+    from armsight.drivers.jog_inputs import listening
+
+    face.say(told)
+    face.held.enter_context(listening(keys))
+
+
 def asks(face: CommandUI, asked: Asked) -> dict[str, Any]:
     """Return what asks whether the arm may move."""
     return {"confirm": face.moves(yes=asked["yes"])}
@@ -100,11 +108,11 @@ def _servo(face: CommandUI, asked: Asked) -> dict[str, Any]:
 
 
 def _teach(face: CommandUI, asked: Asked) -> dict[str, Any]:
-    return {**_servo(face, asked), "begun": lambda recorder: face.listen(TEACH_KEYS, teach_keys(recorder))}
+    return {**_servo(face, asked), "begun": lambda recorder: _steered(face, TEACH_KEYS, teach_keys(recorder))}
 
 
 def _run(face: CommandUI, asked: Asked) -> dict[str, Any]:
-    return {**asks(face, asked), "begun": lambda source: face.listen(PLAY_KEYS, motion_keys(source))}
+    return {**asks(face, asked), "begun": lambda source: _steered(face, PLAY_KEYS, motion_keys(source))}
 
 
 def _play(face: CommandUI, asked: Asked) -> dict[str, Any]:

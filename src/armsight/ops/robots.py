@@ -123,8 +123,7 @@ def jog(
             consequence="Nothing is moved",
             cure="Give --joint and --by for one way, or --with keyboard or gamepad alone",
         )
-    recording = None if record is None else Path(record)
-    run = RobotRun(robot, arm, progress, confirm=confirm, recording=recording, limits=limits, speed=speed)
+    run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed)
     if hand is not None:
         return jog_by_hand(run, hand, frame, inputs or open_jog_input)
     return jog_joint(run, joint or 0, by or 0.0)

@@ -16,7 +16,7 @@ from armsight.clock import ManualClock
 from armsight.control.guard import Limits
 from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import presets
-from armsight.ops import motion, robots
+from armsight.ops import motion, robots, teach
 from armsight.ops.action import action_of
 from refusals import refuses
 
@@ -79,12 +79,12 @@ def test_every_request_that_names_a_robot_takes_its_settings() -> None:
     assert named and all(issubclass(kind, RobotJob) for kind in named)  # type: ignore[arg-type]  # classes
     calls = [
         call
-        for module in (motion, robots)
+        for module in (motion, robots, teach)
         for call in vars(module).values()
         if "action" in getattr(call, "__dict__", {})
     ]
     asked = [set(action_of(call).parameters) for call in calls]
-    assert len(asked) > 5 and all({"robot_settings", "rsi_config"} < one for one in asked if "robot" in one)
+    assert len(calls) > 4 and all({"robot", "robot_settings", "rsi_config"} < one for one in asked)
 
 
 def test_robots_are_opened_in_one_place() -> None:

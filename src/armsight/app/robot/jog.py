@@ -33,7 +33,7 @@ UNASKED = "without asking"
 
 @output
 class JogOutput(Output):
-    """robot jog: one joint moved by a given way, or the arm moved by hand. joint: the one, from 1; else None."""
+    """robot jog: one joint moved by a given way, or the arm moved by hand."""
 
     asked: Annotated[float | None, Doc("The way asked for, rad or m; null where a hand moved the arm.")]
     sent: Annotated[list[float], Doc("Where the robot was last told to go, rad or m.")]
@@ -41,7 +41,7 @@ class JogOutput(Output):
     limited: Annotated[list[str], Doc("The limits that slowed the motion, in words.")]
     outside: Annotated[str, Doc("Which limits the arm stood outside of at the start, by how much; empty: none.")]
     state: Annotated[str, Doc("What the robot can do now: ready, moving or stopped.")]
-    joint: int | None
+    joint: int | None  # from 1, where one was moved
 
     def summary(self) -> Iterator[Shown]:
         """Yield where the robot stands."""

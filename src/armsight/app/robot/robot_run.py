@@ -71,7 +71,7 @@ class RunOutput(Output):
     stopped_by: Annotated[str, Doc("Why it ended: end, time, operator, or in words what stopped it.")]
     holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
     recording: Annotated[
-        str, Doc("The recording: set points, commands, readings, poses and events; empty: none was asked for.")
+        str, Doc("The recording: set points, commands, readings, poses and events.")
     ]
 
     def held(self) -> Iterator[str]:
@@ -200,7 +200,7 @@ class RobotRun:
         self.failed: Callable[[], ArmsightError | None] = lambda: None
         self.outside = ""
         self.status: RobotStatus | None = None
-        self.recording = recording
+        self.recording = None if recording is None else Path(recording)
         self._job, self._limits, self._confirm = job, limits, as_question(confirm)
         self._moves = False
 

@@ -16,7 +16,6 @@ from armsight.arrays import Array
 from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
 from armsight.control.play.path_source import JointMotionSource
-from armsight.control.status import RobotStatus
 from armsight.drivers import AUTOMATIC, PairSettings, Robot
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
@@ -88,6 +87,20 @@ def recorded_cameras(
     return FreeJob(left=left, right=right, out=out / FRAMES, settings=settings or AUTOMATIC)
 
 
+class _Unseen:
+    """Tells whether cameras failed while they were recorded, and remembers why."""
+
+    def __init__(self, cameras: FreeCameras | None) -> None:
+        self.why = ""
+        self._cameras = cameras
+
+    def __call__(self) -> bool:
+        failed = None if self._cameras is None else self._cameras.failed
+        if failed is not None and not self.why:  # moving on gains nothing
+            self.why = f"the cameras are no longer recorded: {failed.cause}"
+        return bool(self.why)
+
+
 def run_joints(
     run: RobotRun,
     motion: Motion,
@@ -103,15 +116,7 @@ def run_joints(
     """
     progress, source = run.progress, JointMotionSource(motion, override=override)
     cameras = None if frames is None else FreeCameras(frames, cancelled=progress.cancelled)
-    tally = CycleTally(progress.cancelled)
-    unseen: list[str] = []
-
-    def over(status: RobotStatus) -> bool:
-        failed = None if cameras is None else cameras.failed
-        if failed is not None and not unseen:  # moving on gains nothing
-            unseen.append(f"the cameras are no longer recorded: {failed.cause}")
-        return tally(status) or bool(unseen)
-
+    tally, unseen = CycleTally(progress.cancelled), _Unseen(cameras)
     with ExitStack() as stack:
         stack.enter_context(run)
         with run.planning():
@@ -123,12 +128,13 @@ def run_joints(
         sink = stack.enter_context(run.recorded())
         begun(source)
         show = lambda _: progress.update(source.at_s, source.length_s, source.stage)  # noqa: E731
+        over = lambda status: any((unseen(), tally(status)))  # noqa: E731
         timing = run.follow(source, sink, over, show, enabled=lambda: enabled() and not progress.cancelled())
-    if cameras is not None and cameras.failed is not None and not unseen:
+    if cameras is not None and cameras.failed is not None and not unseen.why:
         raise cameras.failed  # after the end, while the rest was written
     finished = source.stage == "finished"
     return extended(
-        run.output(tally, timing, (*unseen, tally.stopped_by(finished=finished))[0]),
+        run.output(tally, timing, unseen.why or tally.stopped_by(finished=finished)),
         RunMotionOutput,
         finished=finished,
         share=source.at_s / source.length_s,
