@@ -140,7 +140,7 @@ HEADINGS = {
     "armsight.api.tracks": "Tracks",
     "armsight.api.runs": "Measure, record, verify",
     "armsight.ops.files": "Compare, join",
-    "armsight.app.join": "What join returns",
+    "armsight.ops.join": "What join returns",
     "armsight_lab.api.batch": "Many runs",
     "armsight_lab.api.design": "Rigs planned",
     "armsight.ops.calibrate_hand_eye": "Hand-eye",

@@ -77,7 +77,6 @@ if TYPE_CHECKING:
     from armsight.api.watch import identify_arm_live as identify_arm_live
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
-    from armsight.app.join import JoinResult as JoinResult
     from armsight.calibrate.arm import ArmResult as ArmResult
     from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
     from armsight.calibrate.camera_noise.photon_transfer import NoiseResult as NoiseResult
@@ -135,6 +134,7 @@ if TYPE_CHECKING:
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
     from armsight.ops.files import compare as compare
     from armsight.ops.files import join as join
+    from armsight.ops.join import JoinResult as JoinResult
     from armsight.ops.kinematics import show_arm as show_arm
     from armsight.ops.kinematics import write_formulas as write_formulas
     from armsight.optics import Camera as Camera
@@ -189,7 +189,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_robot_world",
         "calibrate_tool_tip",
     ),
-    "armsight.app.join": ("JoinResult",),
+    "armsight.ops.join": ("JoinResult",),
     "armsight.ops.files": ("compare", "join"),
     "armsight.ops.kinematics": ("show_arm", "write_formulas"),
     "armsight.ops.calibrate_cameras": ("calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"),

@@ -127,7 +127,7 @@ ALIKE = 1e-6 * np.eye(6)
 STILL = 8 * [np.zeros(3)]
 
 TRIED = {
-    ("app/calibrate/pivot.py", "Rest the tool's end on one point"): (
+    ("ops/calibration/pivot.py", "Rest the tool's end on one point"): (
         (pivoted("still", STILL), f"{PIVOT} {seen('still')}"),
         (pivoted("tipped", [*turned(20), *turned(25)]), f"{PIVOT} {seen('tipped')}"),
     ),

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 from armsight.api.files import image_size
 from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
-from armsight.app.arm_files import convert_arm
 from armsight.app.convert import (
     convert_camera,
     convert_handeye,
@@ -17,11 +16,12 @@ from armsight.app.convert import (
     convert_rig,
 )
 from armsight.app.record.export import ExportOutput, export
-from armsight.app.requests.shared import FileUnits
 from armsight.app.tables import convert_table
 from armsight.errors import UsageError
+from armsight.ops.arm_files import convert_arm
 from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
+from armsight.ops.flags import FileUnits
 from armsight.ops.given import Given, PathText
 from armsight.optics import Rig
 from armsight.records import Progress

@@ -19,7 +19,6 @@ from armsight.app.convert import (
     load_camera,
     load_rig,
 )
-from armsight.app.requests.shared import FileUnits
 from armsight.app.tables import convert_table
 from armsight.arrays import Array
 from armsight.control.guard import Limits
@@ -27,6 +26,7 @@ from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.ops.arrays import as_path
 from armsight.ops.checks import speaks_python
+from armsight.ops.flags import FileUnits
 from armsight.ops.given import Given, PathText, as_table
 from armsight.optics import Camera, Rig
 from armsight.records import Motion, Target, TaughtPath, checked_array, require_kind, require_number

@@ -13,7 +13,6 @@ from armsight.app.play.play_path import Opened, PlayOutput, run_play
 from armsight.app.requests.motion import STOP_M, FollowJob, PlayJob, ServoJob, StandingJob, TeachJob
 from armsight.app.servo.run_servo import ServoOutput, run_servo
 from armsight.app.servo.vision import ServoDevices
-from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.app.teach import PATH, TeachOutput, teach_following, teach_poses, teach_standing
 from armsight.clock import SystemClock
 from armsight.control.guard import Limits
@@ -30,6 +29,7 @@ from armsight.ops.given import (
     TableLike,
     TargetLike,
 )
+from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.records import Progress, TaughtPath
 from armsight.records.output import extended, output
 from armsight.store import read_rig

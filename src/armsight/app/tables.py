@@ -11,9 +11,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.arm_files import load_arm
 from armsight.errors import BadFile, UsageError
 from armsight.fields import Doc
+from armsight.ops.arm_files import load_arm
 from armsight.records.output import Output, output
 from armsight.store import write_text
 from armsight.store.interpret import (

@@ -12,14 +12,12 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.live.pace import pace_of
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob, StandingJob, TeachJob
 from armsight.app.robot.robot_run import Confirm
 from armsight.app.servo.run_servo import ServoOutput, Show, run_servo
 from armsight.app.servo.vision import ServoDevices
-from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock
 from armsight.control.servo import Mount, ServoSource
 from armsight.control.status import QueueSink
@@ -30,6 +28,8 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup, TargetTracker
 from armsight.measure.settings import SpotSettings
+from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
+from armsight.ops.sources.pace import pace_of
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent, Target, TargetPose
 from armsight.records.output import Output, output

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from armsight.app import requests
-from armsight.app.requests.shared import OutFolder
 from armsight.app.requests.simulate import Room
 from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
@@ -44,6 +43,7 @@ from armsight.fields import Bounds, Doc
 from armsight.file_names import DEMO, MEASURED
 from armsight.ops import kinematics as of_arms
 from armsight.ops import paths
+from armsight.ops.flags import OutFolder
 
 __all__ = [
     "app",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, FileUnits, Table, Tip, UnitLength, size_of
 from armsight.cli.command import command, convert
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, OUT, Base, FileUnits, Table, Tip, UnitLength, size_of
 
 if TYPE_CHECKING:
     from armsight.app.convert import ConvertOutput
@@ -136,7 +136,7 @@ def arm(
 ) -> None:
     """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
     from armsight._files import arm_source
-    from armsight.app.arm_files import convert_arm as run
+    from armsight.ops.arm_files import convert_arm as run
 
     done = run(arm_source(source, tip=tip, base=base), out, convention=convention)
     face.say(f"{done.arm}, {done.joints} joints: {out}")

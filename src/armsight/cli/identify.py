@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
-from armsight.app.requests.shared import CAMERAS, TABLES
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI, agreed
 from armsight.cli.flags import PartialRequest
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc
+from armsight.ops.flags import CAMERAS, TABLES
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
-from armsight.app.requests.shared import OUT
 from armsight.cli.command import ResultsDoubted, app, command, convert
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import PartialRequest
@@ -15,6 +14,7 @@ from armsight.cli.tables import measure_tables
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
 from armsight.file_names import MEASURED
+from armsight.ops.flags import OUT
 
 if TYPE_CHECKING:
     from armsight.drivers import PairSettings

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app import requests
-from armsight.app.requests.shared import OutFolder
 from armsight.cli.command import ResultsDoubted, app, command
 from armsight.cli.command_ui import CommandUI, StatusLine
 from armsight.cli.flags import PartialRequest
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
+from armsight.ops.flags import OutFolder
 from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ import typer
 from armsight.app import requests
 from armsight.app.requests.motion import ARM, CAMERAS
 from armsight.app.requests.run_motion import RunMotionJob
-from armsight.app.requests.shared import CAMERAS as SETTINGS
 from armsight.cli.command import app, command, robot
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import PartialRequest
@@ -18,6 +17,7 @@ from armsight.cli.motion import PLAY_KEYS, STEP
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.fields import Doc
+from armsight.ops.flags import CAMERAS as SETTINGS
 
 if TYPE_CHECKING:
     from collections.abc import Callable

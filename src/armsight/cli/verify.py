@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from armsight.app import requests
 from armsight.app.requests.plant import PLANT
-from armsight.app.requests.shared import (
+from armsight.cli.command import app, command
+from armsight.cli.command_ui import CommandUI, StatusLine
+from armsight.cli.flags import PartialRequest
+from armsight.cli.tables import figure
+from armsight.errors import UsageError
+from armsight.fields import Doc, Flag
+from armsight.file_names import VERIFIED
+from armsight.ops.flags import (
     CAMERAS,
     LIVE,
     MASTERING,
@@ -18,13 +25,6 @@ from armsight.app.requests.shared import (
     Tip,
     TwoTableFlags,
 )
-from armsight.cli.command import app, command
-from armsight.cli.command_ui import CommandUI, StatusLine
-from armsight.cli.flags import PartialRequest
-from armsight.cli.tables import figure
-from armsight.errors import UsageError
-from armsight.fields import Doc, Flag
-from armsight.file_names import VERIFIED
 from armsight.shown import REJECTED_SHOWN
 from armsight.units import DEG, MM, MS, displayed_name
 

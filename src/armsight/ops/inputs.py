@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import arm_source
-from armsight.app.compare.run import GivenResult
 from armsight.arrays import Array
 from armsight.calibrate.arm import ArmPoints
 from armsight.control.guard import Limits
@@ -26,6 +25,7 @@ from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.action import Given
 from armsight.ops.arrays import as_images, as_poses, as_rotations
+from armsight.ops.compare.run import GivenResult
 from armsight.ops.given import Given as Folder
 from armsight.ops.given import as_arm, as_text
 from armsight.optics import Camera, Rig, ZoomLens

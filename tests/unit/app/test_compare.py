@@ -8,13 +8,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.compare.calibrations import Value, differences, judged
 from armsight.app.measure.outputs import made_with
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.run import run_verify
 from armsight.cli.commands import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import preset
+from armsight.ops.compare.calibrations import Value, differences, judged
 from armsight.ops.files import compare
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance, Target, TargetKind

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.live.pace import pace_of
 from armsight.app.requests.motion import StandingJob, TeachJob
 from armsight.app.teach import AS_MEASURED, teach_poses, teach_standing
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.errors import UsageError
+from armsight.ops.sources.pace import pace_of
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import read_poses, write_poses, write_text
 from refusals import refuses

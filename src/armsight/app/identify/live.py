@@ -10,7 +10,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from armsight.app.arm_files import given_arm
 from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_note, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.identify.results import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
@@ -19,7 +18,6 @@ from armsight.app.measure.run import target_of
 from armsight.app.requests.identify import IdentifyJob, LiveJob
 from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.sources.frames import open_pairs
 from armsight.arrays import Array
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
@@ -30,6 +28,8 @@ from armsight.drivers import PairSource, Robot, is_live
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
+from armsight.ops.arm_files import given_arm
+from armsight.ops.sources.frames import open_pairs
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
 from armsight.store import World, read_rig, read_world

@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armsight.app.arm_files import given_arm
 from armsight.app.identify.beacon_observer import SeenBeacon, beacon_note, beacon_of, beacon_settings
 from armsight.app.identify.left_out import consequence, first_joints, named
 from armsight.app.identify.results import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.measure.run import target_of
 from armsight.app.requests.identify import IdentifyJob
-from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.result import JointFound, placed_by
 from armsight.drivers import is_video
@@ -25,6 +23,8 @@ from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup, check_sizes
 from armsight.measure.spots import find_spots
+from armsight.ops.arm_files import given_arm
+from armsight.ops.sources.frames import open_pairs
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots
 from armsight.records.result_parts import RejectedRow

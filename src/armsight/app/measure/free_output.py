@@ -16,14 +16,14 @@ from armsight.app.measure.free_running import KINDS, FreeRun, MovingPose, measur
 from armsight.app.measure.outputs import consistency_output, made_with, moved_pose
 from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
-from armsight.app.sources.bags import read_motion
-from armsight.app.sources.frames import recordings_in
 from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
 from armsight.file_names import MEASURE, POINTS, POSES, REPORT, SPOTS, TUM
 from armsight.geometry import quat_of_matrix
 from armsight.measure.poses.setup import Setup
 from armsight.measure.results import FrameTime, MeasureOutput, believed, grounds_of
+from armsight.ops.sources.bags import read_motion
+from armsight.ops.sources.frames import recordings_in
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report

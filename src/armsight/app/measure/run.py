@@ -19,15 +19,6 @@ from armsight.app.measure.outputs import Outputs, made_with
 from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.measure import MeasureJob
-from armsight.app.sources.bags import origin_ns
-from armsight.app.sources.frames import (
-    complex_pairs,
-    frame_times,
-    is_recording,
-    open_pairs,
-    open_source,
-    recordings_in,
-)
 from armsight.drivers import (
     CameraSettings,
     PairSettings,
@@ -45,6 +36,15 @@ from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
 from armsight.measure.poses.setup import SLACK_PX, rig_slack_px
 from armsight.measure.results import MeasureOutput, ZoomAt, grounds_of
 from armsight.measure.settings import SpotSettings
+from armsight.ops.sources.bags import origin_ns
+from armsight.ops.sources.frames import (
+    complex_pairs,
+    frame_times,
+    is_recording,
+    open_pairs,
+    open_source,
+    recordings_in,
+)
 from armsight.optics import SIDES, Rig, RigKind, ZoomState, at_zoom
 from armsight.records import Frame, PoseStatus, Progress, Silent, Target, TargetPose
 from armsight.records.checks import wide_rig

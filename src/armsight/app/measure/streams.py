@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.sources.frames import camera_source, is_recording
 from armsight.arrays import Array
 from armsight.calibrate.timing.stamps import FEWEST_FRAMES, camera_clock
 from armsight.drivers import is_live
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.begin import AnyFrame, SpotFrame
+from armsight.ops.sources.frames import camera_source, is_recording
 from armsight.optics import SIDES, Camera, Rig
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
 from armsight.store import read_spot_track

@@ -17,7 +17,6 @@ from armsight.app.measure.outputs import moved_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
-from armsight.app.path.check import PathCheckOutput, checked
 from armsight.app.play.play_job import Seen, sight_of
 from armsight.app.play.play_path import Opened, PlayOutput, run_play
 from armsight.app.requests.motion import PlayJob
@@ -26,6 +25,7 @@ from armsight.control.paths import offset_along_tool, resampled, reversed_path, 
 from armsight.control.play import PathSource
 from armsight.control.status import QueueSink
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
+from armsight.ops.path.check import PathCheckOutput, checked
 from armsight.records import PoseStatus, TaughtPath
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import HandEyeFile

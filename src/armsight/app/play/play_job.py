@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform
+from numpy.typing import ArrayLike
 
 from armsight.app.measure.run import target_of
 from armsight.app.requests.motion import PlayJob
@@ -22,6 +20,7 @@ from armsight.control.servo import Mount
 from armsight.control.status import QueueSink
 from armsight.errors import ArmsightError, UsageError
 from armsight.kinematics import Arm
+from armsight.ops.path.check import with_tip
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 from armsight.store import read_rig
 from armsight.store.handeye_file import HandEyeFile, read_handeye, read_tip
@@ -55,11 +54,6 @@ def check(job: PlayJob) -> None:
 def tipped(arm: Arm, tip: Path | None) -> Arm:
     """Return the arm with its tool's frame moved to the tip of a tip.yaml, in flange axes. Raises BadFile."""
     return arm if tip is None else with_tip(arm, read_tip(tip).tip_m)
-
-
-def with_tip(arm: Arm, tip_m: NDArray[np.float64]) -> Arm:
-    """Return the arm with its tool's frame moved to tip_m (3,), in flange axes."""
-    return replace(arm, T_flange_tool=RigidTransform.from_components(tip_m, arm.T_flange_tool.rotation))
 
 
 def tipped_guard(guard: Guard, tip: Path | None) -> Guard:

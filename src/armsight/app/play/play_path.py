@@ -9,7 +9,6 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from armsight.app.arm_files import given_arm
 from armsight.app.measure.warm_up import prepare
 from armsight.app.play.play_job import TargetMonitor, Watcher, check, planned, tipped_guard
 from armsight.app.requests.motion import PlayJob
@@ -34,6 +33,7 @@ from armsight.control.setpoints import CycleState, SetPoint
 from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.fields import Doc
+from armsight.ops.arm_files import given_arm
 from armsight.records import PoseStatus, Progress, Silent, TaughtPath
 from armsight.records.output import Output, extended, output
 from armsight.store.atomic import write_json

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from armsight.app.requests.motion import RobotJob
-from armsight.app.requests.shared import A_SRC, KNOWN_ARM, OUT, SRC, Cameras, Table, automatic, ours
 from armsight.defaults import SWEEP_READINGS, SWEEP_SPEED
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, Flags, loaded
+from armsight.ops.flags import A_SRC, KNOWN_ARM, OUT, SRC, Cameras, Table, automatic, ours
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from armsight.app.requests.shared import (
+from armsight.errors import UsageError
+from armsight.fields import Bounds, Doc, Flag, Flags, loaded
+from armsight.ops.flags import (
     A_SRC,
     Bits,
     CameraFlags,
@@ -22,8 +24,6 @@ from armsight.app.requests.shared import (
     Threshold,
     automatic,
 )
-from armsight.errors import UsageError
-from armsight.fields import Bounds, Doc, Flag, Flags, loaded
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OutFolder
 from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, PATH_SPEED_M_S, RETRACT_M
 from armsight.errors import BadFile, UsageError
 from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, OutFolder
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armsight.app.requests.motion import LIVE_SRC, GuardLimits, Override, RobotJob, Speed
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, CameraFlags, OutFolder, automatic
 from armsight.fields import Doc, Flag, Flags
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, CameraFlags, OutFolder, automatic
 
 if TYPE_CHECKING:
     from armsight.drivers import PairSettings

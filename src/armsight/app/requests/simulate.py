@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
-from armsight.app.requests.shared import OutFolder
 from armsight.app.simulate import MOST_FRAMES
 from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.flags import OutFolder
 from armsight.units import MM
 
 Room: TypeAlias = Annotated[

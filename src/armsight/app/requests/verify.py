@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from armsight.app.requests.motion import LATENCY_S, RobotJob
 from armsight.app.requests.plant import PlantFlags, Publishing
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, LIVE, MASTERING, OutFolder, automatic, ours
 from armsight.fields import Bounds, Doc, Flag, Flags, loaded
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, LIVE, MASTERING, OutFolder, automatic, ours
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:

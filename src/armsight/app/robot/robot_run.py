@@ -15,7 +15,6 @@ from typing import Annotated, Any, Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.arm_files import given_arm
 from armsight.app.requests.motion import HandJogJob, JogJob, PlayJob, ServoJob
 from armsight.app.requests.run_motion import RunMotionJob
 from armsight.app.robot.opening import arm_of, beside_outside, guard_for, noted, robot_of, standing_outside
@@ -32,6 +31,7 @@ from armsight.errors import ArmsightError, Cancelled, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.geometry import pose_difference, xyz_quat
 from armsight.kinematics import Arm
+from armsight.ops.arm_files import given_arm
 from armsight.records import Progress, Silent
 from armsight.records.output import Output, output
 from armsight.units import DEG, MM

@@ -10,8 +10,6 @@ from typing import Annotated
 
 import numpy as np
 
-from armsight.app.arm_files import given_arm
-from armsight.app.live.pace import live_pace
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.motion import ServoJob, require_handeye
@@ -36,6 +34,8 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
+from armsight.ops.arm_files import given_arm
+from armsight.ops.sources.pace import live_pace
 from armsight.optics import Rig, RigKind
 from armsight.records import PoseStatus, Progress, Silent, Target
 from armsight.records.output import Output, extended, output

@@ -18,7 +18,6 @@ import numpy as np
 from armsight.app.requests.motion import ServoJob
 from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock, ManualClock, SystemClock
 from armsight.control.servo import ServoSource
 from armsight.control.servo.law import CameraDelay
@@ -27,6 +26,7 @@ from armsight.drivers import CameraSettings, PairSource, Robot, is_live
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, lost_pair
+from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.optics import Rig
 from armsight.records import Frame, PoseStatus, Target, TargetPose
 

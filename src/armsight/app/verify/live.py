@@ -7,14 +7,11 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 
-from armsight.app.arm_files import load_arm
-from armsight.app.live.pace import live_pace
 from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.requests.verify import LiveVerifyJob
 from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.sources.frames import open_pairs
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import Show, Supervised, Supervision
 from armsight.clock import Clock, SystemClock
@@ -24,6 +21,9 @@ from armsight.file_names import ERRORS, LIVE, REPORT, VERIFY
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
+from armsight.ops.arm_files import load_arm
+from armsight.ops.sources.frames import open_pairs
+from armsight.ops.sources.pace import live_pace
 from armsight.records import Frame, Progress, Silent, Target
 from armsight.report.verify_pages import live_report
 from armsight.store import read_rig, read_world, write_text

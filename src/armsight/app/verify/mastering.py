@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.arm_files import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.requests.verify import MasteringJob
 from armsight.app.verify.run import in_world
@@ -17,6 +16,7 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.file_names import MASTERING, REPORT, VERIFY
 from armsight.kinematics import Arm, JointType, fk
+from armsight.ops.arm_files import load_arm
 from armsight.optics import SIDES, Rig
 from armsight.records import Target
 from armsight.records.result_parts import RejectedRow

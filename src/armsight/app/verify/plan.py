@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated
 
-from armsight.app.arm_files import load_arm
 from armsight.app.requests.verify import PlanJob
 from armsight.errors import UsageError
 from armsight.fields import Doc
+from armsight.ops.arm_files import load_arm
 from armsight.records import Progress
 from armsight.records.output import extended, output
 from armsight.store.atomic import write_json

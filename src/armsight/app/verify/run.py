@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight._files import real_path
-from armsight.app.arm_files import load_arm
 from armsight.app.requests.verify import VerifyJob
 from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
@@ -18,6 +17,7 @@ from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.file_names import ERRORS, REPORT, VERIFY
 from armsight.kinematics import Arm
+from armsight.ops.arm_files import load_arm
 from armsight.report.verify_pages import repeats_report
 from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
