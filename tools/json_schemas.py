@@ -15,7 +15,6 @@ from typing import Any
 from armsight.app.convert import ConvertOutput
 from armsight.app.demo import DemoOutput
 from armsight.app.doctor import DoctorOutput
-from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
 from armsight.app.play.play_path import PlayOutput
 from armsight.app.record.export import ExportOutput
 from armsight.app.record.record import RecordOutput
@@ -34,6 +33,8 @@ from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras.zoom import ZoomRigResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
+from armsight.calibrate.identify import Identification
+from armsight.calibrate.identify.result import ProposedPlanOutput
 from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.mirrors.result import MirrorCheckOutput, MirrorsOutput
 from armsight.calibrate.timing import TimingResult
@@ -84,7 +85,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-arm": ArmResult,
     "calibrate-cell-plan": CellPlanOutput,
     "calibrate-robot-world": RobotWorldResult,
-    "identify": IdentifyOutput,
+    "identify": Identification,
     "identify-propose": ProposedPlanOutput,
     "verify": VerifyOutput,
     "verify-plan": VerifyPlanOutput,

@@ -28,7 +28,7 @@ Every flag and argument of the command line with the Python name that does it, o
 
 FUNCTIONS: Mapping[str, tuple[str, ...]] = {
     "verify": ("verify", "supervise", "plan_verification", "propose_mastering_poses", "check_mastering"),
-    "identify": ("identify_arm", "identify_arm_from_frames", "identify_arm_live"),
+    "identify": ("identify_arm", "identify_arm_live"),
     "simulate": ("write_simulation", "simulate"),
     "record": ("record", "repair_recording"),
     "calibrate camera": ("calibrate_camera", "calibrate_noise"),
@@ -88,9 +88,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("verify", "--live"): "`supervise`",
     ("verify", "--mastering"): "`propose_mastering_poses`, then `check_mastering`",
     ("verify", "--joint-std"): "`supervise(joint_std)`, rad or m",
-    ("identify", "--sweep"): "`identify_arm(joint, q, xyz_m)` of `read_table(path)`",
-    ("identify", "--world"): "`identify_arm(T_base_rig)`",
-    ("identify", "--live"): "`identify_arm_live(robot)`",
     ("record", "--repair"): "`repair_recording(path)`",
     ("calibrate mirrors", "--check"): "`check_mirrors`",
     ("convert recording", "source"): "`export_recording(path)`",

@@ -47,6 +47,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/verify.py:verify": FLAGS,
         "ops/paths.py:export": FLAGS,
         "ops/calibrate_*": FLAGS,
+        "ops/identify.py:identify_arm*": FLAGS,
     },
     "arguments": {
         "api/*": FLAGS,
@@ -80,7 +81,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "report/run.py:Parameter": "of a page, always a number; a row of a history's table may lack it",
         "app/operator/identify_run.py:Entry": "of a web page, always with a deviation's place in its text",
         "ops/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",
-        "app/identify/results.py:JointStd": "an arm's entries have the same names everywhere",
+        "calibrate/identify/result.py:JointStd": "an arm's entries have the same names everywhere",
         "app/live/views.py:Counts": "what a page counts and what a recorder does go on apart",
         "app/requests/verify.py:LimitsFlags": FLAGS,
         "verify/results.py:IsoFigure": "a figure of the standard, which an earlier run's file holds without its symbol",

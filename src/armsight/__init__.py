@@ -36,9 +36,6 @@ if TYPE_CHECKING:
     from armsight.api.files import read_world as read_world
     from armsight.api.files import write_joints as write_joints
     from armsight.api.files import write_table as write_table
-    from armsight.api.identify import ArmIdentification as ArmIdentification
-    from armsight.api.identify import identify_arm as identify_arm
-    from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
     from armsight.api.links import check_robot as check_robot
     from armsight.api.links import jog as jog
     from armsight.api.links import twin as twin
@@ -72,9 +69,7 @@ if TYPE_CHECKING:
     from armsight.api.simulation import simulate as simulate
     from armsight.api.simulation import write_simulation as write_simulation
     from armsight.api.tracks import PoseTrack as PoseTrack
-    from armsight.api.watch import LiveIdentification as LiveIdentification
     from armsight.api.watch import check_mastering as check_mastering
-    from armsight.api.watch import identify_arm_live as identify_arm_live
     from armsight.api.watch import propose_mastering_poses as propose_mastering_poses
     from armsight.api.watch import supervise as supervise
     from armsight.calibrate.arm import ArmResult as ArmResult
@@ -86,6 +81,7 @@ if TYPE_CHECKING:
     from armsight.calibrate.cameras.zoom import ZoomRigResult as ZoomRigResult
     from armsight.calibrate.cell import CellResult as CellResult
     from armsight.calibrate.handeye import HandEyeResult as HandEyeResult
+    from armsight.calibrate.identify import Identification as Identification
     from armsight.calibrate.light_target import TargetResult as TargetResult
     from armsight.calibrate.timing import TimingResult as TimingResult
     from armsight.calibrate.tooltip_result import ToolTipResult as ToolTipResult
@@ -134,6 +130,8 @@ if TYPE_CHECKING:
     from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
     from armsight.ops.files import compare as compare
     from armsight.ops.files import join as join
+    from armsight.ops.identify import identify_arm as identify_arm
+    from armsight.ops.identify import identify_arm_live as identify_arm_live
     from armsight.ops.join import JoinResult as JoinResult
     from armsight.ops.kinematics import show_arm as show_arm
     from armsight.ops.kinematics import write_formulas as write_formulas
@@ -205,12 +203,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
     "armsight.api.links": ("check_robot", "jog", "twin"),
     "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
-    "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
+    "armsight.calibrate.identify": ("Identification",),
+    "armsight.ops.identify": ("identify_arm", "identify_arm_live"),
     "armsight.api.machine": ("doctor", "reproduce"),
     "armsight.api.watch": (
-        "LiveIdentification",
         "check_mastering",
-        "identify_arm_live",
         "propose_mastering_poses",
         "supervise",
     ),
@@ -294,7 +291,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}
 
 _EARLIER = dict.fromkeys(
-    ("calibrate_hand_eye_from_images", "calibrate_hand_eye_from_streams"), "armsight.ops.earlier_names"
+    (
+        *("calibrate_hand_eye_from_images", "calibrate_hand_eye_from_streams", "identify_arm_from_frames"),
+        *("ArmIdentification", "LiveIdentification"),
+    ),
+    "armsight.ops.earlier_names",
 )
 """Names of earlier versions, which warn and say what to use."""
 

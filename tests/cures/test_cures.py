@@ -113,7 +113,7 @@ IN_TESTS = {
     ("armsight_lab/design/simulate.py", "Give --board and --views"): (
         "tests/unit/app/test_design.py::test_simulated_runs_are_a_batch_and_beside_the_forecast"
     ),
-    ("app/identify/sweep_files.py", "Use --method ml"): (
+    ("ops/identification/solve.py", "Use --method ml"): (
         "tests/truth/test_identify_doubts.py::test_the_method_of_the_paper_is_refused_where_it_is_useless"
     ),
     ("app/guided/cell.py", "Bring the controller's log"): (

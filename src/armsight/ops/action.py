@@ -135,15 +135,19 @@ class Action:
 
     def _write(self, out: Path, result: Output, given: Given) -> None:
         """Write the result's file, with the hashes of what went in, frames last, and its page beside it."""
-        from armsight.report.pages import page_of, page_path
-        from armsight.store import write_text
-        from armsight.store.saving import write_result
-
         read = sorted(self.inputs.items(), key=lambda item: bool(item[1].files))
-        files = [file for name, one in read for file in one.hashed_files(given.get(name))]
-        write_result(out, result, files)
-        if (page := page_path(out, result)) is not None:
-            write_text(page, page_of(result, files, given))
+        write(out, result, [file for name, one in read for file in one.hashed_files(given.get(name))], given)
+
+
+def write(out: Path, result: Output, files: Sequence[Path], given: Given) -> None:
+    """Write a result's file, with the hashes of what went in, and its page; given: what an action was called with."""
+    from armsight.report.pages import page_of, page_path
+    from armsight.store import write_text
+    from armsight.store.saving import write_result
+
+    write_result(out, result, files)
+    if (page := page_path(out, result)) is not None:
+        write_text(page, page_of(result, files, given))
 
 
 def _each(value: Any) -> Sequence[Any]:

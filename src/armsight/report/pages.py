@@ -11,10 +11,12 @@ from armsight._files import arm_source
 from armsight.calibrate.arm import ArmResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
+from armsight.calibrate.identify import Identification
 from armsight.file_names import REPORT, report_path
 from armsight.report.arm_report import arm_report
 from armsight.report.cell_report import cell_report
 from armsight.report.handeye_report import handeye_report
+from armsight.report.identify_report import identify_report
 
 FILES_SHOWN = 20
 """Files of what went in that a page lists; the result's own file has all, with their hashes."""
@@ -23,6 +25,11 @@ Given = Mapping[str, object]
 
 def _hand_eye(result: HandEyeResult, files: Sequence[Path], given: Given) -> str:
     return handeye_report(result, inputs=[("file", item.name) for item in files[:FILES_SHOWN]])
+
+
+def _identified(result: Identification, files: Sequence[Path], given: Given) -> str:
+    made = [] if result.plan is None else [Path(str(given["out"])).with_suffix(".sweep.csv")]
+    return identify_report(result, inputs=[("file", item.name) for item in (*made, *files)])
 
 
 def _cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
@@ -48,6 +55,7 @@ PAGES: Mapping[type, Callable[[Any, Sequence[Path], Given], str]] = {
     HandEyeResult: _hand_eye,
     CellResult: _cell,
     ArmResult: _arm,
+    Identification: _identified,
 }
 """By class of result: the page, from the result, the files that went in, and what the action was called with."""
 

@@ -10,14 +10,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armsight.app.requests import identify as identify
     from armsight.app.requests import measure as measure
     from armsight.app.requests import motion as motion
     from armsight.app.requests import simulate as simulate
     from armsight.app.requests import verify as verify
 else:
     _MODULES = (
-        "identify",
         "measure",
         "motion",
         "simulate",
