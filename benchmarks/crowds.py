@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.app.live.pace import live_pace
 from armsight.errors import ArmsightError
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.measure.settings import BATCH, Pace
+from armsight.ops.sources.pace import live_pace
 from armsight.records import Frame, PoseStatus, spot_target, unmeasured_target
 from bench import machine, table
 from pose import RIG, TARGETS, see

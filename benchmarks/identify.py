@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.identify.sweep_files import seen_in_frames
-from armsight.app.requests.identify import IdentifyJob
 from armsight.app.simulate.run import simulate
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.errors import DataRefused
 from armsight.kinematics import fk
+from armsight.ops.identification.solve import BeaconFrames
 from armsight.optics import Camera, parallel_rig
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, Silent
+from armsight.store import read_target
 from armsight.store.arm_points import read_arm_points
 from bench import machine, table
 
@@ -176,8 +176,7 @@ def pictures(runs: int) -> None:
             cell = Path(folder) / "cell"
             simulate("kapucu2005-rrp", cell, seed=seed)
             frames = {"left": str(cell / "left"), "right": str(cell / "right"), "joints": cell / "sweep_joints.csv"}
-            job = IdentifyJob(out=cell / "arm.yaml", rig=cell / "rig.yaml", target=cell / "target.yaml", **frames)
-            seen, _ = seen_in_frames(job, RIG, Silent())
+            seen, _ = BeaconFrames(target=read_target(cell / "target.yaml"), **frames).sweeps(RIG, Silent())
         even, _ = even_ones(seen)
         left_out += len(seen) - len(even)
         try:

@@ -27,9 +27,9 @@ from mcap.writer import CompressionType, Writer
 
 from armsight.app.record.record import RecordJob, record_pairs
 from armsight.app.simulate.cells import load_cell
-from armsight.app.sources.frames import RecordedFrames, RecordedPairs
 from armsight.drivers import Skew
 from armsight.errors import BadFile
+from armsight.ops.sources.frames import RecordedFrames, RecordedPairs
 from armsight.records import Frame
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter, repair
 from bench import machine, table

@@ -12,18 +12,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from armsight.app.arm_files import ConvertArmOutput
-from armsight.app.compare.run import CompareOutput
 from armsight.app.convert import ConvertOutput
 from armsight.app.demo import DemoOutput
 from armsight.app.doctor import DoctorOutput
-from armsight.app.identify.results import IdentifyOutput, ProposedPlanOutput
-from armsight.app.join import JoinResult
-from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
-from armsight.app.path.check import PathCheckOutput
-from armsight.app.path.export import PathExportOutput
-from armsight.app.path.picks import PathPicksOutput
-from armsight.app.path.tools import PathChangeOutput, PathSmoothOutput
 from armsight.app.play.play_path import PlayOutput
 from armsight.app.record.export import ExportOutput
 from armsight.app.record.record import RecordOutput
@@ -41,12 +32,22 @@ from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras.zoom import ZoomRigResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
+from armsight.calibrate.identify import Identification
+from armsight.calibrate.identify.result import ProposedPlanOutput
 from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.mirrors.result import MirrorCheckOutput, MirrorsOutput
 from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import REASONS, MeasureResult
+from armsight.ops.arm_files import ConvertArmOutput
+from armsight.ops.compare.run import CompareOutput
+from armsight.ops.join import JoinResult
+from armsight.ops.kinematics_results import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
+from armsight.ops.path.check import PathCheckOutput
+from armsight.ops.path.export import PathExportOutput
+from armsight.ops.path.picks import PathPicksOutput
+from armsight.ops.path.tools import PathChangeOutput, PathSmoothOutput
 from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
@@ -84,7 +85,7 @@ OUTPUTS: Mapping[str, type[Output]] = {
     "calibrate-arm": ArmResult,
     "calibrate-cell-plan": CellPlanOutput,
     "calibrate-robot-world": RobotWorldResult,
-    "identify": IdentifyOutput,
+    "identify": Identification,
     "identify-propose": ProposedPlanOutput,
     "verify": VerifyResult,
     "verify-plan": VerifyPlanOutput,

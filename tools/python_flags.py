@@ -28,7 +28,7 @@ Every flag and argument of the command line with the Python name that does it, o
 
 FUNCTIONS: Mapping[str, tuple[str, ...]] = {
     "verify": ("verify", "supervise", "plan_verification", "propose_mastering_poses", "check_mastering"),
-    "identify": ("identify_arm", "identify_arm_from_frames", "identify_arm_live"),
+    "identify": ("identify_arm", "identify_arm_live"),
     "simulate": ("write_simulation", "simulate"),
     "record": ("record", "repair_recording"),
     "calibrate camera": ("calibrate_camera", "calibrate_noise"),
@@ -87,9 +87,6 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("verify", "--speed"): "`plan_verification(speed_m_s)`",
     ("verify", "--live"): "`supervise`",
     ("verify", "--mastering"): "`propose_mastering_poses`, then `check_mastering`",
-    ("identify", "--sweep"): "`identify_arm(joint, q, xyz_m)` of `read_table(path)`",
-    ("identify", "--world"): "`identify_arm(T_base_rig)`",
-    ("identify", "--live"): "`identify_arm_live(robot)`",
     ("record", "--repair"): "`repair_recording(path)`",
     ("calibrate mirrors", "--check"): "`check_mirrors`",
     ("convert arm", "-o"): "`convert(out)`, or `Arm.save(path)`: the ending decides",

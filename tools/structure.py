@@ -49,6 +49,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "ops/measure.py:*": FLAGS,
         "ops/motion.py:*": FLAGS,
         "ops/teach.py:teach": FLAGS,
+        "ops/identify.py:identify_arm*": FLAGS,
     },
     "arguments": {
         "api/*": FLAGS,
@@ -68,7 +69,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "app/simulate/cells.py": SCENES,
         "app/simulate/run.py": SCENES,
         "app/simulate/scenarios.py": SCENES,
-        "app/compare/run.py": "a file of any kind, looked at to say what it lacks",
         "report/figures.py": "plotly's traces and layouts, under one name for all pages",
     },
     "imports by name": {
@@ -82,8 +82,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "armsight_lab/history/series.py:Found": "of many runs by number what an entry has of one",
         "report/run.py:Parameter": "of a page, always a number; a row of a history's table may lack it",
         "app/operator/identify_run.py:Entry": "of a web page, always with a deviation's place in its text",
-        "app/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",
-        "app/identify/results.py:JointStd": "an arm's entries have the same names everywhere",
+        "ops/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",
+        "calibrate/identify/result.py:JointStd": "an arm's entries have the same names everywhere",
         "app/live/views.py:Counts": "what a page counts and what a recorder does go on apart",
         "verify/iso9283/figure.py:IsoFigure": "a figure of the standard, whose file holds no symbol",
     },

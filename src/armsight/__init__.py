@@ -35,9 +35,6 @@ if TYPE_CHECKING:
     from armsight.api.files import repair_recording as repair_recording
     from armsight.api.files import write_joints as write_joints
     from armsight.api.files import write_table as write_table
-    from armsight.api.identify import ArmIdentification as ArmIdentification
-    from armsight.api.identify import identify_arm as identify_arm
-    from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
     from armsight.api.pose import LightTarget as LightTarget
     from armsight.api.pose import PoseEstimate as PoseEstimate
     from armsight.api.pose import PoseTracker as PoseTracker
@@ -54,9 +51,6 @@ if TYPE_CHECKING:
     from armsight.api.simulation import read_scenario as read_scenario
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
-    from armsight.api.watch import LiveIdentification as LiveIdentification
-    from armsight.api.watch import identify_arm_live as identify_arm_live
-    from armsight.app.join import JoinResult as JoinResult
     from armsight.app.teach import TeachResult as TeachResult
     from armsight.calibrate.arm import ArmResult as ArmResult
     from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
@@ -67,6 +61,7 @@ if TYPE_CHECKING:
     from armsight.calibrate.cameras.zoom import ZoomRigResult as ZoomRigResult
     from armsight.calibrate.cell import CellResult as CellResult
     from armsight.calibrate.handeye import HandEyeResult as HandEyeResult
+    from armsight.calibrate.identify import Identification as Identification
     from armsight.calibrate.light_target import TargetResult as TargetResult
     from armsight.calibrate.timing import TimingResult as TimingResult
     from armsight.calibrate.tooltip_result import ToolTipResult as ToolTipResult
@@ -119,6 +114,9 @@ if TYPE_CHECKING:
     from armsight.ops.convert import export_recording as export_recording
     from armsight.ops.files import compare as compare
     from armsight.ops.files import join as join
+    from armsight.ops.identify import identify_arm as identify_arm
+    from armsight.ops.identify import identify_arm_live as identify_arm_live
+    from armsight.ops.join import JoinResult as JoinResult
     from armsight.ops.kinematics import show_arm as show_arm
     from armsight.ops.kinematics import write_formulas as write_formulas
     from armsight.ops.machine import doctor as doctor
@@ -184,7 +182,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_robot_world",
         "calibrate_tool_tip",
     ),
-    "armsight.app.join": ("JoinResult",),
+    "armsight.ops.join": ("JoinResult",),
     "armsight.ops.files": ("compare", "join"),
     "armsight.ops.kinematics": ("show_arm", "write_formulas"),
     "armsight.ops.motion": ("play", "servo"),
@@ -202,9 +200,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.calibrate.cell": ("CellResult",),
     "armsight.calibrate.handeye": ("HandEyeResult",),
     "armsight.calibrate.tooltip_result": ("ToolTipResult",),
-    "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
+    "armsight.calibrate.identify": ("Identification",),
+    "armsight.ops.identify": ("identify_arm", "identify_arm_live"),
     "armsight.ops.machine": ("doctor", "reproduce", "write_simulation"),
-    "armsight.api.watch": ("LiveIdentification", "identify_arm_live"),
     "armsight.ops.convert": ("convert", "export_recording"),
     "armsight.api.files": (
         "cut_recording",
@@ -282,7 +280,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}
 
 _EARLIER = dict.fromkeys(
-    ("calibrate_hand_eye_from_images", "calibrate_hand_eye_from_streams"), "armsight.ops.earlier_names"
+    (
+        *("calibrate_hand_eye_from_images", "calibrate_hand_eye_from_streams", "identify_arm_from_frames"),
+        *("ArmIdentification", "LiveIdentification"),
+    ),
+    "armsight.ops.earlier_names",
 )
 """Names of earlier versions, which warn and say what to use."""
 

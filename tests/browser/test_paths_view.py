@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.arm_files import load_arm
 from armsight.console.texts import OPENING, PATHS_LEGEND
+from armsight.ops.arm_files import load_arm
 from armsight.store.path_file import read_path
 from armsight.store.recording import Recording
 

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import yaml
 
-from armsight.app.sources.bags import BagFrames
 from armsight.clock import ManualClock
 from armsight.drivers import (
     DeviceLock,
@@ -34,6 +33,7 @@ from armsight.drivers import (
 )
 from armsight.drivers.aravis import AravisCamera
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, StaleData, UsageError
+from armsight.ops.sources.bags import BagFrames
 from armsight.records import Frame, Motion
 from armsight.testing import CameraCase, CameraContract, RobotCase, RobotReadingContract, contract_tests
 from armsight.testing.genicam import ADDRESS, fake_genicam_camera, missing

@@ -145,7 +145,7 @@ TRIED = {
         f"path export outlier.csv -o a.script --speed-m-s 0.01 {ON_ARM}",
         f"path smooth outlier.csv -o s.csv --outliers drop && path export s.csv -o a.script --speed-m-s 0.01 {ON_ARM}",
     ),
-    ("app/path/tools.py", "leave them out with --outliers drop"): (
+    ("ops/path/tools.py", "leave them out with --outliers drop"): (
         "path smooth outlier.csv -o s.csv",
         "path smooth outlier.csv -o s.csv --outliers drop && path smooth outlier.csv -o t.csv --outliers keep",
     ),
@@ -157,24 +157,24 @@ TRIED = {
         "path offset taught.csv -o a.csv --by-m 10",
         "path offset taught.csv -o a.csv --by-m 0.01",
     ),
-    ("app/path/export.py", "or one of the endings"): (
+    ("ops/path/export.py", "or one of the endings"): (
         "path export taught.csv -o a.txt",
         "path export taught.csv -o a.txt --to csv && path export taught.csv -o a.py",
     ),
-    ("app/path/export.py", "or omit --weld-output"): (
+    ("ops/path/export.py", "or omit --weld-output"): (
         f"{EXPORT} {ON_ARM} --weld-output 1",
         f"{EXPORT} {ON_ARM} && path export tagged.csv -o b.script --speed-m-s 0.01 {ON_ARM} --weld-output 1",
     ),
-    ("app/path/export.py", "Give the arm too"): (
+    ("ops/path/export.py", "Give the arm too"): (
         f"{EXPORT} --tip tip.yaml --frame base",
         f"{EXPORT} --frame base {ON_ARM}",
     ),
-    ("app/path/export.py", "whose file says it"): (EXPORT, f"{EXPORT} {ON_ARM} && {EXPORT} --frame base"),
-    ("app/path/export.py", "`armsight path check`"): (
+    ("ops/path/export.py", "whose file says it"): (EXPORT, f"{EXPORT} {ON_ARM} && {EXPORT} --frame base"),
+    ("ops/path/export.py", "`armsight path check`"): (
         f"path export far.csv -o a.script --speed-m-s 0.01 {ON_ARM}",
         f"{EXPORT} {ON_ARM}",
     ),
-    ("app/kinematics.py", "Give radians, for instance"): (
+    ("ops/kinematics_results.py", "Give radians, for instance"): (
         f"kinematics show {ON_ARM} --joints 0,90,0,0,0,0 -o a.html",
         f"kinematics show {ON_ARM} --joints 0,-1.2,0.4,0,0,0 -o a.html",
     ),
@@ -194,7 +194,7 @@ TRIED = {
         ),
         f"{HANDEYE} --pairs pairs.csv",
     ),
-    ("app/calibrate/handeye.py", "Give --euler {}"): (
+    ("ops/calibration/handeye.py", "Give --euler {}"): (
         (PAIRS, in_angles("angles.csv"), f"{HANDEYE} --pairs angles.csv --euler xyz"),
         f"{HANDEYE} --pairs angles.csv --euler zyx",
     ),

@@ -72,13 +72,16 @@ def beside():
 
 
 TRIED = {
-    ("app/calibrate/camera_noise.py", "Give the camera.yaml or rig.yaml"): (
+    ("ops/calibration/camera_noise.py", "Give the camera.yaml or rig.yaml"): (
         f"{NOISE} none.yaml",
         f"{NOISE} small.yaml",
     ),
-    ("app/calibrate/camera_noise.py", "Add --side left or"): (f"{NOISE} rig.yaml", "{} --side left"),
-    ("app/calibrate/camera_noise.py", "Leave --side away"): (f"{NOISE} small.yaml --side left", f"{NOISE} small.yaml"),
-    ("app/calibrate/camera_noise.py", "Add --side where the noise"): (
+    ("ops/calibration/camera_noise.py", "Add --side left or"): (f"{NOISE} rig.yaml", "{} --side left"),
+    ("ops/calibration/camera_noise.py", "Leave --side away"): (
+        f"{NOISE} small.yaml --side left",
+        f"{NOISE} small.yaml",
+    ),
+    ("ops/calibration/camera_noise.py", "Add --side where the noise"): (
         f"{NOISE} rig.yaml --side left && calibrate camera --noise rig.yaml -o small.yaml",
         f"calibrate camera --noise rig.yaml -o pair320.yaml --side left && {NOISE} small.yaml",
     ),
@@ -126,17 +129,17 @@ TRIED = {
         f"{ZOOMED} && convert rig z.yaml -o a.yaml -o b.yaml --zoom-left 100",
         "convert rig z.yaml -o a.yaml --zoom-left 100",
     ),
-    ("app/calibrate/mirrors.py", "Give --board, for instance"): (
+    ("ops/calibration/mirrors.py", "Give --board, for instance"): (
         "calibrate mirrors -o x.yaml --image mirrors --every 2",
         f"{MIRRORS} --image mirrors",
     ),
-    ("app/calibrate/mirrors.py", "Give --image, or --left-only"): (MIRRORS, "{} --image mirrors"),
-    ("app/calibrate/mirrors.py", "Give {} too, with"): (f"{MIRRORS} --left-only left", f"{MIRRORS} --image mirrors"),
-    ("app/calibrate/mirrors.py", "or covered views with --board"): (
+    ("ops/calibration/mirrors.py", "Give --image, or --left-only"): (MIRRORS, "{} --image mirrors"),
+    ("ops/calibration/mirrors.py", "Give {} too, with"): (f"{MIRRORS} --left-only left", f"{MIRRORS} --image mirrors"),
+    ("ops/calibration/mirrors.py", "or covered views with --board"): (
         "calibrate mirrors -o x.yaml --target target.yaml --left-only left --right-only right",
         f"{MIRRORS} --image mirrors",
     ),
-    ("app/calibrate/mirrors.py", "or, to make the axes parallel"): (
+    ("ops/calibration/mirrors.py", "or, to make the axes parallel"): (
         f"{CHECK} --image mirrors {BOARD}",
         "{} --rig mirrors.yaml && {} --camera lens640.yaml --baseline-mm 160",
     ),
@@ -152,11 +155,11 @@ TRIED = {
         f"{CHECK} --rig rig.yaml --image mirrors {BOARD}",
         f"{CHECK} --rig mirrors.yaml --image mirrors {BOARD}",
     ),
-    ("app/calibrate/mirrors_lit_target.py", "Give it as --board"): (
+    ("ops/calibration/mirrors_lit_target.py", "Give it as --board"): (
         f"{LIT} --target board.yaml",
         "calibrate mirrors --image mirrors -o x.yaml --every 2 --board board.yaml",
     ),
-    ("app/calibrate/mirrors_lit_target.py", "or calibrate with --board"): (
+    ("ops/calibration/mirrors_lit_target.py", "or calibrate with --board"): (
         f"{LIT} --target labels.yaml",
         f"{MIRRORS} --image mirrors",
     ),
@@ -198,11 +201,11 @@ TRIED = {
         "measure --rig rig.yaml --target target.yaml --left left --right left -o m",
         MEASURE,
     ),
-    ("app/sources/frames.py", "Leave --times and --fps away"): (
+    ("ops/sources/frames.py", "Leave --times and --fps away"): (
         f"{RECORD} && measure --rig rig.yaml --target target.yaml --left a.mcap --fps 30 -o m",
         "measure --rig rig.yaml --target target.yaml --left a.mcap -o m",
     ),
-    ("app/sources/frames.py", "or one recording for both"): ("record --left left -o a.mcap", RECORD),
+    ("ops/sources/frames.py", "or one recording for both"): ("record --left left -o a.mcap", RECORD),
     ("store/foreign/numbers.py", "Calibrate it with armsight calibrate camera"): (
         "convert camera rational.yml -o c.yaml",
         CAMERA,
@@ -211,7 +214,7 @@ TRIED = {
         f"calibrate stereo --left boards/right --right boards/left {BOARDS}",
         STEREO,
     ),
-    ("app/calibrate/mirrors_lit_target.py", "Cut the images in two"): (
+    ("ops/calibration/mirrors_lit_target.py", "Cut the images in two"): (
         (beside, LIT.replace("mirrors -o", "beside -o") + " --target lit.yaml"),
         STEREO,
     ),

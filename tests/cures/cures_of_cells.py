@@ -12,13 +12,13 @@ from cures_of_arms import START, plan
 from cures_of_cameras import MEASURE, RECORD, SIDES
 from cures_of_runs import FIND
 
-from armsight.app.calibrate.cell import _require_inside, read_priors, require_sources
-from armsight.app.calibrate.spots_of_frames import _require_both
 from armsight.app.measure.streams import _settings_of_one
 from armsight.calibrate.cell.assignment import name_lights
 from armsight.calibrate.cell.calibrate import _require_motion
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.kinematics import preset
+from armsight.ops.calibration.cell import _require_inside, read_priors, require_sources
+from armsight.ops.calibration.spots_of_frames import _require_both
 from armsight.ops.measure import _with_zoom
 from armsight.records import Frame, Motion
 from armsight.store import read_spot_track
@@ -145,24 +145,24 @@ def in_view():
 
 
 TRIED = {
-    ("app/calibrate/cell.py", "Give --left and --right, or --left-spots"): (
+    ("ops/calibration/cell.py", "Give --left and --right, or --left-spots"): (
         cell(spots=(TABLES[0], None)),
         lambda: [cell()(), filmed("left", "right")()],
     ),
-    ("app/calibrate/cell.py", "Record first, while"): (
+    ("ops/calibration/cell.py", "Record first, while"): (
         filmed("camera:0", "camera:1"),
         ("record --left left --right right -o cell.mcap", filmed("cell.mcap", "cell.mcap")),
     ),
-    ("app/calibrate/cell.py", "Add --size 1280x720"): (cell(size=None), cell()),
+    ("ops/calibration/cell.py", "Add --size 1280x720"): (cell(size=None), cell()),
     (
-        "app/calibrate/cell.py",
+        "ops/calibration/cell.py",
         "Give the size of the images in which the spots were found: --size, or --right-size of the right one",
     ): (inside((160, 120)), inside((320, 240))),
-    ("app/calibrate/spots_of_frames.py", "Give --left and --right, or --left-spots"): (
+    ("ops/calibration/spots_of_frames.py", "Give --left and --right, or --left-spots"): (
         f"{TIMING} --left-spots waved-left.csv",
         f"{TIMING} {tables('waved')}",
     ),
-    ("app/calibrate/spots_of_frames.py", "Give both live, or record"): (
+    ("ops/calibration/spots_of_frames.py", "Give both live, or record"): (
         f"{TIMING} --left camera:0 --right left",
         (lambda: _require_both([True, True]), "record --left left --right right -o wave.mcap"),
     ),
@@ -182,11 +182,11 @@ TRIED = {
         plan(after=Path("left")),
         lambda: _following(CellPlanJob(model="ur10", start=START, out=Path("m.csv"), after=Path("cell"))),
     ),
-    ("app/calibrate/cell.py", "Give the world.yaml that"): (
+    ("ops/calibration/cell.py", "Give the world.yaml that"): (
         lambda: read_priors([Path("cell/world.yaml")], SIZES),
         (FIND, lambda: read_priors([Path("w.yaml")], SIZES)),
     ),
-    ("app/calibrate/cell.py", "Give {}; a calibrated arm"): (
+    ("ops/calibration/cell.py", "Give {}; a calibrated arm"): (
         lambda: read_priors([Path("cell/arm.yaml")], SIZES),
         (FIND, lambda: read_priors([Path("w.yaml")], SIZES)),
     ),
@@ -227,7 +227,7 @@ TRIED = {
         lambda: _settings_of_one(zoomed_to(100.0, 200.0), "a.png"),
         lambda: [_settings_of_one(zoomed_to(100.0, 100.0), "a.png"), _settings_of_one(AUTOMATIC, "a.png")],
     ),
-    ("app/sources/frames.py", "or allow more with --max-skew; with --fps"): (
+    ("ops/sources/frames.py", "or allow more with --max-skew; with --fps"): (
         (apart(0.04), f"{TWO}"),
         f"{TWO} --max-skew 0.05 --overwrite",
     ),

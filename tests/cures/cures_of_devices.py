@@ -20,7 +20,6 @@ from cures_of_motions import LIVE_EYES, moved
 from cures_of_robots import KEY, SIM
 from cures_of_runs import BOARD, CAMERAS, DESIGN, FIND
 
-from armsight.app.identify.live import Known, _ask, _modelled
 from armsight.app.live.measurement import LiveJob, require_kind
 from armsight.app.record.free_cameras import FreeJob
 from armsight.app.robot.recorder import require_recorded
@@ -32,6 +31,7 @@ from armsight.drivers.aravis import AravisCamera, _layout_of, _Stamps
 from armsight.drivers.rtde import link
 from armsight.kinematics import preset
 from armsight.measure.correspondence import PatchSettings, StereoViews, find_in_other_view
+from armsight.ops.identification.live import Known, _ask, _modelled
 from armsight.optics import Camera
 from armsight.optics.zoom import ZoomSetting
 from armsight.records import Frame, JointReading, Silent
@@ -232,7 +232,7 @@ TRIED = {
         "history add w.yaml --cell a --history h.db",
     ),
     ("records/motion.py", "a constant lag belongs into --latency"): (history(0.5), history(1.0)),
-    ("app/identify/live.py", "Give --yes to move without"): (answers(False), answers(True)),
+    ("ops/identification/live.py", "Give --yes to move without"): (answers(False), answers(True)),
     ("app/live/measurement.py", "Give both cameras; or, for one"): (
         lambda: require_kind(LiveJob(left="camera:0", right=None), read_rig(Path("rig.yaml"))),
         lambda: [
@@ -271,7 +271,7 @@ TRIED = {
         (unnamed, lambda: read_pair(Path("bare.pem"), KEY)),
         ("serve --make-certificate made --", lambda: read_pair(*sorted(Path("made").iterdir()))),
     ),
-    ("app/identify/live.py", "Give --model and --world"): (
+    ("ops/identification/live.py", "Give --model and --world"): (
         modelled,
         lambda: modelled(world=read_world(Path("cell/world.yaml"))),
     ),

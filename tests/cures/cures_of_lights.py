@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from cures_of_cameras import NOISE
-from cures_of_motions import check_identify, identified
+from cures_of_motions import identified
 from cures_of_robots import SIM
 from cures_of_runs import row
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -127,7 +127,7 @@ ALIKE = 1e-6 * np.eye(6)
 STILL = 8 * [np.zeros(3)]
 
 TRIED = {
-    ("app/calibrate/pivot.py", "Rest the tool's end on one point"): (
+    ("ops/calibration/pivot.py", "Rest the tool's end on one point"): (
         (pivoted("still", STILL), f"{PIVOT} {seen('still')}"),
         (pivoted("tipped", [*turned(20), *turned(25)]), f"{PIVOT} {seen('tipped')}"),
     ),
@@ -164,11 +164,11 @@ TRIED = {
         f"{IDENTIFY} --increments order",
         f"{IDENTIFY} --increments known && {IDENTIFY.replace('swept', 'swept-home')} --increments order",
     ),
-    ("app/identify/sweep_files.py", "Give the rig that saw them"): (
+    ("ops/inputs.py", "Give the rig that saw them"): (
         IDENTIFY.replace("swept", "swept-px"),
         f"{IDENTIFY.replace('swept', 'swept-px')} --rig rig.yaml",
     ),
-    ("app/identify/sweep_files.py", "Give --sweep; or --rig"): ("identify -o a.yaml", IDENTIFY),
+    ("ops/identify.py", "Give --sweep; or --rig"): ("identify -o a.yaml", IDENTIFY),
     ("cli/identify.py", "Add --live ROBOT, or leave it out"): (f"{IDENTIFY} --speed 0.2", IDENTIFY),
     ("cli/identify.py", "Leave --sweep, --joints and"): (
         f"{IDENTIFY} {LIVE} --rig cell/rig.yaml --target cell/target.yaml",
@@ -176,6 +176,6 @@ TRIED = {
     ),
     ("cli/identify.py", "Give --rig, --target, --left"): (
         f"identify --live {SIM} -o a.yaml",
-        lambda: check_identify(identified()),
+        identified,
     ),
 }

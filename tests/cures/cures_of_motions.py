@@ -11,11 +11,8 @@ from cures_of_arms import HANDEYE, PAIRS, START
 from cures_of_robots import SIM, jog
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.identify.live import _check as check_identify
-from armsight.app.identify.live import open_devices, read_limits
 from armsight.app.play.play_job import check as check_play
 from armsight.app.play.play_job import check_speeds
-from armsight.app.requests.identify import LiveJob, joint_numbers
 from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.app.robot.robot_run import check_arm
@@ -30,11 +27,15 @@ from armsight.control.guard import Limits
 from armsight.control.play import PlaySettings, Weave, plan_path
 from armsight.control.play.shape import shaped
 from armsight.control.teach import PathRecorder, StandingRig
-from armsight.drivers import CameraSettings
+from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.drivers.jog_inputs import open_jog_input
 from armsight.kinematics import preset
 from armsight.ops import motion, robots
 from armsight.ops.action import action_of
+from armsight.ops.identification.left_out import read_limits
+from armsight.ops.identification.live import Known, LiveSweeps, open_devices
+from armsight.ops.identification.live import _check as check_identify
+from armsight.ops.identify import joint_numbers
 from armsight.records import TaughtPath
 from armsight.store import read_rig, read_target
 
@@ -81,10 +82,12 @@ def times(**more):
     return lambda: check_times(**{**good, **more})
 
 
-def identified(**more):
-    files = {name: Path(f"cell/{name}.yaml") for name in ("rig", "target")}
-    eyes = {side: f"camera:{SIM}:{side}" for side in ("left", "right")}
-    return LiveJob(**{"robot": SIM, "out": Path("a.yaml"), "limits": np.ones((6, 2)), **files, **eyes, **more})
+def identified(**known):
+    check_identify(LiveSweeps(limits=np.ones((6, 2))), Known(rig=None, **known))
+
+
+def identified_by(left, right):
+    open_devices(RobotJob(robot="rsi:49152"), (left, right), AUTOMATIC, target(), ManualClock())
 
 
 def moved(*, yes=True, **more):
@@ -284,19 +287,19 @@ TRIED = {
         f"{IN_CELL} --around=0,-1.57,0,0,0,0",
         f"{IN_CELL} --around={START}",
     ),
-    ("app/identify/live.py", "Write for instance --limits"): (
+    ("ops/identification/left_out.py", "Write for instance --limits"): (
         lambda: read_limits("0..3"),
         lambda: read_limits("0:3.1,-1:1"),
     ),
-    ("app/identify/live.py", "Give radians, or a unit"): (
+    ("ops/identification/left_out.py", "Give radians, or a unit"): (
         lambda: read_limits("-28:298,0:90"),
         lambda: [read_limits("-28deg:298deg,0mm:500mm"), read_limits("-0.49:5.2,0:1.57")],
     ),
-    ("app/identify/live.py", "Give --world beside --model"): (
-        lambda: check_identify(identified(model=Path("cell/arm.yaml"))),
-        lambda: check_identify(identified(model=Path("cell/arm.yaml"), world=Path("cell/world.yaml"))),
+    ("ops/identification/live.py", "Give --world beside --model"): (
+        lambda: identified(model=UR),
+        lambda: identified(model=UR, world=object()),
     ),
-    ("app/requests/identify.py", "Write their numbers"): (lambda: joint_numbers("x"), lambda: joint_numbers("5,6")),
+    ("ops/identify.py", "Write their numbers"): (lambda: joint_numbers("x"), lambda: joint_numbers("5,6")),
     ("calibrate/identify/plan.py", "Write lo:hi for every joint"): (
         lambda: checked_limits([[0.0, 1.0]], [0.1, 0.2]),
         lambda: checked_limits([[0.0, 1.0], [0.0, 1.0]], [0.1, 0.2]),
@@ -324,9 +327,9 @@ TRIED = {
         lambda: check_supervised_arm(preset("iiwa14"), SimpleNamespace(robot=telling(UR))),
         lambda: check_supervised_arm(UR, SimpleNamespace(robot=telling(UR))),
     ),
-    ("app/identify/live.py", "Give camera:NAME for --left"): (
-        lambda: open_devices(identified(robot="rsi:49152", left="left", right="right"), target(), ManualClock()),
-        lambda: open_devices(identified(robot="rsi:49152", **LIVE_EYES), target(), ManualClock()),
+    ("ops/identification/live.py", "Give camera:NAME for --left"): (
+        lambda: identified_by("left", "right"),
+        lambda: identified_by(**LIVE_EYES),
     ),
     ("control/play/plan.py", "Run the positions alone"): (
         planned(TURNED, **FIVE),

@@ -133,14 +133,14 @@ def spoil():
 
 
 TRIED = {
-    ("app/join.py", "Leave --still away"): (f"{MOVING}{IN_TIME} moving.csv --still", f"{MOVING}{IN_TIME} moving.csv"),
-    ("app/join.py", "Give --as with"): (f"{JOIN} {OF_ARM} --as nothing", f"{JOIN} {OF_ARM} --as observed"),
-    ("app/join.py", "Give --joints with --arm, or"): (JOIN, f"{JOIN} {OF_ARM}"),
-    ("app/join.py", "or --as pairs"): (
+    ("ops/join.py", "Leave --still away"): (f"{MOVING}{IN_TIME} moving.csv --still", f"{MOVING}{IN_TIME} moving.csv"),
+    ("ops/join.py", "Give --as with"): (f"{JOIN} {OF_ARM} --as nothing", f"{JOIN} {OF_ARM} --as observed"),
+    ("ops/join.py", "Give --joints with --arm, or"): (JOIN, f"{JOIN} {OF_ARM}"),
+    ("ops/join.py", "or --as pairs"): (
         f"{JOIN} --robot-stream poses.csv --setup eye-to-hand --offset 0",
         "{} --as pairs",
     ),
-    ("app/join.py", "Give --joints, both files with t_s"): (
+    ("ops/join.py", "Give --joints, both files with t_s"): (
         f"{JOIN} {OF_ARM} --still",
         f"{RESTING}{IN_TIME} resting.csv --still",
     ),
@@ -262,11 +262,11 @@ TRIED = {
         "history list --history list.json",
         "history list --history history.db",
     ),
-    ("app/compare/runs.py", "Give the folder that `armsight measure -o`"): (
+    ("ops/compare/runs.py", "Give the folder that `armsight measure -o`"): (
         (f"{MEASURE} m1 && {MEASURE} m2", spoil, "compare m1 m2 -o c"),
         f"{MEASURE} m2 --overwrite && compare m1 m2 -o c",
     ),
-    ("app/compare/calibrations.py", "Give two calibrations of one arm"): (
+    ("ops/compare/calibrations.py", "Give two calibrations of one arm"): (
         "convert arm ur10 -o a.yaml && convert arm panda -o b.yaml && compare a.yaml b.yaml -o c",
         "compare a.yaml a.yaml -o c",
     ),

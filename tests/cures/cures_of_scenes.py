@@ -14,11 +14,11 @@ from cures_of_motions import planned, through
 from cures_of_runs import MOVING
 from cures_of_tables import pair
 
-from armsight.app.arm_files import load_arm
 from armsight.calibrate.mirrors.calibration import calibrate_mirrors
 from armsight.drivers import CameraSettings
 from armsight.drivers.aravis import AravisCamera
 from armsight.kinematics import link_frames
+from armsight.ops.arm_files import load_arm
 from armsight.store import parse_board
 
 LIMITS = "format: armsight/limits\nversion: 1\n"
@@ -98,7 +98,7 @@ TRIED = {
         in_view,
     ),
     ("armsight_lab/cell_plan/scene.py", "and begin there (--start)"): (walled_in(AWAY, pocket), in_view),
-    ("app/compare/run.py", "Convert it first: armsight convert camera"): (
+    ("ops/compare/run.py", "Convert it first: armsight convert camera"): (
         "compare camera.yml camera.yml -o c",
         "convert camera camera.yml -o k.yaml && compare k.yaml k.yaml -o c && "
         "convert rig two.yml -o r.yaml && compare r.yaml r.yaml -o d",

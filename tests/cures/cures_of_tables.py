@@ -244,7 +244,7 @@ TRIED = {
     ),
     ("store/urdf.py", "Choose a chain without it"): (f"{ARM} mimic.urdf --tip far", f"{ARM} mimic.urdf --tip tip"),
     ("store/urdf_tree.py", "Name it with --base"): (f"{ARM} roots.urdf", "{} --base base"),
-    ("app/arm_files.py", "Leave --tip and --base away"): (f"{ARM} arm.yaml --tip tip", f"{ARM} arm.yaml"),
+    ("ops/arm_files.py", "Leave --tip and --base away"): (f"{ARM} arm.yaml --tip tip", f"{ARM} arm.yaml"),
     ("_files.py", "but not both"): (f"{ARM} roots.urdf#base:tip --tip tip", f"{ARM} roots.urdf#base:tip"),
     ("ops/convert.py", "and convert the file that is written"): (
         "convert rig pair.yaml --zoom-left 1 --to ros -o l.yaml -o r.yaml",

@@ -24,7 +24,10 @@ UNTRIED = 0
 REPORTS = "tests/golden/reports/"
 CELL = "tests/truth/test_cell.py::test_a_fault_is_refused_and_the_recording_without_it_is_the_cure"
 IN_TESTS = {
-    ("app/calibrate/board_images.py", "perhaps --board"): f"{REPORTS}test_old_charuco.py::test_the_old_layout_is_read",
+    (
+        "ops/calibration/board_images.py",
+        "perhaps --board",
+    ): f"{REPORTS}test_old_charuco.py::test_the_old_layout_is_read",
     ("calibrate/arm/points.py", "armsight measure"): (
         f"{REPORTS}test_touched.py::test_touched_points_are_named_and_measured_ones_are_the_cure"
     ),
@@ -63,7 +66,7 @@ IN_TESTS = {
     ("store/bags.py", "`sqlite3 FILE '.clone mended.db3'`"): (
         "tests/unit/store/test_bag_files.py::test_a_damaged_database_is_saved_as_its_cure_says"
     ),
-    ("app/path/picks.py", "; or leave them out with --skip"): (
+    ("ops/path/picks.py", "; or leave them out with --skip"): (
         "tests/unit/cli/test_path_from_picks.py::test_what_is_not_found_is_named_and_left_out_only_when_asked"
     ),
     ("armsight_lab/history/series.py", "--since"): (
@@ -82,7 +85,7 @@ IN_TESTS = {
         )
     },
     (
-        "app/calibrate/cell.py",
+        "ops/calibration/cell.py",
         "Give the size of the images in which the spots were found: --size, or --right-size of the right one; give "
         "frames where images are cut out of larger ones",
     ): "tests/unit/cli/test_cell.py::test_a_size_that_is_not_the_images_is_refused",
@@ -95,7 +98,7 @@ IN_TESTS = {
     ("armsight_lab/batch/run.py", "Begin it again, then give --resume"): (
         "tests/unit/app/test_batch.py::test_resume_does_what_is_missing_changed_or_failed_by_chance"
     ),
-    ("app/path/picks.py", "Leave them out with --skip"): (
+    ("ops/path/picks.py", "Leave them out with --skip"): (
         "tests/unit/cli/test_path_from_picks.py::test_what_is_not_found_is_named_and_left_out_only_when_asked"
     ),
     ("drivers/remote/wire.py", "Check that `armsight serve` runs there"): (
@@ -110,7 +113,7 @@ IN_TESTS = {
     ("armsight_lab/design/simulate.py", "Give --board and --views"): (
         "tests/unit/app/test_design.py::test_simulated_runs_are_a_batch_and_beside_the_forecast"
     ),
-    ("app/identify/sweep_files.py", "Use --method ml"): (
+    ("ops/identification/solve.py", "Use --method ml"): (
         "tests/truth/test_identify_doubts.py::test_the_method_of_the_paper_is_refused_where_it_is_useless"
     ),
     ("app/guided/cell.py", "Bring the controller's log"): (

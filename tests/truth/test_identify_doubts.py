@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armsight.app.identify.sweep_files import identified
-from armsight.app.requests.identify import IdentifyJob
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.sweeps import step_of
 from armsight.errors import Inconsistent
 from armsight.kinematics import Joint
+from armsight.ops.identification.solve import solve_sweeps
 from armsight.optics import Camera, Rig, parallel_rig
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance
@@ -56,13 +54,12 @@ def test_no_coupling_is_suggested_without_one() -> None:
     assert result.misfit == pytest.approx(1.0, abs=0.25)
 
 
-def test_the_method_of_the_paper_is_refused_where_it_is_useless(tmp_path: Path) -> None:
-    out = tmp_path / "arm.yaml"
+def test_the_method_of_the_paper_is_refused_where_it_is_useless() -> None:
     noisy = swept(0.0, 1e-3, arc=0.3)
     with refuses(Inconsistent, "readings", "--method ml") as refusal:
-        identified(IdentifyJob(out=out, method="paper"), noisy, None, None, None)
-    assert refusal.value.exit_code == 3 and not out.exists()
-    assert identified(IdentifyJob(out=out), noisy, None, None, None).misfit < 2.0 and out.exists()
+        solve_sweeps(noisy, method="paper")
+    assert refusal.value.exit_code == 3
+    assert solve_sweeps(noisy).misfit < 2.0
     clean = identify(swept(0.0, 1e-6), method="paper")
     assert not clean.useless
 

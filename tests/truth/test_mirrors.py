@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.spots_of_frames import lit_frame
 from armsight.calibrate.light_target import calibrate_target
 from armsight.calibrate.mirrors.adjustment import adjust_to_parallel
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
@@ -16,6 +15,7 @@ from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry import align_points
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
+from armsight.ops.calibration.spots_of_frames import lit_frame
 from armsight.optics import Camera, PackedRig, Plate, Rig, RigKind, parallel_rig, triangulate
 from armsight.optics.mirrors import Mirrors as Design
 from armsight.optics.mirrors import corrected_l, form_errors, pinhole_pair, plate_constants, triangulate_exact

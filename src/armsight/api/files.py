@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from armsight import store
 from armsight.app.convert import TUM_SUFFIXES, load_camera, load_rig
 from armsight.app.record.record import mend
-from armsight.app.requests.shared import UnitLength
 from armsight.app.tables import convert_table
 from armsight.arrays import Array
 from armsight.control.guard import Limits
@@ -24,6 +23,7 @@ from armsight.kinematics import Arm
 from armsight.measure.track import PoseTrack
 from armsight.ops.arrays import as_path, as_size
 from armsight.ops.checks import speaks_python
+from armsight.ops.flags import UnitLength
 from armsight.ops.given import PathText, as_table
 from armsight.optics import Camera, Rig, at_zoom
 from armsight.records import Motion, Target, TaughtPath, require_kind, require_number

@@ -20,7 +20,7 @@ def noise_alone(face: CommandUI, asked: Mapping[str, Any]) -> bool:
     """Find a camera's noise where nothing else was given, and tell whether that is so."""
     if asked.get("noise") is None or any(asked.get(name) is not None for name in ("images", "board", "zoom")):
         return False
-    from armsight.app.calibrate.camera_noise import run_noise
+    from armsight.ops.calibration.camera_noise import run_noise
 
     found = run_noise(
         asked["noise"],
@@ -37,7 +37,7 @@ def noise_alone(face: CommandUI, asked: Mapping[str, Any]) -> bool:
 
 def mirrors_checked(face: CommandUI, asked: Mapping[str, Any]) -> bool:
     """Check the mirrors where that is asked, and tell whether it is."""
-    from armsight.app.calibrate.mirrors import require_board
+    from armsight.ops.calibration.mirrors import require_board
 
     if not asked["check"]:
         if asked.get("out") is None:

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias, get_args
 import typer
 
 from armsight._files import real_path
-from armsight.app.requests import shared
 from armsight.cli.command_ui import CommandUI, verdict_of
 from armsight.cli.flags import CommandFlags, taken_by
 from armsight.cli.lazy import Group, LazyCommand
 from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.file_names import ARM, HANDEYE, POINTS, POSES, RIG, TARGET, WORLD
+from armsight.ops import flags as shared
 from armsight.registry import COMMANDS, FILING, extension
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from armsight.app.requests.shared import OutFolder
 from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
     calibrate_cameras,
@@ -41,6 +40,7 @@ from armsight.fields import Bounds, Doc
 from armsight.file_names import DEMO, MEASURED
 from armsight.ops import kinematics as of_arms
 from armsight.ops import paths
+from armsight.ops.flags import OutFolder
 from armsight.ops.machine import Room, doctor, write_simulation
 
 __all__ = [

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armsight.app.requests.motion import ARM, CAMERAS, SIMULATED, TwinJob
-from armsight.app.requests.shared import CAMERAS as SETTINGS
 from armsight.cli.actions import add_action
 from armsight.cli.command import app, command, robot
 from armsight.cli.command_ui import CommandUI, StatusLine
 from armsight.fields import Doc
 from armsight.ops import motion, robots
+from armsight.ops.flags import CAMERAS as SETTINGS
 from armsight.ops.teach import teach
 from armsight.units import MM
 

@@ -12,11 +12,11 @@ import typer
 
 from armsight.app.requests.motion import RobotJob, RobotSettings, RsiConfig
 from armsight.app.requests.plant import PLANT, PlantFlags
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, SRC
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
 from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, SRC
 
 if TYPE_CHECKING:
     from armsight.server.waiting import WaitingPage

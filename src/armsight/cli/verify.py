@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from armsight.app.requests.plant import PLANT
-from armsight.app.requests.shared import CAMERAS, LIVE, MASTERING, TABLES, OutFolder
 from armsight.cli.actions import show
 from armsight.cli.command import Command, add, app
 from armsight.cli.command_ui import CommandUI, StatusLine
@@ -17,6 +16,13 @@ from armsight.fields import Doc, Flag
 from armsight.file_names import VERIFIED
 from armsight.ops import verify as ops
 from armsight.ops.action import action_of
+from armsight.ops.flags import (
+    CAMERAS,
+    LIVE,
+    MASTERING,
+    TABLES,
+    OutFolder,
+)
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:

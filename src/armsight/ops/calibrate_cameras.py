@@ -6,7 +6,10 @@ from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import (
+from armsight.errors import UsageError
+from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.action import action
+from armsight.ops.flags import (
     SRC,
     Bits,
     Cameras,
@@ -15,9 +18,6 @@ from armsight.app.requests.shared import (
     Strict,
     Workers,
 )
-from armsight.errors import UsageError
-from armsight.fields import Bounds, Doc, Flag
-from armsight.ops.action import action
 from armsight.ops.kinds import (
     IMAGES,
     NOISE,
@@ -133,9 +133,9 @@ def calibrate_camera(
     BadImage
         One of them is no image.
     """
-    from armsight.app.calibrate import cameras as app
-    from armsight.app.calibrate.board_pictures import BoardPictures
-    from armsight.app.calibrate.reports import write_camera_report
+    from armsight.ops.calibration import cameras as app
+    from armsight.ops.calibration.board_pictures import BoardPictures
+    from armsight.ops.calibration.reports import write_camera_report
 
     _require_board(images, board, side)
     _require_zoom(zoom, pupil_m, pupil_std_m, set_zoom, out)
@@ -190,9 +190,9 @@ def calibrate_stereo(
     Inconsistent
         Not as many left as right images; else as calibrate_camera.
     """
-    from armsight.app.calibrate import cameras as app
-    from armsight.app.calibrate.board_pictures import BoardPictures
-    from armsight.app.calibrate.reports import write_stereo_report
+    from armsight.ops.calibration import cameras as app
+    from armsight.ops.calibration.board_pictures import BoardPictures
+    from armsight.ops.calibration.reports import write_stereo_report
 
     options, settings, pictures = _options(options, lens, most=2), camera_asked(camera_settings), BoardPictures()
     with app.open_images(left_images, right_images, settings=settings, bits=bits, strict=strict) as source:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import KNOWN_ARM, SRC, Fps, Inverted, Limit, Table, Threshold, size_of
 from armsight.defaults import ANGLE_RAD, CELL_LENGTH_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import CELL_CALIBRATED
 from armsight.ops.action import Input, action
+from armsight.ops.flags import KNOWN_ARM, SRC, Fps, Inverted, Limit, Table, Threshold, size_of
 from armsight.ops.kinds import FRAMES, READERS
 from armsight.units import DEG, MM
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SPOTS = "table t_s,u_px,v_px[,su_px,sv_px]"
 COMPLIANCE = {"auto": None, "on": True, "off": False}
-HERE = "armsight.app.calibrate.cell"
+HERE = "armsight.ops.calibration.cell"
 
 TableFile: TypeAlias = Annotated[Any, Input(f"{READERS}:table", hashed=True)]
 """Columns by name, (t_s, q), or the path of a table."""
@@ -132,9 +132,9 @@ def calibrate_cell(
     >>> found.tip.measured_m < 0.002
     True
     """
-    from armsight.app.calibrate import cell as recorded
-    from armsight.app.calibrate.spots_of_frames import SpotSearch
     from armsight.calibrate.cell import ArmTolerance, CellOptions, calibrate_cell
+    from armsight.ops.calibration import cell as recorded
+    from armsight.ops.calibration.spots_of_frames import SpotSearch
     from armsight.records import Silent
     from armsight.store.interpret import OURS
 

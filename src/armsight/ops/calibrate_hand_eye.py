@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.app.requests.shared import BOARD, SRC, Bits, Strict, TwoTables, Workers, setup_called
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
+from armsight.ops.flags import BOARD, SRC, Bits, Strict, TwoTables, Workers, setup_called
 from armsight.ops.kinds import READERS
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from armsight.ops.arrays import Poses
     from armsight.records import Progress
 
-HERE = "armsight.app.calibrate.handeye"
+HERE = "armsight.ops.calibration.handeye"
 TableFile: TypeAlias = Annotated[Any, Input(f"{READERS}:table", hashed=True)]
 """Columns by name, (t_s, T), poses (n, 4, 4), a PoseTrack, or the path of a table."""
 PairsFile: TypeAlias = Annotated[Any, Input(f"{HERE}:given_pairs", hashed=True)]
@@ -119,9 +119,9 @@ def calibrate_hand_eye(
     >>> armsight.calibrate_hand_eye(T_base_flange, T_camera_target).T_flange_camera[1:3, 3].round(6).tolist()
     [0.05, 0.1]
     """
-    from armsight.app.calibrate.handeye import from_boards, from_pairs, from_streams, pairs_of, see_boards
     from armsight.calibrate.handeye import Setup
     from armsight.drivers import ImageReading
+    from armsight.ops.calibration.handeye import from_boards, from_pairs, from_streams, pairs_of, see_boards
     from armsight.records import Silent, one_of
     from armsight.store.handeye_file import freed_camera_path
     from armsight.store.interpret import OURS

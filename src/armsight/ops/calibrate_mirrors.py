@@ -6,21 +6,21 @@ from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import SRC, Cameras, Every, Limit, Workers
 from armsight.defaults import GLASS, MIRROR_GAP_M, PLATE_NEAR_M
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
 from armsight.ops.calibrate_cameras import camera_asked, threads
+from armsight.ops.flags import SRC, Cameras, Every, Limit, Workers
 from armsight.ops.kinds import CAMERA, FRAMES, IMAGES, LIGHTS, BoardLike, RigLike
 from armsight.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from armsight.app.calibrate.board_pictures import BoardPictures
     from armsight.calibrate.cameras import BoardOptions
     from armsight.calibrate.mirrors.result import MirrorCheckOutput, MirrorsOutput
     from armsight.drivers import CameraSettings
+    from armsight.ops.calibration.board_pictures import BoardPictures
     from armsight.optics import Camera
     from armsight.records import Frame, Progress, Target
     from armsight.store.cell_file import CellMirrors
@@ -102,9 +102,9 @@ def calibrate_mirrors(
     NotEnoughData
         The board is seen twice in too few images; else as calibrate_camera.
     """
-    from armsight.app.calibrate.board_pictures import BoardPictures
-    from armsight.app.calibrate.mirrors import require_shown
-    from armsight.app.calibrate.reports import write_mirrors_report
+    from armsight.ops.calibration.board_pictures import BoardPictures
+    from armsight.ops.calibration.mirrors import require_shown
+    from armsight.ops.calibration.reports import write_mirrors_report
     from armsight.store.cell_file import CellMirrors
 
     require_shown(board, target, images, left_only, right_only)
@@ -162,11 +162,11 @@ def check_mirrors(
     NotEnoughData
         The board is seen twice in none of the images.
     """
-    from armsight.app.calibrate import mirrors as app
-    from armsight.app.calibrate.board_pictures import BoardPictures
-    from armsight.app.calibrate.cameras import open_images
     from armsight.calibrate.mirrors.result import check_output
     from armsight.drivers import is_live
+    from armsight.ops.calibration import mirrors as app
+    from armsight.ops.calibration.board_pictures import BoardPictures
+    from armsight.ops.calibration.cameras import open_images
     from armsight.records import Silent
     from armsight.store.cell_file import CellMirrors
 
@@ -190,10 +190,10 @@ def _from_board(
     progress: Progress | None,
 ) -> MirrorsOutput:
     """Calibrate from a board. sources: complex images, left and right ones; search: every, limit and workers."""
-    from armsight.app.calibrate.mirrors import board_views
     from armsight.calibrate.cameras import BoardOptions
     from armsight.calibrate.mirrors.calibration import calibrate_mirrors
     from armsight.calibrate.mirrors.result import mirrors_output
+    from armsight.ops.calibration.mirrors import board_views
     from armsight.records import require_kind
     from armsight.records.result_parts import RejectedFile
 
@@ -223,10 +223,10 @@ def _from_lights(
     limit: int | None,
     progress: Progress | None,
 ) -> MirrorsOutput:
-    from armsight.app.calibrate.cameras import open_images
-    from armsight.app.calibrate.mirrors import lit_design
-    from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, require_lights
     from armsight.calibrate.mirrors.result import mirrors_output
+    from armsight.ops.calibration.cameras import open_images
+    from armsight.ops.calibration.mirrors import lit_design
+    from armsight.ops.calibration.mirrors_lit_target import calibrate_lit, require_lights
     from armsight.records import Silent
 
     design = lit_design(built, camera, image=images is not None)

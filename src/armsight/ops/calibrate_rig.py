@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from armsight.app.requests.shared import Cameras, Every, Fps, Inverted, Limit, Threshold
 from armsight.defaults import LIT_LIGHTS
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
+from armsight.ops.flags import Cameras, Every, Fps, Inverted, Limit, Threshold
 from armsight.ops.kinds import FRAMES, BothViews, Left, Right, RigLike, SpotsLike, TargetLike
 
 if TYPE_CHECKING:
@@ -56,11 +56,11 @@ def calibrate_target(
     """
     from functools import partial
 
-    from armsight.app.calibrate.spots_of_frames import lit_frames
-    from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
     from armsight.calibrate.light_target import calibrate_target
     from armsight.drivers import AUTOMATIC
     from armsight.measure.settings import SpotSettings
+    from armsight.ops.calibration.spots_of_frames import lit_frames
+    from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
     from armsight.records import Silent
 
     settings, cameras = SpotSettings(threshold=threshold, inverted=inverted), camera_settings or AUTOMATIC
@@ -112,9 +112,9 @@ def calibrate_timing(
     NotEnoughData, Inconsistent
         The wave does not tell the timing.
     """
-    from armsight.app.calibrate.spots_of_frames import SpotSearch, seen_tracks
     from armsight.calibrate.timing import calibrate_timing
     from armsight.drivers import AUTOMATIC
+    from armsight.ops.calibration.spots_of_frames import SpotSearch, seen_tracks
     from armsight.records import Silent
 
     search = SpotSearch(
@@ -165,8 +165,8 @@ def calibrate_noise(
     >>> armsight.calibrate_noise(still).noise.n_given
     8
     """
-    from armsight.app.calibrate.camera_noise import find_noise
     from armsight.drivers import AUTOMATIC
+    from armsight.ops.calibration.camera_noise import find_noise
 
     settings = camera_settings or AUTOMATIC
     return find_noise(frames, side=side, every=every, limit=limit, settings=settings, progress=progress)

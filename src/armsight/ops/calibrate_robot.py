@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, Base, Cameras, Table, Tip, point_of
 from armsight.defaults import ANGLE_RAD, LENGTH_M, TIP_GOAL_M, TIP_POINT_STD_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, Base, Cameras, Table, Tip, point_of
 from armsight.ops.kinds import (
     CHAIN,
     READERS,
@@ -143,13 +143,13 @@ def calibrate_pivot(
     NotEnoughData
         The poses do not tell the tip.
     """
-    from armsight.app.calibrate.pivot import pivot
-    from armsight.app.live.pace import pace_of
-    from armsight.app.sources.frames import open_pairs
     from armsight.calibrate.tooltip import TipRecording
     from armsight.drivers import AUTOMATIC
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
+    from armsight.ops.calibration.pivot import pivot
+    from armsight.ops.sources.frames import open_pairs
+    from armsight.ops.sources.pace import pace_of
     from armsight.records import Silent
 
     settings = SpotSettings(colour=target.colour)

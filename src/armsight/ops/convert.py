@@ -8,17 +8,17 @@ from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip, UnitLength, size_of
 from armsight.errors import UsageError, not_one_of
 from armsight.fields import Doc, Flag
 from armsight.ops.action import Input, action
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip, UnitLength, size_of
 from armsight.ops.kinds import READERS, ArmLike, AsFile
 
 if TYPE_CHECKING:
-    from armsight.app.arm_files import ConvertArmOutput
     from armsight.app.convert import ConvertOutput
     from armsight.app.record.export import ExportOutput
     from armsight.app.tables import ConvertTableOutput
+    from armsight.ops.arm_files import ConvertArmOutput
     from armsight.ops.given import PathText
     from armsight.records import Progress
     from armsight.records.output import Output
@@ -144,7 +144,7 @@ def arm(
 ) -> ConvertArmOutput:
     """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
     from armsight._files import arm_source
-    from armsight.app.arm_files import convert_arm
+    from armsight.ops.arm_files import convert_arm
 
     return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention)
 

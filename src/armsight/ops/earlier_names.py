@@ -1,11 +1,13 @@
-"""Functions of earlier versions, each of which another name does now."""
+"""Names of earlier versions, for each of which another one stands now."""
 
 from __future__ import annotations
 
 import warnings
 from typing import TYPE_CHECKING, Any
 
+from armsight.calibrate.identify import Identification
 from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
+from armsight.ops.identify import identify_arm
 
 if TYPE_CHECKING:
     from armsight.calibrate.handeye import HandEyeResult
@@ -23,6 +25,16 @@ def calibrate_hand_eye_from_streams(robot_stream: Any, camera_stream: Any, **mor
     """Do as calibrate_hand_eye(robot_stream=robot_stream, camera_stream=camera_stream)."""
     _warn("calibrate_hand_eye(robot_stream=..., camera_stream=...)")
     return calibrate_hand_eye(robot_stream=robot_stream, camera_stream=camera_stream, **more)
+
+
+def identify_arm_from_frames(rig: Any, target: Any, left: Any, right: Any, joints: Any, **more: Any) -> Identification:
+    """Do as identify_arm(rig=rig, target=target, left=left, right=right, joints=joints)."""
+    _warn("identify_arm(rig=..., target=..., left=..., right=..., joints=...)")
+    return identify_arm(rig=rig, target=target, left=left, right=right, joints=joints, **more)
+
+
+ArmIdentification = LiveIdentification = Identification
+"""What identify_arm and identify_arm_live return."""
 
 
 def _warn(now: str) -> None:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.app.requests.shared import KNOWN_ARM, TwoTables, setup_called
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
+from armsight.ops.flags import KNOWN_ARM, TwoTables, setup_called
 from armsight.ops.kinds import READERS, ArmLike, AsFile
 
 if TYPE_CHECKING:
-    from armsight.app.compare.run import CompareOutput
-    from armsight.app.join import JoinResult
     from armsight.calibrate.handeye import Setup
+    from armsight.ops.compare.run import CompareOutput
+    from armsight.ops.join import JoinResult
 
 A: TypeAlias = Annotated[Any, Input(f"{READERS}:result"), Flag(positional=True, metavar="A")]
 B: TypeAlias = Annotated[Any, Input(f"{READERS}:result"), Flag(positional=True, metavar="B")]
@@ -53,7 +53,7 @@ def compare(
     >>> armsight.compare(rig, rig).verdict
     'Neither result tells how sure it is: whether they agree cannot be told...'
     """
-    from armsight.app.compare.run import compared
+    from armsight.ops.compare.run import compared
 
     return compared(a, b, distance_m, None if out is None else Path(out))
 
@@ -105,8 +105,8 @@ def join(
     >>> round(armsight.join((t_s + 0.3, arm.fk(q)), joints=(t_s, q), arm=arm).offset_s, 4)
     -0.3
     """
-    from armsight.app.join import Join, flange_poses, joint_log, require_sources
     from armsight.calibrate.handeye import Setup
+    from armsight.ops.join import Join, flange_poses, joint_log, require_sources
     from armsight.records import one_of
     from armsight.store.interpret import OURS
     from armsight.store.verify_files import read_measured

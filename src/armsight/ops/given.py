@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.arm_files import load_arm
 from armsight.columns import POSE7
 from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.fields import bare, known_hints
 from armsight.kinematics import Arm
+from armsight.ops.arm_files import load_arm
 from armsight.ops.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.optics import Rig
 from armsight.records import Frame, Target, real_array, require_kind

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import arm_source
-from armsight.app.compare.run import GivenResult
 from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.opening import ClockedRobot
 from armsight.arrays import Array
 from armsight.calibrate.arm import ArmPoints
+from armsight.calibrate.identify import Sweeps
 from armsight.clock import SystemClock
 from armsight.control.guard import Limits
 from armsight.drivers import Robot, RobotState
@@ -29,7 +29,8 @@ from armsight.drivers.images import read_image
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.action import Given
-from armsight.ops.arrays import as_images, as_poses, as_rotations
+from armsight.ops.arrays import as_images, as_joint_numbers, as_poses, as_rotations
+from armsight.ops.compare.run import GivenResult
 from armsight.ops.given import Given as Folder
 from armsight.ops.given import as_arm, as_text
 from armsight.optics import Camera, Rig, ZoomLens
@@ -56,7 +57,7 @@ from armsight.store import (
     read_world,
     read_zoom_camera,
 )
-from armsight.store.arm_points import read_arm_points
+from armsight.store.arm_points import read_arm_points, read_sweeps
 from armsight.store.covariances import uncorrelated_note
 from armsight.store.handeye_file import read_tip
 from armsight.store.interpret import OURS
@@ -193,6 +194,27 @@ def _points(
 def _arm_of(given: Given) -> Arm:
     """Return the arm that an action was given, which stands before what is measured of it."""
     return next(one for one in given.values() if isinstance(one, Arm))
+
+
+def sweeps(name: str, value: Any, given: Given, undo: ExitStack) -> Sweeps:
+    """Return the sweeps of a table, or of which joint moves in each row, with `q`, `xyz_m` and more beside it."""
+    path, rig = _path(value), given.get("rig")
+    if path is not None:
+        found = read_sweeps(path, given.get("table") or OURS)
+        if rig is None and found.uv_px is not None and not found.xyz_m.any():
+            raise UsageError(f"{path} has pixels only", cure="Give the rig that saw them (--rig)")
+        return found
+    rows: tuple[Any, ...] = tuple(given.get(one) for one in ("q", "xyz_m", "uv_px"))
+    q, positions, uv_px = checked_array("q", rows[0], (None, None)), checked_array("xyz_m", rows[1], (None, 3)), rows[2]
+    moving = as_joint_numbers(value, len(positions))
+    if (rig is None) != (uv_px is None):
+        raise UsageError(
+            "of rig and uv_px only one is given",
+            consequence="Pixels say nothing without their cameras",
+            cure="Give both, or neither",
+        )
+    pixels = None if uv_px is None else checked_array("uv_px", uv_px, (len(positions), 2, 2))
+    return Sweeps(joint=moving - 1, q=q, xyz_m=positions, uv_px=pixels)
 
 
 def taught(name: str, value: Any, given: Given, undo: ExitStack) -> GivenPath:

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import BOARD, SRC
 from armsight.fields import Doc, Flag
 from armsight.ops.action import Input
+from armsight.ops.flags import BOARD, SRC
 
 READERS = "armsight.ops.inputs"
 FRAMES = Input(f"{READERS}:frames", kind=str)
 CHAIN = Input(f"{READERS}:chain", kind=str)
 """An arm, with the links of its file that `tip` and `base` name."""
-FILES = "armsight.app.calibrate.camera_noise:input_files"
+FILES = "armsight.ops.calibration.camera_noise:input_files"
 IMAGES = Input(f"{READERS}:images", kind=str, hashed=True, files=FILES)
 """Images as the command line names them, or arrays and paths in order."""
 NOISE = Input(f"{READERS}:noise", kind=str, hashed=True, files=FILES)

@@ -6,13 +6,20 @@ from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip
 from armsight.fields import Doc, Flag
 from armsight.ops.action import action
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip
 from armsight.ops.kinds import CHAIN, AsFile, Readings
 
 if TYPE_CHECKING:
-    from armsight.app.kinematics import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
+    from armsight.ops.kinematics_results import (
+        FkOutput,
+        FormulasOutput,
+        IkOutput,
+        JacobianOutput,
+        PathOutput,
+        ShowOutput,
+    )
 
 ArmChain: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 Joints: TypeAlias = Annotated[AsFile, Doc("joints.csv: t_s, q1 .. qn in rad and m; or bag:FILE:/topic.")]
@@ -26,8 +33,8 @@ def fk(
     arm: ArmChain, joints: Joints, out: Out, *, tip: Tip = None, base: Base = None, table: Table | None = None
 ) -> FkOutput:
     """Write the tool's pose at each row of joint values."""
-    from armsight.app.arm_files import arm_notes
-    from armsight.app.kinematics import FkOutput, read_values
+    from armsight.ops.arm_files import arm_notes
+    from armsight.ops.kinematics_results import FkOutput, read_values
 
     motion = read_values(arm, joints, table)
     n, beyond = len(motion.t_s), int((~arm.within_limits(motion.q)).sum())
@@ -56,7 +63,7 @@ def ik(
     table: Table | None = None,
 ) -> IkOutput:
     """Write the joint values that bring the tool to each pose."""
-    from armsight.app.kinematics import solved, starts_of
+    from armsight.ops.kinematics_results import solved, starts_of
     from armsight.store import read_poses
     from armsight.store.interpret import OURS
 
@@ -76,8 +83,8 @@ def jacobian(
     table: Table | None = None,
 ) -> JacobianOutput:
     """Write the Jacobian at each row of joint values: t_s, J11 .. J6n."""
-    from armsight.app.arm_files import arm_notes
-    from armsight.app.kinematics import JacobianOutput, jacobian_table, read_values
+    from armsight.ops.arm_files import arm_notes
+    from armsight.ops.kinematics_results import JacobianOutput, jacobian_table, read_values
 
     motion = read_values(arm, joints, table)
     return JacobianOutput(
@@ -105,9 +112,9 @@ def path(
     """Write a continuous joint track along a path, and tell jumps, speeds, limits and singular passages."""
     import numpy as np
 
-    from armsight.app.arm_files import arm_notes
-    from armsight.app.kinematics import PathOutput, read_values, require_whole, turned
     from armsight.kinematics import track_path
+    from armsight.ops.arm_files import arm_notes
+    from armsight.ops.kinematics_results import PathOutput, read_values, require_whole, turned
     from armsight.records import Motion
     from armsight.store import read_poses
     from armsight.store.interpret import OURS
@@ -147,7 +154,7 @@ def write_formulas(arm: ArmChain, out: Out, *, tip: Tip = None, base: Base = Non
     >>> armsight.write_formulas("stanford-rrp", folder / "arm.py").arm
     'stanford-rrp'
     """
-    from armsight.app.kinematics import FormulasOutput, formulas_of
+    from armsight.ops.kinematics_results import FormulasOutput, formulas_of
 
     return FormulasOutput(arm=arm.name, file=fspath(out), content=formulas_of(arm, Path(out).name))
 
@@ -177,10 +184,10 @@ def show_arm(
     """
     import numpy as np
 
-    from armsight.app.arm_files import arm_notes
-    from armsight.app.kinematics import ShowOutput, joint_values
     from armsight.kinematics import fk as forward
     from armsight.kinematics.target import start_values
+    from armsight.ops.arm_files import arm_notes
+    from armsight.ops.kinematics_results import ShowOutput, joint_values
     from armsight.report.arm_view import arm_report
 
     values = start_values(arm, None) if q is None else joint_values(arm, q)

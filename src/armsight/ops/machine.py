@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
-from armsight.app.requests.shared import OutFolder
 from armsight.app.simulate import MOST_FRAMES
 from armsight.defaults import SPOT_STD_PX
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
+from armsight.ops.flags import OutFolder
 from armsight.ops.kinds import AsFile
 from armsight.units import MM
 

@@ -7,21 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.app.requests.shared import (
-    Bits,
-    CameraFlags,
-    Cameras,
-    Fps,
-    Inverted,
-    Limit,
-    MaxSkew,
-    Strict,
-    Threshold,
-)
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.file_names import MEASURED
 from armsight.ops.action import Input, action
+from armsight.ops.flags import Bits, CameraFlags, Cameras, Fps, Inverted, Limit, MaxSkew, Strict, Threshold
 from armsight.ops.kinds import FRAMES, READERS, AsFile, Left, Right
 
 if TYPE_CHECKING:
@@ -137,11 +127,11 @@ def measure(
     from armsight.app.measure.free_output import measure_free
     from armsight.app.measure.run import about_pairs, run, target_of, zoomed_rig
     from armsight.app.measure.streams import FrameSources
-    from armsight.app.sources.bags import read_motion
-    from armsight.app.sources.frames import frame_times
     from armsight.drivers import AUTOMATIC, ImageReading
     from armsight.measure.poses.setup import SLACK_PX, Setup, rig_slack_px
     from armsight.measure.settings import SpotSettings
+    from armsight.ops.sources.bags import read_motion
+    from armsight.ops.sources.frames import frame_times
     from armsight.records import Silent
     from armsight.store import read_world
 

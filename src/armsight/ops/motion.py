@@ -34,11 +34,11 @@ from armsight.app.requests.motion import (
     negated,
 )
 from armsight.app.requests.motion import RobotSettings as Settings
-from armsight.app.requests.shared import KNOWN_ARM
 from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, HAND_SPEED_M_S, PATH_SPEED_M_S, RETRACT_M
 from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import FOLLOWED, PLAY_RECORDING, PLAYED, SERVO_RECORDING
 from armsight.ops.action import Input, action
+from armsight.ops.flags import KNOWN_ARM
 from armsight.ops.kinds import (
     READERS,
     ArmLike,
@@ -50,6 +50,7 @@ from armsight.ops.kinds import (
     TargetLike,
     ToolTip,
 )
+from armsight.ops.path.check import with_tip
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -360,7 +361,7 @@ def play(
     )
     run.require_lengths("Where its tip goes is not known, and nothing is moved")
     if tip is not None:
-        run.guard = Guard(play_job.with_tip(run.guard.arm, tip), run.guard.limits, run.guard.cycle_s)
+        run.guard = Guard(with_tip(run.guard.arm, tip), run.guard.limits, run.guard.cycle_s)
     play_job.check_speeds(settings, run.guard.limits, speed)
     if watched:
         prepare(run.progress)  # before the robot is opened: at its first picture the arm would wait for compilers

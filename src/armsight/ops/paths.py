@@ -8,19 +8,19 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeAlias, TypeVar
 
-from armsight.app.requests.shared import KNOWN_ARM
 from armsight.defaults import PATCH_PX, PATH_GAP_M, PATH_GAP_RAD, PICK_STD_PX, SMOOTHING_M, SMOOTHING_RAD
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
+from armsight.ops.flags import KNOWN_ARM
 from armsight.ops.kinds import READERS, ArmLike, AsFile, LimitsLike, Readings, RigLike, TaughtLike, ToolTip
 from armsight.units import DEG
 
 if TYPE_CHECKING:
-    from armsight.app.path.check import PathCheckOutput
-    from armsight.app.path.export import PathExportOutput
-    from armsight.app.path.picks import PathPicksOutput
-    from armsight.app.path.tools import PathChangeOutput, PathSmoothOutput
+    from armsight.ops.path.check import PathCheckOutput
+    from armsight.ops.path.export import PathExportOutput
+    from armsight.ops.path.picks import PathPicksOutput
+    from armsight.ops.path.tools import PathChangeOutput, PathSmoothOutput
     from armsight.records import Progress, TaughtPath
 
 __all__ = ["angle", "check", "export", "fillet", "from_picks", "join", "offset", "resample", "reverse", "smooth"]
@@ -71,7 +71,7 @@ def smooth(
     >>> len(armsight.paths.smooth(armsight.TaughtPath.of_poses(T)))
     9
     """
-    from armsight.app.path.tools import smooth_path
+    from armsight.ops.path.tools import smooth_path
 
     return smooth_path(path.taught, bound_m, bound_rad, outliers, where=path.where, out=out)
 
@@ -85,8 +85,8 @@ def resample(
     out: PathOut = None,
 ) -> PathChangeOutput:
     """Spread rows evenly by length. Ends, corners and tagged rows stay."""
-    from armsight.app.path.tools import changed
     from armsight.control.paths import resampled
+    from armsight.ops.path.tools import changed
 
     return changed([path.taught], resampled(path.taught, step_m, spline=spline), out)
 
@@ -94,8 +94,8 @@ def resample(
 @_tool("path fillet")
 def fillet(path: APath, radius_m: Annotated[float, Doc("Of the arcs, m.")], *, out: PathOut = None) -> PathChangeOutput:
     """Round the corners to arcs."""
-    from armsight.app.path.tools import changed
     from armsight.control.paths import filleted
+    from armsight.ops.path.tools import changed
 
     return changed([path.taught], filleted(path.taught, radius_m), out)
 
@@ -108,8 +108,8 @@ def offset(
     out: PathOut = None,
 ) -> PathChangeOutput:
     """Move the path along the tool's own axis."""
-    from armsight.app.path.tools import changed
     from armsight.control.paths import offset_along_tool
+    from armsight.ops.path.tools import changed
 
     return changed([path.taught], offset_along_tool(path.taught, by_m), out)
 
@@ -123,8 +123,8 @@ def angle(
     out: PathOut = None,
 ) -> PathChangeOutput:
     """Tilt the tool about its tip, as a torch is held."""
-    from armsight.app.path.tools import changed
     from armsight.control.paths import tilted
+    from armsight.ops.path.tools import changed
 
     return changed([path.taught], tilted(path.taught, travel_rad=travel_rad, work_rad=work_rad), out)
 
@@ -132,8 +132,8 @@ def angle(
 @_tool("path reverse")
 def reverse(path: APath, *, out: PathOut = None) -> PathChangeOutput:
     """Turn the path round; the same stretches are welded."""
-    from armsight.app.path.tools import changed
     from armsight.control.paths import reversed_path
+    from armsight.ops.path.tools import changed
 
     return changed([path.taught], reversed_path(path.taught), out)
 
@@ -166,8 +166,8 @@ def join(
     Inconsistent
         Their ends are further apart than the gap.
     """
-    from armsight.app.path.tools import changed
     from armsight.control.paths import joined
+    from armsight.ops.path.tools import changed
 
     paths = [one.taught for one in (*first, *second)]
     if len(paths) < 2:
@@ -196,10 +196,9 @@ def check(
     start
         Readings (n,).
     """
-    from armsight.app.kinematics import reading_values
-    from armsight.app.path.check import checked
-    from armsight.app.play.play_job import with_tip
     from armsight.control.guard import Limits
+    from armsight.ops.kinematics_results import reading_values
+    from armsight.ops.path.check import checked, with_tip
 
     carrier = arm if tip is None else with_tip(arm, tip)
     stand = None if start is None else reading_values(carrier, start)
@@ -248,9 +247,9 @@ def export(
     Inconsistent
         The arm cannot run it.
     """
-    from armsight.app.kinematics import reading_values
-    from armsight.app.path import export as parts
     from armsight.control.paths.program import Program, program_moves
+    from armsight.ops.kinematics_results import reading_values
+    from armsight.ops.path import export as parts
 
     file, kind, taught = Path(out), parts.format_of(Path(out), to), path.taught
     if kind not in parts.PROGRAMS:
@@ -319,9 +318,9 @@ def from_picks(
     """
     from scipy.spatial.transform import RigidTransform
 
-    from armsight.app.path.picks import axis_of, find_places, path_of_places
     from armsight.control.paths.along import along_edges
     from armsight.measure.correspondence import PatchSettings, StereoViews
+    from armsight.ops.path.picks import axis_of, find_places, path_of_places
     from armsight.records import Silent
     from armsight.store.spots_csv import read_picks
     from armsight.store.worlds import World, read_world

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from armsight.app.requests.motion import A_WAY, HOW_FAR, JOINT, LIVE_SRC, SHARE, UP_TO_1, Override, RsiConfig, Speed
 from armsight.app.requests.motion import RobotSettings as Settings
-from armsight.app.requests.shared import KNOWN_ARM, Cameras
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import FRAMES, MOTION_RECORDING, MOVED
 from armsight.ops.action import action
+from armsight.ops.flags import KNOWN_ARM, Cameras
 from armsight.ops.kinds import ArmLike, AsFile, Confirm, GuardLimits, RobotLike
 from armsight.ops.motion import Folder
 

@@ -20,12 +20,12 @@ from armsight.app.requests.motion import (
     Speed,
 )
 from armsight.app.requests.motion import RobotSettings as Settings
-from armsight.app.requests.shared import KNOWN_ARM
 from armsight.defaults import HAND_SPEED_M_S
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import TAUGHT
 from armsight.ops.action import Input, action, action_of
+from armsight.ops.flags import KNOWN_ARM
 from armsight.ops.kinds import FRAMES, READERS, AsFile, Confirm, RigLike, TargetLike, WorldLike
 from armsight.ops.motion import DISTANCE_M, MOVED_ARM, Folder, servo
 
@@ -139,11 +139,11 @@ def teach(
     4
     """
     from armsight.app import teach as parts
-    from armsight.app.live.pace import pace_of
     from armsight.app.robot.robot_run import as_question
     from armsight.app.servo.vision import CameraNames
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
+    from armsight.ops.sources.pace import pace_of
     from armsight.records import Silent
     from armsight.store import read_poses
 

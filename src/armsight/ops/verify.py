@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from armsight.app.requests.motion import LATENCY_S, RobotJob, RobotSettings
 from armsight.app.requests.plant import PlantFlags
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
 from armsight.defaults import JOINT_STD, LATENCY_STD_S
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.file_names import ERRORS, PLAN, PLAN_SUMMARY, REPORT, VERIFY
 from armsight.file_names import LIVE as RECORDING
 from armsight.file_names import MASTERING as POSES_TO_MEASURE
 from armsight.ops.action import action
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
 from armsight.ops.kinds import CHAIN, ArmLike, AsFile, Readings
 from armsight.units import DEG, MM
 
@@ -268,7 +268,6 @@ def supervise(
     UsageError, DataRefused, DeviceFailed
         Nothing could be compared, or a device failed; what was seen until then is written all the same.
     """
-    from armsight.app.live.pace import live_pace
     from armsight.app.measure.run import target_of
     from armsight.app.measure.warm_up import prepare
     from armsight.app.verify import live
@@ -278,6 +277,7 @@ def supervise(
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
     from armsight.ops.given import Given as Folder
+    from armsight.ops.sources.pace import live_pace
     from armsight.records import Silent
     from armsight.store import read_rig, read_world
     from armsight.verify.live import live_output

@@ -37,20 +37,11 @@ COLOURS = (BLUE, ORANGE, GREEN, "#7b4fa3", "#2a8fa0", "#8a6d3b")
 
 
 def identify_report(
-    result: Identification,
-    sweeps: Sweeps,
-    rig: Rig | None = None,
-    *,
-    nominal: Arm | None = None,
-    inputs: Sequence[tuple[str, str]] = (),
-    created: datetime | None = None,
+    result: Identification, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
 ) -> str:
-    """Return the page as HTML text that needs no other file.
-
-    nominal: an arm to put beside the table. inputs: (what, which) lines for the end of the page.
-    """
-    xyz = _positions(sweeps, rig)
-    page = _head(result, sweeps, rig)
+    """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
+    xyz, nominal = _positions(result.sweeps, result.rig), result.nominal
+    page = _head(result)
     if result.notes:
         page.add("What to know", "", bullets(result.notes))
     page.add(
@@ -65,9 +56,9 @@ def identify_report(
         "Paths and axes",
         "Readings by joint, where the result puts the beacon (small), and the axes with all joints at zero. Diamonds "
         "are readings that were discarded.",
-        page.plot(path_figure(result, sweeps, xyz)),
+        page.plot(path_figure(result, xyz)),
     )
-    page.add("Residuals", "Distance of each reading from the result.", page.plot(residual_figure(result, sweeps, xyz)))
+    page.add("Residuals", "Distance of each reading from the result.", page.plot(residual_figure(result, xyz)))
     if result.uncertainty is not None:
         page.add(
             "Where the beacon's place is how certain",
@@ -79,19 +70,19 @@ def identify_report(
     return page.html(created=created or datetime.now())
 
 
-def _head(result: Identification, sweeps: Sweeps, rig: Rig | None) -> Page:
+def _head(result: Identification) -> Page:
     """Return the page with its title, verdict and figures, as yet without sections."""
     kinds = "".join("R" if joint.axis.revolute else "P" for joint in result.joints)
     return Page(
         title=f"Identified arm: {kinds}",
-        subtitle=f"{len(sweeps)} readings, method {result.method}",
+        subtitle=f"{len(result.sweeps)} readings, method {result.method}",
         verdict=result.verdict_,
-        cards=_cards(result, rig),
+        cards=_cards(result),
     )
 
 
-def _cards(result: Identification, rig: Rig | None) -> list[Card]:
-    noise = f"{result.sigma:.3g} px" if rig is not None else figure_of(result.sigma / MM, "mm")
+def _cards(result: Identification) -> list[Card]:
+    noise = f"{result.sigma:.3g} px" if result.rig is not None else figure_of(result.sigma / MM, "mm")
     cards = [Card(name="noise", value=noise, note="one coordinate, found from the residuals")]
     for number, joint in enumerate(result.joints, 1):
         travel = joint.travel[1] - joint.travel[0]
@@ -150,13 +141,13 @@ def _positions(sweeps: Sweeps, rig: Rig | None) -> Array:
     return triangulate(rig, sweeps.uv_px[:, 0], sweeps.uv_px[:, 1], noise, noise).xyz_m
 
 
-def path_figure(result: Identification, sweeps: Sweeps, xyz_m: Array) -> Figure:
+def path_figure(result: Identification, xyz_m: Array) -> Figure:
     """Return readings, predictions and axes in rig axes."""
     traces: list[Plot] = []
     size = float(np.linalg.norm(np.ptp(xyz_m, axis=0)))
     for j, joint in enumerate(result.joints):
         colour = COLOURS[j % len(COLOURS)]
-        seen, where = xyz_m[joint.rows] / MM, result.predicted_m[sweeps.rows(j)] / MM
+        seen, where = xyz_m[joint.rows] / MM, result.predicted_m[result.sweeps.rows(j)] / MM
         ends = (joint.axis.point_m + np.outer([-0.3 * size, 0.3 * size], joint.axis.direction)) / MM
         lost = xyz_m[[row for row, _ in joint.discarded]] / MM
         traces += [
@@ -176,12 +167,12 @@ def _cloud(name: str, xyz: Array, mode: str, marker: Plot) -> Plot:
     return points_in_space(name, xyz, marker, mode) | {"line": {"color": marker["color"], "width": 3}}
 
 
-def residual_figure(result: Identification, sweeps: Sweeps, xyz_m: Array) -> Figure:
+def residual_figure(result: Identification, xyz_m: Array) -> Figure:
     """Return the distances of the readings from the result, by joint."""
     traces = []
     off = np.linalg.norm(result.predicted_m - xyz_m, axis=1) / MM
-    for j in range(sweeps.n):
-        rows = sweeps.rows(j)
+    for j in range(result.sweeps.n):
+        rows = result.sweeps.rows(j)
         marker = {"color": COLOURS[j % len(COLOURS)]}
         dots = {"type": "scatter", "mode": "markers", "x": rows + 1, "y": off[rows], "marker": marker}
         traces.append({"name": f"joint {j + 1}", **dots})

@@ -11,10 +11,12 @@ from armsight._files import arm_source
 from armsight.calibrate.arm import ArmResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
+from armsight.calibrate.identify import Identification
 from armsight.file_names import REPORT, report_path
 from armsight.report.arm_report import arm_report
 from armsight.report.cell_report import cell_report
 from armsight.report.handeye_report import handeye_report
+from armsight.report.identify_report import identify_report
 from armsight.report.verify_pages import live_report, mastering_report, repeats_report
 from armsight.report.verify_report import verify_report
 from armsight.verify.live import VerifyLiveOutput
@@ -27,6 +29,11 @@ Given = Mapping[str, object]
 
 def _hand_eye(result: HandEyeResult, files: Sequence[Path], given: Given) -> str:
     return handeye_report(result, inputs=[("file", item.name) for item in files[:FILES_SHOWN]])
+
+
+def _identified(result: Identification, files: Sequence[Path], given: Given) -> str:
+    made = [] if result.plan is None else [Path(str(given["out"])).with_suffix(".sweep.csv")]
+    return identify_report(result, inputs=[("file", item.name) for item in (*made, *files)])
 
 
 def _cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
@@ -77,6 +84,7 @@ PAGES: Mapping[type, Callable[[Any, Sequence[Path], Given], str]] = {
     VerifyResult: _verification,
     VerifyLiveOutput: _supervision,
     MasteringOutput: lambda result, files, given: mastering_report(result),
+    Identification: _identified,
 }
 """By class of result: the page, from the result, the files that went in, and what the action was called with."""
 IN_FOLDERS = (CellResult, VerifyResult, VerifyLiveOutput, MasteringOutput)

@@ -13,6 +13,7 @@ from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras.zoom import ZoomRigResult
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import HandEyeResult
+from armsight.calibrate.identify import Identification
 from armsight.calibrate.light_target import TargetResult
 from armsight.calibrate.timing import TimingResult
 from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
@@ -35,6 +36,7 @@ from armsight.measure.track import PoseTrack
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
+from armsight.store.arm_points import write_sweeps
 from armsight.store.atomic import write_json, write_text
 from armsight.store.calibrated_arm import write_calibrated_arm
 from armsight.store.handeye_file import write_handeye, write_tip
@@ -60,6 +62,14 @@ def write_pivot(path: Path, result: PivotCalibration, *, inputs: Sequence[Path] 
     """Write tip.yaml, and beside it the poses that were taken."""
     write_poses(path.with_suffix(".poses.csv"), result.taken)
     write_tip(path, result, inputs=inputs)
+
+
+def write_identified(path: Path, result: Identification, *, inputs: Sequence[Path] = ()) -> None:
+    """Write arm.yaml, and beside it the sweeps that have no file yet; those made live are the first of its inputs."""
+    live, kept = result.plan is not None, path.with_suffix(".sweep.csv")
+    if result.from_frames or (live and not kept.exists()):
+        write_sweeps(kept, result.sweeps)
+    write_arm(path, result.arm, inputs=[kept, *inputs] if live else inputs)
 
 
 def write_lights(path: Path, result: TargetResult, *, inputs: Sequence[Path] = ()) -> None:
@@ -143,6 +153,10 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     CellResult: {"": write_cell},
     HandEyeResult: dict.fromkeys(YAML, write_handeye),
     ArmResult: dict.fromkeys(YAML, write_calibrated_arm),
+    Identification: {
+        **dict.fromkeys(YAML, write_identified),
+        ".urdf": lambda path, result: write_urdf(path, result.arm),
+    },
     RobotWorldResult: dict.fromkeys(YAML, write_placed_rig),
     CameraCalibration: dict.fromkeys(YAML, write_calibrated_camera),
     StereoCalibration: dict.fromkeys(YAML, write_rig_of),

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.app.arm_files import load_arm
 from armsight.errors import BadFile
 from armsight.kinematics import fk
+from armsight.ops.arm_files import load_arm
 from armsight.ops.calibrate_robot import calibrate_arm, calibrate_robot_world
 from armsight.store import read_world
 from refusals import names_it, refuses

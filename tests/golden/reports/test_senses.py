@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
-from armsight.app.arm_files import convert_arm
 from armsight.errors import Inconsistent
 from armsight.kinematics import preset
+from armsight.ops.arm_files import convert_arm
 from armsight.ops.calibrate_robot import calibrate_arm
 from refusals import names_it, refuses
 from reports import case

@@ -8,9 +8,9 @@ import re
 import numpy as np
 import pytest
 
-from armsight.app.arm_files import load_arm
 from armsight.errors import BadFile
 from armsight.kinematics import fk
+from armsight.ops.arm_files import load_arm
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.urdf import arm_from_urdf, read_urdf
 from refusals import names_it, refuses

@@ -305,10 +305,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "calibrate_noise": (armsight.calibrate_noise, {"frames": [LEFT]}),
     "calibrate_zoom_rig": (armsight.calibrate_zoom_rig, {"rig": RIG}),
     "check_mirrors": (armsight.check_mirrors, {"image": [LEFT], "board": BOARD}),
-    "identify_arm_from_frames": (
-        armsight.identify_arm_from_frames,
-        {**PAIR, "joints": {"frame": [0], "joint": [1], "q1": [0.0]}},
-    ),
+    "identify_arm": (armsight.identify_arm, {"joint": [1] * 9, "q": np.ones((9, 1)), "xyz_m": np.ones((9, 3))}),
     "identify_arm_live": (armsight.identify_arm_live, {**LIVE, "limits": np.array([[-1.0, 1.0]] * 6)}),
     "supervise": (armsight.supervise, {**LIVE, "arm": ARM, "world": np.eye(4)}),
     "propose_mastering_poses": (
@@ -671,24 +668,6 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "find_spots": (armsight.find_spots, {"image": image(LEFT), "settings": SETTINGS, "bits": BITS}),
-    "identify_arm": (
-        armsight.identify_arm,
-        {
-            "joint": Arg(
-                good=[1] * 9,
-                wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1},
-            ),
-            "q": array(np.ones((9, 1)), more={"fewer rows": np.zeros((4, 1))}),
-            "xyz_m": array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
-            "rig": record(RIG),
-            "uv_px": array(np.ones((9, 2, 2))),
-            "T_base_rig": poses(_poses(1, 4)[0]),
-            "method": choice("ml"),
-            "increments": choice("known"),
-            "sigma": number(1e-4),
-            "name": text("arm"),
-        },
-    ),
     "open_recording": (armsight.open_recording, {"path": path()}),
     "presets.preset": (armsight.presets.preset, {"name": choice("ur10")}),
     "read_arm": (armsight.read_arm, {"path": path(), "tip": text("tool0"), "base": text("base")}),
@@ -761,10 +740,26 @@ TABLE["calibrate_hand_eye"][1].update(
     camera_covariance=array(np.tile(1e-8 * np.eye(6), (len(SEEN), 1, 1)), more={"one": np.eye(6)}),
 )
 
+TABLE["identify_arm"][1].update(
+    joint=Arg(
+        good=[1] * 9,
+        wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1},
+    ),
+    q=array(np.ones((9, 1)), more={"fewer rows": np.zeros((4, 1))}),
+    xyz_m=array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
+    rig=record(RIG),
+    uv_px=array(np.ones((9, 2, 2))),
+    T_base_rig=poses(_poses(1, 4)[0]),
+    method=choice("ml"),
+    increments=choice("known"),
+    sigma=number(1e-4),
+    name=text("arm"),
+)
+
 MADE_BY_US = (
-    *("ArmIdentification", "ArmResult", "CameraResult", "HandEyeResult", "PoseEstimate", "PoseTrack", "RigResult"),
+    *("Identification", "ArmResult", "CameraResult", "HandEyeResult", "PoseEstimate", "PoseTrack", "RigResult"),
     *("RobotWorldResult", "ToolTipResult", "MeasureResult", "VerifyResult", "JoinResult", "TargetResult"),
-    *("TimingResult", "CellResult", "NoiseResult", "ZoomRigResult", "TeachResult", "LiveIdentification"),
+    *("TimingResult", "CellResult", "NoiseResult", "ZoomRigResult", "TeachResult"),
     "SimulatedFrame",
     *("RobotConnection", "RobotDriver", "RemoteState", "Simulation", "PoseStatus", "Inverse", "JointPath", "World"),
     *("RobotState", "BatchResult"),

@@ -25,7 +25,6 @@ NEEDS_MORE = {
     **dict.fromkeys(("calibrate_target", "calibrate_timing", "calibrate_pivot"), "needs a recorded wave or turn"),
     **dict.fromkeys(("calibrate_zoom_rig",), "needs calibrations at several zooms"),
     **dict.fromkeys(("servo", "play", "supervise", "identify_arm_live"), "takes seconds of a robot's time: the guides"),
-    **dict.fromkeys(("identify_arm_from_frames",), "needs the frames of a sweep: the guide"),
     **dict.fromkeys(("reproduce",), "takes minutes: the guide"),
     **dict.fromkeys(("connect",), "needs a server: the guide, and test_remote.py"),
 }

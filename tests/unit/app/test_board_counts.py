@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armsight.app.calibrate.board_images import require_counts
 from armsight.errors import Inconsistent
+from armsight.ops.calibration.board_images import require_counts
 from armsight.records import BoardView, NotSeen, TargetKind, board_target
 from refusals import refuses
 

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from armsight.app.arm_files import load_arm
 from armsight.app.robot.opening import ClockedRobot, open_robot
 from armsight.app.robot.run_motion import RunMotionOutput
 from armsight.app.simulate.run import simulate
@@ -22,6 +21,7 @@ from armsight.control.play.path_source import JointMotionSource
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops import robots
+from armsight.ops.arm_files import load_arm
 from armsight.records import Motion, Silent
 from armsight.store import read_target
 from armsight.store.limits_file import write_limits

@@ -73,7 +73,7 @@ def test_what_is_no_setting_is_refused(texts: list[str]) -> None:
 
 
 def test_every_request_that_names_a_robot_takes_its_settings() -> None:
-    modules = (requests.motion, requests.identify)
+    modules = (requests.motion,)
     kinds = {kind for module in modules for kind in vars(module).values() if dataclasses.is_dataclass(kind)}
     named = {kind for kind in kinds if {"robot", "arm"} <= {one.name for one in dataclasses.fields(kind)}}
     assert named and all(issubclass(kind, RobotJob) for kind in named)  # type: ignore[arg-type]  # classes

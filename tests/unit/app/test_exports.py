@@ -14,10 +14,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.convert import convert_camera, convert_handeye, convert_rig
 from armsight.app.record.export import export
-from armsight.app.sources.bags import joint_states
 from armsight.calibrate.handeye import Setup
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.geometry import is_close
+from armsight.ops.sources.bags import joint_states
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.store import write_camera, write_rig

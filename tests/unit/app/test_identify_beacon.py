@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.identify.beacon_observer import beacon_note, beacon_of
-from armsight.app.identify.sweep_files import beacons
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
+from armsight.ops.identification.beacon_observer import beacon_note, beacon_of
+from armsight.ops.identification.solve import beacons
 from armsight.optics import Camera, converged_rig
 from armsight.records import Spots, spot_target
 from refusals import names_it

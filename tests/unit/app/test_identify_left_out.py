@@ -12,11 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.operator.identify_run import FOLDER, IdentifyRequest, Range, entries, fits
 from armsight.cli.commands import app
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import presets
+from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.records import JointReading
 from armsight.store.arm_file import read_arm
 from armsight.store.arm_points import read_sweeps

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.identify.live import OperatorCallbacks, open_devices, read_limits, run_identify_live
-from armsight.app.requests.identify import LiveJob
+from armsight.app.requests.motion import RobotJob
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.joint_sweep import Pace
-from armsight.drivers import RobotState
+from armsight.drivers import AUTOMATIC, RobotState
 from armsight.errors import (
     BadFile,
     Cancelled,
@@ -27,8 +26,26 @@ from armsight.errors import (
     StaleData,
     UsageError,
 )
+from armsight.ops.action import write_with_page
+from armsight.ops.arm_files import given_arm
+from armsight.ops.identification.left_out import read_limits
+from armsight.ops.identification.live import (
+    Known,
+    LiveSweeps,
+    OperatorCallbacks,
+    identify_live,
+    open_devices,
+)
 from armsight.records import Frame
-from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
+from armsight.store import (
+    read_rig,
+    read_target,
+    read_world,
+    rig_from_mapping,
+    target_from_mapping,
+    write_rig,
+    write_target,
+)
 from armsight.store.arm_file import read_arm
 from armsight.store.arm_points import read_sweeps
 from armsight.store.worlds import World, write_world
@@ -81,16 +98,34 @@ class Cell:
 
         self.robot.step_joints = watched  # type: ignore[method-assign]
 
-    def job(self, **more: Any) -> LiveJob:
-        """The job of identifying this arm, quickly."""
-        files = {name: self.folder / f"{name}.yaml" for name in ("rig", "target", "world")}
-        given: dict[str, Any] = {"limits": LIMITS, "pace": Pace(speed=1.0, frames=1), "out": self.folder / "arm.yaml"}
-        return LiveJob(robot="here", left="here", right="here", **files, **(given | more))
-
-    def run(self, person: OperatorCallbacks = YES, progress: Any = None, **more: Any) -> Any:
-        """Identify."""
-        devices = (self.robot, self.pairs)
-        return run_identify_live(self.job(**more), person, progress, clock=self.clock, devices=devices)
+    def run(
+        self,
+        person: OperatorCallbacks = YES,
+        progress: Any = None,
+        *,
+        model: Path | None = None,
+        nominal: str | None = None,
+        pairs: Any = None,
+        **more: Any,
+    ) -> Any:
+        """Identify this arm, quickly, and write what was found."""
+        rig, target, world = (self.folder / f"{name}.yaml" for name in ("rig", "target", "world"))
+        out = self.folder / "arm.yaml"
+        sweeps = LiveSweeps(**({"limits": LIMITS, "pace": Pace(speed=1.0, frames=1), "out": out} | more))
+        known = Known(rig=read_rig(rig), world=read_world(world), model=given_arm(model), nominal=given_arm(nominal))
+        done = identify_live(
+            sweeps,
+            known,
+            read_target(target),
+            RobotJob(robot="here"),
+            ("here", "here"),
+            person,
+            progress=progress,
+            clock=self.clock,
+            devices=(self.robot, pairs or self.pairs),
+        )
+        write_with_page(out, done, [rig, target, world], {"out": out})
+        return done
 
 
 def when(condition: Callable[[int], bool], act: Callable[[], None]) -> Any:
@@ -241,8 +276,8 @@ class Late:
 
 def test_frames_older_than_they_say_are_not_taken_for_the_present(tmp_path: Path) -> None:
     cell = Cell(tmp_path, lag_s=0.0)
-    job = cell.job(model=nearly_right(tmp_path), readings=20)  # each way takes a twentieth of a second
-    content = run_identify_live(job, YES, clock=cell.clock, devices=(cell.robot, Late(cell)))
+    # each way takes a twentieth of a second
+    content = cell.run(model=nearly_right(tmp_path), readings=20, pairs=Late(cell))
     assert max(joint.residual_rms_px for joint in content.joints) < 0.1
     assert not any(joint.discarded for joint in content.joints)
 
@@ -291,13 +326,10 @@ def test_limits_and_devices_are_read_as_written(tmp_path: Path) -> None:
     (tmp_path / "limits.yaml").write_text("limits: {j1: 3}\n")
     with pytest.raises(BadFile):
         read_limits(str(tmp_path / "limits.yaml"))
-    cell = Cell(tmp_path)
     target = target_from_mapping({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}}, "target")
-    job = cell.job()
     for robot, left in (("sim:kapucu2005-rrp", "camera:0"), ("sim", "left/*.png")):
-        other = LiveJob(robot=robot, left=left, right="x", rig=job.rig, target=job.target, limits=LIMITS, out=job.out)
         with pytest.raises(UsageError):
-            open_devices(other, target, ManualClock())
+            open_devices(RobotJob(robot=robot), (left, "x"), AUTOMATIC, target, ManualClock())
 
 
 def test_the_frames_show_where_the_robot_is_now(tmp_path: Path) -> None:

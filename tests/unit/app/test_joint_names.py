@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from armsight.app.sources.bags import UNIVERSAL_ROBOTS, columns_of
 from armsight.errors import Inconsistent
+from armsight.ops.sources.bags import UNIVERSAL_ROBOTS, columns_of
 from refusals import refuses
 
 J6 = [f"j{i}" for i in range(1, 7)]

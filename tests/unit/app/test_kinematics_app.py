@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.arm_files import load_arm
-from armsight.app.kinematics import left_open
 from armsight.cli.commands import app
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import is_close
 from armsight.kinematics import Coupling, fk, moved, pose, preset
+from armsight.ops.arm_files import load_arm
+from armsight.ops.kinematics_results import left_open
 from armsight.records import Motion, NamedCovariance, PoseStatus, TargetPose
 from armsight.store import read_joints, read_poses, read_table, write_joints, write_poses
 from armsight.store.arm_file import write_arm

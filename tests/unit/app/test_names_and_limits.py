@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.app.arm_files import load_arm
 from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.opening import left_open, noted
 from armsight.app.robot.recorder import RecordingLog, require_recorded
@@ -18,6 +17,7 @@ from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, Guard, JointLimit, Limits
 from armsight.errors import RecordingFailed, UsageError
+from armsight.ops.arm_files import load_arm
 from armsight.records import JointReading
 from armsight.store.recording import RecordingWriter
 from refusals import names_it, refuses

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.path.check import checked
 from armsight.control.guard import Limits
 from armsight.control.play import PlaySettings, plan_path
 from armsight.errors import ArmsightError
 from armsight.kinematics import presets
+from armsight.ops.path.check import checked
 from armsight.records import TaughtPath
 
 ARM = replace(presets.ur10(), T_flange_tool=RigidTransform.from_translation([0.0, 0.0, 0.15]))

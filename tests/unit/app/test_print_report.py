@@ -13,9 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 from armsight.app.print_report import BROWSERS, print_report
-from armsight.app.sources.frames import recordings_in
 from armsight.cli.commands import app
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, DeviceNotFound, UsageError
+from armsight.ops.sources.frames import recordings_in
 from armsight.records.result_parts import Verdict
 from armsight.report.figures import Figure, layout, points_in_space
 from armsight.report.html import Page, add_recordings

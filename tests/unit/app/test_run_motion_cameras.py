@@ -18,10 +18,10 @@ from armsight.app.record.free_cameras import SILENT_S, CameraRecorded, FreeCamer
 from armsight.app.robot import run_motion as run_motion_module
 from armsight.app.robot.opening import ClockedRobot, open_robot
 from armsight.app.robot.run_motion import RunMotionOutput
-from armsight.app.sources.frames import camera_source
 from armsight.clock import ManualClock
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 from armsight.ops import robots
+from armsight.ops.sources.frames import camera_source
 from armsight.records import Frame, Motion, Silent
 from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints, write_joints

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
-from armsight.app.live.pace import pace_of
 from armsight.app.teach import AS_MEASURED
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.errors import UsageError
+from armsight.ops.sources.pace import pace_of
 from armsight.ops.teach import teach
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import read_poses, write_poses, write_text

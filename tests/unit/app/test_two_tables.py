@@ -5,9 +5,9 @@ import csv
 import numpy as np
 
 import armsight
-from armsight.app.requests.shared import TwoTableFlags
 from armsight.errors import BadFile, UsageError
 from armsight.ops.files import join
+from armsight.ops.flags import TwoTableFlags
 from refusals import refuses
 
 

@@ -18,11 +18,11 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from armsight.app.kinematics import read_values
-from armsight.app.sources.bags import BagFrames, joint_states
-from armsight.app.sources.frames import open_pairs
 from armsight.errors import ArmsightError, BadFile, BadImage, Inconsistent, UsageError
 from armsight.kinematics.presets import preset
+from armsight.ops.kinematics_results import read_values
+from armsight.ops.sources.bags import BagFrames, joint_states
+from armsight.ops.sources.frames import open_pairs
 from armsight.store.bags import bag_topic
 from refusals import refuses
 

@@ -95,7 +95,7 @@ def test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone(
         def fails(*given: object, raised: Exception = raised, **more: object) -> None:
             raise raised
 
-        monkeypatch.setattr("armsight.app.kinematics.read_values", fails)
+        monkeypatch.setattr("armsight.ops.kinematics_results.read_values", fails)
         ended = run_command(one, tmp_path)
         assert ended.exit_code == code and ended.error is not None and told in ended.error.cause
         assert ("fewer workers (--jobs)" in ended.error.cure) == (code == 4)
@@ -110,7 +110,7 @@ def test_settings_are_those_of_who_began_the_batch(tmp_path: Path, monkeypatch: 
     from armsight.config import load_settings
 
     seen = []
-    monkeypatch.setattr("armsight.app.kinematics.read_values", lambda *_, **__: seen.append(load_settings()))
+    monkeypatch.setattr("armsight.ops.kinematics_results.read_values", lambda *_, **__: seen.append(load_settings()))
     words = ("--arm", "ur10", "--joints", "joints.csv")
     run_command(checked_job("a", "kinematics fk", words, {"fps": 12.5, "max_skew_s": None}, "row"), tmp_path)
     assert seen[0].fps == 12.5 and load_settings().fps is None

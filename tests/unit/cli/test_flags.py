@@ -11,13 +11,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from armsight.app.requests import identify, measure, motion
-from armsight.app.requests.shared import Table
+from armsight.app.requests import motion
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import PartialRequest
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, known_hints, marks
+from armsight.ops.flags import Table
 from armsight.store.interpret import TableFormat
 from armsight.units import DEG, MM
 from armsight_lab.batch import request as batch
@@ -113,7 +113,7 @@ def test_the_help_tells_meaning_unit_and_default_and_the_first_text_of_a_flag_of
 
 REQUESTS = [
     kind
-    for module in (batch, identify, measure, motion)
+    for module in (batch, motion)
     for kind in vars(module).values()
     if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
 ]

@@ -39,7 +39,7 @@ from armsight.cli import main
 main()
 """
 CRASHES = """
-import armsight.app.kinematics as kinematics
+import armsight.ops.kinematics_results as kinematics
 
 def fail(*_):
     raise ZeroDivisionError("odd \\udcff")

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.calibrate import spots_of_frames
+from armsight.ops.calibration import spots_of_frames
 from armsight.records import Frame
 from armsight.store import read_rig
 

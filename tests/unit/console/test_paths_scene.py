@@ -13,11 +13,11 @@ import pytest
 from nicegui import Client, ui
 from tests.unit.console.test_console_state import view
 
-from armsight.app.arm_files import load_arm
 from armsight.app.operator.robot_cell import prepare_simulated, read_placement
 from armsight.console.plots import APART_M, POINTS, Ticks, Tracks
 from armsight.console.scene import Scene
 from armsight.console.state import Console
+from armsight.ops.arm_files import load_arm
 
 
 class Page:

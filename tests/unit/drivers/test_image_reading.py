@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.calibrate.board_images import see_board
-from armsight.app.sources.frames import open_source as open_any
 from armsight.drivers import ImageReading, open_pairs, open_source
 from armsight.drivers.images import read_image
 from armsight.errors import BadImage, UsageError
+from armsight.ops.calibration.board_images import see_board
+from armsight.ops.sources.frames import open_source as open_any
 from armsight.records import NotSeen, TargetKind, board_target
 from refusals import names_it, refuses
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.sources.frames import open_pairs
 from armsight.drivers import VideoFile, open_source
 from armsight.errors import Inconsistent
+from armsight.ops.sources.frames import open_pairs
 from refusals import refuses
 
 PERIOD_MS = 40

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.calibrate.pivot import pivoted
 from armsight.calibrate.tooltip import TipRecording
 from armsight.errors import NotEnoughData
 from armsight.ops.calibrate_robot import calibrate_pivot
+from armsight.ops.calibration.pivot import pivoted
 from armsight.records import PoseStatus, TargetPose
 
 TIP = np.array([0.0, 0.02, 0.15])

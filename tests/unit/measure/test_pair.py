@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.live.pace import SideBySide
 from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.geometry import pose_difference
 from armsight.measure.motion.kernels import levels
@@ -19,6 +18,7 @@ from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.kernels import correspondence
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, Track, measure_pair, warm_up
 from armsight.measure.settings import BATCH, LIVE_S, Pace, SpotSettings
+from armsight.ops.sources.pace import SideBySide
 from armsight.optics import Camera, converged_rig, parallel_rig
 from armsight.records import (
     BoardView,

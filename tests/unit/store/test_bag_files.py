@@ -27,8 +27,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from armsight.app.record.record import mend
-from armsight.app.sources.bags import BagFrames
 from armsight.errors import BadFile, BadImage
+from armsight.ops.sources.bags import BagFrames
 from armsight.store import bags
 from armsight.store.recording import repair
 from refusals import refuses

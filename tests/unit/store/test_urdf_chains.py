@@ -9,12 +9,12 @@ import pytest
 from typer.testing import CliRunner
 
 from armsight._files import arm_source
-from armsight.app.arm_files import arm_file, load_arm
-from armsight.app.kinematics import read_values
 from armsight.cli.commands import app
 from armsight.errors import BadFile, UsageError
 from armsight.kinematics import fk
 from armsight.ops import kinematics
+from armsight.ops.arm_files import arm_file, load_arm
+from armsight.ops.kinematics_results import read_values
 from armsight.store.urdf import arm_from_urdf
 from refusals import names_it, refuses
 

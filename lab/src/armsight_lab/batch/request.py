@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from armsight.app.requests.shared import OutFolder
 from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.flags import OutFolder
 
 NAMED = "{name}"
 

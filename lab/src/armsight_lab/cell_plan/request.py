@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from armsight.app.requests.motion import GuardLimits, Speed
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM
 from armsight.defaults import CAMERA_HZ, MOTION_HZ, MOTION_S, SPOT_STD_PX
 from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.flags import AN_ARM, KNOWN_ARM
 from armsight.units import DEG, MM
 from armsight_lab.design.request import Box, mount_of, volume_of
 

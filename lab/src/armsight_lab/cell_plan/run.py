@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
-from armsight.app.arm_files import arm_file, load_arm
-from armsight.app.calibrate.cell import read_priors
-from armsight.app.kinematics import reading_values
 from armsight.app.measure.run import target_of
 from armsight.arrays import Array
 from armsight.calibrate.cell.knowledge import Knowledge, TargetShape, with_priors
@@ -23,6 +20,9 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.file_names import ARM, RIG, TARGET, WORLD
 from armsight.kinematics import Arm, fk
+from armsight.ops.arm_files import arm_file, load_arm
+from armsight.ops.calibration.cell import read_priors
+from armsight.ops.kinematics_results import reading_values
 from armsight.optics import SIDES, LensKind, Rig, RigKind
 from armsight.records import Motion, Progress, Silent, Target
 from armsight.records.output import Output, output

@@ -7,9 +7,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
-from armsight.app.requests.shared import BOARD, KNOWN_ARM, OutFolder, size_of
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.flags import BOARD, KNOWN_ARM, OutFolder, size_of
 from armsight.units import DEG, MM, read_quantity
 
 VIEWS, POSES, CELLS = 20, 20, 9

@@ -179,10 +179,10 @@ def _command_of(content: Mapping[str, Any], path: Path) -> str:
 
 
 def _kinds() -> list[tuple[str, type[Output]]]:
-    from armsight.app.identify.results import IdentifyOutput
     from armsight.calibrate.arm import ArmResult, RobotWorldResult
     from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
     from armsight.calibrate.handeye import HandEyeResult
+    from armsight.calibrate.identify import Identification
     from armsight.calibrate.mirrors.result import MirrorsOutput
     from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
     from armsight.verify.live import VerifyLiveOutput
@@ -197,7 +197,7 @@ def _kinds() -> list[tuple[str, type[Output]]]:
         ("calibrate robot-world", RobotWorldResult),
         ("calibrate stereo", StereoCalibration),
         ("calibrate tooltip", ToolTipResult),
-        ("identify", IdentifyOutput),
+        ("identify", Identification),
         ("verify", MasteringOutput),
         ("verify", VerifyLiveOutput),
         ("verify", VerifyResult),

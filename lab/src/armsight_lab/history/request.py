@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
-from armsight.app.requests.shared import HISTORY_PLACE, OUT
 from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.flags import HISTORY_PLACE, OUT
 
 ONCE_IN_YEARS = 100.0
 """Cell-years in which one false alarm is accepted, unless another rate is given."""

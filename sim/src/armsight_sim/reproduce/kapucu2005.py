@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.identify.sweep_files import seen_in_frames
-from armsight.app.requests.identify import IdentifyJob
 from armsight.arrays import Array
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.drivers import read_image
 from armsight.errors import Inconsistent
+from armsight.ops.identification.solve import BeaconFrames
 from armsight.optics import Rig
 from armsight.report.identify_report import identify_report
-from armsight.store import read_poses, read_rig, read_world, write_text
+from armsight.store import read_poses, read_rig, read_target, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_sweep_joints, write_sweeps
 from armsight.units import DEG
@@ -104,17 +103,10 @@ def reproduce_kapucu(stage: Stage) -> Reproduction:
 def _measure(stage: Stage, folder: Path) -> _Run:
     """Return the beacon's places by both methods, and the identified arm; armsight's files are written."""
     out, joints = stage.out / "kapucu2005-arm.yaml", folder / "sweep_joints.csv"
-    job = IdentifyJob(
-        out=out,
-        left=str(folder / "left"),
-        right=str(folder / "right"),
-        joints=joints,
-        rig=folder / "rig.yaml",
-        target=folder / "target.yaml",
-        world=folder / "world.yaml",
-    )
+    target = read_target(folder / "target.yaml")
+    frames = BeaconFrames(target=target, left=str(folder / "left"), right=str(folder / "right"), joints=joints)
     rig, T_world_rig = read_rig(folder / "rig.yaml"), read_world(folder / "world.yaml").T_parent_rig
-    sweeps, notes = seen_in_frames(job, rig, stage.progress)
+    sweeps, notes = frames.sweeps(rig, stage.progress)
     if len(sweeps) < READINGS:
         raise Inconsistent(
             f"the beacon is found in {len(sweeps)} of {READINGS} pairs: {'; '.join(notes)}",
@@ -124,7 +116,7 @@ def _measure(stage: Stage, folder: Path) -> _Run:
     result = identify(sweeps, rig=rig, base=T_world_rig.inv().as_matrix(), name=out.stem)
     write_sweeps(out.with_suffix(".sweep.csv"), sweeps)
     write_arm(out, result.arm)
-    write_text(out.with_suffix(".report.html"), identify_report(result, sweeps, rig))
+    write_text(out.with_suffix(".report.html"), identify_report(result))
     px = [_centroids(folder / side, read_sweep_joints(joints)[0]) for side in ("left", "right")]
     T = T_world_rig.as_matrix()
     poses = read_poses(folder / "truth_world.csv", parent="world", measured=False)

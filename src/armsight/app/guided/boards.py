@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.board_images import see_board
 from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
 from armsight.app.live.station import MeasurementProcess
 from armsight.calibrate.cameras import BoardOptions
@@ -21,6 +20,7 @@ from armsight.drivers import read_image
 from armsight.errors import BadImage, DataRefused, NotEnoughData
 from armsight.file_names import report_path
 from armsight.ops.calibrate_cameras import calibrate_camera, calibrate_stereo
+from armsight.ops.calibration.board_images import see_board
 from armsight.optics import SIDES
 from armsight.records import BoardView, Frame, NotSeen, Progress, Target
 from armsight.store import parse_board

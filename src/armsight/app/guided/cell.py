@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
-from armsight.app.arm_files import load_arm
 from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWatch, ReadJoints
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import DetectionSettings
@@ -25,6 +24,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.file_names import ARM, HANDEYE, REPORT, RIG, TARGET, WORLD
 from armsight.kinematics import Arm
+from armsight.ops.arm_files import load_arm
 from armsight.ops.calibrate_cell import calibrate_cell
 from armsight.optics import SIDES
 from armsight.records import Progress

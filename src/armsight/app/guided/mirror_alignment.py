@@ -7,15 +7,15 @@ from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from armsight.app.calibrate.board_images import see_two_boards
-from armsight.app.calibrate.board_pictures import BoardPictures
-from armsight.app.calibrate.mirrors import AlignmentWatch, reference_of
 from armsight.app.live.station import MeasurementProcess
 from armsight.calibrate.mirrors.adjustment import MirrorTurn
 from armsight.calibrate.mirrors.diagnosis import APART, STILL
 from armsight.calibrate.mirrors.result import MirrorCheckOutput, check_output
 from armsight.drivers import read_image
 from armsight.errors import UsageError
+from armsight.ops.calibration.board_images import see_two_boards
+from armsight.ops.calibration.board_pictures import BoardPictures
+from armsight.ops.calibration.mirrors import AlignmentWatch, reference_of
 from armsight.records import Frame, NotSeen
 from armsight.store import parse_board, read_camera, read_rig
 from armsight.store.cell_file import CellMirrors

@@ -8,12 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.board_images import see_two_boards
-from armsight.app.calibrate.board_pictures import BoardPictures
-from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, lit_design
-from armsight.app.calibrate.mirrors_lit_target import CURES as LIT_CURES
-from armsight.app.calibrate.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
-from armsight.app.calibrate.mirrors_lit_target import see_lights
 from armsight.app.guided.boards import CELLS, ENOUGH, FEWEST, TILTED, TILTED_SHARE, tilt
 from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import COMPLEX
@@ -27,6 +21,12 @@ from armsight.drivers import read_image
 from armsight.errors import ArmsightError, BadImage, DataRefused, NotEnoughData, UsageError
 from armsight.file_names import report_path
 from armsight.ops.calibrate_mirrors import calibrate_mirrors as calibrate_from_images
+from armsight.ops.calibration.board_images import see_two_boards
+from armsight.ops.calibration.board_pictures import BoardPictures
+from armsight.ops.calibration.mirrors import CURES, OTHER_CURE, lit_design
+from armsight.ops.calibration.mirrors_lit_target import CURES as LIT_CURES
+from armsight.ops.calibration.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
+from armsight.ops.calibration.mirrors_lit_target import see_lights
 from armsight.optics import Rig
 from armsight.optics.parallelism import parallelism
 from armsight.records import BoardView, Frame, NotSeen, Progress, Target, TargetPose

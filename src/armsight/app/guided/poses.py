@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.arm_files import load_arm
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import MeasurementProcess
 from armsight.app.operator.robot_cell import flange_pose
@@ -22,6 +21,7 @@ from armsight.defaults import LOOK_S
 from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.file_names import report_path
 from armsight.kinematics import Arm
+from armsight.ops.arm_files import load_arm
 from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
 from armsight.ops.calibrate_robot import calibrate_arm, calibrate_tool_tip
 from armsight.records import JointReading, PoseStatus, Progress, TargetPose

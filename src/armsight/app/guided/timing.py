@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from armsight.app.calibrate.spots_of_frames import LIVE_S
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.station import MeasurementProcess
 from armsight.errors import NotEnoughData
 from armsight.ops.calibrate_rig import calibrate_timing
+from armsight.ops.calibration.spots_of_frames import LIVE_S
 from armsight.records import Progress
 
 

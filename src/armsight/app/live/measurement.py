@@ -13,12 +13,10 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from armsight.app.live.pace import live_pace
 from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_view
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import target_of
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.sources.frames import open_pairs, open_source
 from armsight.arrays import Mask
 from armsight.clock import Clock
 from armsight.control.session.channels import JointTrack
@@ -27,6 +25,8 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Measured, Setup, Track, lost_pair, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
+from armsight.ops.sources.frames import open_pairs, open_source
+from armsight.ops.sources.pace import live_pace
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, Spots, TargetPose
 from armsight.store import World, read_rig, read_world

@@ -14,12 +14,12 @@ from armsight.app.measure.outputs import Outputs, Velocity, moved_to
 from armsight.app.measure.run import zooms_of
 from armsight.app.measure.streams import FrameSources
 from armsight.app.measure.warm_up import prepare
-from armsight.app.sources.frames import recordings_in
 from armsight.arrays import Array
 from armsight.errors import NotEnoughData, Unseen
 from armsight.file_names import MEASURE, REPORT
 from armsight.measure.poses.setup import Setup
 from armsight.measure.results import FrameTime, MeasureResult, believed, grounds_of
+from armsight.ops.sources.frames import recordings_in
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report

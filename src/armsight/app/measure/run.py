@@ -13,14 +13,20 @@ from armsight.app.measure.collector import About, Collector, Zoomed
 from armsight.app.measure.outputs import Outputs
 from armsight.app.measure.streams import FrameSources
 from armsight.app.measure.warm_up import prepare
-from armsight.app.sources.bags import origin_ns
-from armsight.app.sources.frames import FrameTimes, recordings_in
-from armsight.drivers import PairSource, ordered_map
+from armsight.drivers import (
+    PairSource,
+    ordered_map,
+)
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
 from armsight.measure.results import MeasureResult, ZoomAt, grounds_of
+from armsight.ops.sources.bags import origin_ns
+from armsight.ops.sources.frames import (
+    FrameTimes,
+    recordings_in,
+)
 from armsight.optics import SIDES, Rig, at_zoom
 from armsight.records import Frame, PoseStatus, Progress, Target
 from armsight.records.checks import wide_rig

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.sources.frames import camera_source, complex_pairs, is_recording, open_pairs, open_source
 from armsight.arrays import Array
 from armsight.calibrate.timing.stamps import FEWEST_FRAMES, camera_clock
 from armsight.drivers import (
@@ -26,6 +25,7 @@ from armsight.drivers import (
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.begin import AnyFrame, SpotFrame
+from armsight.ops.sources.frames import camera_source, complex_pairs, is_recording, open_pairs, open_source
 from armsight.optics import SIDES, Camera, Rig, RigKind
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
 from armsight.store import read_spot_track

@@ -9,21 +9,22 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.identify.left_out import consequence
-from armsight.app.identify.live import Known, OperatorCallbacks, identify_observed, in_radians
-from armsight.app.identify.results import IdentifyOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.live.station import MeasurementProcess
 from armsight.app.measure.run import target_of
 from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import StationObserver, around_px
-from armsight.app.requests.identify import LiveJob
 from armsight.arrays import Array
+from armsight.calibrate.identify import Identification
+from armsight.calibrate.identify.result import PlanOutput, ProposedPlanOutput
 from armsight.clock import Clock, SystemClock
 from armsight.columns import DH_ROW
 from armsight.control.joint_sweep import Pace
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, link_frames
+from armsight.ops.action import write_with_page
+from armsight.ops.identification.left_out import consequence, in_radians
+from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_observed
 from armsight.records import Progress, Silent
 from armsight.store import World, read_rig, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm
@@ -68,7 +69,7 @@ class IdentifyRequest:
     folder: Path
     cell: CellFile
     ranges: tuple[Range, ...]
-    readings: int = LiveJob.readings
+    readings: int = LiveSweeps.readings
     frames: int = Pace().frames
 
     @property
@@ -121,17 +122,20 @@ def expected(asked: IdentifyRequest, robot: RobotCell, station: MeasurementProce
 
 def run(
     asked: IdentifyRequest, robot: RobotCell, station: MeasurementProcess, background: BackgroundJob
-) -> IdentifyOutput:
+) -> Identification:
     """Make the sweeps while the operator holds the enable; write FOLDER/arm.yaml and its report.
 
-    Raises as run_identify_live.
+    Raises as identify_live.
     """
     clock = SystemClock()
     moved = background.robot(robot.session, clock, waits=True)
     person = OperatorCallbacks(confirm=background.ask)
     done = _identify(asked, robot, station, moved, person, background, clock, propose=False)
-    if not isinstance(done, IdentifyOutput):
+    if not isinstance(done, Identification):
         raise NotEnoughData("only a plan was made", consequence="No arm was identified")
+    out = asked.folder / FOLDER
+    read = [_needed(asked, "rig"), _needed(asked, "target"), *([out / "world.yaml"] if done.nominal else [])]
+    write_with_page(out / "arm.yaml", done, read, {"out": out / "arm.yaml"})
     return done
 
 
@@ -145,13 +149,13 @@ def _identify(
     clock: Clock,
     *,
     propose: bool,
-) -> IdentifyOutput | ProposedPlanOutput:
-    job, known, light = prepared(asked, robot, propose=propose)
+) -> Identification | ProposedPlanOutput:
+    sweeps, known, light = prepared(asked, robot, propose=propose)
     pace = Pace(speed=_pace(asked, robot.session.override), frames=asked.frames)
-    job = replace(job, pace=pace, around_px=around_px(station.shown, light))
+    sweeps = replace(sweeps, pace=pace, around_px=around_px(station.shown, light))
     observer = StationObserver(station, known.rig, light, clock)
     with moved:
-        return identify_observed(job, known, person, moved, observer, clock, progress)
+        return identify_observed(sweeps, known, person, moved, observer, clock, progress)
 
 
 def _pace(asked: IdentifyRequest, override: float) -> float:
@@ -164,8 +168,8 @@ def _pace(asked: IdentifyRequest, override: float) -> float:
     return override / max([*spans, 1.0])
 
 
-def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveJob, Known, str]:
-    """Return the job, what it starts from, and the light's name; model and place are kept beside the result.
+def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveSweeps, Known, str]:
+    """Return the sweeps, what they start from, and the light's name; model and place are kept beside the result.
 
     Raises UsageError, BadFile, NotEnoughData.
     """
@@ -178,12 +182,7 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
     out = asked.folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
     light = target.names[0]
-    job = LiveJob(
-        robot=robot.robot,
-        left=asked.cell.left,
-        right=asked.cell.right,
-        rig=rig_file,
-        target=target_file,
+    sweeps = LiveSweeps(
         limits=in_radians(np.array([one.limits() for one in asked.ranges])),
         out=out / "arm.yaml",
         readings=asked.readings,
@@ -198,13 +197,12 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
             cure="Calibrate hand-eye first, or run: the arm is then probed by small motions before",
         )
     if placed is None:
-        return job, Known(rig=rig), light
+        return sweeps, Known(rig=rig), light
     T_world_rig, T_flange_light = placed[0], placed[1] * RigidTransform.from_translation(target.xyz_m[0])
     world, model = World(parent="world", T_parent_rig=T_world_rig), replace(arm, T_flange_tool=T_flange_light)
     write_world(out / "world.yaml", world)
     write_arm(out / "model.yaml", model)
-    job = replace(job, world=out / "world.yaml", model=out / "model.yaml", nominal=str(out / "model.yaml"))
-    return job, Known(rig=rig, world=world, model=model, nominal=model), light
+    return sweeps, Known(rig=rig, world=world, model=model, nominal=model), light
 
 
 def _placed(asked: IdentifyRequest, arm: Arm, q: Array) -> tuple[RigidTransform, RigidTransform] | None:
@@ -236,14 +234,14 @@ class Entry:
     deviation: float
 
 
-def entries(done: IdentifyOutput, model: Arm | None) -> tuple[Entry, ...]:
+def entries(done: Identification, model: Arm | None) -> tuple[Entry, ...]:
     """Return the table of an identified arm; model: what it is held against."""
     made = []
     for joint in done.joints:
         nominal = None if model is None else model.joints[joint.index - 1]
         for name, unit, scale in ENTRIES:
-            value, std = getattr(joint, name), getattr(joint.std, name)
-            chosen = std is None  # not measured: that it is not the model's says nothing
+            value, std = getattr(joint, name), joint.std[name]
+            chosen = not np.isfinite(std)  # not measured: that it is not the model's says nothing
             off = np.nan if nominal is None or chosen else value - getattr(nominal, name)
             off = float(np.angle(np.exp(1j * off))) if unit == "deg" and np.isfinite(off) else float(off)
             made.append(
@@ -252,7 +250,7 @@ def entries(done: IdentifyOutput, model: Arm | None) -> tuple[Entry, ...]:
                     name=name.split("_")[0],
                     unit=unit,
                     value=value / scale,
-                    std=np.nan if std is None else std / scale,
+                    std=std / scale,
                     deviation=off / scale,
                 )
             )

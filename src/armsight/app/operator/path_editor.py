@@ -18,7 +18,6 @@ from armsight.app.measure.outputs import moved_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
-from armsight.app.path.check import PathCheckOutput, checked
 from armsight.app.play.play_job import Seen, WatchedRobot, sight_of
 from armsight.app.play.play_path import PlayOutput
 from armsight.app.requests.motion import ABOVE_0
@@ -29,6 +28,7 @@ from armsight.control.status import QueueSink
 from armsight.defaults import PATH_SPEED_M_S
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
 from armsight.ops.motion import play
+from armsight.ops.path.check import PathCheckOutput, checked
 from armsight.records import PoseStatus, TaughtPath
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import HandEyeFile

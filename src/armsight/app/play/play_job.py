@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from armsight.app.robot.opening import ClockedRobot
 from armsight.app.servo.vision import ServoDevices, Vision, watch
@@ -18,7 +16,6 @@ from armsight.control.play import CameraPlacement, PlaySettings
 from armsight.control.servo import Mount
 from armsight.control.status import QueueSink
 from armsight.errors import ArmsightError, UsageError
-from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.records import PoseStatus, TargetPose
 from armsight.store.handeye_file import HandEyeFile
@@ -47,11 +44,6 @@ def check(frame: str, stop_m: float) -> None:
             consequence="Nothing is moved",
             cure=f"Give m: {stop_m:g} mm are {stop_m * MM:g}",
         )
-
-
-def with_tip(arm: Arm, tip_m: NDArray[np.float64]) -> Arm:
-    """Return the arm with its tool's frame moved to tip_m (3,), in flange axes."""
-    return replace(arm, T_flange_tool=RigidTransform.from_components(tip_m, arm.T_flange_tool.rotation))
 
 
 def check_speeds(settings: PlaySettings, limits: Limits, share: float) -> None:

@@ -16,12 +16,12 @@ from typing import Annotated, Self
 
 from armsight._files import real_path
 from armsight.app.record.recorder import Recorder
-from armsight.app.sources.frames import camera_source
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import AUTOMATIC, FrameSource, PairSettings, by_side, is_live
 from armsight.drivers.live import SILENCE_S
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, DeviceLost, UsageError
 from armsight.fields import Doc
+from armsight.ops.sources.frames import camera_source
 from armsight.optics import SIDES
 from armsight.priority import give_way
 from armsight.records.output import Output, output

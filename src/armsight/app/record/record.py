@@ -14,7 +14,6 @@ from typing import Annotated
 from armsight._files import real_path
 from armsight.app.record.recorder import Recorder
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
-from armsight.app.sources.frames import is_recording, open_pairs, recording_path
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Skew, is_live
 from armsight.drivers.live import MAX_SKEW_S
@@ -22,6 +21,7 @@ from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import RIG, TARGET
 from armsight.measure.poses.pipeline import check_sizes
+from armsight.ops.sources.frames import is_recording, open_pairs, recording_path
 from armsight.optics import Rig
 from armsight.records import Frame, Progress, Silent
 from armsight.records.output import Output, output

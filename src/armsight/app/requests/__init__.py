@@ -10,13 +10,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armsight.app.requests import identify as identify
     from armsight.app.requests import motion as motion
 else:
-    _MODULES = (
-        "identify",
-        "motion",
-    )
+    _MODULES = ("motion",)
 
     def __getattr__(name: str) -> object:
         if name not in _MODULES:

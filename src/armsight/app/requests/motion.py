@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from armsight.app.requests.shared import AN_ARM, KNOWN_ARM
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
+from armsight.ops.flags import AN_ARM, KNOWN_ARM
 
 if TYPE_CHECKING:
     from armsight.app.robot.opening import ClockedRobot

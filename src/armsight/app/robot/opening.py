@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.arm_files import load_arm
 from armsight.app.requests.motion import RobotJob
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.arrays import Array
@@ -23,6 +22,7 @@ from armsight.control.guard.space import Space
 from armsight.drivers import ROBOTS, Robot, RobotTraits, known, load
 from armsight.errors import DataRefused, Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint
+from armsight.ops.arm_files import load_arm
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.limits_file import read_limits
 from armsight.units import DEG

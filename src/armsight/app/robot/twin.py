@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 from armsight import errors
-from armsight.app.arm_files import load_arm
 from armsight.app.robot.recorder import run_with_progress
 from armsight.clock import SystemClock
 from armsight.drivers import TWINS, load
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.kinematics import in_convention
+from armsight.ops.arm_files import load_arm
 from armsight.store.arm_file import arm_mapping
 
 END_S = 5.0

@@ -10,7 +10,13 @@ from typing import Annotated
 
 import numpy as np
 
-from armsight.app.robot.robot_run import CycleTally, RecordedSource, RobotRun, ToolRunOutput, check_arm
+from armsight.app.robot.robot_run import (
+    CycleTally,
+    RecordedSource,
+    RobotRun,
+    ToolRunOutput,
+    check_arm,
+)
 from armsight.app.servo.vision import CAMERA, TOOL, Beside, ServoDevices, Vision, watch
 from armsight.control.guard import Guard, GuardState, TargetState
 from armsight.control.servo import Gain, Mount, ServoSettings, ServoSource, Turning, chosen_gain

@@ -16,11 +16,9 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from armsight.app.live.pace import live_pace
 from armsight.app.requests.motion import LATENCY_S, RobotJob
 from armsight.app.robot.opening import ClockedRobot, clocked_robot, refuse_settings
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.clock import Clock, ManualClock
 from armsight.control.servo import ServoSource
 from armsight.control.servo.law import CameraDelay
@@ -31,6 +29,8 @@ from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData,
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, lost_pair
 from armsight.measure.settings import SpotSettings
+from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
+from armsight.ops.sources.pace import live_pace
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame, PoseStatus, Target, TargetPose
 from armsight.store.handeye_file import HandEyeFile, read_handeye

@@ -11,9 +11,9 @@ from typing import Any, Protocol, Self, cast
 
 import cv2
 
-from armsight.app.arm_files import refuse_file_called
 from armsight.drivers import CELLS, Skew, load
 from armsight.errors import DeviceFailed, UsageError
+from armsight.ops.arm_files import refuse_file_called
 from armsight.records import Frame
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
 from armsight.store.covariances import POSE_COLUMNS

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from armsight.app.arm_files import refuse_file_called
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, SETS, CameraSettings, FrameSource, folder, known, load
 from armsight.errors import DeviceNotFound
+from armsight.ops.arm_files import refuse_file_called
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import named, validated
 from armsight.store.yamls import MAX_BYTES, parse_yaml

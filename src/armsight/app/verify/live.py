@@ -12,12 +12,12 @@ from armsight.app.requests.motion import RobotJob
 from armsight.app.requests.plant import Publishing
 from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.sources.frames import open_pairs
 from armsight.app.verify.supervising import Supervised, Supervision
 from armsight.clock import Clock
 from armsight.drivers import CameraSettings, is_live
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
+from armsight.ops.sources.frames import open_pairs
 from armsight.optics import SIDES
 from armsight.records import Frame, Progress, Target
 from armsight.store.worlds import World

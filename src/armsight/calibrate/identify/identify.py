@@ -19,18 +19,7 @@ from armsight.calibrate.identify.global_fit import (
 )
 from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured, pair_line, triple_circle
 from armsight.calibrate.identify.path_fit import PathFit, Tilt, basis
-from armsight.calibrate.identify.result import (
-    KEYS,
-    Identification,
-    JointFound,
-    ParameterUncertainty,
-    arm_of,
-    assign_frames,
-    degeneracy_notes,
-    deviations,
-    measured_entries,
-    propagate_covariance,
-)
+from armsight.calibrate.identify.result import Identification, JointFound, ParameterUncertainty
 from armsight.calibrate.identify.sweeps import (
     SweepResiduals,
     Sweeps,
@@ -40,7 +29,17 @@ from armsight.calibrate.identify.sweeps import (
     placed,
     position_residuals,
 )
+from armsight.calibrate.identify.table import (
+    KEYS,
+    arm_of,
+    assign_frames,
+    degeneracy_notes,
+    deviations,
+    measured_entries,
+    propagate_covariance,
+)
 from armsight.errors import Inconsistent, UsageError
+from armsight.kinematics import Arm
 from armsight.optics import PackedRig, Rig
 from armsight.records.checks import check_spread
 
@@ -80,6 +79,7 @@ def identify(
     if method == "paper" and increments == "order":
         raise UsageError("the paper's method takes the increments as known", cure="Use method ml with increments order")
     check_sweeps(sweeps)
+    given = sweeps
     if rig is not None:
         sweeps = placed(sweeps, rig, sigma or FIRST_PX)
         seen = SweepResiduals(sweeps=sweeps, rig=PackedRig.of(rig), sigma=sigma or FIRST_PX, unit=sigma or FIRST_PX)
@@ -95,7 +95,7 @@ def identify(
         done = _joint_by_joint(seen, found, frame, notes, name)
     else:
         done = _at_once(seen, found, frame, notes, name, sigma, rig)
-    return done if rig is None else replace(done, lean=leaning(rig, sweeps))
+    return replace(done, sweeps=given, rig=rig, lean=None if rig is None else leaning(rig, sweeps))
 
 
 def _far(sweeps: Sweeps) -> list[str]:
@@ -346,13 +346,14 @@ def _finish(
         arm = replace(arm, covariance=measured_entries(covariance, std))
     return Identification(
         arm=arm,
-        joints=_joints_found(seen, found, frames, std, travel),
+        joints=_joints_found(seen, found, frames, arm, std, travel),
         method=method,
         notes=(*notes, *cases),
         sigma=seen.sigma,
         predicted_m=frames.predicted,
         beacon_m=frames.beacon,
         misfit=_misfit(seen, found, frames),
+        sweeps=sweeps,
     )
 
 
@@ -364,7 +365,7 @@ def _misfit(seen: SweepResiduals, found: Sequence[JointPath], frames: _PlacedFra
 
 
 def _joints_found(
-    seen: SweepResiduals, found: Sequence[JointPath], frames: _PlacedFrames, std: Array, travel: Array
+    seen: SweepResiduals, found: Sequence[JointPath], frames: _PlacedFrames, arm: Arm, std: Array, travel: Array
 ) -> tuple[JointFound, ...]:
     """Return what each joint's readings say of it; std (n, 5) of its entries, travel (n, 2) in its sweep."""
     sweeps = seen.sweeps
@@ -379,6 +380,10 @@ def _joints_found(
         off = np.linalg.norm(frames.predicted[rows] - sweeps.xyz_m[rows], axis=1)
         joints.append(
             JointFound(
+                index=j + 1,
+                type=str(arm.joints[j].type),
+                **{name: getattr(arm.joints[j], name) for name in KEYS},
+                sign=arm.joints[j].sign,
                 axis=frames.axes[j],
                 measured=measured(item, sweeps),
                 radius_m=item.path.radius_m,

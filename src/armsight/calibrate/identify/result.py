@@ -1,44 +1,171 @@
-"""What an identification returns, and its way from axes to a Denavit-Hartenberg table (MATH 4.5)."""
+"""What an identification comes to: its joints, arm and verdict; and a plan of sweeps with the accuracy to expect."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis, ChainModel
-from armsight.geometry.poses import skew
-from armsight.kinematics import Arm, Joint, JointType, link_to_line
-from armsight.records import NamedCovariance
-from armsight.records.result_parts import Verdict
-from armsight.units import MM
+from armsight.calibrate.identify.sweeps import Sweeps
+from armsight.columns import DH_ROW
+from armsight.fields import Doc
+from armsight.kinematics import Arm
+from armsight.optics import Rig
+from armsight.records.output import Output, Row, TitledOutput, figure, output, with_std
+from armsight.records.result_parts import MEANING, RejectedRow, Verdict
+from armsight.shown import Bars, Shown, Table, digits
+from armsight.units import DEG, MM, displayed_name
+
+Vector = tuple[float, float, float]
+ENTRIES = tuple((name, displayed_name(name)[2]) for name in DH_ROW[:4])
+"""a, alpha, d and theta, each with the unit that people read: millimetres and degrees."""
+TITLES = tuple(name.rpartition("_")[0] for name in DH_ROW[:4])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JointFound:
-    """One joint.
+@output
+class JointStd(Output):
+    """Standard deviations of a joint's entries in the table; null where an entry is chosen, not measured."""
 
-    axis: with all joints at zero, in rig axes. measured: as its sweep saw it, with centre or a point of the line.
-    radius_m: of the circle, 0 of a line. p_line: probability that a line leaves as much. decided: whether the type is
-    beyond doubt. std: of the table's entries, NaN where an entry is chosen and not measured. rows: of its sweep, kept;
-    discarded: (row, why).
+    theta_rad: Annotated[float | None, Doc("Of theta, rad.")]
+    d_m: Annotated[float | None, Doc("Of d, m.")]
+    a_m: Annotated[float | None, Doc("Of a, m.")]
+    alpha_rad: Annotated[float | None, Doc("Of alpha, rad.")]
+    beta_rad: Annotated[float | None, Doc("Of beta, rad.")]
+
+    @classmethod
+    def of(cls, std: Mapping[str, float]) -> JointStd:
+        """Return the standard deviations of a joint's entries; one that means nothing is None."""
+        return cls(**{name: value if math.isfinite(value) else None for name, value in std.items()})
+
+
+@output
+class JointAxis(Output):
+    """The axis of a joint with all joints at zero, in rig axes (or those of the positions)."""
+
+    point_m: Annotated[Vector, Doc("A point of it, m.")]
+    direction: Annotated[Vector, Doc("Its direction, a unit vector.")]
+
+
+@output
+class JointFound(Output):
+    """A joint that was found (Denavit-Hartenberg, standard; beta after Hayati for parallel axes).
+
+    axis: with all joints at zero, in rig axes. measured: as its sweep saw it, with centre or a point of the line. std:
+    of the table's entries, NaN where an entry is chosen and not measured. travel: its smallest and largest reading, rad
+    or m. rows: of its sweep, kept; discarded: (row, why).
     """
 
+    index: Annotated[int, Doc("Which joint, from 1.")]
+    type: Annotated[str, Doc("revolute or prismatic.")]
+    a_m: Annotated[float, Doc("a, m.")]
+    alpha_rad: Annotated[float, Doc("alpha, rad.")]
+    d_m: Annotated[float, Doc("d, m; the zero of a prismatic joint.")]
+    theta_rad: Annotated[float, Doc("theta, rad; the zero of a revolute joint.")]
+    beta_rad: Annotated[float, Doc("beta, rad.")]
+    sign: Annotated[float, Doc("Sense of the readings: 1 or -1, times the joint's scale where one was found.")]
+    residual_rms_m: Annotated[float, Doc("Residual of the beacon's positions, RMS, m.")]
+    residual_rms_px: Annotated[float | None, Doc("Residual of the beacon's pixels, RMS, px; null without a rig.")]
+    p_line: Annotated[float, Doc("Probability that a straight path leaves as large residuals.")]
+    decided: Annotated[bool, Doc("Whether the type is beyond doubt.")]
+    radius_m: Annotated[float, Doc("Radius of the beacon's circle, m; 0 of a line.")]
     axis: Axis
     measured: Axis
-    radius_m: float
-    p_line: float
-    decided: bool
     std: dict[str, float]
     travel: tuple[float, float]
     rows: NDArray[np.intp]
     discarded: tuple[tuple[int, str], ...]
-    residual_rms_m: float
-    residual_rms_px: float | None
+
+    @figure("Smallest reading of its sweep, rad or m.")
+    def lower(self) -> float:
+        return self.travel[0]
+
+    @figure("Largest reading of its sweep, rad or m.")
+    def upper(self) -> float:
+        return self.travel[1]
+
+    @figure("Standard deviations of the entries.", key="std")
+    def measured_std(self) -> JointStd:
+        return JointStd.of(self.std)
+
+    @figure("Readings of its sweep.")
+    def n(self) -> int:
+        return len(self.rows) + len(self.discarded)
+
+    @figure("Readings left out.", key="discarded")
+    def discarded_rows(self) -> list[RejectedRow]:
+        return [RejectedRow(row=row + 1, why=why) for row, why in self.discarded]
+
+    @figure("The joint's axis.", key="axis")
+    def axis_at_zero(self) -> JointAxis:
+        x, y, z = self.axis.point_m.tolist()
+        u, v, w = self.axis.direction.tolist()
+        return JointAxis(point_m=(x, y, z), direction=(u, v, w))
+
+
+@output
+class PlannedSweepOutput(Output):
+    """A sweep of one joint."""
+
+    joint: Annotated[int, Doc("Which joint moves, from 1.")]
+    start: Annotated[float, Doc("Its first reading, rad or m.", key="from")]
+    end: Annotated[float, Doc("Its last reading, rad or m.", key="to")]
+    readings: Annotated[int, Doc("How many readings.")]
+    rest: Annotated[list[float], Doc("Readings of all joints at the sweep's start, rad or m.")]
+    way: Annotated[list[list[float]], Doc("Readings of all joints on the way there, rad or m.")]
+    radius_m: Annotated[float, Doc("The beacon's distance from a turning joint's axis, m; 0 of a slide.")]
+    ended_by: Annotated[tuple[str, str], Doc("What ends the range at both ends: limit or view.")]
+
+
+@output
+class PlanOutput(Output):
+    """The sweeps that are planned, and the accuracy to expect of them."""
+
+    sweeps: Annotated[list[PlannedSweepOutput], Doc("The sweeps in the order of moving.")]
+    expected_std: Annotated[list[JointStd], Doc("Standard deviations to expect, by joint.")]
+    noise_px: Annotated[float, Doc("Noise of a pixel coordinate that this rests on, px.")]
+    notes: Annotated[list[str], Doc("What to know about the plan.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the sweeps, the accuracy to expect, and what to know."""
+        slides = {sweep.joint for sweep in self.sweeps if sweep.radius_m == 0.0}
+        rows = []
+        for sweep in self.sweeps:
+            rest = ", ".join(_shown(value, k in slides) for k, value in enumerate(sweep.rest, 1) if k != sweep.joint)
+            ends = [_shown(value, sweep.joint in slides) for value in (sweep.start, sweep.end)]
+            rows.append([f"{sweep.joint}", *ends, f"{sweep.readings}", rest])
+        yield Table("Sweeps", ["joint", "from", "to", "readings", "others rest at"], rows)
+        rows = []
+        for number, std in enumerate(self.expected_std, 1):
+            entries = [(getattr(std, name), unit) for name, unit in ENTRIES]
+            shown = ["" if value is None else f"+- {digits(value / unit, 2)}" for value, unit in entries]
+            rows.append([f"{number}", *shown])
+        yield Table("Accuracy to expect, mm and degrees", ["joint", *TITLES], rows)
+        yield from (f"- {note}" for note in self.notes)
+
+
+@output
+class LeftOutJoint(Output):
+    """A joint that was not swept: nothing of it is identified."""
+
+    joint: Annotated[int, Doc("Number, from 1.")]
+    held_at: Annotated[float, Doc("Where it stood during the sweeps, rad or m.")]
+
+
+@output
+class ProposedPlanOutput(Output):
+    """armsight identify --live --propose."""
+
+    plan: Annotated[PlanOutput, Doc("The sweeps that would be made.")]
+    notes: Annotated[list[str], Doc("What to know about the plan.")]
+
+    def write(self, path: object) -> None:
+        """Write nothing: an arm that was found has a file, a plan has none."""
 
 
 USELESS = 5.0
@@ -77,31 +204,42 @@ class ParameterUncertainty:
         return X, C
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Identification:
-    """The arm, its joints, and what to know about them.
+@output
+class Identification(TitledOutput):
+    """armsight identify.
 
-    sigma: noise found, px with a rig, else m (or a factor on the given covariances). predicted_m: (m, 3) where the
-    result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes. uncertainty: of the beacon's
-    position anywhere, where the whole arm was fitted at once. misfit: RMS of the kept readings' distances from the arm,
-    in standard deviations of the noise: about 1 of an arm that explains them. lean: the readings' deviation along the
-    viewing direction over that across it; None of readings that are not from images.
+    arm: what was found, for kinematics and files, in rig axes, or those of the rig's parent where its place is known.
+    predicted_m: (m, 3) where the result puts the beacon at each reading, in rig axes. beacon_m: with all joints at
+    zero. sweeps: the readings. rig: that which saw them, None of positions alone. uncertainty: of the beacon's position
+    anywhere, where the whole arm was fitted at once. lean: the readings' deviation along the viewing direction over
+    that across it; None of readings that are not from images. nominal: an arm to put beside it. from_frames: whether
+    the readings are of frames, and have no file yet.
     """
 
     arm: Arm
-    joints: tuple[JointFound, ...]
-    method: str
-    notes: tuple[str, ...]
-    sigma: float
+    joints: Annotated[tuple[JointFound, ...], Doc("The joints, from the base on.")]
+    method: Annotated[str, Doc("ml or paper.")]
+    notes: Annotated[tuple[str, ...], Doc("What to know about the result.")]
+    sigma: Annotated[
+        float, Doc("Noise found: px with a rig, else m, or a factor on covariances given.", key="noise", unit="")
+    ]
+    misfit: Annotated[float, Doc("RMS of the readings' distances from the arm, in standard deviations of the noise.")]
     predicted_m: Array
     beacon_m: Array
-    misfit: float
+    sweeps: Sweeps
+    plan: Annotated[PlanOutput | None, Doc("The sweeps that were made; with --live.")] = None
+    left_out: Annotated[
+        tuple[LeftOutJoint, ...] | None,
+        Doc("Joints behind those of the result, held during the sweeps; --leave-out."),
+    ] = None
+    rig: Rig | None = None
     uncertainty: ParameterUncertainty | None = None
     lean: float | None = None
+    nominal: Arm | None = None
+    from_frames: bool = False
 
-    @property
+    @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
-        """What it comes to, in the words of terminal, page and report."""
         open_ = " and joint ".join(str(number) for number, joint in enumerate(self.joints, 1) if not joint.decided)
         worst_m, lost = self.worst_m, sum(len(joint.discarded) for joint in self.joints)
         said = f"One reading is off the arm found by {worst_m / MM:.3g} mm RMS on the worst joint"
@@ -130,147 +268,42 @@ class Identification:
         reach_m = float(np.linalg.norm(np.ptp(self.predicted_m, axis=0)))
         return self.misfit > USELESS and self.worst_m > USELESS_SHARE * reach_m
 
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Arm of {self.arm.n} joints, identified"
 
-# From axes to a Denavit-Hartenberg table (MATH 4.5), with standard deviations, and what of it means nothing.
+    def rows(self) -> list[Row]:
+        """Return each joint's type and table, with standard deviations where they mean something."""
+        rows = []
+        for joint in self.joints:
+            parts = [
+                f"{stem} {with_std(getattr(joint, name), joint.std.get(name), unit, scale=1.0 / size)}"
+                for name in DH_ROW[:4]
+                for stem, unit, size in (displayed_name(name),)
+            ]
+            rows.append((f"joint {joint.index}", f"{joint.type}{'' if joint.decided else '?'}: {', '.join(parts)}"))
+        return rows + [("note", note) for note in self.notes]
 
-KEYS = ("theta_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
-STEP = 1e-7
-"""Of the differences by which standard deviations are carried over, in the axes' own parameters (m, rad)."""
-VAGUE = 0.05
-"""Share of the arm's size beyond which a standard deviation leaves open how axes lie to each other."""
-INTERSECT = 2.0
-"""Axes closer than this many standard deviations meet, as far as anyone can tell; the same for angles of parallel
-ones."""
+    def summary(self) -> Iterator[Shown]:
+        """Yield the table with its standard deviations, and what to know."""
+        rows = []
+        for joint in self.joints:
+            cells = [f"{joint.index}", joint.type]
+            for name, unit in ENTRIES:
+                shown, std = digits(getattr(joint, name) / unit, 5), joint.std[name]
+                cells.append(f"{shown} +- {digits(std / unit, 2)}" if math.isfinite(std) else shown)
+            rows.append([*cells, digits(joint.residual_rms_m / MM)])
+        yield Table("Arm, mm and degrees", ["joint", "type", *TITLES, "residual"], rows)
+        if any(math.isfinite(std) for joint in self.joints for std in joint.std.values()):
+            yield "Entries without a standard deviation are chosen, not measured."
+        yield from (f"- {note}" for note in self.notes)
 
-
-def assign_frames(
-    axes: Sequence[Axis], beacon_m: Array, base: Array, slide_at_beacon: bool = True
-) -> tuple[Array, Array, Array]:
-    """Return rows (n, 5) by KEYS, T_world_base (4, 4) and T_flange_tool (4, 4) of axes with all joints at zero.
-
-    base (4, 4): its origin's foot on the first axis becomes the first frame's origin, its x the side of x. A slide's
-    position is free: the last joint's goes through the beacon, as in the paper, any other through the frame before it.
-    """
-    T = _first(axes[0], base)
-    first = T.copy()
-    rows = np.zeros((len(axes), len(KEYS)))
-    for i in range(1, len(axes) + 1):
-        if i < len(axes):
-            axis = axes[i]
-            last_slide = not axis.revolute and i == len(axes) - 1
-            point = beacon_m if last_slide and slide_at_beacon else axis.point_m
-            # from frame i - 1 to the line of axis i: theta, d along z, a along the common normal, alpha; Hayati's beta
-            # where the two are nearly parallel and d would run away (MATH 4.5)
-            link = link_to_line(T, point, axis.direction, prismatic=not axis.revolute and not last_slide)
-            rows[i - 1] = link.theta_rad, link.d_m, link.a_m, link.alpha_rad, link.beta_rad
-            T = T @ link.matrix()
-    tool = np.eye(4)
-    tool[:3, 3] = T[:3, :3].T @ (beacon_m - T[:3, 3])
-    if not axes[-1].revolute or len(axes) == 1:
-        rows[-1, 1], tool[2, 3] = tool[2, 3], 0.0  # along a slide the beacon's position is its offset
-    return rows, first, tool
+    def bars(self) -> Bars:
+        """Return the residual of each joint's readings, mm."""
+        values = [joint.residual_rms_m / MM for joint in self.joints]
+        return Bars(self.title, [str(joint.index) for joint in self.joints], values, "joint", "residual, mm RMS")
 
 
-def _first(axis: Axis, base: Array) -> Array:
-    z = axis.direction
-    x = base[:3, 0] - (base[:3, 0] @ z) * z
-    if np.linalg.norm(x) < 1e-3:
-        x = base[:3, 1] - (base[:3, 1] @ z) * z
-    x /= np.linalg.norm(x)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([x, skew(z) @ x, z], axis=1)
-    # the foot of the base's origin: along axis 1 nothing measured says where a frame begins
-    T[:3, 3] = axis.point_m + ((base[:3, 3] - axis.point_m) @ z) * z
-    return T
-
-
-def arm_of(name: str, axes: Sequence[Axis], rows: Array, T_world_base: Array, tool: Array, limits: Array) -> Arm:
-    """Return the arm of a table; limits (n, 2) are the travel seen."""
-    joints = tuple(
-        Joint(
-            name=f"j{i}",
-            type=JointType.REVOLUTE if axis.revolute else JointType.PRISMATIC,
-            lower=float(low),
-            upper=float(high),
-            **dict(zip(KEYS, row.tolist(), strict=True)),
-        )
-        for i, (axis, row, (low, high)) in enumerate(zip(axes, rows, limits, strict=True), 1)
-    )
-    return Arm(
-        name=name,
-        joints=joints,
-        T_world_base=RigidTransform.from_matrix(T_world_base),
-        T_flange_tool=RigidTransform.from_matrix(tool),
-    )
-
-
-def placed_by(T_parent_rig: RigidTransform, arm: Arm, *, on_base: bool) -> Arm:
-    """Return an arm that was found in a rig's axes in those of its parent: of the world, or on_base of the arm's base.
-
-    The base is then the one that the rig was calibrated to, and where the table's first frame lies in it was found.
-    """
-    T = T_parent_rig * arm.T_world_base
-    return (
-        replace(arm, T_world_base=RigidTransform.identity(), T_base_frame0=T)
-        if on_base
-        else replace(arm, T_world_base=T)
-    )
-
-
-def propagate_covariance(make: Callable[[Array], Array], p: Array, covariance: Array) -> Array:
-    """Return the covariance (5 n, 5 n) of make(p)'s table entries, by differences, angles unwrapped."""
-    here = make(p)
-    A = np.empty((here.size, len(p)))
-    for i in range(len(p)):
-        step = np.zeros(len(p))
-        step[i] = STEP
-        change = (make(p + step) - here).reshape(-1, len(KEYS))
-        for k in (0, 3, 4):
-            change[:, k] = np.mod(change[:, k] + np.pi, 2.0 * np.pi) - np.pi
-        A[:, i] = change.ravel() / STEP
-    return np.asarray(A @ covariance @ A.T)
-
-
-def deviations(covariance: Array) -> Array:
-    """Return the standard deviations (n, 5) of table entries."""
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, len(KEYS)))
-
-
-def measured_entries(covariance: Array, known: Array) -> NamedCovariance | None:
-    """Return the covariance of the entries that were measured: known (n, 5) is NaN, or 0, where one is chosen."""
-    there = np.flatnonzero((np.isfinite(known) & (known > 0.0)).ravel())
-    names = tuple(f"j{1 + i // len(KEYS)}.{KEYS[i % len(KEYS)]}" for i in there.tolist())
-    return NamedCovariance(names=names, matrix=covariance[np.ix_(there, there)]) if names else None
-
-
-def degeneracy_notes(axes: Sequence[Axis], rows: Array, std: Array) -> tuple[list[str], Array]:
-    """Return notes on degenerate pairs of axes, and std with NaN where an entry is chosen, not measured (MATH 4.5)."""
-    notes, known = [], std.copy()
-    known[-1, [0, 2, 3, 4]] = np.nan  # behind the last joint there is only the beacon
-    size = float(np.abs(rows[:, 1:3]).sum())
-    if not axes[0].revolute and len(axes) > 1:
-        notes.append("joint 1 slides: only its direction is seen, its place is chosen")
-    if axes[-1].revolute:
-        known[-1, 1] = np.nan
-    for i in range(len(axes) - 1):
-        pair = f"axes {i + 1} and {i + 2}"
-        sine, sine_std = abs(np.sin(rows[i, 3])), std[i, 3]
-        if not axes[i + 1].revolute:
-            notes.append(f"joint {i + 2} slides: only its direction is seen, its place is chosen")
-            if i + 2 < len(axes):
-                known[i, 1:3] = np.nan
-        elif rows[i, 4] != 0.0 or sine <= INTERSECT * sine_std:
-            apart = "coincide" if abs(rows[i, 2]) <= INTERSECT * std[i, 2] else "are parallel"
-            notes.append(f"{pair} {apart} as far as can be told: d of joint {i + 1} is chosen")
-            known[i, 1] = np.nan
-            if apart == "coincide":
-                known[i, 0] = np.nan
-        elif abs(rows[i, 2]) <= INTERSECT * std[i, 2]:
-            told = (
-                "it cannot be told whether {} meet"
-                if std[i, 2] > VAGUE * size
-                else "{} intersect as far as can be told"
-            )
-            notes.append(f"{told.format(pair)}: a is {1e3 * rows[i, 2]:.3g} +- {1e3 * std[i, 2]:.2g} mm")
-    known[known == 0.0] = np.nan  # what nothing measured moves is chosen
-    return notes, known
+def _shown(value: float, slides: bool) -> str:
+    return f"{value / MM:.1f} mm" if slides else f"{value / DEG:.1f} deg"

@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 from nicegui import run, ui
 
-from armsight.app.identify.results import IdentifyOutput, JointStd, PlanOutput
 from armsight.app.operator import identify_run as sweeps
 from armsight.app.operator.identify_run import FOLDER, JOB_NAME, Entry, IdentifyRequest, Range, SweepFit
 from armsight.app.operator.job_runner import BackgroundJob
-from armsight.app.requests.identify import LiveJob
+from armsight.calibrate.identify import Identification
+from armsight.calibrate.identify.result import JointStd, PlanOutput
 from armsight.console import texts
 from armsight.console.layout import (
     button,
@@ -33,6 +33,7 @@ from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.console.work import Working, jog_card
 from armsight.errors import ArmsightError
+from armsight.ops.identification.live import LiveSweeps
 from armsight.units import DEG, MM
 
 
@@ -60,7 +61,7 @@ class _Identify:
             )
             self._fields = [self._row(one) for one in ranges]
             with ui.element("div").classes("row"):
-                self._readings = number_field(texts.READINGS, LiveJob, "readings", step=1)
+                self._readings = number_field(texts.READINGS, LiveSweeps, "readings", step=1)
                 button(texts.EXPECT, self._expect, kind="act quiet", testid="expect")
                 button(texts.IDENTIFY_RUN, self._run, testid="identify-run")
             self._said = text_of("p", role="alert", testid="identify-said").classes("hint")
@@ -137,7 +138,7 @@ class _Identify:
             self._show_left_out()
 
     def _show(self, job: BackgroundJob) -> None:
-        done: IdentifyOutput = job.result
+        done: Identification = job.result
         self._table.clear()
         with self._table:
             _entries_table(sweeps.entries(done, self._robot.session.arm))
@@ -167,7 +168,7 @@ def _plan_table(plan: PlanOutput) -> None:
         text_of("p", note).classes("hint")
 
 
-def _fits_table(done: IdentifyOutput, fits: tuple[SweepFit, ...]) -> None:
+def _fits_table(done: Identification, fits: tuple[SweepFit, ...]) -> None:
     """What was fitted to each joint's sweep: an arc about its axis, or a line along it."""
     off_m, rows = {fit.joint: fit.off_m for fit in fits}, []
     for joint in done.joints:

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.sources.frames import is_recording, open_source, recording_path
 from armsight.calibrate.camera_noise.photon_transfer import NoiseResult, calibrate_noise
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live, list_images
 from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
+from armsight.ops.sources.frames import is_recording, open_source, recording_path
 from armsight.optics import SIDES, Camera, RigKind
 from armsight.records import Progress, Silent
 from armsight.store import add_noise, is_zoom_camera, read_camera_file, read_zoom_camera, read_zoom_rig

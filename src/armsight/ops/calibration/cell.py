@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from armsight.app.calibrate.spots_of_frames import SpotSearch, spots_of_frames
-from armsight.app.requests.shared import point_of
-from armsight.app.sources.frames import is_recording, recording_path
 from armsight.arrays import Array
 from armsight.calibrate.cell import CellPriors, CellResult
 from armsight.calibrate.handeye import Setup
@@ -21,7 +18,10 @@ from armsight.drivers import is_live
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.action import Given
+from armsight.ops.calibration.spots_of_frames import SpotSearch, spots_of_frames
+from armsight.ops.flags import point_of
 from armsight.ops.given import as_arm
+from armsight.ops.sources.frames import is_recording, recording_path
 from armsight.optics import RIGHT_POSE, SIDES
 from armsight.records import Frame, Motion, NamedCovariance, Progress, SpotTrack, checked_array, require_count
 from armsight.store import read_rig, read_spot_track, read_world

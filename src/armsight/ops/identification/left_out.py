@@ -1,11 +1,14 @@
-"""Joints that are left out of an identification: held where they stand, behind those that are swept."""
+"""How far joints go in an identification, and those left out: held where they stand, behind those that are swept."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -13,9 +16,13 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.calibrate.identify.sweeps import HELD
 from armsight.drivers import Robot, RobotState, Sent
-from armsight.errors import DeviceFailed, Inconsistent, UsageError
+from armsight.errors import ArmsightError, BadFile, DeviceFailed, Inconsistent, UsageError
 from armsight.kinematics import Arm, Convention, in_convention, link_frames
-from armsight.records import JointReading
+from armsight.ops.action import Given
+from armsight.records import JointReading, checked_array
+from armsight.store.interpret import largest, looks_like_degrees
+from armsight.store.yamls import read_yaml
+from armsight.units import read_value
 
 
 def swept_joints(n: int, left_out: Sequence[int]) -> int:
@@ -90,6 +97,47 @@ def first_joints(arm: Arm, m: int, held: Array) -> Arm:
         T_flange_tool=RigidTransform.from_matrix(np.linalg.inv(frames[m]) @ frames[-1]),
         covariance=None,
     )
+
+
+def joint_limits(name: str, value: Any, given: Given, undo: ExitStack) -> Array:
+    """Return limits (n, 2) of an array, of a file, or of a text as the command line takes it; see read_limits."""
+    if isinstance(value, str | PathLike):
+        return read_limits(str(value))
+    return in_radians(checked_array(name, value, (None, 2)))
+
+
+def read_limits(text: str) -> Array:
+    """Return limits (n, 2) of 'lo:hi,lo:hi' or of a limits.yaml, in rad or m; a value may carry its unit, as 90deg.
+
+    Raises UsageError, BadFile; Inconsistent for values without a unit that can only be degrees.
+    """
+    stated = False
+    if Path(text).suffix in (".yaml", ".yml"):
+        rows = read_yaml(Path(text)).get("limits")
+        refusal: ArmsightError = BadFile(f"{text}: no list 'limits' of [lower, upper] in rad or m")
+    else:
+        rows = [part.split(":") for part in text.split(",")]
+        refusal = UsageError(f"the limits {text!r} are not lo:hi,lo:hi", cure="Write for instance --limits=0:3.1,-1:1")
+        stated = all(value.strip()[-1:].isalpha() for row in rows for value in row)
+    try:
+        limits = np.array([[read_value(str(value))[0] for value in row] for row in cast(Any, rows)])
+    except (TypeError, ValueError):
+        raise refusal from None
+    if limits.ndim != 2 or limits.shape[1] != 2:
+        raise refusal
+    return limits if stated else in_radians(limits, text)
+
+
+def in_radians(limits: Array, text: str = "") -> Array:
+    """Return limits (n, 2) in rad or m as they are. Raises Inconsistent for values that can only be degrees."""
+    if looks_like_degrees(limits):
+        text = text or ",".join(f"{low!r}:{high!r}" for low, high in limits.tolist())
+        raise Inconsistent(
+            f"the limits {text!r} look like degrees: the largest is {largest(limits):g}, and a turn has 6.28 rad",
+            consequence="Nothing is moved",
+            cure="Give radians, or a unit with every value: --limits=-28deg:298deg,0mm:500mm (deg, rad, mm, m)",
+        )
+    return limits
 
 
 @dataclass(slots=True, kw_only=True)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from armsight.arrays import Array
+from armsight.arrays import Array, Image
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
-from armsight.drivers import read_image
 from armsight.errors import DeviceLost, NotEnoughData
 from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
 from armsight.measure.settings import SpotSettings
@@ -21,9 +19,9 @@ LOST_FRAMES = 3
 """Frames in a row without the beacon that mean it is lost: single ones are lost to flicker."""
 
 
-def beacon_settings(target: Target, mask: Path | None) -> SpotSettings:
-    """Return how the beacon is looked for; mask: an image that is black where no light may be. Raises BadFile."""
-    return SpotSettings(colour=target.colour, mask=None if mask is None else read_image(mask) > 0)
+def beacon_settings(target: Target, mask: Image | None) -> SpotSettings:
+    """Return how the beacon is looked for; mask: an image that is black where no light may be."""
+    return SpotSettings(colour=target.colour, mask=None if mask is None else mask > 0)
 
 
 class SeenBeacon(NamedTuple):

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated
 
+from scipy.spatial.transform import RigidTransform
+
 from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.control.paths import PathIssue, check_path
@@ -23,6 +25,11 @@ from armsight.store.outputs import TextOutput
 
 SHOWN = 20
 """Issues that a terminal tells."""
+
+
+def with_tip(arm: Arm, tip_m: Array) -> Arm:
+    """Return the arm with its tool's frame moved to tip_m (3,), in flange axes."""
+    return replace(arm, T_flange_tool=RigidTransform.from_components(tip_m, arm.T_flange_tool.rotation))
 
 
 @output

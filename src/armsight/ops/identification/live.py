@@ -4,39 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 
-from armsight.app.arm_files import given_arm
-from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_note, beacon_settings
-from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
-from armsight.app.identify.results import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
-from armsight.app.identify.sweep_files import identified, joint_std
-from armsight.app.measure.run import target_of
-from armsight.app.requests.identify import IdentifyJob, LiveJob
+from armsight.app.requests.motion import RobotJob
 from armsight.app.robot.opening import refuse_settings, robot_of
 from armsight.app.simulate.scenarios import live_cell
-from armsight.app.sources.frames import open_pairs
-from armsight.arrays import Array
+from armsight.arrays import Array, Image
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
+from armsight.calibrate.identify.result import JointStd, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
-from armsight.drivers import PairSource, Robot, is_live
-from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
+from armsight.defaults import SWEEP_READINGS
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Robot, is_live
+from armsight.errors import ArmsightError, Cancelled, DataRefused, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
+from armsight.ops.identification.beacon_observer import StereoBeaconObserver, beacon_note, beacon_settings
+from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
+from armsight.ops.identification.solve import solve_sweeps
+from armsight.ops.identify import SweepReadings
+from armsight.ops.sources.frames import open_pairs
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
-from armsight.store import World, read_rig, read_world
+from armsight.store import World
 from armsight.store.arm_points import write_sweeps
-from armsight.store.interpret import largest, looks_like_degrees
-from armsight.store.yamls import read_yaml
-from armsight.units import DEG, MM, displayed, read_value
+from armsight.units import DEG, MM, displayed
 
 SIM = "sim:"
 LARGEST_SHARE = 0.4
@@ -63,52 +60,74 @@ class Known:
     nominal: Arm | None = None
 
 
-def read_known(job: LiveJob) -> Known:
-    """Return what the job's files hold. Raises BadFile, UsageError."""
-    return Known(
-        rig=read_rig(job.rig),
-        world=None if job.world is None else read_world(job.world),
-        model=given_arm(job.model),
-        nominal=given_arm(job.nominal),
-    )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LiveSweeps:
+    """The sweeps of a robot that is moved before live cameras; limits (n, 2) are of all joints, in rad or m.
+
+    left_out: joints from 1, held where they are. around_px: as propose_sweeps takes it. propose: tell the plan only.
+    out: arm.yaml, beside which what was read is written; None: nothing is.
+    """
+
+    limits: Array
+    left_out: tuple[int, ...] = ()
+    readings: SweepReadings = SWEEP_READINGS
+    pace: Pace = field(default_factory=Pace)
+    sigma: float | None = None
+    method: str = "ml"
+    propose: bool = False
+    around_px: float = 0.0
+    out: Path | None = None
+
+    def file(self, ending: str) -> Path | None:
+        """Return the file beside `out` with this ending."""
+        return None if self.out is None else self.out.with_suffix(ending)
 
 
-def run_identify_live(
-    job: LiveJob,
+def identify_live(
+    sweeps: LiveSweeps,
+    known: Known,
+    target: Target,
+    link: RobotJob,
+    sources: tuple[str, str],
     person: OperatorCallbacks,
+    settings: CameraSettings = AUTOMATIC,
+    mask: Image | None = None,
     progress: Progress | None = None,
     *,
     clock: Clock | None = None,
     devices: tuple[Robot, PairSource] | None = None,
-) -> IdentifyOutput | ProposedPlanOutput:
-    """Probe, plan, sweep and identify; write arm.yaml and its report; return the figures as --json gives them.
+) -> Identification | ProposedPlanOutput:
+    """Probe, plan, sweep and identify; return the arm, or the plan where that alone is asked for.
 
     The robot moves only where the person confirms, and is stopped on every error; what was read until then is beside
-    the arm (.probe.csv, .sweep.csv). clock, devices: in place of the machine's and of those named. Raises UsageError,
-    DataRefused (also for a lost beacon), DeviceFailed, Cancelled.
+    the arm (.probe.csv, .sweep.csv). A model takes the place of the probe, and needs a world. sources: live cameras, of
+    sim:SCENARIO its own. clock, devices: in place of the machine's and of those named. Raises UsageError, DataRefused
+    (also for a lost beacon), DeviceFailed, Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    known, target = read_known(job), target_of(job.target)
-    swept_joints(len(job.limits), job.left_out)  # refused before anything is opened
-    _check(job)
-    robot, pairs = devices or open_devices(job, target, clock)
-    setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, job.mask))
+    swept_joints(len(sweeps.limits), sweeps.left_out)  # refused before anything is opened
+    _check(sweeps, known)
+    robot, pairs = devices or open_devices(link, sources, settings, target, clock)
+    setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, mask))
     with robot, pairs:
         observer = StereoBeaconObserver(setup, iter(pairs), clock)
-        done = identify_observed(job, known, person, robot, observer, clock, progress)
-    return replace(done, notes=[*beacon_note(target.names[0], len(target.names)), *done.notes])
+        done = identify_observed(sweeps, known, person, robot, observer, clock, progress)
+    first = beacon_note(target.names[0], len(target.names))
+    if isinstance(done, ProposedPlanOutput):
+        return replace(done, notes=[*first, *done.notes])
+    return replace(done, notes=(*first, *done.notes))
 
 
 def identify_observed(
-    job: LiveJob,
+    job: LiveSweeps,
     known: Known,
     person: OperatorCallbacks,
     robot: Robot,
     observer: BeaconObserver,
     clock: Clock,
     progress: Progress,
-) -> IdentifyOutput | ProposedPlanOutput:
-    """Do as run_identify_live, with a robot that is open and whoever sees the beacon."""
+) -> Identification | ProposedPlanOutput:
+    """Do as identify_live, with a robot that is open and whoever sees the beacon."""
     rig, limits = known.rig, job.limits
     m = swept_joints(len(limits), job.left_out)
     held = np.empty(0)
@@ -122,7 +141,7 @@ def identify_observed(
     if known.model is not None:
         arm, notes = _modelled(known, held, job.sigma or SIGMA_PX), list[str]()
     else:
-        with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
+        with _stopped_on_error(robot, sweeper, job.file(".probe.csv")):
             arm, notes = _probed(job, person, robot, sweeper, rig)
     if not (known.model is not None and job.propose):
         start = sweeper.standing
@@ -134,10 +153,26 @@ def identify_observed(
         return ProposedPlanOutput(plan=planned, notes=planned.notes)
     _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
     sweeps, uneven = even_ones(_swept(job, plan, robot, sweeper))
-    if uneven:
-        write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
-    done = _from_sweeps(job, held)
-    return identified(done, sweeps, rig, known.world, known.nominal, notes=uneven, plan=planned)
+    if uneven and (file := job.file(".sweep.csv")) is not None:
+        write_sweeps(file, sweeps)
+    return _solved(job, known, sweeps, held, uneven, planned)
+
+
+def _solved(
+    job: LiveSweeps, known: Known, sweeps: Sweeps, held: Array, notes: Sequence[str], plan: PlanOutput
+) -> Identification:
+    return solve_sweeps(
+        sweeps,
+        rig=known.rig,
+        world=known.world,
+        nominal=known.nominal,
+        held=held.tolist(),
+        name="identified" if job.out is None else job.out.stem,
+        notes=notes,
+        plan=plan,
+        sigma=job.sigma,
+        method=job.method,
+    )
 
 
 def _check_joints(robot: Robot, limits: Array) -> None:
@@ -174,73 +209,24 @@ def _probe_question(robot: Robot, limits: Array) -> str:
     )
 
 
-def _from_sweeps(job: LiveJob, held: Array) -> IdentifyJob:
-    """Return what is left to do once the sweeps are read: the same as from their file."""
-    return IdentifyJob(
-        out=job.out,
-        sweep=job.out.with_suffix(".sweep.csv"),
-        rig=job.rig,
-        target=job.target,
-        world=job.world,
-        method=job.method,
-        sigma=job.sigma,
-        nominal=job.nominal,
-        held=tuple(held.tolist()),
-    )
-
-
-def read_limits(text: str) -> Array:
-    """Return limits (n, 2) of 'lo:hi,lo:hi' or of a limits.yaml, in rad or m; a value may carry its unit, as 90deg.
-
-    Raises UsageError, BadFile; Inconsistent for values without a unit that can only be degrees.
-    """
-    stated = False
-    if Path(text).suffix in (".yaml", ".yml"):
-        rows = read_yaml(Path(text)).get("limits")
-        refusal: ArmsightError = BadFile(f"{text}: no list 'limits' of [lower, upper] in rad or m")
-    else:
-        rows = [part.split(":") for part in text.split(",")]
-        refusal = UsageError(f"the limits {text!r} are not lo:hi,lo:hi", cure="Write for instance --limits=0:3.1,-1:1")
-        stated = all(value.strip()[-1:].isalpha() for row in rows for value in row)
-    try:
-        limits = np.array([[read_value(str(value))[0] for value in row] for row in cast(Any, rows)])
-    except (TypeError, ValueError):
-        raise refusal from None
-    if limits.ndim != 2 or limits.shape[1] != 2:
-        raise refusal
-    return limits if stated else in_radians(limits, text)
-
-
-def in_radians(limits: Array, text: str = "") -> Array:
-    """Return limits (n, 2) in rad or m as they are. Raises Inconsistent for values that can only be degrees."""
-    if looks_like_degrees(limits):
-        text = text or ",".join(f"{low!r}:{high!r}" for low, high in limits.tolist())
-        raise Inconsistent(
-            f"the limits {text!r} look like degrees: the largest is {largest(limits):g}, and a turn has 6.28 rad",
-            consequence="Nothing is moved",
-            cure="Give radians, or a unit with every value: --limits=-28deg:298deg,0mm:500mm (deg, rad, mm, m)",
-        )
-    return limits
-
-
-def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, PairSource]:
-    """Return the robot and the pairs that the job names; nothing is opened yet. Raises UsageError, DeviceNotFound."""
-    if job.robot.startswith(SIM):
-        refuse_settings(job)
-        name = job.robot.removeprefix(SIM)
-        for view, text in (("left", job.left), ("right", job.right)):
+def open_devices(
+    link: RobotJob, sources: tuple[str, str], settings: CameraSettings, target: Target, clock: Clock
+) -> tuple[Robot, PairSource]:
+    """Return the robot and the pairs that are named; nothing is opened yet. Raises UsageError, DeviceNotFound."""
+    if link.robot.startswith(SIM):
+        refuse_settings(link)
+        name = link.robot.removeprefix(SIM)
+        for view, text in zip(("left", "right"), sources, strict=True):
             if text != f"camera:sim:{name}:{view}":
                 raise UsageError(
-                    f"{text} does not see the simulated robot {job.robot}", cure=f"Give camera:sim:{name}:{view}"
+                    f"{text} does not see the simulated robot {link.robot}", cure=f"Give camera:sim:{name}:{view}"
                 )
-        job.camera_settings.require_none(f"the simulated robot {job.robot}")
+        settings.require_none(f"the simulated robot {link.robot}")
         cell = live_cell(name, clock)
         return cell.robot, cell.pairs
-    if not (is_live(job.left) and is_live(job.right)):
+    if not all(map(is_live, sources)):
         raise UsageError("a robot that moves needs live cameras", cure="Give camera:NAME for --left and --right")
-    return robot_of(job, clock), open_pairs(
-        job.left, job.right, colour=target.colour is not None, settings=job.camera_settings
-    )
+    return robot_of(link, clock), open_pairs(*sources, colour=target.colour is not None, settings=settings)
 
 
 def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
@@ -259,14 +245,14 @@ def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
             )
             for sweep in plan.sweeps
         ],
-        expected_std=[joint_std(one) for one in plan.expected],
+        expected_std=[JointStd.of(one) for one in plan.expected],
         noise_px=plan.sigma_px,
         notes=[*notes, *plan.notes],
     )
 
 
-def _check(job: LiveJob) -> None:
-    if job.model is not None and job.world is None:
+def _check(job: LiveSweeps, known: Known) -> None:
+    if known.model is not None and known.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
     if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames < 1:
         raise UsageError(
@@ -282,14 +268,14 @@ def _ask(person: OperatorCallbacks, question: str) -> None:
 
 
 @contextmanager
-def _stopped_on_error(robot: Robot, sweeper: Sweeper, file: Path) -> Iterator[None]:
+def _stopped_on_error(robot: Robot, sweeper: Sweeper, file: Path | None) -> Iterator[None]:
     """Stop the robot at once where the work in it fails or ends early, and write what was read."""
     try:
         yield
     except BaseException as error:
         robot.stop()
         sweeps = sweeper.sweeps
-        if sweeps is not None:
+        if sweeps is not None and file is not None:
             write_sweeps(file, sweeps)
             if isinstance(error, ArmsightError):
                 kept = f"the {len(sweeps)} readings until then are in {file}"
@@ -310,7 +296,7 @@ def _modelled(known: Known, held: Array, sigma_px: float) -> RoughArm:
 
 
 def _probed(
-    job: LiveJob, person: OperatorCallbacks, robot: Robot, sweeper: Sweeper, rig: Rig
+    job: LiveSweeps, person: OperatorCallbacks, robot: Robot, sweeper: Sweeper, rig: Rig
 ) -> tuple[RoughArm, list[str]]:
     """Return the arm as small sweeps about the start tell it, and notes; those that do not tell a joint's type grow."""
     _ask(person, _probe_question(robot, sweeper.limits))
@@ -332,7 +318,8 @@ def _probed(
         todo = [j for j in range(len(start)) if found is None or not found.joints[j].decided]
         todo = [j for j in todo if shares[j] < LARGEST_SHARE]
         if found is not None and not todo:
-            write_sweeps(job.out.with_suffix(".probe.csv"), sweeps)
+            if (file := job.file(".probe.csv")) is not None:
+                write_sweeps(file, sweeps)
             return rough_arm(found, sweeps.q, rig), _unsure(found)
         if not todo and refused is not None:
             raise refused
@@ -368,9 +355,9 @@ def joined(parts: list[Sweeps]) -> Sweeps:
     )
 
 
-def _swept(job: LiveJob, plan: Plan, robot: Robot, sweeper: Sweeper) -> Sweeps:
+def _swept(job: LiveSweeps, plan: Plan, robot: Robot, sweeper: Sweeper) -> Sweeps:
     """Return the readings of the planned sweeps, written beside the arm."""
-    file = job.out.with_suffix(".sweep.csv")
+    file = job.file(".sweep.csv")
     with _stopped_on_error(robot, sweeper, file):
         sweeper.clear(sum(len(sweep.q) for sweep in plan.sweeps))
         sweeper.begin()
@@ -381,5 +368,6 @@ def _swept(job: LiveJob, plan: Plan, robot: Robot, sweeper: Sweeper) -> Sweeps:
         sweeps = sweeper.sweeps
     if sweeps is None:
         raise Cancelled("nothing was read")
-    write_sweeps(file, sweeps)
+    if file is not None:
+        write_sweeps(file, sweeps)
     return sweeps

@@ -9,10 +9,6 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple, cast
 
-from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, require_counts, see_board
-from armsight.app.calibrate.board_pictures import BoardPictures
-from armsight.app.calibrate.camera_noise import find_noise, require_size
-from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate import cameras as solvers
 from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
@@ -20,6 +16,10 @@ from armsight.calibrate.cameras.result import as_setting
 from armsight.calibrate.cameras.zoom import settings_of
 from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource, ImageReading, PairSource, is_live
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
+from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
+from armsight.ops.calibration.board_pictures import BoardPictures
+from armsight.ops.calibration.camera_noise import find_noise, require_size
+from armsight.ops.sources.frames import open_pairs, open_source
 from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Progress, Silent, Target
 from armsight.records.result_parts import RejectedFile
 from armsight.store.targets import board_text

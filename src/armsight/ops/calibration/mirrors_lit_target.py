@@ -9,7 +9,6 @@ from typing import cast
 
 import numpy as np
 
-from armsight.app.calibrate.cameras import Moments
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
 from armsight.calibrate.mirrors.result import reasons
@@ -18,6 +17,7 @@ from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.poses.setup import SLACK_PX
 from armsight.measure.spots import find_spots
+from armsight.ops.calibration.cameras import Moments
 from armsight.optics import Camera, Rig
 from armsight.records import BoardView, Frame, NotSeen, PoseStatus, Progress, Spots, Target, TargetPose
 from armsight.records.result_parts import RejectedFile

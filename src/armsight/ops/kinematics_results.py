@@ -11,8 +11,6 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.app.arm_files import NOTES, arm_notes
-from armsight.app.sources.bags import columns_of, joint_states
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
@@ -30,6 +28,8 @@ from armsight.kinematics import (
 )
 from armsight.kinematics.path import Issue
 from armsight.kinematics.target import start_values, task_of
+from armsight.ops.arm_files import NOTES, arm_notes
+from armsight.ops.sources.bags import columns_of, joint_states
 from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.records.output import Output, output
 from armsight.shown import Shown

@@ -19,7 +19,6 @@ import numpy as np
 
 from armsight import drivers
 from armsight._files import real_path
-from armsight.app.sources.bags import BagFrames
 from armsight.clock import Clock
 from armsight.drivers import (
     AS_THEY_ARE,
@@ -43,6 +42,7 @@ from armsight.drivers import (
 )
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
+from armsight.ops.sources.bags import BagFrames
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame
 from armsight.store import read_times

@@ -7,7 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from armsight.app.compare.calibrations import (
+from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.fields import Doc
+from armsight.file_names import ARM, COMPARE, HANDEYE, POSES, REPORT, RIG, VERIFY
+from armsight.ops.compare.calibrations import (
     Compared,
     Effect,
     Judgement,
@@ -18,10 +21,7 @@ from armsight.app.compare.calibrations import (
     judged,
     judged_singly,
 )
-from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
-from armsight.errors import BadFile, Inconsistent, UsageError
-from armsight.fields import Doc
-from armsight.file_names import ARM, COMPARE, HANDEYE, POSES, REPORT, RIG, VERIFY
+from armsight.ops.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import MEANING, Difference, Verdict
 from armsight.report.compare_report import CompareRun, Course, compare_report

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.arrays import Array
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.mirrors.result import MirrorsOutput
+from armsight.ops.calibration.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.records import NamedCovariance, Target
 from armsight.report import CalibrationRun, CameraFit, Parameter, calibration_report

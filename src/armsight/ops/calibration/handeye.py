@@ -15,8 +15,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
-from armsight.app.calibrate.board_images import Seen, count_again, in_parallel, require_counts, see_board
-from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.calibrate.handeye import (
     HandEyeResult,
     PosePairs,
@@ -34,6 +32,8 @@ from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.action import Given
 from armsight.ops.arrays import as_poses
+from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
+from armsight.ops.calibration.board_pictures import BoardPictures, hand_boards
 from armsight.ops.inputs import table
 from armsight.optics import Camera
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Target, real_array, require_kind, require_texts

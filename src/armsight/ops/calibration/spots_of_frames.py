@@ -9,7 +9,6 @@ from itertools import islice
 
 import numpy as np
 
-from armsight.app.sources.frames import camera_source
 from armsight.arrays import Array
 from armsight.calibrate.light_target import LitFrame
 from armsight.clock import SystemClock
@@ -20,6 +19,7 @@ from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.pipeline import check_size, check_sizes
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
+from armsight.ops.sources.frames import camera_source
 from armsight.optics import SIDES, PackedRig, Rig
 from armsight.records import Frame, Progress, Silent, Spots, SpotTrack
 

@@ -10,7 +10,6 @@ from typing import Annotated
 
 import numpy as np
 
-from armsight.app.play.play_job import with_tip
 from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.control.paths import PathCheck, Program, check_path, krl, python_module, rapid, urscript, with_approach
@@ -19,6 +18,7 @@ from armsight.control.paths.program import weld_state
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
+from armsight.ops.path.check import with_tip
 from armsight.records import TaughtPath
 from armsight.records.output import output
 from armsight.shown import Shown

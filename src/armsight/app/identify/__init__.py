@@ -1,1 +1,0 @@
-"""Sweeps of an unknown arm in, or the arm itself moved; its geometry out."""
