@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from inspect import Parameter
 from typing import TYPE_CHECKING, Annotated, Any
 
-from armsight.cli.actions import action_of, add_action, show
+from armsight.cli.actions import add_action, show
 from armsight.cli.command import app
 from armsight.cli.command_ui import CommandUI, agreed
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag, marks
+from armsight.ops.action import action_of
 from armsight.ops.flags import CAMERAS, TABLES
 from armsight.ops.identify import identify_arm, identify_arm_live
 
