@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from armsight.app.requests import identify, measure, motion, verify
+from armsight.app.requests import identify, motion, verify
 from armsight.app.requests.shared import Table
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
@@ -113,7 +113,7 @@ def test_the_help_tells_meaning_unit_and_default_and_the_first_text_of_a_flag_of
 
 REQUESTS = [
     kind
-    for module in (batch, identify, measure, motion, verify)
+    for module in (batch, identify, motion, verify)
     for kind in vars(module).values()
     if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
 ]
