@@ -31,7 +31,7 @@ from armsight.control.joint_sweep import Pace
 from armsight.control.play import PlaySettings
 from armsight.control.servo import ServoSettings
 from armsight.control.session.operator_session import FIRST_OVERRIDE
-from armsight.fields import Bounds
+from armsight.fields import Bounds, bounds_of, known_hints
 from armsight.ops.checks import bounds_of_parameters
 from armsight.ops.commands import parameter
 from armsight.optics import Plate
@@ -106,7 +106,8 @@ def compared(flags_page: Any) -> Iterator[tuple[str, OneFlag, Any, str, inspect.
                     continue
                 there = inspect.signature(call).parameters  # type: ignore[arg-type]  # a function
                 if wanted in there:
-                    bounds = bounds_of_parameters(getattr(call, "requests", ())).get(wanted)
+                    told = bounds_of_parameters(getattr(call, "requests", ())).get(wanted)
+                    bounds = told or bounds_of(known_hints(call)[wanted])
                     yield name, flag, here, public, there[wanted], bounds
 
 
@@ -147,7 +148,8 @@ def test_numbers_on_pages_are_those_of_the_requests() -> None:
                 own.add(f"{page.name}: {ast.unparse(call.args[0])}")
             if called == "number_field":
                 of, name = getattr(module, ast.unparse(call.args[1])), ast.literal_eval(call.args[2])
-                assert hasattr(of, name), f"{of.__name__} has no default of {name}"
+                known = vars(of)["action"].parameters if "action" in vars(of) else vars(of)
+                assert name in known, f"{of.__name__} has no default of {name}"
                 fields += 1
     assert own == set(OWN_FIELDS)
     assert fields >= 7

@@ -187,7 +187,7 @@ def convert(
     to: str | None = None,
     kind: Kind | None = None,
     size: tuple[int, int] | None = None,
-    unit_m: float | None = None,
+    unit_m: UnitLength = None,
     convention: Literal["standard", "craig"] | None = None,
     names: FrameNames | None = None,
     table: TableFormat | None = None,

@@ -183,7 +183,7 @@ def _with_zoom(settings: PairSettings, zoom: tuple[float | None, float | None]) 
 
 @action("record", working="recording", writes=True)
 def record(
-    out: Annotated[Path | None, Doc("The recording."), Flag("-o --out", metavar="FILE.mcap")],
+    out: Annotated[Path | None, Doc("The recording."), Flag("-o --out", metavar="FILE.mcap")] = None,
     left: Left = None,
     right: Right = None,
     *,
