@@ -14,7 +14,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, get_args, get_origin
 from armsight.drivers import CameraSettings
 from armsight.errors import ArmsightError, UsageError, not_one_of
 from armsight.fields import Bounds, Flag, Flags, bare, bounds_of, known_hints, marks
-from armsight.ops.action import OUT, Action
+from armsight.ops.action import Action
 from armsight.ops.commands import in_python, parameter
 from armsight.records import require_count, require_kind, require_number
 from armsight.store.interpret import TableFormat
@@ -81,7 +81,7 @@ def _checks_of(made: Action) -> dict[str, list[Check]]:
         hint, bounds = made.hints[name], bounds_of(made.hints[name])
         written = next((group.group.made.__annotations__["return"] for group in marks(hint, Flags)), "")
         written = written or " | ".join(map(_written_kind, bare(hint)))
-        known = PATH if name == OUT else check_of(str(one.annotation)) or check_of(written)
+        known = PATH if name in WRITTEN else check_of(str(one.annotation)) or check_of(written)
         found[name] = [] if known is None or name in made.inputs else [partial(_or_none, known)]
         found[name] += [] if bounds is None else [partial(_within, bounds)]
     return found

@@ -259,7 +259,7 @@ ROBOT_MEMBERS = ("__enter__", "__exit__", *(name for name in vars(Robot) if not 
 def robot(name: str, value: Any, given: Given, undo: ExitStack) -> RobotJob:
     """Return a robot that is named DRIVER:DEVICE, or a driver of one's own, with what its driver is told beside it."""
     settings, config = given.get("robot_settings"), given.get("rsi_config")
-    config = None if config is None else Path(config)
+    config = None if config is None else undo.enter_context(Folder()).file("rsi_config", config)
     if isinstance(value, RobotJob):
         return value
     if isinstance(value, str):
