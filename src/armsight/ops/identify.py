@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -260,6 +260,8 @@ def identify_arm_live(
 
     if show is not None and not callable(show):
         raise UsageError(f"show is {show!r}", cure="Give a function of the plan")
+    if robot_settings is not None:
+        require_kind("robot_settings", robot_settings, Mapping)
     require_kind("leave_out", leave_out, list, tuple, cure="Give the numbers of joints, from 1")
     for number in leave_out:
         require_count("an entry of leave_out", number, least=1)

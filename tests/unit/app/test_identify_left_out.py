@@ -68,7 +68,10 @@ def test_the_arm_of_the_swept_joints_is_right_while_the_other_stands(done: Any) 
         off_m = arm.fk([q1, q2])[:3, 3] - true_place(q1, q2, out.left_out[0].held_at)
         assert np.linalg.norm(off_m) < 3e-3
     first = out.joints[0]
-    assert abs(first.d_m - 1.27) < 4.0 * first.std.d_m and abs(first.alpha_rad - np.pi / 2) < 4.0 * first.std.alpha_rad
+    assert (
+        abs(first.d_m - 1.27) < 4.0 * first.std["d_m"]
+        and abs(first.alpha_rad - np.pi / 2) < 4.0 * first.std["alpha_rad"]
+    )
 
 
 def test_only_the_last_joints_can_be_left_out(done: Any) -> None:

@@ -75,11 +75,11 @@ def identify(
     the first frame's origin. method 'paper': triples, Chauvenet, means. Raises NotEnoughData, Inconsistent, UsageError.
     """
     if method not in METHODS or increments not in INCREMENTS:
-        raise UsageError(f"method is one of {', '.join(METHODS)}, increments one of {', '.join(INCREMENTS)}")
+        known = f"method is one of {', '.join(METHODS)}, increments one of {', '.join(INCREMENTS)}"
+        raise UsageError(known, consequence="Nothing is identified")
     if method == "paper" and increments == "order":
         raise UsageError("the paper's method takes the increments as known", cure="Use method ml with increments order")
-    check_sweeps(sweeps)
-    given = sweeps
+    check_sweeps(given := sweeps)
     if rig is not None:
         sweeps = placed(sweeps, rig, sigma or FIRST_PX)
         seen = SweepResiduals(sweeps=sweeps, rig=PackedRig.of(rig), sigma=sigma or FIRST_PX, unit=sigma or FIRST_PX)
