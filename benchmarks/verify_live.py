@@ -31,7 +31,7 @@ from armsight.errors import DeviceFailed
 from armsight.records import Frame, JointReading
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
-from armsight.store.worlds import World, write_world
+from armsight.store.rigs import World, write_world
 from armsight.verify.supervision import Level, Limits
 from armsight_sim.live import live_cell
 from armsight_sim.scenario_builder import build_world

@@ -78,7 +78,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "types of a result": {
         "armsight_lab/history/series.py:Found": "of many runs by number what an entry has of one",
-        "report/run.py:Parameter": "of a page, always a number; a row of a history's table may lack it",
         "app/operator/identify_run.py:Entry": "of a web page, always with a deviation's place in its text",
         "app/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",
         "app/identify/results.py:JointStd": "an arm's entries have the same names everywhere",

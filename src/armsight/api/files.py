@@ -33,10 +33,10 @@ from armsight.records import Motion, Target, TaughtPath, checked_array, require_
 from armsight.store import arm_file, limits_file, path_file, write_text
 from armsight.store.handeye_file import HandEyeFile, TipFile, read_handeye, read_tip
 from armsight.store.interpret import OURS, TableFormat
+from armsight.store.rigs import World
 from armsight.store.saving import file_to_write
 from armsight.store.tables import Columns, read_columns
 from armsight.store.urdf import read_urdf
-from armsight.store.worlds import World
 
 FRAMES = ("world", "base")
 """Frames that a path.csv may be said to be in."""

@@ -21,7 +21,7 @@ from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.recording import Recording
-from armsight.store.worlds import World, write_world
+from armsight.store.rigs import World, write_world
 from armsight.verify.supervision import Limits
 from armsight_plant.options import FoxgloveOptions, PlantOptions
 from armsight_plant.publishing import Publishing

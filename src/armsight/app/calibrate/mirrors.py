@@ -10,8 +10,7 @@ from typing import cast
 from armsight.app.calibrate.board_images import in_parallel, see_board, see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.cameras import Moments, count, open_images
-from armsight.calibrate.mirrors.adjustment import Adjustment, adjust_to_parallel
-from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
+from armsight.calibrate.mirrors.diagnosis import Adjustment, Alignment, adjust_to_parallel, check_alignment
 from armsight.calibrate.mirrors.result import reasons
 from armsight.drivers import CameraSettings
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError

@@ -11,8 +11,7 @@ from armsight.app.calibrate.board_images import see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.mirrors import AlignmentWatch, reference_of
 from armsight.app.live.station import MeasurementProcess
-from armsight.calibrate.mirrors.adjustment import MirrorTurn
-from armsight.calibrate.mirrors.diagnosis import APART, STILL
+from armsight.calibrate.mirrors.diagnosis import APART, STILL, MirrorTurn
 from armsight.calibrate.mirrors.result import MirrorCheckOutput, check_output
 from armsight.drivers import read_image
 from armsight.errors import UsageError

@@ -28,7 +28,7 @@ from armsight.records import Frame, Progress, Silent, Target
 from armsight.report.verify_pages import live_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.atomic import write_json
-from armsight.store.worlds import World
+from armsight.store.rigs import World
 from armsight.units import DEG
 from armsight.verify.results import VerifyLiveOutput
 from armsight.verify.supervision import PredictedPose

@@ -23,8 +23,8 @@ from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
 from armsight.store.atomic import read_bytes, write_json
 from armsight.store.codec import read_output
+from armsight.store.rigs import World
 from armsight.store.verify_files import CommandedFile, MeasuredFile, read_commanded, read_measured, read_reported_joints
-from armsight.store.worlds import World
 from armsight.verify import Align, Measured, Repeats, Reported, verify
 from armsight.verify.repeats import Command
 from armsight.verify.results import ComparedRun, VerifyOutput
