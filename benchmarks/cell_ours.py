@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.cell import ArmTolerance, CellOptions, CellPriors, calibrate_cell
+from armsight.calibrate.cell.result import tip_slopes
 from armsight.calibrate.cell.rounds import Solved
-from armsight.calibrate.cell.tip import tip_slopes
 from armsight.kinematics import fk
 from armsight.optics import RIGHT_POSE, SIDES, Rig
 from armsight.records import Motion, NamedCovariance

@@ -29,7 +29,7 @@ from armsight.optics.mirrors import Mirrors
 from armsight.records.camera import LinearNoise, NeighbourCorrelation, NoiseModel
 from armsight.records.target import spot_target
 from armsight.store import parse_board, rig_mapping, target_mapping, write_rig, write_target
-from armsight.store.worlds import World, write_world
+from armsight.store.rigs import World, write_world
 from armsight_lab.design.expected_poses import centre_deviation
 from armsight_lab.design.planned_calibrations import planned_views
 from armsight_lab.design.request import DesignJob

@@ -18,7 +18,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import bench
 from armsight.calibrate.cameras import calibrate_camera
 from armsight.calibrate.handeye import (
-    HandEyeOptions,
     PosePairs,
     Setup,
     calibrate_eye_in_hand,
@@ -367,7 +366,7 @@ def real() -> None:
     camera = calibrate_camera(views, board).camera
     ours = calibrate_from_views(views, robot, camera, board, Setup.EYE_IN_HAND).result
     A, B = ours.pairs.T_base_flange, ours.pairs.T_camera_target
-    pairs_result = calibrate_eye_in_hand(ours.pairs, HandEyeOptions(target_pitch_m=board.pitch_m))
+    pairs_result = calibrate_eye_in_hand(ours.pairs, target_pitch_m=board.pitch_m)
     scale = ours.scale
     if scale is None:
         raise RuntimeError("this recording's scale was always seen")

@@ -30,7 +30,7 @@ from armsight.ops import verify
 from armsight.records import Frame, JointReading
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
-from armsight.store.worlds import World, write_world
+from armsight.store.rigs import World, write_world
 from armsight.verify.supervision import Level
 from armsight_sim.live import live_cell
 from armsight_sim.scenario_builder import build_world

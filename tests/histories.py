@@ -13,7 +13,7 @@ from armsight.kinematics import preset
 from armsight.records import NamedCovariance
 from armsight_lab.history.entry import Entry, Quantity, utc
 from armsight_lab.history.figures import parameters_of
-from armsight_lab.history.filing import Made, entry_of_result
+from armsight_lab.history.filing import entry_of_result
 
 START = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 DEG = np.pi / 180.0
@@ -52,8 +52,8 @@ def arm_run(nominal, cell: str, moved: np.ndarray, when: datetime) -> Entry:
     covariance = NamedCovariance(names=names, matrix=np.diag(ZERO_STD[: len(joints)] ** 2))
     arm = replace(nominal, joints=joints, covariance=covariance)
     content = {"n": 60, "after": {"rms_m": 7e-5}, "gain": True, "verdict": "Correcting geometry takes the error down."}
-    made = Made(command="calibrate arm", cell=cell, created=utc(when), inputs=())
-    return entry_of_result(content, parameters_of(content, arm), made)
+    made = {"command": "calibrate arm", "cell": cell, "created": utc(when)}
+    return entry_of_result(content, parameters_of(content, arm), (), **made)
 
 
 def handeye_run(cell: str, xyz_m, rotation, when: datetime, std: float = 1e-4, *, concerns=()) -> Entry:
@@ -66,8 +66,8 @@ def handeye_run(cell: str, xyz_m, rotation, when: datetime, std: float = 1e-4, *
         "residual_rms_m": 2e-4,
         "verdict": "known",
     }
-    made = Made(command="calibrate handeye", cell=cell, created=utc(when), inputs=())
-    return entry_of_result(content, parameters_of(content, None), made)
+    made = {"command": "calibrate handeye", "cell": cell, "created": utc(when)}
+    return entry_of_result(content, parameters_of(content, None), (), **made)
 
 
 def baseline_runs(cell: str, values: Sequence[float], std: float | None) -> Iterator[Entry]:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 import armsight
 from armsight.kinematics import fk, moved, preset
 from armsight.records import TaughtPath
-from armsight.store.worlds import read_world
+from armsight.store.rigs import read_world
 
 Step = str | Callable[[Path], None]
 """A command line without `armsight`, with paths inside the folder, or what makes a table there."""

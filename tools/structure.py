@@ -80,7 +80,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "types of a result": {
         "armsight_lab/history/series.py:Found": "of many runs by number what an entry has of one",
-        "report/run.py:Parameter": "of a page, always a number; a row of a history's table may lack it",
         "app/operator/identify_run.py:Entry": "of a web page, always with a deviation's place in its text",
         "ops/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",
         "calibrate/identify/result.py:JointStd": "an arm's entries have the same names everywhere",

@@ -59,6 +59,11 @@ TIP_POINT_STD_M = 2e-4
 TIP_GOAL_M = 1e-4
 """A tip known so well is good enough."""
 
+UDP_CYCLE_S, RTDE_CYCLE_S, ALTER_CYCLE_S = 0.004, 0.002, 0.028
+"""How often controllers send: by UDP, an e-Series by RTDE, and over a serial line at 38,400 baud."""
+OPEN_S, RTDE_OPEN_S = 5.0, 8.0
+"""Of waiting for a controller; one that is to load and start a program takes longer."""
+
 STALE_CYCLES = 3.5
 """The same in cycles, where those are longer: two frames in a row may be lost, a third is a fault."""
 TOOL_SPEED_M_S = 0.1
@@ -76,6 +81,13 @@ JOINT_STD = 2e-5
 """Of a joint reading in rad or m: a step of a 17-bit encoder is 5e-5 rad."""
 LATENCY_STD_S = 0.01
 """Of the time from an exposure to the frame in memory, of cameras nobody has measured."""
+
+ITERATIONS, BOARD_ITERATIONS = 100, 60
+"""Of a fit at most; of boards all but the first few steps change nothing that could be seen."""
+JOINT_SCALE = 0.02
+"""Standard deviation of a joint's scale."""
+EXPORT_ACCELERATION_M_S2 = 0.5
+"""Of the tool, in the programs of robots."""
 
 FOLDS = 5
 """Of the error on boards that were left out."""

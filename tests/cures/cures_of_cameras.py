@@ -94,14 +94,14 @@ TRIED = {
     ),
     ("ops/calibrate_cameras.py", "Give --lens with"): (f"{CAMERA} --lens oval", f"{CAMERA} --lens pinhole"),
     ("calibrate/cameras/zoom.py", "Give --left, --right or both"): (ZOOM_RIG, ZOOMED),
-    ("optics/zoom_rig.py", "Give --zoom-{}"): (f"{ZOOM_RIG} --left lens.yaml", "{} --zoom-left 100"),
-    ("optics/zoom_rig.py", "Check the file of the"): (f"{ZOOM_RIG} --left lens.yaml --zoom-left 300", ZOOMED),
-    ("optics/zoom_rig.py", "with the value that the lens stood at"): (
+    ("optics/rig.py", "Give --zoom-{}"): (f"{ZOOM_RIG} --left lens.yaml", "{} --zoom-left 100"),
+    ("optics/rig.py", "Check the file of the"): (f"{ZOOM_RIG} --left lens.yaml --zoom-left 300", ZOOMED),
+    ("optics/rig.py", "with the value that the lens stood at"): (
         f"{ZOOMED} && {MEASURE.replace('rig.yaml', 'z.yaml')}",
         f"{MEASURE.replace('rig.yaml', 'z.yaml')} --zoom-left 100 && "
         "convert rig z.yaml -o fixed.yaml --zoom-left 100 && doctor --rig fixed.yaml",
     ),
-    ("optics/zoom_rig.py", "away, or add the settings"): (
+    ("optics/rig.py", "away, or add the settings"): (
         f"{MEASURE} --zoom-left 100",
         f"{MEASURE} && {ZOOMED} && {MEASURE.replace('rig.yaml', 'z.yaml')} --zoom-left 100 --overwrite",
     ),
@@ -210,7 +210,7 @@ TRIED = {
         "convert camera rational.yml -o c.yaml",
         CAMERA,
     ),
-    ("calibrate/cameras/stereo.py", "Exchange the sources"): (
+    ("calibrate/cameras/calibrate.py", "Exchange the sources"): (
         f"calibrate stereo --left boards/right --right boards/left {BOARDS}",
         STEREO,
     ),

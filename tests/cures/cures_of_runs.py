@@ -163,7 +163,7 @@ TRIED = {
     ),
     ("cli/verify.py", "Add --plan, or leave it out"): (f"{VERIFY} {OF_ARM} --side 0.2", f"{VERIFY} {OF_ARM}"),
     ("cli/verify.py", "Plan with --plan"): (f"{PLANNED} --measured poses.csv", PLANNED),
-    ("store/outputs.py", "or --overwrite"): (
+    ("store/atomic.py", "or --overwrite"): (
         f"{VERIFY} {OF_ARM} && {VERIFY} {OF_ARM}",
         f"{VERIFY} {OF_ARM} --overwrite",
     ),

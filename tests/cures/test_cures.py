@@ -40,7 +40,7 @@ IN_TESTS = {
     ("calibrate/handeye/pairs.py", "armsight calibrate robot-world"): (
         f"{REPORTS}test_base_and_tool.py::test_the_rig_stands_in_the_axes_of_the_base_link"
     ),
-    ("calibrate/handeye/premises.py", "on apart"): (
+    ("calibrate/handeye/advice.py", "on apart"): (
         "tests/truth/test_handeye_places.py::test_a_mount_that_slipped_is_told_with_the_row"
     ),
     ("calibrate/timing/stamps.py", "Give its stamps in seconds"): (
@@ -48,10 +48,10 @@ IN_TESTS = {
         "test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure"
     ),
     ("calibrate/tooltip.py", "25 degrees"): f"{REPORTS}test_tips.py::test_a_narrow_pivot_is_refused_for_its_tilt",
-    ("calibrate/tooltip_premises.py", "Leave the point out"): (
+    ("calibrate/tooltip_result.py", "Leave the point out"): (
         "tests/truth/test_tooltip.py::test_a_point_that_is_not_where_it_was_measured_is_refused"
     ),
-    ("calibrate/tooltip_premises.py", "on apart"): (
+    ("calibrate/tooltip_result.py", "on apart"): (
         "tests/truth/test_tooltip.py::test_two_settings_in_one_table_are_told_with_the_row"
     ),
     ("store/interpret/standard.py", "Give --columns with -"): (
@@ -92,7 +92,7 @@ IN_TESTS = {
     ("calibrate/cell/rounds.py", "See that the target's lights shine"): CELL,
     ("calibrate/cell/rounds.py", "Check that --model is of this arm and its signs"): CELL,
     ("calibrate/cell/rounds.py", "Switch off the mirroring"): CELL,
-    ("calibrate/cameras/other_board.py", "Check what --board says"): (
+    ("calibrate/cameras/board_shape.py", "Check what --board says"): (
         "tests/unit/calibrate/test_other_board.py::test_points_that_are_no_such_board_are_refused_by_what_they_miss"
     ),
     ("armsight_lab/batch/run.py", "Begin it again, then give --resume"): (

@@ -15,13 +15,13 @@ import typer
 from typer.main import get_command
 
 from armsight import _files
+from armsight._files import DeviceLock
 from armsight.app.operator.robot_cell import one_console
 from armsight.cli import command_ui
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.commands import app as commands
 from armsight.clock import ManualClock
 from armsight.drivers import list_images, read_image
-from armsight.drivers.lock import DeviceLock
 from armsight.drivers.remote import ServerAddress
 from armsight.drivers.rsi import read_tags
 from armsight.errors import ArmsightError, BadFile, DataRefused, DeviceFailed, UsageError

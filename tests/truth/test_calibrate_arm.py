@@ -17,7 +17,7 @@ from armsight.calibrate.arm import ArmModel, ArmPoints, calibrate_arm, calibrate
 from armsight.errors import Ambiguous, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm, Joint, preset
 from armsight.store.arm_points import read_arm_points
-from armsight.store.calibrated_arm import corrections
+from armsight.store.saving import corrections
 from refusals import names_it, refuses
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from armsight.optics import Camera, Plate
 from armsight.optics.mirrors import Mirrors
 from armsight.records.target import spot_target
 from armsight.store import write_rig, write_target
-from armsight.store.worlds import World, write_world
+from armsight.store.rigs import World, write_world
 from armsight_lab.batch.jobs import Job
 from armsight_lab.design.plan import plan_of
 from armsight_lab.design.records import DesignSimulation

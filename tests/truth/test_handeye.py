@@ -14,7 +14,6 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import (
-    HandEyeOptions,
     HandEyeResult,
     ObservationModel,
     PosePairs,
@@ -161,7 +160,7 @@ def test_units_are_recognised() -> None:
     ):
         with refuses(Inconsistent, said):
             calibrate_eye_in_hand(scaled(robot, camera))
-    wrong_pitch = calibrate_eye_in_hand(scaled(1.0, 1.05), HandEyeOptions(target_pitch_m=0.0315))
+    wrong_pitch = calibrate_eye_in_hand(scaled(1.0, 1.05), target_pitch_m=0.0315)
     assert wrong_pitch.scale.wrong
     assert wrong_pitch.scale is not None
     assert wrong_pitch.scale.factor == pytest.approx(1 / 1.05, abs=4 * wrong_pitch.scale.std)

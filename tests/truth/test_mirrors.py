@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.light_target import calibrate_target
-from armsight.calibrate.mirrors.adjustment import adjust_to_parallel
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
-from armsight.calibrate.mirrors.diagnosis import check_alignment, mirrors_from_target
+from armsight.calibrate.mirrors.diagnosis import adjust_to_parallel, check_alignment, mirrors_from_target
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry import align_points
 from armsight.measure.poses.from_spots import measure_spots

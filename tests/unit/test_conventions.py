@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import ndtr
 
 from armsight import store
-from armsight.calibrate.cameras.monocular import rms as calibration_rms
+from armsight.calibrate.cameras.calibrate import rms as calibration_rms
 from armsight.geometry import compose_covariance, euler_rad, pose_difference, pose_from_euler, pose_from_quat, xyz_quat
 from armsight.kinematics import Arm, Joint, JointType, dh_arm, fk
 from armsight.measure.poses.pipeline import Setup, measure_pair

@@ -19,7 +19,7 @@ from armsight.kinematics import Joint
 from armsight.records.motion import JointHistory
 from armsight.store import tracks
 from armsight.store.arm_points import read_arm_points
-from armsight.store.outputs import held_outputs, refuse_output
+from armsight.store.atomic import held_outputs, refuse_output
 from armsight.store.yamls import parse_yaml
 
 ON_A_LINE = np.outer(np.arange(4), [1.0, 2.0, 3.0])

@@ -35,7 +35,7 @@ from armsight_sim.pipeline import Pipeline
 from armsight_sim.render import LightImage
 from armsight_sim.rigs import SIDES, Pair, converging_webcams, parallel_pair
 from armsight_sim.scenario_keys import RoomKeys, checked_pipeline, checked_room
-from armsight_sim.scene import Event, Light, SmoothTrajectory, planned_events
+from armsight_sim.scene import BLUR_PX, Event, Light, SmoothTrajectory, planned_events
 from armsight_sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
 
 PLACES, EYE_M = 40, 1.1
@@ -53,6 +53,10 @@ Given: TypeAlias = Mapping[str, Any]
 """A cell that is given: `rig` and `target` as their files have them, `poses` in rig axes (x, y, z, quaternion)."""
 
 
+LED_LEVEL = 190.0
+"""Peak of a cell's lights, in grey levels."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LedCellOptions:
     """What may be chosen about led_cell.
@@ -67,8 +71,8 @@ class LedCellOptions:
     height: int = 720
     fps: float = 60.0
     exposure_s: float = 0.004
-    level: float = 190.0
-    sigma_px: float = 2.0
+    level: float = LED_LEVEL
+    sigma_px: float = BLUR_PX
     diameter_m: float | None = None
     sensor: Sensor = field(default_factory=Sensor)
     hot_pixels: int = 12

@@ -64,11 +64,15 @@ class PanelKeys(Keys):
     gloss: NotNegative = 0.0
 
 
+INDICATOR_LEVEL, REFLECTION_LEVEL = 150.0, 140.0
+"""Peaks in grey levels: of a small light of the room, and of a reflection."""
+
+
 class IndicatorKeys(Keys):
     """A small light of the room that is no light of the target."""
 
     xyz_m: Vector3
-    level: Positive = 150.0
+    level: Positive = INDICATOR_LEVEL
     sigma_px: Annotated[float, Field(ge=0.3, le=50.0)] = 1.5
     bgr: Annotated[list[NotNegative], Field(min_length=3, max_length=3)] = [1.0, 1.0, 1.0]
 
@@ -209,7 +213,7 @@ class EventKeys(Keys):
     side: Literal["left", "right", "both"] = "both"
     lights: list[str] = Field(default=[])
     uv_px: Vector2 | None = None
-    level: Positive = 140.0
+    level: Positive = REFLECTION_LEVEL
     by_m: Vector3 | None = None
     joint: Annotated[int, Field(ge=1, le=12)] | None = None
     by: Finite | None = None

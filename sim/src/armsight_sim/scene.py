@@ -68,6 +68,10 @@ class SmoothTrajectory:
         return RigidTransform(poses, normalize=False)  # from_components takes four times as long
 
 
+BLUR_PX = 2.0
+"""Spread of a point light in the image."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Light:
     """A light fixed to the target.
@@ -82,7 +86,7 @@ class Light:
     name: str
     xyz_m: tuple[float, float, float]
     level: float = 180.0
-    sigma_px: float = 2.0
+    sigma_px: float = BLUR_PX
     diameter_m: float | None = None
     facing: tuple[float, float, float] = (0.0, 0.0, -1.0)
     bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -112,7 +116,7 @@ class Ghost:
 
     uv_px: tuple[float, float]
     level: float = 120.0
-    sigma_px: float = 2.0
+    sigma_px: float = BLUR_PX
     bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 

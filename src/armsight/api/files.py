@@ -31,10 +31,10 @@ from armsight.store import arm_file, limits_file, path_file, read_zoom_camera, r
 from armsight.store.handeye_file import HandEyeFile, TipFile, read_handeye, read_tip
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.recording import Recording, Repaired, cut
+from armsight.store.rigs import World
 from armsight.store.saving import file_to_write
 from armsight.store.tables import Columns, read_columns
 from armsight.store.urdf import read_urdf
-from armsight.store.worlds import World
 
 FRAMES = ("world", "base")
 """Frames that a path.csv may be said to be in."""

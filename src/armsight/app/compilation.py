@@ -169,9 +169,9 @@ def kinematics() -> None:
 def arm() -> None:
     """Compile the calibration of a known arm, and what that of its cell asks of cameras."""
     from armsight.calibrate.arm import ArmPoints, calibrate_arm
-    from armsight.calibrate.cell.kernels import see_points
     from armsight.kinematics import fk, presets
     from armsight.optics import Camera
+    from armsight.optics.kernels.light_image import see_points
 
     rng = np.random.default_rng(SEED)
     nominal = presets.ur10()

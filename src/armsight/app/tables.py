@@ -16,6 +16,7 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records.output import output
 from armsight.shown import Shown, Table, digits
+from armsight.store.atomic import TextOutput
 from armsight.store.interpret import (
     OURS,
     TableFormat,
@@ -24,7 +25,6 @@ from armsight.store.interpret import (
     interpret,
     kind_of_table,
 )
-from armsight.store.outputs import TextOutput
 from armsight.store.tables import Table as ParsedTable
 from armsight.store.tables import bare, parse_table, word
 

@@ -17,8 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.calibrate.correlation import widened
-from armsight.calibrate.tooltip_premises import require_one_tool, require_point_there
-from armsight.calibrate.tooltip_result import ToolTipResult
+from armsight.calibrate.tooltip_result import ToolTipResult, require_one_tool, require_point_there
 from armsight.calibrate.tooltip_rows import (
     FAR,
     MIN_POSES,

@@ -155,8 +155,7 @@ class Command:
 
     def _outputs(self, given: Mapping[str, Any], as_json: bool) -> contextlib.AbstractContextManager[Any]:
         """Hold what is written for this command alone. Raises UsageError for an input, and for what is no file."""
-        from armsight.store.atomic import STREAM
-        from armsight.store.outputs import held_outputs
+        from armsight.store.atomic import STREAM, held_outputs
 
         outs = [Path(out) for name in sorted(WRITTEN & set(given)) for out in _texts(given[name])]
         if self.streamed and outs == [STREAM]:
@@ -279,7 +278,7 @@ def _texts(value: Any) -> tuple[str, ...]:
 
 def _replacing(out: Path, names: tuple[str, ...], overwrite: bool, work: Callable[[], None]) -> None:
     """Do the work with earlier results aside; bring them back where it failed."""
-    from armsight.store.outputs import EarlierResults, refuse_earlier
+    from armsight.store.atomic import EarlierResults, refuse_earlier
 
     if not overwrite:
         refuse_earlier(out, names)

@@ -1,9 +1,9 @@
 """The only place that touches hardware: cameras, robots, files as cameras."""
 
+from armsight._files import DeviceLock
 from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
-from armsight.drivers.lock import DeviceLock
 from armsight.drivers.opening import (
     FilePairs,
     Overlaid,

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from armsight._files import DeviceLock
 from armsight.clock import Clock
 from armsight.drivers.camera_settings import AUTOMATIC, FLAGS, CameraSettings, require_read_back
 from armsight.drivers.images import CHANNELS, grey_or_bgr, unpack_image
 from armsight.drivers.live import LiveCamera
-from armsight.drivers.lock import DeviceLock
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
 

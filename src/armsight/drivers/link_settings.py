@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
-from armsight.defaults import STALE_S, TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
+from armsight.defaults import OPEN_S, STALE_S, TOOL_SPEED_M_S, TOOL_SPEED_RAD_S, UDP_CYCLE_S
 from armsight.drivers.goals import JointLimits
 from armsight.errors import UsageError
 
@@ -43,7 +43,7 @@ class LinkSettings(BaseModel):
     link: ClassVar[str]
     """What a person calls the link."""
 
-    open_s: Positive = 5.0
+    open_s: Positive = OPEN_S
     max_speed_rad_s: Positive = math.pi / 3
     lower_rad: list[float] | None = None
     upper_rad: list[float] | None = None
@@ -81,7 +81,7 @@ class UdpSettings(LinkSettings):
     speed_m_s, speed_rad_s: of the flange in pose guidance.
     """
 
-    cycle_s: Positive = 0.004
+    cycle_s: Positive = UDP_CYCLE_S
     stale_s: Positive = STALE_S
     controller: str = ""
     bind: str = ""

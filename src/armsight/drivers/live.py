@@ -16,7 +16,7 @@ from typing import Self
 import cv2
 import numpy as np
 
-from armsight._files import is_utf8
+from armsight._files import DeviceLock, is_utf8
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.camera_settings import (
     AUTOMATIC,
@@ -26,7 +26,6 @@ from armsight.drivers.camera_settings import (
     check_settings,
     lock_settings,
 )
-from armsight.drivers.lock import DeviceLock
 from armsight.drivers.protocols import FrameSource
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame

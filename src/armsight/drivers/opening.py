@@ -6,6 +6,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from inspect import Parameter, signature
 from pathlib import Path
 from types import TracebackType
@@ -160,14 +161,7 @@ class SplitImages(ComplexImages):
 
     @staticmethod
     def _part(frame: Frame, start: int, width: int) -> Frame:
-        return Frame(
-            image=frame.image[:, start : start + width],
-            t_s=frame.t_s,
-            sequence=frame.sequence,
-            source=frame.source,
-            exposure_s=frame.exposure_s,
-            unreadable=frame.unreadable,
-        )
+        return replace(frame, image=frame.image[:, start : start + width])
 
 
 class _Closing(Iterator[Frame]):

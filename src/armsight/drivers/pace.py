@@ -14,6 +14,24 @@ from armsight.arrays import Array
 from armsight.units import MS
 
 
+@dataclass(slots=True)
+class LinkCounts:
+    """Packets or frames since the link was opened.
+
+    heard: good ones. missed: cycles whose one never came. repeated: with a number that was there, or an older one.
+    refused: with values that cannot be. late: answers that the controller tells it did not take, or took late.
+    foreign: packets of another sender. garbage_bytes: of a line, that belong to no frame.
+    """
+
+    heard: int = 0
+    missed: int = 0
+    repeated: int = 0
+    refused: int = 0
+    late: int = 0
+    foreign: int = 0
+    garbage_bytes: int = 0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkTimes:
     """Times of a link, in s: its cycle; after what time a reading is stale; after what silence the link is lost.

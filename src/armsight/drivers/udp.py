@@ -6,7 +6,6 @@ import contextlib
 import socket
 import threading
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -17,7 +16,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
 from armsight.drivers.link_settings import UdpSettings
-from armsight.drivers.pace import ENOUGH, LinkTimes, possible
+from armsight.drivers.pace import ENOUGH, LinkCounts, LinkTimes, possible
 from armsight.drivers.proof import Probe, flange_probe, flange_probe_by_joints
 from armsight.drivers.protocols import PROVING, Sent
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
@@ -41,22 +40,6 @@ DEAF_ANSWERS = 50
 
 NEW_SESSION_CYCLES = 9
 """A controller that was silent for longer may have ended what it did and begun anew, before it is given up."""
-
-
-@dataclass(slots=True)
-class UdpCounts:
-    """Packets since the link was opened.
-
-    heard: good ones. missed: cycles whose packet never came. repeated: with a number that was there. refused: that are
-    no state of a controller. foreign: of another sender. late: answers that the controller tells it did not take.
-    """
-
-    heard: int = 0
-    missed: int = 0
-    repeated: int = 0
-    refused: int = 0
-    foreign: int = 0
-    late: int = 0
 
 
 class UdpState(Protocol):
@@ -107,7 +90,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
         poses = PoseGoals(name, settings.speed_m_s, settings.speed_rad_s, times.cycle_s)
         super().__init__(name, limits=limits, times=times, clock=clock or SystemClock(), poses=poses)
         self.takes_poses = guidance == "pose"
-        self.counts = UdpCounts()
+        self.counts = LinkCounts()
         self._link_settings = settings
         self._last: State | None = None
         self._base_pose = RigidTransform.identity()
@@ -144,7 +127,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
             return self._note(reading.q, pose, limited)
 
     def _start(self) -> None:
-        self.counts = UdpCounts()
+        self.counts = LinkCounts()
         self._last = None
         self._behind, self._behind_number = 0, -1
         self._answers = 0

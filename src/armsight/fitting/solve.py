@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from armsight.arrays import Array, Index
+from armsight.defaults import ITERATIONS
 from armsight.errors import Cancelled, NotConverged, Undetermined
 from armsight.fitting.problem import FLOOR, Evaluation, NormalEquations, Problem
 from armsight.records import NamedCovariance, Progress, Silent
@@ -94,7 +95,7 @@ class Settings:
     raising. cost_tolerance, step_tolerance: relative.
     """
 
-    max_iterations: int = 100
+    max_iterations: int = ITERATIONS
     cost_tolerance: float = 1e-10
     step_tolerance: float = 1e-10
     gradient_tolerance: float = 1e-12

@@ -10,7 +10,6 @@ from armsight.kinematics.closed_form import (
     singularity_distance,
     singularity_measures,
 )
-from armsight.kinematics.convention import Convention
 from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
 from armsight.kinematics.forward_kinematics import fk, fk_jacobian, in_convention, jacobian, link_frames, pose
 from armsight.kinematics.inverse_kinematics import (
@@ -22,7 +21,7 @@ from armsight.kinematics.inverse_kinematics import (
     ik_many,
     singular_names,
 )
-from armsight.kinematics.joints import Coupling, Joint, JointType, ToolPoint
+from armsight.kinematics.joints import Convention, Coupling, Joint, JointType, ToolPoint
 from armsight.kinematics.numeric import Attempt, Effort, Method, Stop, solve_numeric, solve_numeric_many
 from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
 from armsight.kinematics.presets import PRESETS, preset, warm_up

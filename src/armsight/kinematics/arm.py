@@ -14,11 +14,12 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent, UsageError
-from armsight.kinematics.convention import Convention, chain_table
 from armsight.kinematics.joints import (
+    Convention,
     Coupling,
     Joint,
     ToolPoint,
+    chain_table,
     check_couplings,
     gearing,
     gearing_back,

@@ -13,9 +13,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.convention import Convention, link_matrix
 from armsight.kinematics.forward_kinematics import in_convention, link_frames
-from armsight.kinematics.joints import Joint, JointType
+from armsight.kinematics.joints import Convention, Joint, JointType, link_matrix
 
 SAME = 1e-12
 """Frames that agree to this (m, rad) are the same to rounding."""

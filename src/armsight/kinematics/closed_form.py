@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from armsight.arrays import Array
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.convention import link_matrix
 from armsight.kinematics.forward_kinematics import jacobian, link_frames
+from armsight.kinematics.joints import link_matrix
 from armsight.kinematics.target import Task, task_of
 
 EXACT = 1e-10

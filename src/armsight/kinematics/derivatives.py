@@ -14,8 +14,8 @@ from armsight.arrays import Array
 from armsight.columns import DH_ROW, POSE6
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.convention import Convention
 from armsight.kinematics.forward_kinematics import fk
+from armsight.kinematics.joints import Convention
 from armsight.kinematics.kernels.derivatives import PER_JOINT, many_parameter_columns
 
 

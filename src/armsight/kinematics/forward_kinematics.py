@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.convention import Convention, distal_rows, proximal_rows
+from armsight.kinematics.joints import Convention, distal_rows, proximal_rows
 from armsight.kinematics.kernels.chain import (
     joint_frames,
     many_poses,

@@ -10,11 +10,10 @@ import numpy as np
 
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.convention import Convention
 from armsight.kinematics.derivatives import parameter_jacobian
 from armsight.kinematics.forward_kinematics import fk, fk_jacobian, link_frames
 from armsight.kinematics.inverse_kinematics import ik, ik_many, in_range
-from armsight.kinematics.joints import Joint, JointType
+from armsight.kinematics.joints import Convention, Joint, JointType
 from armsight.kinematics.numeric import Method, solve_numeric, solve_numeric_many
 from armsight.records import require_kind
 from armsight.units import DEG

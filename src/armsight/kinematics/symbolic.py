@@ -16,8 +16,7 @@ from sympy.printing.pycode import PythonCodePrinter  # type: ignore[import-untyp
 
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.convention import distal_rows
-from armsight.kinematics.joints import JointType
+from armsight.kinematics.joints import JointType, distal_rows
 
 QUARTER_TOLERANCE = 1e-12
 """Twists this close to a quarter turn are written as one."""

@@ -251,7 +251,7 @@ def calibrate_arm(
 
 def _with_urdf(found: ArmResult, path: Path) -> ArmResult:
     """Return a result with the URDF that is written for it, and what that has no place for."""
-    from armsight.store.calibrated_arm import as_urdf
+    from armsight.store.saving import as_urdf
 
     text, lost = as_urdf(found.arm)
     notes = (*found.notes, f"{path.name}: {lost}") if lost else found.notes

@@ -17,8 +17,8 @@ from armsight.fields import Bounds, Flag, Flags, bare, bounds_of, known_hints, m
 from armsight.ops.action import Action
 from armsight.ops.commands import in_python, parameter
 from armsight.records import require_count, require_kind, require_number
+from armsight.store.atomic import held_outputs
 from armsight.store.interpret import TableFormat
-from armsight.store.outputs import held_outputs
 
 P = ParamSpec("P")
 R = TypeVar("R")

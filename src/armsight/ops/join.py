@@ -20,10 +20,10 @@ from armsight.kinematics import Arm
 from armsight.records.output import output
 from armsight.records.result_parts import RejectedRow
 from armsight.shown import REJECTED_SHOWN, Shown, digits
+from armsight.store.atomic import TextOutput
 from armsight.store.covariances import POSITION_COVARIANCE
 from armsight.store.handeye_file import pairs_text
 from armsight.store.interpret import TableFormat
-from armsight.store.outputs import TextOutput
 from armsight.store.tables import Columns, cells, read_columns, word
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_reported_joints
 from armsight.units import MS

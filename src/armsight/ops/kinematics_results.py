@@ -34,9 +34,9 @@ from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store import read_joints, write_joints, write_poses
+from armsight.store.atomic import TextOutput
 from armsight.store.bags import JointStates, is_bag
 from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
-from armsight.store.outputs import TextOutput
 from armsight.store.tables import cells, number
 
 ROWS_AT_ONCE = 4096

@@ -8,7 +8,15 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeAlias, TypeVar
 
-from armsight.defaults import PATCH_PX, PATH_GAP_M, PATH_GAP_RAD, PICK_STD_PX, SMOOTHING_M, SMOOTHING_RAD
+from armsight.defaults import (
+    EXPORT_ACCELERATION_M_S2,
+    PATCH_PX,
+    PATH_GAP_M,
+    PATH_GAP_RAD,
+    PICK_STD_PX,
+    SMOOTHING_M,
+    SMOOTHING_RAD,
+)
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
@@ -228,7 +236,7 @@ def export(
     name: Annotated[str | None, Doc("Name of the program. [default: the file's]")] = None,
     speed_m_s: Speed = None,
     blend_m: Annotated[float, Doc("Radius of blends or zones, m; 0 stops at rows.")] = 0.0,
-    acceleration_m_s2: Annotated[float, Doc("Of the tool, m/s^2.")] = 0.5,
+    acceleration_m_s2: Annotated[float, Doc("Of the tool, m/s^2.")] = EXPORT_ACCELERATION_M_S2,
     approach_m: Annotated[float, Doc("How far back along the tool it begins and ends, m.")] = 0.05,
     tool: Annotated[str | None, Doc("KRL: number of TOOL_DATA; RAPID: name of the tooldata.")] = None,
     weld_output: Annotated[str | None, Doc("Digital output of weld_on and weld_off. [default: comments alone]")] = None,
@@ -322,8 +330,8 @@ def from_picks(
     from armsight.measure.correspondence import PatchSettings, StereoViews
     from armsight.ops.path.picks import axis_of, find_places, path_of_places
     from armsight.records import Silent
+    from armsight.store.rigs import World, read_world
     from armsight.store.spots_csv import read_picks
-    from armsight.store.worlds import World, read_world
 
     settings = PatchSettings(half_px=patch_px // 2, near_m=near_m, far_m=far_m, pick_std_px=pick_std_px)
     views = StereoViews(rig=rig, left=left, right=right)

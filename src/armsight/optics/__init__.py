@@ -8,9 +8,12 @@ from armsight.optics.rig import (
     MountedZoom,
     PackedRig,
     Rig,
+    RigAtZoom,
     RigKind,
+    at_zoom,
     converged_rig,
     parallel_rig,
+    with_zoom,
 )
 from armsight.optics.triangulate import (
     Triangulation,
@@ -21,7 +24,6 @@ from armsight.optics.triangulate import (
     triangulate_closed,
 )
 from armsight.optics.zoom import LeftOut, ZoomLens, ZoomSetting, ZoomState
-from armsight.optics.zoom_rig import RigAtZoom, at_zoom, with_zoom
 
 __all__ = [
     "FISHEYE_INTRINSICS",

@@ -9,19 +9,13 @@ from armsight.fields import loaded_names
 if TYPE_CHECKING:
     from armsight.report.calibration import calibration_report as calibration_report
     from armsight.report.measure import measure_report as measure_report
-    from armsight.report.run import CalibrationRun as CalibrationRun
-    from armsight.report.run import CameraFit as CameraFit
     from armsight.report.run import MeasureRun as MeasureRun
-    from armsight.report.run import Parameter as Parameter
     from armsight.report.run import Sample as Sample
 
 _PLACES = {
     "calibration_report": "calibration",
     "measure_report": "measure",
-    "CalibrationRun": "run",
-    "CameraFit": "run",
     "MeasureRun": "run",
-    "Parameter": "run",
     "Sample": "run",
 }
 

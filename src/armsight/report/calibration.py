@@ -1,41 +1,61 @@
-"""report.html of a calibration."""
+"""report.html of a calibration of a camera or of a pair of them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 
 import numpy as np
 
+from armsight.arrays import Array
+from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras.preconditions import image_share
-from armsight.report.figures import BLUE, ORANGE, Figure, axis, bars, layout, named_ticks, short_names
+from armsight.calibrate.mirrors.result import MirrorsOutput
+from armsight.optics import INTRINSICS, SIDES, Camera
+from armsight.records import NamedCovariance
+from armsight.report.figures import BLUE, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, bullets, table, text
 from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, residual_figure
-from armsight.report.run import CalibrationRun, CameraFit
+from armsight.report.run import BoardViews
 from armsight.report.scene import add_boards
 from armsight.units import MM, figure_of, with_deviation
+
+Done = CameraCalibration | StereoCalibration
 
 LONG_TABLE = 12
 """Rows above which a table is set in two columns."""
 
 
-def calibration_report(run: CalibrationRun, *, created: datetime | None = None) -> str:
-    """Return the page of a calibration as HTML text that needs no other file."""
+def calibration_report(
+    done: Done,
+    shown: str,
+    boards: BoardViews | None = None,
+    *,
+    facts: Sequence[tuple[str, str]] = (),
+    created: datetime | None = None,
+) -> str:
+    """Return the page of a calibration as HTML text that needs no other file.
+
+    shown: what the images show, in words. boards: where it was, with pictures. facts: more lines for what went in.
+    """
+    pair, noun, n, thing = _words(done)
     page = Page(
-        title=run.title,
-        subtitle=run.subtitle or f"{run.n_used} of {run.n_images} {_noun(run)} of the {run.thing} {run.board}",
-        verdict=run.verdict,
-        cards=_cards(run),
+        title=f"Calibration of a {pair}",
+        subtitle=f"{done.n_used} of {n} {noun} of the {thing} {shown}",
+        verdict=done.verdict_,
+        cards=_cards(done),
     )
-    _add_parameters(page, run)
-    if run.alignment:
-        page.add(
-            "Alignment", "How the two views stand to each other.", table(["", ""], [list(r) for r in run.alignment])
-        )
-    _add_images(page, run)
-    if run.boards is not None:
-        add_boards(page, run.boards)
-    _add_coverage(page, run)
-    clouds = {fit.name: fit.residual_px for fit in run.cameras if len(fit.residual_px)}
+    metric = _metric(done)
+    _add_parameters(page, done, metric)
+    if not isinstance(done, CameraCalibration):
+        plate = done.plate_words() if isinstance(done, MirrorsOutput) else ()
+        rows = [[name, value] for name, value in (*alignment_lines(done), *plate)]
+        page.add("Alignment", "How the two views stand to each other.", table(["", ""], rows))
+    _add_images(page, done)
+    if boards is not None:
+        add_boards(page, boards)
+    _add_coverage(page, done)
+    clouds = {name: left for name, (_, _, left) in _cameras(done).items() if len(left)}
     if clouds:
         page.add(
             "Residuals",
@@ -43,65 +63,113 @@ def calibration_report(run: CalibrationRun, *, created: datetime | None = None) 
             "a board or a corner that does not fit.",
             page.plot(residual_figure(clouds)),
         )
-    _add_rejected(page, run)
-    rows = [[run.thing, run.board], *([name, value] for name, value in run.facts)]
-    page.add("What went in", "", table(["", ""], rows))
+    _add_rejected(page, done.rejected)
+    page.add("What went in", "", table(["", ""], [[thing, shown], *([name, value] for name, value in facts)]))
     return page.html(created=created or datetime.now())
 
 
-def _noun(run: CalibrationRun) -> str:
-    return "pairs" if len(run.cameras) > 1 else "images"
+def _words(done: Done) -> tuple[str, str, int, str]:
+    """Return what was calibrated, from how many images or pairs, and what they show."""
+    if isinstance(done, CameraCalibration):
+        return "camera", "images", done.n_images, "board"
+    return "mirror rig" if isinstance(done, MirrorsOutput) else "pair of cameras", "pairs", done.n_pairs, done.thing
 
 
-def coverage(fit: CameraFit) -> float:
-    """Return the share of the image that lies between the points (their convex hull)."""
-    return image_share(fit.uv_px, fit.camera.width, fit.camera.height)
+def _cameras(done: Done) -> dict[str, tuple[Camera, Array, Array]]:
+    """Return each camera by name, with every point used (n, 2) and its residual (n, 2), measured minus model."""
+    clouds = done.clouds()
+    if isinstance(done, CameraCalibration):
+        return {name: (done.camera, uv, -left) for name, (uv, left) in clouds.items()}
+    return {side: (done.pair_rig().camera(side), uv, -left) for side, (uv, left) in clouds.items()}
 
 
-def _cards(run: CalibrationRun) -> list[Card]:
+def _metric(done: Done) -> dict[str, float]:
+    """Return lengths on the board, as the rig measures them on pairs left out of the fit, in m by name."""
+    if isinstance(done, CameraCalibration) or not done.metric_is_left_out:
+        return {}
+    return {name: m for name, m in done.metric.items() if m is not None}
+
+
+def alignment_lines(done: StereoCalibration) -> list[tuple[str, str]]:
+    """Return how parallel the pair stands, in words (Kapucu's alignment); as many digits as the standard deviations
+    allow."""
+    found = done.alignment
+    std = found.std or {}
+
+    def line(words: str, name: str, unit: str, scale: float) -> tuple[str, str]:
+        value, deviation = with_deviation(scale * getattr(found, name), scale * std[name] if name in std else None)
+        return words, f"{value} +- {deviation} {unit}" if name in std else f"{value} {unit}"
+
+    return [
+        line("axes turn towards each other by", "convergence_rad", "mrad", 1e3),
+        line("right axis points below the left one by", "vertical_rad", "mrad", 1e3),
+        line("right image lower at infinity by", "vertical_px", "px", 1.0),
+        line("right image turned by", "roll_rad", "mrad", 1e3),
+        line("right camera lower by", "height_m", "mm", 1e3),
+        line("right camera further forward by", "advance_m", "mm", 1e3),
+    ]
+
+
+def _cards(done: Done) -> list[Card]:
+    _, noun, n, _ = _words(done)
     cards = [
-        Card(name=f"{_noun(run)} used", value=f"{run.n_used} of {run.n_images}", note=f"{len(run.rejected)} rejected"),
-        Card(name="fit", value=figure_of(run.rms_px, "px"), note="RMS"),
+        Card(name=f"{noun} used", value=f"{done.n_used} of {n}", note=f"{len(done.rejected)} rejected"),
+        Card(name="fit", value=figure_of(done.rms_px, "px"), note="RMS"),
     ]
-    if run.holdout_rms_px is not None:
-        cards.append(Card(name="left out", value=figure_of(run.holdout_rms_px, "px"), note="RMS, k-fold"))
-    if run.holdout_epipolar_rms_px is not None or run.epipolar_rms_px is not None:
-        held = run.holdout_epipolar_rms_px is not None
-        value = run.holdout_epipolar_rms_px if held else run.epipolar_rms_px
-        cards.append(
-            Card(name="epipolar", value=figure_of(value, "px"), note="RMS, left out" if held else "RMS, in the fit")
-        )
-    if run.baseline_m is not None:
-        cards.append(Card(name="baseline", value=figure_of(run.baseline_m / MM, "mm", digits=5)))
-    if run.metric:
-        first = next(iter(run.metric))
-        shown = "rms_m" if "rms_m" in run.metric else first
-        cards.append(
-            Card(name="length on the board", value=figure_of(run.metric[shown] / MM, "mm"), note="RMS error, left out")
-        )
-    cards += [
-        Card(name=f"coverage, {fit.name}", value=f"{100 * coverage(fit):.0f} %", note="of the image")
-        for fit in run.cameras
-        if len(fit.uv_px)
-    ]
+    if done.holdout_rms_px is not None:
+        cards.append(Card(name="left out", value=figure_of(done.holdout_rms_px, "px"), note="RMS, k-fold"))
+    if not isinstance(done, CameraCalibration):
+        held = done.holdout_epipolar_rms_px
+        value = done.epipolar_rms_px if held is None else held
+        cards += [
+            Card(
+                name="epipolar",
+                value=figure_of(value, "px"),
+                note="RMS, in the fit" if held is None else "RMS, left out",
+            ),
+            Card(name="baseline", value=figure_of(done.pair_rig().baseline_m / MM, "mm", digits=5)),
+        ]
+    metric = _metric(done)
+    if metric:
+        value = metric.get("rms_m", next(iter(metric.values())))
+        cards.append(Card(name="length on the board", value=figure_of(value / MM, "mm"), note="RMS error, left out"))
+    for name, (camera, uv_px, _) in _cameras(done).items():
+        if len(uv_px):
+            share = image_share(uv_px, camera.width, camera.height)
+            cards.append(Card(name=f"coverage, {name}", value=f"{100 * share:.0f} %", note="of the image"))
     return cards
 
 
-def _add_parameters(page: Page, run: CalibrationRun) -> None:
-    rows = []
-    for parameter in run.parameters:
-        value, std = with_deviation(parameter.value, parameter.std)
-        rows.append([parameter.name, value, std, parameter.unit])
+def _parameters(done: Done) -> list[list[str]]:
+    """Return the rows of the table: name, value, standard deviation and unit."""
+    if isinstance(done, CameraCalibration):
+        return _intrinsics("", done.camera, done.covariance)
+    rig = done.pair_rig()
+    rows = [["baseline", *with_deviation(rig.baseline_m * 1e3, done.baseline_std_m * 1e3), "mm"]]
+    return rows + [row for side in SIDES for row in _intrinsics(f"{side}.", rig.camera(side), rig.covariance)]
+
+
+def _intrinsics(prefix: str, camera: Camera, covariance: NamedCovariance | None) -> list[list[str]]:
+    std: Mapping[str, float] = covariance.std() if covariance else {}
+    values = zip((f"{prefix}{name}" for name in INTRINSICS), camera.intrinsics, strict=True)
+    return [
+        [name, *with_deviation(float(value), std.get(name)), "px" if i < 5 else ""]
+        for i, (name, value) in enumerate(values)
+    ]
+
+
+def _add_parameters(page: Page, done: Done, metric: Mapping[str, float]) -> None:
+    rows = _parameters(done)
     half = len(rows) if len(rows) <= LONG_TABLE else (len(rows) + 1) // 2
     header = ["parameter", "value", "standard deviation", "unit"]
     pieces = [table(header, piece, numbers=(1, 2)) for piece in (rows[:half], rows[half:]) if piece]
     parts = [f'<div class="pair">{"".join(pieces)}</div>']
-    if run.metric:
-        lengths = [[_metric_name(name), f"{value / MM:.4f}"] for name, value in run.metric.items()]
-        metric = table(["lengths on the board, measured by the rig", "mm"], lengths, numbers=(1,))
-        parts.append(f'<div class="pair">{metric}</div>')
-    if run.advice:
-        parts.append(f"<p>What would make it better:</p>{bullets(list(run.advice))}")
+    if metric:
+        lengths = [[_metric_name(name), f"{value / MM:.4f}"] for name, value in metric.items()]
+        shown = table(["lengths on the board, measured by the rig", "mm"], lengths, numbers=(1,))
+        parts.append(f'<div class="pair">{shown}</div>')
+    if done.advice:
+        parts.append(f"<p>What would make it better:</p>{bullets(list(done.advice))}")
     page.add("Result", "Standard deviations are those of the fit: what this set of images leaves open.", *parts)
 
 
@@ -112,24 +180,19 @@ def _metric_name(name: str) -> str:
     )
 
 
-def _add_images(page: Page, run: CalibrationRun) -> None:
-    """Add the RMS of each image, one bar per camera, or one per pair where the cameras share one figure."""
-    fits = [fit for fit in run.cameras if fit.sources]
-    shared = len(fits) > 1 and all(np.array_equal(fit.view_rms_px, fits[0].view_rms_px) for fit in fits)
-    shown = fits[:1] if shared else fits
-    if not shown:
+def _add_images(page: Page, done: Done) -> None:
+    """Add the RMS of each image, or of each pair, under the name of its left image."""
+    sources = done.sources if isinstance(done, CameraCalibration) else tuple(names[0] for names in done.sources)
+    if not sources:
         return
-    width = 0.8 / len(shown)
-    data = []
-    for k, (fit, colour) in enumerate(zip(shown, (BLUE, ORANGE), strict=False)):
-        at = np.arange(1.0, len(fit.sources) + 1.0) + (k - 0.5 * (len(shown) - 1)) * width
-        hover = {"text": short_names(fit.sources), "hovertemplate": "%{text}<br>%{y:.3f} px<extra></extra>"}
-        data.append(bars(at, fit.view_rms_px, 0.9 * width, colour, name=text(fit.name), **hover))
+    hover = {"text": short_names(sources), "hovertemplate": "%{text}<br>%{y:.3f} px<extra></extra>"}
+    at, rms_px = np.arange(1.0, len(sources) + 1.0), np.asarray(done.view_rms_px, float)
     shape = layout(
-        showlegend=len(data) > 1,
-        xaxis=axis("", **named_ticks(short_names(shown[0].sources))),
+        showlegend=False,
+        xaxis=axis("", **named_ticks(short_names(sources))),
         yaxis=axis("RMS, px", rangemode="tozero"),
     )
+    data = [bars(at, rms_px, 0.9 * 0.8, BLUE, name=next(iter(_cameras(done))), **hover)]
     page.add(
         "Error of each image",
         "One that stands out was moved, blurred or badly detected.",
@@ -137,16 +200,16 @@ def _add_images(page: Page, run: CalibrationRun) -> None:
     )
 
 
-def _add_coverage(page: Page, run: CalibrationRun) -> None:
-    fits = [fit for fit in run.cameras if len(fit.uv_px)]
-    if not fits:
-        return
+def _add_coverage(page: Page, done: Done) -> None:
     figures = []
-    for fit in fits:
-        figure = coverage_figure(fit.uv_px, fit.residual_px, fit.camera.width, fit.camera.height)
-        scale = STROKE * fit.camera.width / (pooled_rms([fit.residual_px]) or 1.0)
-        caption = f"{fit.name}, residuals {scale:.0f} times enlarged"
-        figures.append(f"<figure>{page.plot(figure)}<figcaption>{text(caption)}</figcaption></figure>")
+    for name, (camera, uv_px, residual_px) in _cameras(done).items():
+        if len(uv_px):
+            figure = coverage_figure(uv_px, residual_px, camera.width, camera.height)
+            scale = STROKE * camera.width / (pooled_rms([residual_px]) or 1.0)
+            caption = f"{name}, residuals {scale:.0f} times enlarged"
+            figures.append(f"<figure>{page.plot(figure)}<figcaption>{text(caption)}</figcaption></figure>")
+    if not figures:
+        return
     page.add(
         "Coverage of the image",
         "Each dot is a point of the board in some image, each stroke its residual. The lens is known where dots are; "
@@ -155,10 +218,9 @@ def _add_coverage(page: Page, run: CalibrationRun) -> None:
     )
 
 
-def _add_rejected(page: Page, run: CalibrationRun) -> None:
-    if not run.rejected:
+def _add_rejected(page: Page, rejected: Sequence[tuple[str, str]]) -> None:
+    if not rejected:
         page.add("Rejected", "Nothing: every image was used.")
         return
-    page.add(
-        "Rejected", "Not in the fit, each with its reason.", table(["image", "why"], [[s, w] for s, w in run.rejected])
-    )
+    rows = [[image, why] for image, why in rejected]
+    page.add("Rejected", "Not in the fit, each with its reason.", table(["image", "why"], rows))

@@ -40,48 +40,46 @@ class Course:
     std: Array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CompareRun:
-    """What the page tells. a, b: names of the results; effects: what and how much, with its unit."""
+def compare_report(
+    kind: str,
+    names: tuple[str, str],
+    verdict: Verdict,
+    rows: Sequence[Difference],
+    *,
+    effects: Sequence[tuple[str, str]],
+    notes: Sequence[str],
+    course: Course | None = None,
+    created: datetime | None = None,
+) -> str:
+    """Return the page as HTML text that needs no other file.
 
-    kind: str
-    a: str
-    b: str
-    verdict: Verdict
-    p: float | None
-    rows: Sequence[Difference]
-    effects: Sequence[tuple[str, str]]
-    notes: Sequence[str]
-    course: Course | None = None
-
-
-def compare_report(run: CompareRun, *, created: datetime | None = None) -> str:
-    """Return the page as HTML text that needs no other file."""
+    names: of the results A and B. effects: what the differences come to and how much, with its unit.
+    """
     page = Page(
-        title=f"Comparison of {KINDS[run.kind]}",
-        subtitle=f"A is {run.a}, B is {run.b}",
-        verdict=run.verdict,
-        cards=[Card(name=name, value=value) for name, value in run.effects[:CARDS]],
+        title=f"Comparison of {KINDS[kind]}",
+        subtitle=f"A is {names[0]}, B is {names[1]}",
+        verdict=verdict,
+        cards=[Card(name=name, value=value) for name, value in effects[:CARDS]],
     )
-    if run.effects:
-        rows = [list(item) for item in run.effects]
-        page.add("What the differences come to", "", table(["", "how much"], rows, numbers=(1,)))
-    if any(row.sigmas is not None for row in run.rows):
+    if effects:
+        cells = [list(item) for item in effects]
+        page.add("What the differences come to", "", table(["", "how much"], cells, numbers=(1,)))
+    if any(row.sigmas is not None for row in rows):
         page.add(
             "Differences beside their uncertainty",
             f"B less A in standard deviations of the difference, A and B taken as independent; red beyond {BEYOND:g}. "
             "Single bars of numbers that hang together may be long or short for nothing: the verdict counts that.",
-            page.plot(_sigmas(run.rows)),
+            page.plot(_sigmas(rows)),
         )
-    if run.course is not None:
+    if course is not None:
         page.add(
             "Differences over time",
             "B less A, position and rotation, within the 95 % band of the difference.",
-            page.plot(_course(run.course)),
+            page.plot(_course(course)),
         )
-    page.add("Number by number", "", _table(run.rows))
-    if run.notes:
-        page.add("What to know", "", bullets(run.notes))
+    page.add("Number by number", "", _table(rows))
+    if notes:
+        page.add("What to know", "", bullets(notes))
     return page.html(created=created or datetime.now())
 
 

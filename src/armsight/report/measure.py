@@ -13,11 +13,10 @@ from armsight.measure.series import Errors, Series, errors_of, losses_of, median
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus, Target
 from armsight.report.figures import MAX_PLOTTED
-from armsight.report.frames import sample_figure
 from armsight.report.html import Card, Page, add_recordings, bullets, table
 from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
-from armsight.report.scene import scene_figure
+from armsight.report.scene import sample_figure, scene_figure
 from armsight.report.track import NEIGHBOURS, deviation_figure, scatter_of, time_figure, track_figure
 from armsight.units import MM, figure_of
 

@@ -77,37 +77,6 @@ class MeasureRun:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CameraFit:
-    """One camera of a calibration: the board's points in its images and what the fit left of them.
-
-    uv_px, residual_px: (m, 2). view_rms_px: RMS of each image, in the order of sources.
-    """
-
-    name: str
-    camera: Camera
-    uv_px: Array
-    residual_px: Array
-    sources: tuple[str, ...]
-    view_rms_px: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (None, 2)))
-        n = len(self.uv_px)
-        object.__setattr__(self, "residual_px", frozen_array("residual_px", self.residual_px, (n, 2)))
-        object.__setattr__(self, "view_rms_px", frozen_array("view_rms_px", self.view_rms_px, (len(self.sources),)))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Parameter:
-    """One number of a calibration, its standard deviation where known, and the unit of both."""
-
-    name: str
-    value: float
-    std: float | None
-    unit: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardPicture:
     """A small picture of one view of a board. webp: the file's bytes, of the whole image, width by height px at first.
 
@@ -141,36 +110,3 @@ class BoardViews:
     names: Sequence[str]
     rms_px: Sequence[float]
     pictures: Sequence[tuple[int, BoardPicture]] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CalibrationRun:
-    """A calibration of one camera or of a pair.
-
-    n_images: images (or pairs) given; n_used: of them in the fit. rms_px and the other RMS are pooled over points;
-    holdout: on images left out of the fit. metric: name and value in m of lengths on the board, measured by the rig
-    on left-out pairs. alignment: lines on how the views stand to each other. facts: more lines for the table of inputs.
-    advice: what would make it better. doubts: where the board's squares, or the pixels, are none. thing: what the
-    images show. boards: where they were, with pictures.
-    """
-
-    title: str
-    board: str
-    cameras: Sequence[CameraFit]
-    parameters: Sequence[Parameter]
-    n_images: int
-    n_used: int
-    rms_px: float
-    verdict: Verdict
-    holdout_rms_px: float | None = None
-    epipolar_rms_px: float | None = None
-    holdout_epipolar_rms_px: float | None = None
-    baseline_m: float | None = None
-    metric: Mapping[str, float] = field(default_factory=dict)
-    rejected: Sequence[tuple[str, str]] = ()
-    facts: Sequence[tuple[str, str]] = ()
-    advice: Sequence[str] = ()
-    thing: str = "board"
-    alignment: Sequence[tuple[str, str]] = ()
-    subtitle: str = ""
-    boards: BoardViews | None = None

@@ -18,7 +18,7 @@ from armsight.optics import Camera, LensKind, parallel_rig
 from armsight.optics.mirrors import Mirrors
 from armsight.records.target import spot_target, unmeasured_target
 from armsight.store import write_rig, write_target
-from armsight.store.worlds import World, write_world
+from armsight.store.rigs import World, write_world
 from armsight.units import DEG
 from armsight_lab.design.changes import CHANGES, _doubled, reaches
 from armsight_lab.design.plan import plan_of

@@ -48,7 +48,7 @@ from armsight.store import (
 )
 from armsight.store.arm_file import read_arm
 from armsight.store.arm_points import read_sweeps
-from armsight.store.worlds import World, write_world
+from armsight.store.rigs import World, write_world
 from armsight_sim.live import live_cell
 from armsight_sim.scenario_builder import build_world
 from refusals import refuses

@@ -20,7 +20,7 @@ from armsight.ops.verify import supervise
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.recording import Recording
-from armsight.store.worlds import World, write_world
+from armsight.store.rigs import World, write_world
 from armsight_plant.options import FoxgloveOptions, PlantOptions
 from armsight_plant.publishing import Publishing
 from armsight_plant.state import PlantState, conditions

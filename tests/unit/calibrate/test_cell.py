@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.calibrate.cell.assignment import moves, tracklets
 from armsight.calibrate.cell.fit import WAVES, CellData, blocks_of, fit_cell
 from armsight.calibrate.cell.knowledge import ArmTolerance, default_knowledge, pair_slopes
 from armsight.calibrate.cell.model import BlockNormals, CellModel, start_vector
 from armsight.calibrate.cell.observations import Spots, recording_of
-from armsight.calibrate.cell.tip import tip_slopes
-from armsight.calibrate.cell.tracklets import moves, tracklets
+from armsight.calibrate.cell.result import tip_slopes
 from armsight.calibrate.cell.wander import JointDrift
 from armsight.geometry import align_points
 from armsight.kinematics import fk, preset

@@ -13,7 +13,7 @@ import pytest
 from armsight.kinematics import Coupling, fk, moved, preset
 from armsight.ops.calibrate_robot import calibrate_arm
 from armsight.store.arm_file import read_arm
-from armsight.store.calibrated_arm import write_calibrated_arm
+from armsight.store.saving import write_calibrated_arm
 from armsight.store.urdf import read_urdf
 from refusals import names_it
 

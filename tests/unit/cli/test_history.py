@@ -21,7 +21,7 @@ from armsight.cli.commands import app
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.entry import Entry
 from armsight_lab.history.figures import figures_of, parameters_of
-from armsight_lab.history.filing import Made, entry_of_result
+from armsight_lab.history.filing import entry_of_result
 from armsight_lab.history.place import place_of
 
 Run = Callable[..., object]
@@ -420,7 +420,5 @@ def test_tables_for_people(history, tmp_path):
         assert done.stdout == ""
         for text in texts:
             assert text in done.stderr
-    entry = entry_of_result(
-        {}, parameters_of({}, None), Made(command="verify", cell="a", created="2026-01-01", inputs=())
-    )
+    entry = entry_of_result({}, parameters_of({}, None), (), command="verify", cell="a", created="2026-01-01")
     assert (entry.trusted, entry.figures) == (True, ())

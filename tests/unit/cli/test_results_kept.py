@@ -17,7 +17,7 @@ from armsight.app.simulate.run import simulate
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
 from armsight.records import Silent
-from armsight.store.outputs import FAILED, EarlierResults
+from armsight.store.atomic import FAILED, EarlierResults
 from refusals import names_it
 
 NAMES = ("poses.csv", "left", "report.html")

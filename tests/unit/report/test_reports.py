@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.cameras.verdict import images_doubted, images_verdict
+from armsight.calibrate.cameras.preconditions import images_doubted, images_verdict
 from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.kinematics import preset
@@ -25,16 +25,13 @@ from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
 from armsight.records.result_parts import Difference, Verdict
 from armsight.report import (
-    CalibrationRun,
-    CameraFit,
     MeasureRun,
-    Parameter,
     Sample,
     calibration_report,
     measure_report,
 )
 from armsight.report.arm_view import arm_report
-from armsight.report.compare_report import CompareRun, Course, compare_report
+from armsight.report.compare_report import Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Page
 from armsight.report.measure import ranges
@@ -177,37 +174,37 @@ def full_run(**more):
 
 
 def full_calibration(**more):
+    """What a page reads of the calibration of a pair."""
     rng = np.random.default_rng(2)
-    n = 500
-    fits = [
-        CameraFit(
-            name=name,
-            camera=CAMERA,
-            uv_px=rng.uniform((0, 0), (640, 480), (n, 2)),
-            residual_px=0.1 * rng.standard_normal((n, 2)),
-            sources=tuple(f"{HOSTILE}/{HOSTILE}{i}.png" for i in range(9)),
-            view_rms_px=rng.uniform(0.05, 0.15, 9),
-        )
-        for name in (HOSTILE, "right")
-    ]
+    uv_px, left = rng.uniform((0, 0), (640, 480), (500, 2)), 0.1 * rng.standard_normal((500, 2))
+    stands = dict.fromkeys(
+        ("convergence_rad", "vertical_rad", "vertical_px", "roll_rad", "height_m", "advance_m"), 1e-3
+    )
     given = {
-        "title": HOSTILE,
-        "board": HOSTILE,
-        "cameras": fits,
-        "parameters": [Parameter(name=HOSTILE, value=533.4751, std=0.41, unit="px")] * 20,
-        "n_images": 10,
+        "thing": HOSTILE,
+        "clouds": lambda: {"left": (uv_px, left), "right": (uv_px, left)},
+        "pair_rig": lambda: RIG,
+        "baseline_std_m": 1e-5,
+        "alignment": SimpleNamespace(**stands, std=None),
+        "sources": [(f"{HOSTILE}/{HOSTILE}{i}.png",) * 2 for i in range(9)],
+        "view_rms_px": rng.uniform(0.05, 0.15, 9),
+        "n_pairs": 10,
         "n_used": 9,
         "rms_px": 0.135,
-        "verdict": Verdict(level="care", headline="Usable with care", reasons=[HOSTILE], next=[HOSTILE]),
+        "verdict_": Verdict(level="care", headline="Usable with care", reasons=[HOSTILE], next=[HOSTILE]),
         "holdout_rms_px": 0.161,
+        "epipolar_rms_px": 0.17,
         "holdout_epipolar_rms_px": 0.178,
-        "baseline_m": 0.08319,
         "metric": {"expected_m": 0.025, "mean_m": 0.025003, "rms_m": 0.000198},
+        "metric_is_left_out": True,
         "rejected": [(HOSTILE, HOSTILE)],
-        "facts": [(HOSTILE, HOSTILE)],
         "advice": [HOSTILE],
     }
-    return CalibrationRun(**(given | more))
+    return SimpleNamespace(**(given | more))
+
+
+def calibration_page(**more):
+    return calibration_report(full_calibration(**more), HOSTILE, facts=[(HOSTILE, HOSTILE)])
 
 
 def assert_figures_hold_together(figures):
@@ -231,7 +228,7 @@ def assert_figures_hold_together(figures):
                         assert f"{content[tie][0]}axis{content[tie][1:]}" in layout, (name, tie)
 
 
-@pytest.mark.parametrize("make", [lambda: measure_report(full_run()), lambda: calibration_report(full_calibration())])
+@pytest.mark.parametrize("make", [lambda: measure_report(full_run()), calibration_page])
 def test_a_page_is_complete_in_itself_and_runs_nothing_that_names_say(make):
     page = make()
     tags = Tags(page)
@@ -245,7 +242,7 @@ def test_a_page_is_complete_in_itself_and_runs_nothing_that_names_say(make):
 
 
 def test_plotly_gets_no_markup_from_names():
-    figures = Tags(calibration_report(full_calibration())).figures
+    figures = Tags(calibration_page()).figures
     text = json.dumps(figures)
     assert "<script" not in text
     assert "<img" not in text
@@ -382,46 +379,26 @@ def test_the_verdict_on_a_calibration(case):
     verdict = images_verdict("9 of 10 pairs fit", doubts, [], squares=False, noun="pairs")
     assert verdict.level == ("care" if reason else "good")
     assert reason in verdict.reasons[0] and len(doubts) == (0 if not reason else 2 if case == "left out badly" else 1)
-    page = Tags(calibration_report(full_calibration(verdict=verdict))).text
+    page = Tags(calibration_page(verdict_=verdict)).text
     assert all(part in page for part in (verdict.headline, *verdict.reasons, *verdict.next))
 
 
 def test_a_calibration_without_points_still_makes_a_page():
-    bare = CameraFit(
-        name="camera",
-        camera=CAMERA,
-        uv_px=np.empty((0, 2)),
-        residual_px=np.empty((0, 2)),
-        sources=(),
-        view_rms_px=np.empty(0),
-    )
-    text = Tags(calibration_report(full_calibration(cameras=[bare], rejected=(), metric={}, holdout_rms_px=None))).text
+    none = np.empty((0, 2))
+    bare = {"clouds": lambda: dict.fromkeys(("left", "right"), (none, none)), "sources": [], "view_rms_px": []}
+    text = Tags(calibration_page(**bare, rejected=(), metric={}, holdout_rms_px=None)).text
     assert "every image" in text
 
 
-def test_one_bar_per_pair_where_the_cameras_share_their_error():
-    run = full_calibration()
-    shared = [
-        CameraFit(
-            name=fit.name,
-            camera=CAMERA,
-            uv_px=fit.uv_px,
-            residual_px=fit.residual_px,
-            sources=fit.sources,
-            view_rms_px=run.cameras[0].view_rms_px,
-        )
-        for fit in run.cameras
-    ]
-    for cameras, bars in ((run.cameras, 2), (shared, 1)):
-        figure = Tags(calibration_report(full_calibration(cameras=cameras))).figures[0]
-        assert [trace["fill"] for trace in figure["data"]] == ["toself"] * bars
+def test_one_bar_per_pair():
+    figure = Tags(calibration_page()).figures[0]
+    assert [trace["fill"] for trace in figure["data"]] == ["toself"]
 
 
 CHROMIUM = Path("/usr/bin/chromium")
 
 
 def boards_page():
-    camera = full_calibration().cameras[0].camera
     poses = [RigidTransform.from_translation([0.1 * k, 0.0, 1.0]) for k in range(3)]
     picture = BoardPicture(
         name="left/a-picture-with-a-long-name-0001.png",
@@ -435,7 +412,7 @@ def boards_page():
         parent="the camera",
         outline_m=np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.2, 0.1, 0.0]]),
         T_parent_board=poses,
-        cameras=[("camera", camera, RigidTransform.identity())],
+        cameras=[("camera", CAMERA, RigidTransform.identity())],
         names=["left/a-picture-with-a-long-name-0001.png"] * 3,
         rms_px=[0.1, 0.2, 0.3],
         pictures=[(k, picture) for k in range(3)],
@@ -450,16 +427,15 @@ def boards_page():
 def compare_page():
     rows = [Difference(name="left.cx", unit="px", a=320.0, b=321.8, difference=1.8, std=0.43)] * 24
     course = Course(t_s=np.arange(50.0), values=np.full((50, 6), 1e-3), std=np.full((50, 6), 1e-3))
-    shared = {"kind": "rig", "a": "/a/very/long/way/to/a/result/before.yaml", "b": "after.yaml"}
+    names = ("/a/very/long/way/to/a/result/before.yaml", "after.yaml")
     verdict = Verdict(level="bad", headline="They differ", reasons=["It moved."], next=["Look."])
-    told = {"verdict": verdict, "p": 0.0, "effects": [("shift", "1.8 px")], "notes": ["One."]}
-    return compare_report(CompareRun(rows=rows, course=course, **shared, **told))
+    return compare_report("rig", names, verdict, rows, effects=[("shift", "1.8 px")], notes=["One."], course=course)
 
 
 PAGES = {
     "measure": lambda: measure_report(full_run()),
     "measure without truth": lambda: measure_report(full_run(poses=poses_and_truth(60)[0], truth=None, samples=())),
-    "calibration": lambda: calibration_report(full_calibration()),
+    "calibration": calibration_page,
     "boards": boards_page,
     "compare": compare_page,
     "arm": lambda: arm_report(preset("irb120"), np.zeros(6)),

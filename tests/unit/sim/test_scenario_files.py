@@ -20,8 +20,8 @@ from armsight.app.simulate.scenarios import load_scenario, scenario_names
 from armsight.errors import ArmsightError, BadFile, DeviceNotFound, Inconsistent
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import read_arm
+from armsight.store.rigs import read_world
 from armsight.store.tracks import read_joints, read_poses
-from armsight.store.worlds import read_world
 from armsight_sim.scenario_builder import build_world
 from armsight_sim.scenario_schema import Scenario
 from armsight_sim.world import World

@@ -17,13 +17,12 @@ from armsight.store.interpret.names import ROLES
 from armsight.store.interpret.read import is_ours
 from armsight.store.limits_file import limits_from_mapping
 from armsight.store.path_file import PLAN_COLUMNS, parse_path
-from armsight.store.rigs import CameraModel, rig_from_mapping
+from armsight.store.rigs import CameraModel, rig_from_mapping, world_from_mapping
 from armsight.store.spots_csv import parse_picks, parse_spot_track
 from armsight.store.tables import parse_table
 from armsight.store.targets import target_from_mapping
 from armsight.store.tokens import TokensModel
 from armsight.store.tracks import POINT_COLUMNS, SPOT_COLUMNS, parse_joints, parse_poses, parse_times
-from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import dump_yaml, parse_yaml
 from armsight.store.zoom import is_zoom_camera, zoom_camera_from_mapping
 from armsight.verify.live import ERROR_COLUMNS

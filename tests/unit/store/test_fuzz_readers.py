@@ -13,9 +13,9 @@ from armsight.store.foreign.kalibr import kalibr_rig
 from armsight.store.foreign.opencv import opencv_camera, opencv_rig
 from armsight.store.foreign.ros import ros_camera, ros_rig
 from armsight.store.foreign.storage import kind_of_mapping
+from armsight.store.rigs import world_from_mapping
 from armsight.store.spots_csv import parse_spot_track
 from armsight.store.tracks import parse_joints, parse_poses, parse_times
-from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import dump_yaml, parse_yaml
 from refusals import refuses
 

@@ -14,7 +14,7 @@ from armsight.cli.command import WRITTEN, Command
 from armsight.cli.commands import app
 from armsight.cli.examples import every_command
 from armsight.errors import DeviceFailed, UsageError
-from armsight.store.outputs import held_outputs, refuse_output
+from armsight.store.atomic import held_outputs, refuse_output
 from refusals import refuses
 
 JOINTS = "q1,q2,q3,q4,q5,q6\n0.1,-1.0,1.2,-0.3,1.2,0.4\n"

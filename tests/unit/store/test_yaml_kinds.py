@@ -299,7 +299,7 @@ def test_a_file_of_another_format_is_told_apart(tmp_path):
 
 
 def test_world_wants_exactly_one_parent():
-    from armsight.store.worlds import world_from_mapping
+    from armsight.store.rigs import world_from_mapping
 
     pose = {"xyz_m": [0.0, 0.0, 0.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
     assert world_from_mapping({"T_base_rig": pose}).parent == "base"

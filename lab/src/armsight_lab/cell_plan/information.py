@@ -19,7 +19,7 @@ from armsight.calibrate.cell.fit import gauge
 from armsight.calibrate.cell.knowledge import ArmTolerance, Knowledge, default_knowledge, shape_information
 from armsight.calibrate.cell.model import CAMERA_POSE, PER_CAMERA, CellModel
 from armsight.calibrate.cell.observations import CellRecording, JointLog, Spots
-from armsight.calibrate.cell.tip import tip_slopes
+from armsight.calibrate.cell.result import tip_slopes
 from armsight.calibrate.timing.stamps import SteadyStamps
 from armsight.kinematics import Arm
 from armsight.optics import INTRINSICS, SIDES

@@ -36,7 +36,7 @@ from armsight_lab.history.entry import (
     whole_moment,
 )
 from armsight_lab.history.figures import Parameters, of_arm, parameters_of, point_named, pose_named
-from armsight_lab.history.filing import Made, entry_of_result, hash_of
+from armsight_lab.history.filing import entry_of_result, hash_of
 from armsight_lab.history.place import Place, place_of
 from armsight_lab.history.request import AddJob
 
@@ -139,12 +139,10 @@ def _of_file(job: AddJob, notes: list[str]) -> Entry:
     return entry_of_result(
         content,
         parameters_of(content, arm if command == "calibrate arm" else None),
-        Made(
-            command=command,
-            cell=_cell(job),
-            created=_created(job, None, notes),
-            inputs=(InputFile(flag="result", path=str(job.result), sha256=hash_of(str(job.result))),),
-        ),
+        [InputFile(flag="result", path=str(job.result), sha256=hash_of(str(job.result)))],
+        command=command,
+        cell=_cell(job),
+        created=_created(job, None, notes),
     )
 
 
@@ -211,17 +209,13 @@ def _of_yaml(job: AddJob, notes: list[str]) -> Entry:
     inputs = content.get("inputs")
     given = [one for one in inputs if isinstance(one, Mapping)] if isinstance(inputs, list) else []
     held = content.get("created")
-    made = Made(
-        command=command,
-        cell=_cell(job),
-        created=_created(job, held if isinstance(held, str) else None, notes),
-        inputs=tuple(
-            InputFile(flag=f"input {i}", path=str(one.get("path"))[-1000:], sha256=str(one.get("sha256"))[:64])
-            for i, one in enumerate(given, 1)
-        ),
-        software=str(content.get("software") or "unknown")[:60],
-    )
-    return entry_of_result(figures, found, made)
+    read = [
+        InputFile(flag=f"input {i}", path=str(one.get("path"))[-1000:], sha256=str(one.get("sha256"))[:64])
+        for i, one in enumerate(given, 1)
+    ]
+    created = _created(job, held if isinstance(held, str) else None, notes)
+    entry = entry_of_result(figures, found, read, command=command, cell=_cell(job), created=created)
+    return replace(entry, software=str(content.get("software") or "unknown")[:60])
 
 
 def _calibrated(content: Mapping[str, Any], path: Path) -> tuple[str, Parameters]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -54,11 +54,10 @@ class Filing:
     def _entry(self, result: Output, exit_code: int, reason: str) -> Entry:
         arm = getattr(result, "arm", None)
         content = json.loads(result.to_json())
-        made = Made(
-            command=self.command, cell=self.cell, created=utc(datetime.now(UTC)), inputs=tuple(_inputs(self.given))
-        )
         found = parameters_of(content, arm if isinstance(arm, Arm) else None)
-        return entry_of_result(content, found, made, exit_code=exit_code, reason=reason)
+        inputs, now = _inputs(self.given), utc(datetime.now(UTC))
+        made = {"command": self.command, "cell": self.cell, "created": now, "reason": reason}
+        return entry_of_result(content, found, inputs, exit_code=exit_code, **made)
 
     def _kept(self, entry: Entry) -> str:
         """Write the run beside its result, to be filed later; return what to tell."""
@@ -88,33 +87,32 @@ def filing(command: str, cell: str | None, history: str | None, given: Mapping[s
     return Filing(command=command, cell=name, place=place, given=given)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Made:
-    """Where a result comes from. created: as the history holds moments."""
-
-    command: str
-    cell: str
-    created: str
-    inputs: tuple[InputFile, ...]
-    software: str = f"armsight {__version__}"
-
-
-def entry_of_result(content: Content, found: Parameters, made: Made, *, exit_code: int = 0, reason: str = "") -> Entry:
-    """Return a run as the history holds it, of a result's JSON object."""
+def entry_of_result(
+    content: Content,
+    found: Parameters,
+    inputs: Iterable[InputFile],
+    *,
+    command: str,
+    cell: str,
+    created: str,
+    exit_code: int = 0,
+    reason: str = "",
+) -> Entry:
+    """Return a run as the history holds it, of a result's JSON object. created: as the history holds moments."""
     concerns = content.get("concerns")
     doubts = "; ".join(map(str, concerns)) if isinstance(concerns, list) else ""
     return Entry(
-        cell=made.cell,
-        command=made.command,
-        created=made.created,
-        software=made.software,
+        cell=cell,
+        command=command,
+        created=created,
+        software=f"armsight {__version__}",
         verdict=str(content.get("verdict") or ""),
         trusted=exit_code == 0 and not doubts,
         exit_code=exit_code,
         reason=reason or doubts,
         arm=found.arm[:200],
         joints=found.joints[:60],
-        inputs=made.inputs,
+        inputs=tuple(inputs),
         figures=figures_of(content),
         parameters=found.quantities,
         poses=found.poses,

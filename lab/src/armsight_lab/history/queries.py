@@ -118,17 +118,17 @@ def numbers(connection: Connection) -> tuple[int, int] | None:
 
 def inputs_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[InputFile]]:
     """Return the inputs of runs by their numbers."""
-    return _by_run(connection, inputs, numbers, lambda row: InputFile(flag=row.flag, path=row.path, sha256=row.sha256))
+    return _by_run(connection, inputs, numbers, lambda row: _made(InputFile, row))
 
 
 def figures_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[Quantity]]:
     """Return all numbers of the results of runs."""
-    return _by_run(connection, figures, numbers, _quantity)
+    return _by_run(connection, figures, numbers, lambda row: _made(Quantity, row))
 
 
 def parameters_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[Quantity]]:
     """Return what was calibrated in runs."""
-    return _by_run(connection, parameters, numbers, _quantity)
+    return _by_run(connection, parameters, numbers, lambda row: _made(Quantity, row))
 
 
 def poses_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[StoredPose]]:
@@ -136,8 +136,8 @@ def poses_of(connection: Connection, numbers: Sequence[int]) -> dict[int, list[S
     return _by_run(connection, poses, numbers, _stored)
 
 
-def _quantity(row: Any) -> Quantity:
-    return Quantity(name=row.name, value=row.value, std=row.std, unit=row.unit)
+def _made(kind: Any, row: Any) -> Any:
+    return kind(**{one.name: getattr(row, one.name) for one in fields(kind)})
 
 
 def _stored(row: Any) -> StoredPose:

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from armsight.app.live.station import MeasurementProcess
-from armsight.calibrate.mirrors.adjustment import MirrorTurn
-from armsight.calibrate.mirrors.diagnosis import APART, STILL
+from armsight.calibrate.mirrors.diagnosis import APART, STILL, MirrorTurn
 from armsight.calibrate.mirrors.result import MirrorCheckOutput, check_output
 from armsight.drivers import read_image
 from armsight.errors import UsageError

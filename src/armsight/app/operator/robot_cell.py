@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from armsight._files import DeviceLock
 from armsight.app.live.measurement import FollowedCell
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.requests.motion import RobotJob
@@ -25,7 +26,6 @@ from armsight.control.guard import Limits
 from armsight.control.session.channels import JointTrack
 from armsight.control.session.operator_session import OperatorSession
 from armsight.control.session.service import Service
-from armsight.drivers.lock import DeviceLock
 from armsight.errors import NotEnoughData
 from armsight.kinematics import Arm, link_frames
 from armsight.records import JointReading

@@ -21,12 +21,11 @@ from armsight.store import rig_from_mapping, target_from_mapping, write_rig, wri
 from armsight.store.arm_file import ARM_YAML, arm_from_mapping, write_arm
 from armsight.store.covariances import POSE_COLUMNS
 from armsight.store.handeye_file import write_handeye_poses
-from armsight.store.rigs import CAMERA_YAML, RIG_YAML
+from armsight.store.rigs import CAMERA_YAML, RIG_YAML, World, write_world
 from armsight.store.schema import write_document
 from armsight.store.tables import cells, number
 from armsight.store.targets import TARGET_YAML
 from armsight.store.tracks import write_joints
-from armsight.store.worlds import World, write_world
 from armsight.store.yamls import dump_yaml
 
 CELL_FRAMES = 100

@@ -20,7 +20,7 @@ from armsight.kinematics import Arm
 from armsight.ops.sources.frames import open_pairs
 from armsight.optics import SIDES
 from armsight.records import Frame, Progress, Target
-from armsight.store.worlds import World
+from armsight.store.rigs import World
 from armsight.units import DEG
 from armsight.verify.live import LiveLog, VerifyLiveOutput
 from armsight.verify.supervision import Limits

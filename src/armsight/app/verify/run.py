@@ -20,8 +20,8 @@ from armsight.store import read_table
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import read_output
 from armsight.store.interpret import TableFormat
+from armsight.store.rigs import World
 from armsight.store.verify_files import CommandedFile, MeasuredFile, read_commanded, read_reported_joints
-from armsight.store.worlds import World
 from armsight.verify import Align, Measured, Repeats, Reported, verify
 from armsight.verify.repeats import Command
 from armsight.verify.results import ComparedRun, EarlierRun, VerifyResult

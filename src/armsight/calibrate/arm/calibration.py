@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, with_held_geometry
+from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, still, with_held_geometry
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm, limits_reached, tool_points
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
@@ -24,7 +24,6 @@ from armsight.calibrate.arm.model_selection import (
     significant_gain,
 )
 from armsight.calibrate.arm.other_arm import other_arm
-from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import (
     MOST_SHARE,
     check_apart,

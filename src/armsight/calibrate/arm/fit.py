@@ -13,7 +13,7 @@ from armsight.arrays import Array
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.columns import POSITION, ROTATION_VECTOR
-from armsight.defaults import ANGLE_RAD, LENGTH_M, SAG
+from armsight.defaults import ANGLE_RAD, JOINT_SCALE, LENGTH_M, SAG
 from armsight.fields import Doc
 from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
 from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
@@ -48,7 +48,7 @@ class Tolerance:
 
     length_m: float = LENGTH_M
     angle_rad: float = ANGLE_RAD
-    scale: float = 0.02
+    scale: float = JOINT_SCALE
     coupling: float = 0.1
     sag: float = SAG
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from armsight.arrays import Array
+from armsight.calibrate.arm.covariance import Choice, choose, orthonormal_basis
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, estimate_noise, fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
-from armsight.calibrate.arm.parameter_selection import Choice, choose, orthonormal_basis
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate, NotConverged, NotEnoughData
 from armsight.fields import Doc

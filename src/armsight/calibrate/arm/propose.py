@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
+from armsight.calibrate.arm.covariance import choose
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, is_tool_turn
 from armsight.calibrate.arm.model import ArmModel
-from armsight.calibrate.arm.parameter_selection import choose
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import NotEnoughData
 from armsight.optics import Rig

@@ -1,9 +1,8 @@
 """Board observations -> cameras and rigs, by bundle adjustment."""
 
-from armsight.calibrate.cameras.monocular import calibrate_camera
+from armsight.calibrate.cameras.calibrate import calibrate_camera, calibrate_stereo
 from armsight.calibrate.cameras.observations import BoardOptions
 from armsight.calibrate.cameras.result import CameraCalibration, StereoCalibration
-from armsight.calibrate.cameras.stereo import calibrate_stereo
 
 CameraResult = CameraCalibration
 RigResult = StereoCalibration

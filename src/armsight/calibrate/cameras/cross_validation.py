@@ -28,35 +28,12 @@ NEIGHBOUR = 1.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Metric:
-    """Distances of neighbouring points after triangulation, over all pairs given, in m.
-
-    expected_m: as printed. mean_m: as measured. rms_m: of the error of one distance. board_rms_m: of the points'
-    3-D distances after the printed board is laid onto them (rigid fit).
-    """
-
-    expected_m: float
-    mean_m: float
-    rms_m: float
-    board_rms_m: float
-
-    def as_mapping(self) -> dict[MetricKey, float | None]:
-        """Return the figures by name."""
-        return {
-            "expected_m": self.expected_m,
-            "mean_m": self.mean_m,
-            "rms_m": self.rms_m,
-            "board_rms_m": self.board_rms_m,
-        }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeftOut:
     """Errors on left-out views: reprojection, and for a pair of cameras epipolar distance and metric."""
 
     rms_px: float
     epipolar_rms_px: float | None
-    metric: Metric | None
+    metric: dict[MetricKey, float | None]
 
 
 def left_out(robust_fit: RobustFit, options: BoardOptions) -> LeftOut | None:
@@ -89,7 +66,7 @@ def left_out(robust_fit: RobustFit, options: BoardOptions) -> LeftOut | None:
     return LeftOut(
         rms_px=float(np.sqrt(squares / n_points)),
         epipolar_rms_px=epipolar_rms(pairs) if pairs else None,
-        metric=metric_of(pairs) if pairs else None,
+        metric=metric_of(pairs) if pairs else {},
     )
 
 
@@ -121,8 +98,12 @@ def epipolar_rms(pairs: list[tuple[Observations, Rig]]) -> float:
     return float(np.sqrt(np.concatenate(squares).mean()))
 
 
-def metric_of(pairs: list[tuple[Observations, Rig]]) -> Metric | None:
-    """Return the metric of triangulated boards, None where no two neighbours are seen by both cameras."""
+def metric_of(pairs: list[tuple[Observations, Rig]]) -> dict[MetricKey, float | None]:
+    """Return distances of neighbouring points after triangulation, over all pairs, in m; none where no two are seen.
+
+    expected_m: as printed. mean_m: as measured. rms_m: of the error of one distance. board_rms_m: of the points'
+    3-D distances after the printed board is laid onto them (rigid fit).
+    """
     lengths: list[Array] = []
     squares: list[float] = []
     counts: list[int] = []
@@ -143,14 +124,14 @@ def metric_of(pairs: list[tuple[Observations, Rig]]) -> Metric | None:
         squares.append(align_points(xyz[known], X[known]).rms_m ** 2 * np.count_nonzero(known))
         counts.append(int(np.count_nonzero(known)))
     if not sum(len(side) for side in lengths):
-        return None
+        return {}
     every = np.concatenate(lengths)
-    return Metric(
-        expected_m=expected,
-        mean_m=float(every.mean()),
-        rms_m=float(np.sqrt(((every - expected) ** 2).mean())),
-        board_rms_m=float(np.sqrt(sum(squares) / sum(counts))),
-    )
+    return {
+        "expected_m": expected,
+        "mean_m": float(every.mean()),
+        "rms_m": float(np.sqrt(((every - expected) ** 2).mean())),
+        "board_rms_m": float(np.sqrt(sum(squares) / sum(counts))),
+    }
 
 
 def _each(pairs: list[tuple[Observations, Rig]]) -> Iterator[tuple[Observations, Rig, int, NDArray[np.intp]]]:

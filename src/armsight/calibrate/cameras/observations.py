@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
-from armsight.defaults import FOLDS
+from armsight.defaults import BOARD_ITERATIONS, FOLDS
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import LensKind
 from armsight.optics.camera import INTRINSICS_OF
@@ -136,7 +136,7 @@ class BoardOptions:
     automatic_k3: bool = True
     reject: bool = True
     folds: int = FOLDS
-    max_iterations: int = 60
+    max_iterations: int = BOARD_ITERATIONS
     lens: LensKind = LensKind.PINHOLE
     right_lens: LensKind | None = None
 

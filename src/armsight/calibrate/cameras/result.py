@@ -12,7 +12,7 @@ from armsight.arrays import Array
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
 from armsight.calibrate.cameras.cross_validation import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.cameras.verdict import images_doubted, images_verdict
+from armsight.calibrate.cameras.preconditions import images_doubted, images_verdict
 from armsight.calibrate.cameras.zoom import ZoomOutput
 from armsight.fields import Doc
 from armsight.optics import INTRINSICS, SIDES, Camera, LensKind, Rig, ZoomSetting

@@ -22,9 +22,10 @@ from armsight.calibrate.cell.result import (
     ScaleCheck,
     StrayingArm,
     TipDeviation,
+    TipSlopes,
+    tip_slopes,
 )
 from armsight.calibrate.cell.rounds import Solved, require_lit, solve_cell
-from armsight.calibrate.cell.tip import TipSlopes, tip_slopes
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.groups import without
 from armsight.geometry import align_points

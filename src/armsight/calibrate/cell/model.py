@@ -11,12 +11,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.model import THETA, ArmModel, D
-from armsight.calibrate.cell.kernels import see_points
 from armsight.calibrate.cell.observations import CellRecording, Spots, robot_time
 from armsight.columns import POSITION
 from armsight.geometry.poses import skew
 from armsight.kinematics import parameter_jacobian
 from armsight.optics import INTRINSICS, SIDES, Camera
+from armsight.optics.kernels.light_image import see_points
 from armsight.records.camera import PPM
 
 CAMERA_POSE = ("tx", "ty", "tz", "rx", "ry", "rz")

@@ -9,7 +9,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array, Index
-from armsight.calibrate.cell.assignment import NEAR, NamedLights, assign, name_lights, places_on_flange
+from armsight.calibrate.cell.assignment import (
+    NEAR,
+    SHORTEST,
+    NamedLights,
+    assign,
+    moves,
+    name_lights,
+    places_on_flange,
+    tracklets,
+)
 from armsight.calibrate.cell.checks import CURES, Cause, Suspicion, gives_way, refusal, suspicions
 from armsight.calibrate.cell.fit import (
     CellData,
@@ -32,7 +41,6 @@ from armsight.calibrate.cell.knowledge import (
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
 from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
-from armsight.calibrate.cell.tracklets import SHORTEST, moves, tracklets
 from armsight.calibrate.cell.wander import JointDrift
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import SIDES

@@ -16,8 +16,8 @@ import scipy.linalg
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array, Index
+from armsight.calibrate.cell.assignment import extent_px
 from armsight.calibrate.cell.observations import JointLog, Spots
-from armsight.calibrate.cell.tracklets import extent_px
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, fk
 

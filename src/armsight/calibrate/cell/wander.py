@@ -41,6 +41,7 @@ class JointDrift:
         """Return the normal equations with the straying eliminated."""
         C, chol, right = self.system(normals)
         solved = scipy.linalg.cho_solve_banded((chol, True), np.column_stack([C, right]), check_finite=False)
+        # the Schur complement: the straying goes as the boards' poses go from a bundle adjustment
         logdet = 2.0 * float(np.log(chol[0]).sum()) - self._log_precision()
         return Reduced(
             A=normals.A.sum(axis=0) - C.T @ solved[:, :-1],
@@ -75,6 +76,7 @@ class JointDrift:
 
     def _precision(self) -> tuple[Array, Array]:
         """Return diagonal (b,) and what is beside it (b - 1,) of the precision of a process of unit variance."""
+        # x_k = r x_(k-1) + noise of variance 1 - r^2 (Ornstein and Uhlenbeck): the precision is tridiagonal
         r = np.exp(-np.diff(self.t_s) / self.time_s)
         w = 1.0 / (1.0 - r**2)
         diagonal = np.ones(len(self.t_s))
@@ -84,6 +86,7 @@ class JointDrift:
 
     def _log_precision(self) -> float:
         r = np.exp(-np.diff(self.t_s) / self.time_s)
+        # the covariance's determinant is the product of the steps' variances
         of_time = -float(np.log1p(-(r**2)).sum()) * len(self.std)
         return of_time - 2.0 * len(self.t_s) * float(np.log(self.std).sum())
 
@@ -131,5 +134,6 @@ def restricted_cost(wander: JointDrift, normals: BlockNormals, free: NDArray[np.
     factor = scipy.linalg.cho_factor(H * np.outer(size, size), lower=True, check_finite=False)
     g = reduced.g[free] * size
     square = reduced.square - float(g @ scipy.linalg.cho_solve(factor, g, check_finite=False))
+    # the fitted parameters are integrated out, which leaves their information's determinant (Harville 1977)
     of_free = 2.0 * float(np.log(np.diag(factor[0])).sum() - np.log(size).sum())
     return 0.5 * (square + reduced.logdet + of_free)

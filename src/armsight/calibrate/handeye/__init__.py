@@ -1,7 +1,6 @@
 """Hand-eye calibration that says whether it is right."""
 
 from armsight.calibrate.handeye.calibrate import (
-    HandEyeOptions,
     calibrate_eye_in_hand,
     calibrate_eye_to_hand,
     expected_deviation,
@@ -16,7 +15,6 @@ from armsight.calibrate.handeye.solution import Solution, solve_pairs, warm_up
 from armsight.calibrate.handeye.stream_pairing import TimeOffset, pairs_of_streams, time_offset
 
 __all__ = [
-    "HandEyeOptions",
     "HandEyeResult",
     "ImageComparison",
     "ImageHandEye",

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
-from armsight.calibrate.handeye.advice import advise
+from armsight.calibrate.handeye.advice import advise, require_one_mount
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
-from armsight.calibrate.handeye.drifting import fit_drifting, left_out_blocks
 from armsight.calibrate.handeye.noise import noise_of_pairs
 from armsight.calibrate.handeye.pairs import (
     MIN_PAIRS,
@@ -23,9 +22,15 @@ from armsight.calibrate.handeye.pairs import (
     require_metres,
     require_turning,
 )
-from armsight.calibrate.handeye.premises import require_one_mount
 from armsight.calibrate.handeye.result import NAMES, HandEyeResult, RejectedPair, Scale
-from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
+from armsight.calibrate.handeye.solution import (
+    Solution,
+    fit_drifting,
+    left_out_blocks,
+    residuals,
+    solve_pairs,
+    uncertainty,
+)
 from armsight.errors import DataRefused, Degenerate, Inconsistent
 from armsight.fitting.groups import means, repeats
 from armsight.fitting.quantiles import chi2_isf, f_isf, t_sf
@@ -55,31 +60,22 @@ REJECTION_ROUNDS = 10
 """Rounds of naming outliers and fitting again; two or three settle it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandEyeOptions:
-    """What advice on a hand-eye calibration may know beside the pairs.
-
-    target_pitch_m: the pitch of the printed target, where there is one, so that advice can name the right one.
-    """
-
-    target_pitch_m: float | None = None
-
-
-def calibrate_eye_in_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEyeResult:
+def calibrate_eye_in_hand(pairs: PosePairs, *, target_pitch_m: float | None = None) -> HandEyeResult:
     """Return T_flange_camera and T_base_target from T_base_flange * T_flange_camera * T_camera_target = T_base_target.
 
+    target_pitch_m: pitch of the printed target, where there is one, so that advice can name the right one.
     Raises Degenerate for too little turning, Inconsistent for wrong units, inverted or wrongly paired poses and
     poses without agreement, NotConverged. Zhuang, Roth, Sudhakar 1994 (Pachidis 2005 section 4), by maximum likelihood.
     """
-    return _calibrate(pairs, Setup.EYE_IN_HAND, options or HandEyeOptions())
+    return _calibrate(pairs, Setup.EYE_IN_HAND, target_pitch_m)
 
 
-def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEyeResult:
+def calibrate_eye_to_hand(pairs: PosePairs, *, target_pitch_m: float | None = None) -> HandEyeResult:
     """Return T_base_camera and T_flange_target from T_base_camera * T_camera_target = T_base_flange * T_flange_target.
 
     Raises as calibrate_eye_in_hand.
     """
-    return _calibrate(pairs, Setup.EYE_TO_HAND, options or HandEyeOptions())
+    return _calibrate(pairs, Setup.EYE_TO_HAND, target_pitch_m)
 
 
 def expected_deviation(
@@ -106,7 +102,7 @@ def _places(T_base_flange: RigidTransform) -> NDArray[np.intp]:
     return repeats(np.column_stack([R / np.sqrt(2.0), t]), SAME_PLACE)
 
 
-def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEyeResult:
+def _calibrate(pairs: PosePairs, setup: Setup, target_pitch_m: float | None) -> HandEyeResult:
     require_metres(pairs)
     place = np.arange(len(pairs)) if pairs.t_s is not None else _places(pairs.T_base_flange)
     repeated = {row: why for row, _, why in pairs.duplicates()}
@@ -144,7 +140,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     if pairs.t_s is not None:
         finished = _of_a_recording(finished, pairs.t_s, _noise(solution, rows[chosen.canonical_order()], len(pairs)))
     require_one_mount(finished, place)
-    return advise(finished, options.target_pitch_m)
+    return advise(finished, target_pitch_m)
 
 
 def _require_others(pairs: PosePairs, alone: NDArray[np.intp]) -> None:

@@ -13,7 +13,6 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.calibrate import (
-    HandEyeOptions,
     calibrate_eye_in_hand,
     calibrate_eye_to_hand,
     places_of,
@@ -66,7 +65,7 @@ def calibrate_from_views(
         seen.covariance,
     )
     calibrate = calibrate_eye_in_hand if setup is Setup.EYE_IN_HAND else calibrate_eye_to_hand
-    by_poses = calibrate(pairs, HandEyeOptions(target_pitch_m=board.pitch_m or None))
+    by_poses = calibrate(pairs, target_pitch_m=board.pitch_m or None)
     images = ImageSet(views=views, camera=camera, board=board, seen=seen)
     comparison = cross_validate_images(by_poses, images, free_camera=free_camera)
     by_poses = replace(by_poses, reprojection_rms_px=seen.rms_px, comparison=comparison)

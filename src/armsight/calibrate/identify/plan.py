@@ -228,6 +228,7 @@ def _exchange(candidates: Sequence[Sequence[Candidate]], prior: Array) -> list[i
         for j, stack in enumerate(stacks):
             if chosen[j] >= 0:
                 total = total - stack[chosen[j]]
+            # D-optimal: a joint's sweep is the best one beside those of all others
             chosen[j] = int(np.argmax(np.linalg.slogdet(total + stack)[1]))
             total = total + stack[chosen[j]]
         if chosen == before:
@@ -282,6 +283,7 @@ def _radius(arm: RoughArm, joint: int, q: Array) -> float:
         return 0.0
     X = arm.model.predict(np.zeros(len(arm.model.names)), q[:2])[0]
     step = abs(q[1, joint] - q[0, joint])
+    # a chord is 2 r sin(angle / 2)
     return float(np.linalg.norm(X[1] - X[0]) / max(2.0 * abs(np.sin(0.5 * step)), 1e-12))
 
 

@@ -79,6 +79,7 @@ class View:
         spread = np.zeros(uv.shape)
         if self.arm.covariance is not None:
             C = self.arm.covariance
+            # cov(uv) = G C G', of each coordinate by itself
             spread = np.sqrt(np.maximum(np.einsum("mia,ab,mib->mi", G, C, G, optimize=True), 0.0)).reshape(uv.shape)
         edge = SURE * spread + self.margin_px
         with np.errstate(invalid="ignore"):
@@ -106,6 +107,7 @@ class View:
 def pixel_slopes(model: ChainModel, rig: PackedRig, q: Array) -> tuple[Array, Array]:
     """Return pixels (m, 2, 2) of the beacon at q (m, n), and their derivatives (m, 4, P); NaN behind a camera."""
     X, J = model.predict(np.zeros(len(model.names)), q)
+    # d uv / d p = d uv / d X  d X / d p
     uv, D = np.empty((len(q), 2, 2)), np.empty((len(q), 2, 2, 3))
     see_many(rig.k, rig.R, rig.t, X, uv, D)
     return uv, D.reshape(len(q), 4, 3) @ J

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
-from armsight.calibrate.light_target import kernels
 from armsight.calibrate.light_target.frames import Layout
 from armsight.fitting import Evaluation, Fit, Problem, solve
 from armsight.fitting.groups import whitener, without
 from armsight.geometry.poses import skew
 from armsight.optics import RIG_PARAMETERS, PackedRig, Rig
+from armsight.optics.kernels.light_image import see_both
 from armsight.optics.parallelism import moved_rig
 
 POSE = ("tx_m", "ty_m", "tz_m", "rx_rad", "ry_rad", "rz_rad")
@@ -164,7 +164,7 @@ def _project(packed: PackedRig, layout: Layout, values: Array, poses: Array) -> 
     turned = np.einsum("gij,nj->gni", _rotations(poses), X)
     positions = np.ascontiguousarray(turned + poses[:, None, :3]).reshape(-1, 3)
     uv, J = np.empty((g * n, 2, 2)), np.empty((g * n, 2, 2, 3))
-    kernels.see_both(packed.k, packed.R, packed.t, positions, uv, J)
+    see_both(packed.k, packed.R, packed.t, positions, uv, J)
     return turned, uv.reshape(g, n, 2, 2), J.reshape(g, n, 2, 2, 3)
 
 

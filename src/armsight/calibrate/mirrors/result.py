@@ -11,10 +11,9 @@ from typing import Annotated
 import numpy as np
 
 from armsight.calibrate.cameras import StereoCalibration
-from armsight.calibrate.cameras.verdict import GOOD_RMS_PX
-from armsight.calibrate.mirrors.adjustment import Adjustment, MirrorTurn
+from armsight.calibrate.cameras.preconditions import GOOD_RMS_PX
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
-from armsight.calibrate.mirrors.diagnosis import GOOD_LIT, VAGUE, Alignment, Suspect
+from armsight.calibrate.mirrors.diagnosis import GOOD_LIT, VAGUE, Adjustment, Alignment, MirrorTurn, Suspect
 from armsight.fields import Doc
 from armsight.optics import Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors

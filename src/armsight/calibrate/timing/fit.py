@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from armsight.arrays import Array
-from armsight.calibrate.timing import kernels
 from armsight.calibrate.timing.views import Views
 from armsight.errors import Inconsistent
 from armsight.fitting import Evaluation, Fit, Prior, Problem, Settings, solve
+from armsight.fitting.kernels import add_rows, add_transposed_times, rows_times
 
 PPM = 1e-6
 TIMES = ("delay_s", "drift_ppm", "left.readout_s", "right.readout_s")
@@ -322,7 +322,7 @@ class Band:
     def __init__(self, parts: Sequence[Rows], size: int, width: int) -> None:
         band, self._b = np.zeros((width + 1, size)), np.zeros(size)
         for rows in parts:
-            kernels.add_rows(rows.columns, rows.values, rows.right, band, self._b)
+            add_rows(rows.columns, rows.values, rows.right, band, self._b)
         band[0] += RIDGE * band[0].max()
         self._factor = cholesky_banded(band, lower=True, check_finite=False)
 
@@ -338,7 +338,7 @@ class Band:
 def times(rows: Rows, x: Array) -> Array:
     """Return the rows times x (size, q): (m, q)."""
     out = np.empty((len(rows.right), x.shape[1]))
-    kernels.rows_times(rows.columns, rows.values, np.ascontiguousarray(x), out)
+    rows_times(rows.columns, rows.values, np.ascontiguousarray(x), out)
     return out
 
 
@@ -346,5 +346,5 @@ def transposed_times(parts: Sequence[Rows], y: Sequence[Array], size: int) -> Ar
     """Return the transposed rows of all parts times y (m, q) of each: (size, q)."""
     out = np.zeros((size, y[0].shape[1]))
     for rows, each in zip(parts, y, strict=True):
-        kernels.transposed_times(rows.columns, rows.values, np.ascontiguousarray(each), out)
+        add_transposed_times(rows.columns, rows.values, np.ascontiguousarray(each), out)
     return out

@@ -10,7 +10,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from pydantic import ValidationError
 
 from armsight.app.guided.mirror_alignment import MirrorAlignment, MirrorState
-from armsight.calibrate.mirrors.adjustment import MirrorTurn
+from armsight.calibrate.mirrors.diagnosis import MirrorTurn
 from armsight.calibrate.mirrors.result import MirrorCheckOutput
 from armsight.console import texts
 from armsight.console.layout import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,29 +70,21 @@ class PlaySettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PathPlan:
+class PathPlan(Shape):
     """A path ready to be run, in base axes.
 
     approach: the way from where the tip stood to the start, in straight parts. track: the path with its weave.
-    s_m (n,), seam_m (n, 3), tip_m (n, 3): samples of the length, of the path without and with weave. speed_m_s (n,):
-    along the seam, as planned. welds: lengths at which a weld is switched on or off. rounded_m, rounded_rad: how far
-    rounding moves and turns the path at most. slowest: the place of the least planned speed, in words. turns: where the
-    tool turns though the tip hardly moves, and turned_rad how far it turns from what was asked at most, of an arm that
+    speed_m_s (n,): along the seam, as planned. welds: lengths at which a weld is switched on or off. slowest: the place
+    of the least planned speed, in words. turned_rad: how far the tool turns from what was asked at most, of an arm that
     cannot turn it at will. fastest_m_s, fastest: the largest speed that tip or flange reach anywhere, the way to the
     path included, and which of them where.
     """
 
     approach: tuple[Track, ...]
     track: Track
-    s_m: Array
-    seam_m: Array
-    tip_m: Array
     speed_m_s: Array
     welds: tuple[tuple[float, bool], ...]
-    rounded_m: float
-    rounded_rad: float
     slowest: str
-    turns: str
     turned_rad: float
     fastest_m_s: float
     fastest: str
@@ -139,17 +131,12 @@ def plan_path(
     speed = np.asarray(track.speeds * np.maximum(np.gradient(shape.s_m, shape.u), 0.0))
     fastest_m_s, fastest = _fastest(arm, tuple(approach), track)
     return PathPlan(
+        **{one.name: getattr(shape, one.name) for one in fields(shape)},
         approach=tuple(approach),
         track=track,
-        s_m=shape.s_m,
-        seam_m=shape.seam_m,
-        tip_m=shape.T[:, :3, 3],
         speed_m_s=speed,
         welds=welds_of(path),
-        rounded_m=shape.rounded_m,
-        rounded_rad=shape.rounded_rad,
         slowest=_slowest(track, speed),
-        turns=shape.turns,
         turned_rad=_turned(arm, shape, track.samples, keeps=settings.keep_rotation),
         fastest_m_s=fastest_m_s,
         fastest=fastest,
@@ -277,8 +264,7 @@ def _checked(
 
     keeps: whether the tool's rotation is kept already.
     """
-    track = Samples(u=shape.u, T=shape.T, s_m=shape.s_m, paced_m=shape.seam_m, wanted_m_s=shape.wanted_m_s)
-    ways = [*legs, track]
+    ways: list[Samples] = [*legs, shape]
     rows = [_rows(way) for way in ways]
     joined = np.concatenate([way.T[at] for way, at in zip(ways, rows, strict=True)])
     path = TaughtPath.of_poses(RigidTransform.from_matrix(joined), parent="base")
@@ -290,7 +276,7 @@ def _checked(
             continue
         k = int(np.searchsorted(ends, issue.row, side="right"))
         at_m = ways[k].s_m[rows[k][issue.row - ends[k]]]
-        where = f"at {at_m:.3f} m of the path" if ways[k] is track else f"on the way to the path (leg {k + 1})"
+        where = f"at {at_m:.3f} m of the path" if ways[k] is shape else f"on the way to the path (leg {k + 1})"
         raise Inconsistent(
             f"{arm.name} cannot run it: {issue.trouble.value} {where}: {issue.text}"
             + (f"; {shape.turns}" if shape.turns and not keeps else ""),

@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
 from armsight.arrays import Array
-from armsight.control.play.timing import quats
+from armsight.control.play.timing import Samples, quats
 from armsight.errors import Inconsistent, UsageError
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.units import DEG, MM
@@ -105,22 +105,26 @@ TURN_TOLD_RAD = 45.0 * DEG
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shape:
-    """A path by a parameter u (n,), m: its length, or its turning where that is more (TURN_M); even steps from 0.
+class Shape(Samples):
+    """A path as run; u: its length, or its turning where that is more (TURN_M). paced_m (n, 3): without the weave.
 
-    T (n, 4, 4): as run. s_m (n,): length along the path as given. seam_m (n, 3): without the weave. wanted_m_s (n,):
-    speed asked for. rounded_m, rounded_rad: how far rounding moves and turns it at most. turns: where the tool turns
-    though the tip hardly moves, in words.
+    rounded_m, rounded_rad: how far rounding moves and turns it at most. turns: where the tool turns though the tip
+    hardly moves, in words.
     """
 
-    u: Array
-    T: Array
-    s_m: Array
-    seam_m: Array
-    wanted_m_s: Array
     rounded_m: float
     rounded_rad: float
     turns: str
+
+    @property
+    def seam_m(self) -> Array:
+        """The path's positions (n, 3) without the weave."""
+        return self.paced_m
+
+    @property
+    def tip_m(self) -> Array:
+        """The path's positions (n, 3) as they are run."""
+        return self.T[:, :3, 3]
 
 
 def shaped(path: TaughtPath, blend_m: float, weave: Weave, speed_m_s: float) -> Shape:
@@ -147,7 +151,7 @@ def shaped(path: TaughtPath, blend_m: float, weave: Weave, speed_m_s: float) -> 
         u=u,
         T=woven,
         s_m=s,
-        seam_m=T[:, :3, 3],
+        paced_m=T[:, :3, 3],
         wanted_m_s=np.where(np.isfinite(own), own, speed_m_s),
         rounded_m=_apart(path.xyz_m, at_rows, smooth[:, :3], drawn[:, :3], u[1], 3 * width) + turned_m,
         rounded_rad=float(turned.magnitude().max()),

@@ -14,11 +14,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.defaults import STALE_CYCLES
-from armsight.drivers.alter.frames import SEQUENCES, AlterCounts, AlterSettings, FrameSplitter, StateFrame, answer
+from armsight.drivers.alter.frames import SEQUENCES, AlterSettings, FrameSplitter, StateFrame, answer
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import PoseGoals, away, between
 from armsight.drivers.link_settings import ArmOnLink
-from armsight.drivers.pace import ControllerClock, LinkTimes, possible
+from armsight.drivers.pace import ControllerClock, LinkCounts, LinkTimes, possible
 from armsight.drivers.proof import Probe, Proof, ProofState, flange_and_joint_probe, flange_probe
 from armsight.drivers.protocols import PROVING, Sent
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
@@ -62,7 +62,7 @@ class AlterRobot(CyclicRobot):
             name, limits=self.settings.joint_limits(6), times=times, clock=clock or SystemClock(), poses=poses
         )
         self._arm: ArmOnLink | None = self.settings.arm
-        self.counts = AlterCounts()
+        self.counts = LinkCounts()
         self._last: StateFrame | None = None
         self._nominal = self._model_offset = self._base_pose = self._in_force = RigidTransform.identity()
         self._controller_clock = ControllerClock(cycle_s, numbered=True, own=True)
@@ -144,7 +144,7 @@ class AlterRobot(CyclicRobot):
         return self._goals.sent, self._poses.sent, words
 
     def _start(self) -> None:
-        self.counts = AlterCounts()
+        self.counts = LinkCounts()
         self._last, self._mismatch = None, ""
         self._behind, self._first_late = 0, 0
         self._answered: int | None = None

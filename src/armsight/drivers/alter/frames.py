@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
-from armsight.defaults import TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
+from armsight.defaults import ALTER_CYCLE_S, TOOL_SPEED_M_S, TOOL_SPEED_RAD_S
 from armsight.drivers.link_settings import LinkSettings, Positive
 from armsight.errors import Inconsistent
 
@@ -50,23 +50,6 @@ class StateFrame:
     tool: bool
     on: bool
     corrected: bool
-
-
-@dataclass(slots=True)
-class AlterCounts:
-    """Frames since the link was opened.
-
-    heard: good ones. missed: numbers that never came. repeated: with a number that was there, or an older one.
-    refused: whole, with values that cannot be. late: answers that the controller counted as late. garbage_bytes:
-    that belong to no frame.
-    """
-
-    heard: int = 0
-    missed: int = 0
-    repeated: int = 0
-    refused: int = 0
-    late: int = 0
-    garbage_bytes: int = 0
 
 
 class FrameSplitter:
@@ -156,7 +139,7 @@ class AlterSettings(LinkSettings):
     link: ClassVar[str] = "the serial link"
 
     baud: Annotated[int, Field(ge=1200)] = 38400
-    cycle_s: Positive = 0.028
+    cycle_s: Positive = ALTER_CYCLE_S
     cumulative: bool = True
     axes: Literal["world", "tool"] = "world"
     lower_rad: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None

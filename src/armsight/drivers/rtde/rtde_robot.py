@@ -11,12 +11,12 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
+from armsight._files import DeviceLock
 from armsight.clock import Clock, SystemClock
-from armsight.defaults import STALE_S
+from armsight.defaults import RTDE_CYCLE_S, RTDE_OPEN_S, STALE_S
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.goals import GivenGoals
 from armsight.drivers.link_settings import LinkSettings, Positive
-from armsight.drivers.lock import DeviceLock
 from armsight.drivers.pace import LARGEST_RAD, LinkTimes
 from armsight.drivers.rtde.link import ControllerState, Worker, address, unreachable
 from armsight.drivers.rtde.worker import PLAYING
@@ -50,13 +50,13 @@ class RtdeSettings(LinkSettings):
 
     link: ClassVar[str] = "the RTDE link"
 
-    cycle_s: Annotated[float, Field(ge=0.002, le=0.1)] = 0.002
+    cycle_s: Annotated[float, Field(ge=0.002, le=0.1)] = RTDE_CYCLE_S
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.05
     gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 500.0
     watchdog_hz: Annotated[float, Field(ge=1.0, le=125.0)] = 10.0
     stale_s: Positive = STALE_S
     silent_s: Positive = 0.1
-    open_s: Positive = 8.0
+    open_s: Positive = RTDE_OPEN_S
     max_speed_rad_s: Annotated[float, Field(gt=0.0, le=math.pi)] = math.pi / 3
     lower_rad: Annotated[list[float], Field(min_length=JOINTS, max_length=JOINTS)] = [-math.tau] * JOINTS
     upper_rad: Annotated[list[float], Field(min_length=JOINTS, max_length=JOINTS)] = [math.tau] * JOINTS

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import cast
 
-from armsight.calibrate.mirrors.adjustment import Adjustment, adjust_to_parallel
-from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
+from armsight.calibrate.mirrors.diagnosis import Adjustment, Alignment, adjust_to_parallel, check_alignment
 from armsight.calibrate.mirrors.result import reasons
 from armsight.drivers import CameraSettings
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError

@@ -24,7 +24,7 @@ from armsight.ops.compare.calibrations import (
 from armsight.ops.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import MEANING, Difference, Verdict
-from armsight.report.compare_report import CompareRun, Course, compare_report
+from armsight.report.compare_report import Course, compare_report
 from armsight.report.html import page_unit
 from armsight.shown import Shown, Table, digits
 from armsight.store import write_text
@@ -112,20 +112,18 @@ class CompareOutput(Output):
         """Write compare.json and report.html."""
         folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / COMPARE, self.to_dict())
-        write_text(folder / REPORT, compare_report(self._run()))
+        write_text(folder / REPORT, self._page())
 
-    def _run(self) -> CompareRun:
+    def _page(self) -> str:
         rows = []
         for one in self.parameters:
             unit, factor = displayed(one.unit)
             rows.append(replace(one, name=_name(one)).in_unit(page_unit(unit), factor))
-        return CompareRun(
-            kind=self.kind,
-            a=self.a,
-            b=self.b,
-            verdict=self.verdict_,
-            p=self.p,
-            rows=rows,
+        return compare_report(
+            self.kind,
+            (self.a, self.b),
+            self.verdict_,
+            rows,
             effects=[(one.name, _shown(one.value, one.unit)) for one in self.effects],
             notes=self.notes,
             course=self.course,

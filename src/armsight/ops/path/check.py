@@ -21,7 +21,7 @@ from armsight.records import TaughtPath
 from armsight.records.output import output
 from armsight.report.path_report import path_report
 from armsight.shown import Shown
-from armsight.store.outputs import TextOutput
+from armsight.store.atomic import TextOutput
 
 SHOWN = 20
 """Issues that a terminal tells."""

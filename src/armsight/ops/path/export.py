@@ -22,7 +22,7 @@ from armsight.ops.path.check import with_tip
 from armsight.records import TaughtPath
 from armsight.records.output import output
 from armsight.shown import Shown
-from armsight.store.outputs import TextOutput
+from armsight.store.atomic import TextOutput
 from armsight.store.path_file import path_text
 
 PROGRAMS: Mapping[str, Callable[[Program], str]] = MappingProxyType({"urscript": urscript, "krl": krl, "rapid": rapid})

@@ -20,7 +20,7 @@ from armsight.records.output import Output, output
 from armsight.records.result_parts import PointStd
 from armsight.shown import Shown
 from armsight.store.path_file import write_path
-from armsight.store.worlds import World
+from armsight.store.rigs import World
 
 TOLD = 3
 """Picks that a refusal tells."""

@@ -1,11 +1,16 @@
-"""Compiled image of one light: a point, or a flat disc whose outline's centre the perspective shifts."""
+"""Compiled images of lights and points in one camera or both of a rig, with derivatives.
+
+One light is a point, or a flat disc whose outline has a centre that the perspective shifts.
+"""
 
 from __future__ import annotations
 
 from math import sqrt
 
-from armsight._numba import lean_kernel
-from armsight.optics.kernels.camera import distort, project_point
+import numpy as np
+
+from armsight._numba import kernel, lean_kernel
+from armsight.optics.kernels.camera import distort, intrinsics_jacobian, project_point, see_point
 
 
 @lean_kernel
@@ -72,3 +77,37 @@ def see_light(camera, p, radius, normal, uv, J):
         for j in range(3):
             J[i, j] = a * R[0, j] + b * R[1, j] + c * R[2, j]
     return True
+
+
+@kernel
+def see_both(k, R, t, X, uv, J):
+    """Fill uv (n, 2, 2) [light, side] and J (n, 2, 2, 3) = d uv / d X for X (n, 3) in rig axes; NaN behind a camera."""
+    for i in range(X.shape[0]):
+        for s in range(2):
+            if not see_point(k[s], R[s], t[s], X[i], uv[i, s], J[i, s]):
+                # not zero: that would be a residual like any other, and pull the light behind the camera
+                uv[i, s] = np.nan
+                J[i, s] = np.nan
+
+
+@kernel
+def see_points(k, R, t, X, uv, J, D):
+    """Fill uv (m, 2), J (m, 2, 3) by X and D (m, 2, 10) by the intrinsics of points X (m, 3); p_camera = R X + t.
+
+    NaN where a point has no image; its derivatives are zero.
+    """
+    by_camera = np.empty((2, 3))
+    for i in range(X.shape[0]):
+        x = R[0, 0] * X[i, 0] + R[0, 1] * X[i, 1] + R[0, 2] * X[i, 2] + t[0]
+        y = R[1, 0] * X[i, 0] + R[1, 1] * X[i, 1] + R[1, 2] * X[i, 2] + t[1]
+        z = R[2, 0] * X[i, 0] + R[2, 1] * X[i, 1] + R[2, 2] * X[i, 2] + t[2]
+        if not project_point(k, x, y, z, uv[i], by_camera):
+            uv[i] = np.nan
+            J[i] = 0.0
+            D[i] = 0.0
+            continue
+        # d uv / d X = d uv / d p_camera R
+        for a in range(2):
+            for b in range(3):
+                J[i, a, b] = by_camera[a, 0] * R[0, b] + by_camera[a, 1] * R[1, b] + by_camera[a, 2] * R[2, b]
+        intrinsics_jacobian(k, x, y, z, D[i])

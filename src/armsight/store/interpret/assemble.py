@@ -12,8 +12,9 @@ from armsight.arrays import Array, Mask
 from armsight.errors import Ambiguous, BadFile, Inconsistent
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.store.interpret.names import Meaning
-from armsight.store.interpret.plausibility import (
+from armsight.store.interpret.rotations import (
     FEWEST_ROWS,
+    EulerOrder,
     degrees_cause,
     largest,
     looks_like_degrees,
@@ -21,7 +22,6 @@ from armsight.store.interpret.plausibility import (
     looks_like_mm,
     looks_like_radians,
 )
-from armsight.store.interpret.rotations import EulerOrder
 from armsight.store.interpret.table_format import UNITS, TableFormat
 from armsight.store.tables import filled, zeros
 

@@ -16,8 +16,8 @@ from armsight.store.atomic import read_bytes
 from armsight.store.interpret.assemble import degrees_for_radians, mm_for_metres
 from armsight.store.interpret.names import ROLES, Role, meaning
 from armsight.store.interpret.other_files import folder_table, looks_like_records, mat_table, pose_files, records_table
-from armsight.store.interpret.plausibility import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.raw import RawTable, parse_text
+from armsight.store.interpret.rotations import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.standard import UNUSED, Standard, standard_table
 from armsight.store.interpret.table_format import OURS, TableFormat
 from armsight.store.tables import MAX_BYTES
