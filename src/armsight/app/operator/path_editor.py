@@ -194,7 +194,7 @@ class PlayRequest:
 
 
 def check_path(asked: PlayRequest, robot: RobotCell, editor: PathEditor) -> PathCheckOutput:
-    """Check the path for the arm from where it stands; write path-check.html. Raises as app.path.check."""
+    """Check the path for the arm from where it stands; write path-check.html. Raises as ops.path.check."""
     arm = robot.session.arm
     if arm is None:
         raise NotEnoughData("the robot's arm is not known", consequence="Its path is not checked")
