@@ -43,7 +43,6 @@ PAGES = ROOT / "src" / "armsight" / "console" / "pages"
 NONE = inspect.Parameter.empty
 DIFFERENT = {
     ("simulate", "scenario"): "Python has a cell to try; a command names what it writes",
-    ("verify", "part"): "an argument of several modes: its default is the request's, shown in words",
 }
 OWN_FIELDS = {
     "mirrors.py: label": "as cell.yaml has them",

@@ -166,9 +166,19 @@ def _kind(*kinds: type) -> Check:
     return lambda name, value: require_kind(name, value, *kinds)
 
 
-def _progress(name: str, value: Any) -> None:
-    if not (hasattr(value, "update") and hasattr(value, "cancelled")):
-        raise UsageError(f"{name} is of type {type(value).__name__}", cure="Give an object with update and cancelled")
+def _having(*names: str) -> Check:
+    def check(name: str, value: object) -> None:
+        if not all(hasattr(value, one) for one in names):
+            raise UsageError(
+                f"{name} is of type {type(value).__name__}", cure=f"Give an object with {' and '.join(names)}"
+            )
+
+    return check
+
+
+def _function(name: str, value: object) -> None:
+    if not callable(value):
+        raise UsageError(f"{name} is of type {type(value).__name__}", cure="Give a function")
 
 
 def _confirm(name: str, value: object) -> None:
@@ -182,7 +192,12 @@ SIMPLE: Mapping[str, Check] = {
     "int": require_count,
     "bool": _kind(bool),
     "str": _kind(str),
-    "Progress": _progress,
+    "Progress": _having("update", "cancelled"),
+    "Publishing": _having("supervised"),
+    "Clock": _having("now_s"),
+    "Supervised": _having("robot", "pairs"),
+    "Show": _function,
+    "Callable": _function,
     "Confirm": _confirm,
     "Settings": _kind(Mapping),
     "RobotSettings": _kind(Mapping),
