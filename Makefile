@@ -7,6 +7,8 @@ RUNS := .venv/.runs
 unexport PYTHONDONTWRITEBYTECODE
 
 VERSIONS := 3.11 3.12 3.13
+# one more than two cores: a quarter of the time, tests wait for robots, cameras and browsers
+WORKERS ?= 3
 
 .PHONY: demo test check guides docs install lock packages test-all $(VERSIONS:%=test-%) clean
 
@@ -17,7 +19,7 @@ demo: $(RUNS)
 AGAIN := --last-failed --last-failed-no-failures none
 
 test: install
-	$(BIN)/pytest -n 2 --dist worksteal -m "not alone" || $(BIN)/pytest $(AGAIN) -m "not alone"
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not alone" || $(BIN)/pytest $(AGAIN) -m "not alone"
 	$(BIN)/pytest -m alone || $(BIN)/pytest $(AGAIN) -m alone
 
 # the same tests under every Python that armsight is for: each of them has to be on the machine
@@ -26,7 +28,7 @@ test-all: $(VERSIONS:%=test-%)
 $(VERSIONS:%=test-%): test-%: install
 	$$($(BIN)/python -m uv python find $*) tools/make_environment.py .venv-$* requirements.lock
 	.venv-$*/bin/python -m armsight.app.compilation
-	.venv-$*/bin/pytest -n 2 --dist worksteal -m "not alone"
+	.venv-$*/bin/pytest -n $(WORKERS) --dist worksteal -m "not alone"
 	.venv-$*/bin/pytest -m alone
 
 check: install

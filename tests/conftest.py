@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import sys
@@ -24,6 +25,26 @@ from typer.testing import CliRunner
 import warm_python
 
 warm_python.begin()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What runs alone stands in the dark."""
+    if config.option.markexpr == "alone":
+        os.environ[warm_python.DARK] = "1"
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Of what runs alone, read the files that hold such tests: all others take half a minute."""
+    if config.option.markexpr != "alone" or not collection_path.name.startswith("test_"):
+        return None
+    return None if "mark.alone" in collection_path.read_text(encoding="utf-8") else True
+
+
+def pytest_collection_finish() -> None:
+    """Leave what is there for good out of every collection of garbage from here on."""
+    gc.freeze()
+
+
 WIDTH, HEIGHT, FOCAL, BASELINE = 320, 240, 400.0, 0.1
 CX, CY = 160.3, 119.6
 LIGHTS = {"A": (-0.04, 0.0, 0.0), "B": (0.03, 0.03, 0.0), "C": (0.03, -0.03, 0.0)}

@@ -152,6 +152,7 @@ def content(zoom: str) -> dict[str, Any]:
 
     text = (files("armsight_sim") / "scenarios/webcam-cell.yaml").read_text()
     cell: dict[str, Any] = parse_yaml(text.encode(), "webcam-cell")
+    cell["room"] = "dark"
     for side in ("left", "right"):
         cell["cameras"][side].pop("distortion", None)
         if zoom:

@@ -9,6 +9,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,7 @@ def boast(points: ArmPoints) -> ArmPoints:
     return replace(points, covariance=C)
 
 
+@cache
 def zeros(change: Callable[[ArmPoints], ArmPoints], seeds: int = 20) -> tuple[float, Array]:
     """Return the RMS error of the judged zeros in rad, and all of them over their claimed deviations."""
     errors, z = [], []

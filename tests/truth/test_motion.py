@@ -22,7 +22,8 @@ PACKED = PackedRig.of(parallel_rig(Camera.pinhole(1280, HEIGHT, F, F, CX, CY), B
 LIGHTS = np.array([[-0.04, 0.0, 0.0], [0.03, 0.032, 0.0], [0.03, -0.032, 0.0]])
 NOISE, READOUT = 0.05, 0.02
 CENTRE = np.array([0.05, 0.0, 0.8])
-Path = Callable[[float], tuple[Array, Rotation]]
+Path = Callable[[Array | float], tuple[Array, Rotation]]
+"""Where the target is at moments (...), and how it is turned there (flat)."""
 
 
 def path(rng: np.random.Generator, speed: float, *, begins_s: float = -1.0) -> Path:
@@ -35,26 +36,25 @@ def path(rng: np.random.Generator, speed: float, *, begins_s: float = -1.0) -> P
         / np.repeat([np.linalg.norm(rate[:3]), np.linalg.norm(rate[3:])], 3)[:, None]
     )
 
-    def at(t: float) -> tuple[Array, Rotation]:
-        s = max(t - begins_s, 0.0)
+    def at(t: Array | float) -> tuple[Array, Rotation]:
+        s = np.maximum(np.asarray(t) - begins_s, 0.0)
         ease = s - 0.15 * (1.0 - np.exp(-s / 0.15))  # sets off within a third of a second
-        way = (amplitude * np.sin(2 * np.pi * f * ease + phase)).sum(axis=1)
-        return CENTRE + way[:3], Rotation.from_rotvec(way[3:]) * Rotation.from_euler("x", 0.4)
+        way = (amplitude * np.sin(2 * np.pi * f * ease[..., None, None] + phase)).sum(axis=-1)
+        turned = Rotation.from_rotvec(way[..., 3:].reshape(-1, 3) if ease.ndim else way[3:])
+        return CENTRE + way[..., :3], turned * Rotation.from_euler("x", 0.4)
 
     return at
 
 
-def pixels(way: Path, t: float, side: int) -> tuple[Array, Array]:
-    """Where the lights are seen by a rolling shutter, and when after the middle line."""
-    tau = np.zeros(3)
+def pixels(way: Path, t: Array, side: Array) -> tuple[Array, Array]:
+    """Where the lights are seen (n, 3, 2) by a rolling shutter, and when after the middle line (n, 3)."""
+    tau = np.zeros((len(t), 3))
     for _ in range(5):
-        places = []
-        for light, late in zip(LIGHTS, tau, strict=True):
-            p, R = way(t + late)
-            places.append(p + R.apply(light))
-        P = np.array(places) - [BASE * side, 0.0, 0.0]
-        uv = np.stack([F * P[:, 0] / P[:, 2] + CX, F * P[:, 1] / P[:, 2] + CY], axis=1)
-        tau = READOUT * (uv[:, 1] / (HEIGHT - 1) - 0.5)
+        p, R = way(t[:, None] + tau)
+        P = p + R.apply(np.tile(LIGHTS, (len(t), 1))).reshape(-1, 3, 3)
+        P[..., 0] -= BASE * side[:, None]
+        uv = np.stack([F * P[..., 0] / P[..., 2] + CX, F * P[..., 1] / P[..., 2] + CY], axis=-1)
+        tau = READOUT * (uv[..., 1] / (HEIGHT - 1) - 0.5)
     return uv, tau
 
 
@@ -62,10 +62,9 @@ def views(way: Path, rng: np.random.Generator, seconds: float, *, delay: float =
     """Views of both cameras at 30 a second, 2 % of them lost."""
     taken = sorted((n / 30.0 + delay * side, side) for n in range(int(30 * seconds)) for side in (0, 1))
     seen = []
-    for t, side in taken:
+    for (t, side), uv, tau in zip(taken, *pixels(way, *np.array(taken).T), strict=True):
         if rng.random() < 0.02 and t > 0.1:
             continue
-        uv, tau = pixels(way, t, side)
         noisy = uv + rng.normal(0.0, NOISE, uv.shape)
         cov = np.tile(NOISE**2 * np.eye(2), (3, 1, 1))
         seen.append(View(t_s=t, side=side, lights=np.arange(3), uv_px=noisy, cov_px2=cov, tau_s=tau))
@@ -83,14 +82,11 @@ def start(way: Path) -> Start:
 
 def errors(states: list[MotionState], way: Path) -> tuple[Array, Array]:
     """Errors of the poses (n, 6) and their squares over the claims (n,)."""
-    d, q = [], []
-    for state in states:
-        p, R = way(state.t_s)
-        T = state.T_rig_target
-        e = np.concatenate([T[:3, 3] - p, (Rotation.from_matrix(T[:3, :3]) * R.inv()).as_rotvec()])
-        d.append(e)
-        q.append(e @ np.linalg.solve(state.covariance, e))
-    return np.array(d), np.array(q)
+    p, R = way(np.array([state.t_s for state in states]))
+    T = np.array([state.T_rig_target for state in states])
+    d = np.hstack([T[:, :3, 3] - p, (Rotation.from_matrix(T[:, :3, :3]) * R.inv()).as_rotvec()])
+    C = np.array([state.covariance for state in states])
+    return d, np.einsum("ni,ni->n", d, np.linalg.solve(C, d[..., None])[..., 0])
 
 
 def told(states: Sequence[MotionState | None]) -> list[MotionState]:

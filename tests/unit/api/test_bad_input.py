@@ -980,10 +980,12 @@ def reach_compiled_code() -> None:
         reached(CAMERA.packed, np.eye(3), np.zeros(3), POINTS[:, :2].copy(), np.empty((len(POINTS), 2)))
 
 
-def test_no_array_of_another_shape_reaches_compiled_code(tmp_path: Path) -> None:
+def test_no_array_of_another_shape_reaches_compiled_code(pytestconfig: pytest.Config, tmp_path: Path) -> None:
     code = "import armsight.optics.kernels.camera, test_bad_input; test_bad_input.reach_compiled_code()"
     here = Path(__file__).parent
     paths = os.pathsep.join(map(str, (here, here.parents[1], Path(armsight.__file__).parents[1])))
-    environment = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": paths}
+    cache = getattr(pytestconfig, "cache", None)
+    kept = cache.mkdir("kernels-checked") if cache else tmp_path  # compiled once a source
+    environment = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(kept), "PYTHONPATH": paths}
     done = subprocess.run([sys.executable, "-c", code], env=os.environ | environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]

@@ -3,6 +3,7 @@ corners, tag 0 at the lower left, y up) and traced through a lens; nothing of Op
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,7 @@ def ink(x: np.ndarray, y: np.ndarray, border: int) -> np.ndarray:
     return np.where((on_tag & ~white) | square, 0.06, 0.86)
 
 
+@cache
 def picture(turn: tuple[float, float, float], t_m: tuple[float, float, float], *, border: int = 2, k1: float = -0.2):
     """Return a picture of the board and where its corners are in it, in the order of Kalibr's grid (n, 2)."""
     y_up = Rotation.from_euler("x", 180, degrees=True)  # the board's z points to the camera
@@ -54,7 +56,7 @@ def picture(turn: tuple[float, float, float], t_m: tuple[float, float, float], *
     v, u = ((np.arange(OVER * n) + 0.5) / OVER - 0.5 for n in (HEIGHT, WIDTH))
     bent = np.stack(np.meshgrid((u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL), axis=-1)
     ray = bent.copy()
-    for _ in range(20):
+    for _ in range(10):  # to 1e-3 px
         ray = bent / (1.0 + k1 * (ray**2).sum(axis=-1))[..., None]
     d = np.concatenate([ray, np.ones((*ray.shape[:2], 1))], axis=-1) @ R
     o = -R.T @ t

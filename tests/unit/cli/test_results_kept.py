@@ -63,7 +63,7 @@ def test_measure_leaves_another_runs_results_alone_until_it_is_told_to_replace_t
 
 
 def test_simulated_pictures_of_an_earlier_run_do_not_stay_beside_new_ones(armsight: Any, tmp_path: Path) -> None:
-    words = ["simulate", "hand-cell", "-o", tmp_path / "cell"]
+    words = ["simulate", "hand-cell", "--room", "dark", "-o", tmp_path / "cell"]
     assert armsight(*words, "--frames", 3).code == 0
     assert armsight(*words, "--frames", 2).code == 2
     assert armsight(*words, "--frames", 2, "--overwrite").code == 0
@@ -92,7 +92,7 @@ class StopsAt(Silent):
 @pytest.mark.parametrize("scenario", ["webcam-cell", "hand-cell"])
 def test_a_simulation_that_is_stopped_leaves_tables_that_match_its_frames(scenario: str, tmp_path: Path) -> None:
     with pytest.raises(Cancelled, match="2"):
-        simulate(scenario, tmp_path, frames=5, progress=StopsAt(2))
+        simulate(scenario, tmp_path, frames=5, room="dark", progress=StopsAt(2))
     assert len(list((tmp_path / "left").iterdir())) == 2
     tables = [tmp_path / name for name in ("times.csv", "truth.csv", "truth_world.csv", "joints.csv")]
     lengths = {path.name: len(path.read_text().splitlines()) - 1 for path in tables if path.exists()}
@@ -194,7 +194,9 @@ def test_two_commands_do_not_write_to_one_place_at_once(
 
     def meanwhile(*_: object, **__: object) -> None:
         monkeypatch.undo()
-        inner.append(armsight("simulate", "hand-cell", "-o", tmp_path / "x" / ".." / "cell", "--frames", 1))
+        inner.append(
+            armsight("simulate", "hand-cell", "-o", tmp_path / "x" / ".." / "cell", "--frames", 1, "--room", "dark")
+        )
         raise UsageError("enough")
 
     monkeypatch.setattr("armsight.app.simulate.run.simulate", meanwhile)

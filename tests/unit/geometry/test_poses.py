@@ -29,11 +29,14 @@ def random_pose(rng: np.random.Generator) -> RigidTransform:
 
 
 def perturbed(pose: RigidTransform, d: np.ndarray) -> RigidTransform:
-    return RigidTransform.from_components(pose.translation + d[:3], Rotation.from_rotvec(d[3:]) * pose.rotation)
+    return RigidTransform.from_components(
+        pose.translation + d[..., :3], Rotation.from_rotvec(d[..., 3:]) * pose.rotation
+    )
 
 
-def spread(samples: list[RigidTransform], about: RigidTransform) -> np.ndarray:
-    d = np.array([pose_difference(s, about) for s in samples])
+def spread(samples: RigidTransform, about: RigidTransform) -> np.ndarray:
+    d = np.hstack([samples.translation - about.translation, (samples.rotation * about.rotation.inv()).as_rotvec()])
+    np.testing.assert_array_equal(d[:9], [pose_difference(s, about) for s in samples[:9]])
     return d.T @ d / len(d)
 
 
@@ -49,12 +52,12 @@ def test_composed_and_inverted_covariances_are_those_of_a_monte_carlo() -> None:
     n = 6000
     d_ab = rng.multivariate_normal(np.zeros(6), C_ab, n)
     d_bc = rng.multivariate_normal(np.zeros(6), C_bc, n)
-    composed = [perturbed(T_ab, a) * perturbed(T_bc, b) for a, b in zip(d_ab, d_bc, strict=True)]
+    composed = perturbed(T_ab, d_ab) * perturbed(T_bc, d_bc)
     expected = compose_covariance(T_ab, C_ab, T_bc, C_bc)
     # an element of a sample covariance scatters by sqrt((C_ii C_jj + C_ij^2) / n)
     sigma = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / n)
     assert (np.abs(spread(composed, T_ab * T_bc) - expected) < 5 * sigma).all()
-    inverted = [perturbed(T_ab, a).inv() for a in d_ab]
+    inverted = perturbed(T_ab, d_ab).inv()
     expected = inverse_covariance(T_ab, C_ab)
     sigma = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / n)
     assert (np.abs(spread(inverted, T_ab.inv()) - expected) < 5 * sigma).all()

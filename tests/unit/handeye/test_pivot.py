@@ -80,5 +80,5 @@ def armsight_cell(tmp_path: Path) -> Path:
     """A few frames of a simulated target that does not pivot."""
     from armsight.app.simulate.run import simulate
 
-    simulate("led-cell", tmp_path / "cell", seed=1, frames=3)
+    simulate("led-cell", tmp_path / "cell", seed=1, frames=3, room="dark")
     return tmp_path / "cell"

@@ -321,7 +321,7 @@ def test_an_unknown_scenario_is_answered_with_the_known_ones(tmp_path: Path) -> 
 
 def test_simulate_writes_files_that_the_readers_take_and_that_make_the_run_again(tmp_path: Path) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
-    done = simulate("webcam-cell", first, seed=7, frames=2)
+    done = simulate("webcam-cell", first, seed=7, frames=2, room="dark")
     assert done.n_frames == 2
     assert read_rig(first / "rig.yaml").kind == "stereo"
     assert read_target(first / "target.yaml").names == ("A", "B", "C")
@@ -340,12 +340,12 @@ def test_simulate_writes_files_that_the_readers_take_and_that_make_the_run_again
 
 
 def test_a_mirror_rig_gives_complex_images_and_sweeps_give_their_table(tmp_path: Path) -> None:
-    done = simulate("pachidis2005-static", tmp_path / "psvs", frames=1)
+    done = simulate("pachidis2005-static", tmp_path / "psvs", frames=1, room="dark")
     assert done.views == ["image"]
     assert [p.name for p in (tmp_path / "psvs" / "image").iterdir()] == ["000000.png"]
     assert read_rig(tmp_path / "psvs" / "rig.yaml").kind == "mirror"
     assert not (tmp_path / "psvs" / "world.yaml").exists()
-    simulate("kapucu2005-rrp", tmp_path / "rrp", frames=2)
+    simulate("kapucu2005-rrp", tmp_path / "rrp", frames=2, room="dark")
     rows = (tmp_path / "rrp" / "sweep_joints.csv").read_text().splitlines()
     assert rows[0] == "frame,joint,q1,q2,q3"
     assert rows[1].startswith("0,1,")
