@@ -20,8 +20,9 @@ def tool() -> ModuleType:
     return module_of(ROOT / "tools" / "mutants.py")
 
 
-def test_every_fault_can_be_planted(tool: ModuleType) -> None:
-    assert not tool.misfits(tool.read_faults())
+@pytest.mark.parametrize("table", ["mutants.yaml", "ablation.yaml"])
+def test_every_fault_can_be_planted(tool: ModuleType, table: str) -> None:
+    assert not tool.misfits(tool.read_faults(ROOT / "tools" / table))
 
 
 def test_a_fault_that_no_longer_fits_is_refused(tool: ModuleType) -> None:
@@ -60,6 +61,11 @@ def test_what_became_of_a_fault_is_told(tool: ModuleType, small: Path, tmp_path:
     ((_, outcome),) = tool.try_faults([fault], tmp_path / "copies", small)
     assert outcome.found_by == found
     assert before == {path: path.read_bytes() for path in small.rglob("*") if path.is_file()}
+
+
+def test_a_branch_that_is_gone_is_not_planted(tool: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "table.yaml").write_text("- {name: a, file: src/planted.py, breaks: '', gone: nothing needs it}\n")
+    assert not tool.read_faults(tmp_path / "table.yaml")
 
 
 def test_tests_that_do_not_end_have_found_it(tool: ModuleType, small: Path) -> None:

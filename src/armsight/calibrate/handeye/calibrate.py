@@ -43,13 +43,6 @@ SAME_PLACE = 1e-3
 FALSE_ALARM = 1e-5
 """Chance that any pair of a good set is called an outlier, or its scale wrong: one set in a hundred thousand."""
 
-MASKED = 2.5
-"""Outliers that hide each other raise the fitted noise above what most pairs show by more than this factor; of ten
-good pairs the two differ by less than 2."""
-
-MEDIAN_6 = 5.348
-"""Median of the squared length of six unit normals."""
-
 MEDIAN_3 = 1.538
 """Median length of three unit normals."""
 
@@ -257,11 +250,7 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
     pair of FALSE_ALARM of all good sets (Hotelling's T-square on the left-out error). Raises Inconsistent where fewer
     than LEAST_SHARE of the pairs stay.
     """
-    n = len(given.keep)
-    of_all = _fit_of_all(arrays, setup, given, known)
-    if of_all is not None:
-        return of_all
-    keep, start = given.keep, given.start
+    n, keep, start = len(given.keep), given.keep, given.start
     for _ in range(REJECTION_ROUNDS):
         solution = solve_pairs(arrays, setup, keep=keep, start=start, known=known)
         start = solution.poses
@@ -277,28 +266,6 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
             )
         keep = fitting
     return solution, errors
-
-
-def _fit_of_all(
-    arrays: Arrays, setup: Setup, given: Consensus, known: Array | None = None
-) -> tuple[Solution, Array] | None:
-    """Return the fit to all pairs where nothing speaks against any of them; None otherwise.
-
-    Trimming first and taking back later would rob small sets of good pairs: the trimmed fit underrates the noise.
-    """
-    try:
-        solution = solve_pairs(arrays, setup, start=given.start, known=known)
-    except DataRefused:
-        return None
-    errors, q = solution.left_out()
-    if known is None:
-        noise_m, noise_rad = np.sqrt(solution.variances[0]), np.sqrt(solution.variances[1:].sum())
-        masked = noise_m > MASKED * given.sigma_m or noise_rad > MASKED * given.sigma_rad
-    else:  # most pairs are off by far less than the noise that the fit found
-        masked = np.nanmedian(q) * MASKED**2 < MEDIAN_6
-    if masked:
-        return None
-    return (solution, errors) if (q[np.isfinite(q)] <= _limit(solution)).all() else None
 
 
 def _limit(solution: Solution) -> float:
