@@ -27,7 +27,7 @@ test-all: $(VERSIONS:%=test-%)
 
 $(VERSIONS:%=test-%): test-%: install
 	$$($(BIN)/python -m uv python find $*) tools/make_environment.py .venv-$* requirements.lock
-	.venv-$*/bin/python -m armsight.app.compilation
+	.venv-$*/bin/python -m armsight.ops.compilation
 	.venv-$*/bin/pytest -n $(WORKERS) --dist worksteal -m "not alone"
 	.venv-$*/bin/pytest -m alone
 
@@ -46,13 +46,13 @@ install: $(READY)
 
 $(READY): pyproject.toml sim/pyproject.toml plant/pyproject.toml lab/pyproject.toml requirements.lock tools/make_environment.py
 	$(PYTHON) tools/make_environment.py .venv requirements.lock
-	$(BIN)/python -m armsight.app.compilation
+	$(BIN)/python -m armsight.ops.compilation
 	@touch $@ $(RUNS)
 
 # what it takes to run it, without what the tests and the documentation need
 $(RUNS): pyproject.toml sim/pyproject.toml plant/pyproject.toml lab/pyproject.toml requirements-run.lock tools/make_environment.py
 	$(PYTHON) tools/make_environment.py .venv requirements-run.lock
-	$(BIN)/python -m armsight.app.compilation demo
+	$(BIN)/python -m armsight.ops.compilation demo
 	@touch $@
 
 # wheels and sources of all distributions, in dist/

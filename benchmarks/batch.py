@@ -34,8 +34,8 @@ MB = 1024.0
 
 def recordings(folder: Path, n: int) -> list[Path]:
     """Record FEW short recordings, and name them n times."""
-    from armsight.app.simulate.run import simulate
     from armsight.ops.measure import record
+    from armsight.ops.simulation.run import simulate
 
     if not (folder / "cell").exists():
         simulate("hand-cell", folder / "cell", frames=1)

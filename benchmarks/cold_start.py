@@ -21,7 +21,7 @@ from typing import Any
 from numba.core import event
 
 import bench
-from armsight.app.compilation import GROUPS
+from armsight.ops.compilation import GROUPS
 
 PAIRS, RUNS = 10, 5
 AHEAD = {"all in two processes (make install)": (), "what the demo runs, in two (make demo)": ("demo",)}
@@ -91,14 +91,14 @@ def seconds(module: str, *words: object, cache: str | None = None) -> list[float
 def ahead(*words: str) -> list[float]:
     """Return processor and wall seconds of compiling ahead with an empty cache."""
     with tempfile.TemporaryDirectory() as cache:
-        return seconds("armsight.app.compilation", *words, cache=cache)
+        return seconds("armsight.ops.compilation", *words, cache=cache)
 
 
 def compiled() -> list[list[object]]:
     """Return what commands take where they have run before, the best of RUNS each."""
     with tempfile.TemporaryDirectory() as name:
         cell, out, cache = Path(name) / "cell", Path(name) / "out", f"{name}/cache"
-        seconds("armsight.app.compilation", "demo", cache=cache)
+        seconds("armsight.ops.compilation", "demo", cache=cache)
         seconds("armsight", "simulate", "hand-cell", "--frames", PAIRS, "-o", cell, cache=cache)
         files = [f"--{what}={cell / what}.yaml" for what in ("rig", "target")]
         views = [f"--{side}={cell / side}/*.png" for side in ("left", "right")]

@@ -37,9 +37,9 @@ from playwright.sync_api import sync_playwright
 
 from armsight.app.live.station import Snapshot
 from armsight.app.live.views import Counts, LiveView, SideView
-from armsight.app.simulate.cells import load_cell
 from armsight.console.application import add_console
 from armsight.console.state import Console
+from armsight.ops.simulation.cells import load_cell
 from bench import machine, table
 
 CHROMIUM = "/usr/bin/chromium"

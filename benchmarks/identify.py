@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.simulate.run import simulate
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.errors import DataRefused
 from armsight.kinematics import fk
 from armsight.ops.identification.solve import BeaconFrames
+from armsight.ops.simulation.run import simulate
 from armsight.optics import Camera, parallel_rig
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, Silent

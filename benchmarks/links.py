@@ -37,13 +37,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.truth.emulated_links import Model
 from tests.truth.lossy_links import ARM, SPEED_TOLERANCE, WINDOW, Found, Restless, judge, limits_of
 
-from armsight.app.robot.recorder import run_with_progress
 from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.setpoints import GoalSource
 from armsight.drivers import ROBOTS, load
 from armsight.kinematics import Joint
+from armsight.ops.robot.recorder import run_with_progress
 from armsight_sim.twins.alter import AlterTwin
 from armsight_sim.twins.egm import EgmTwin
 from armsight_sim.twins.rsi import RsiTwin

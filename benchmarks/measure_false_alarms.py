@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.measure.run import run as measure_run
-from armsight.app.simulate.cells import CellPairs, load_cell
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup, warm_up
 from armsight.measure.results import ConsistencyOutput
+from armsight.ops.measurement.run import run as measure_run
+from armsight.ops.simulation.cells import CellPairs, load_cell
 from armsight.optics import Rig
 from armsight.records import Silent, Spots, spot_target
 from armsight.store import rig_from_mapping, target_from_mapping

@@ -31,15 +31,15 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from armsight.app.requests.plant import PlantFlags
+from armsight.ops.requests.plant import PlantFlags
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # mosquitto.py
 
-from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.opening import arm_model
-from armsight.app.robot.recorder import RecordingLog
 from armsight.control.session.loop_side import lateness_s
 from armsight.control.session.service import Service
+from armsight.ops.robot.hosting import ProcessHost, RobotSpec
+from armsight.ops.robot.opening import arm_model
+from armsight.ops.robot.recorder import RecordingLog
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.store.recording import Recording
 from armsight.store.tokens import add_token

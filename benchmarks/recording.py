@@ -25,10 +25,10 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from armsight.app.record.record import RecordJob, record_pairs
-from armsight.app.simulate.cells import load_cell
 from armsight.drivers import Skew
 from armsight.errors import BadFile
+from armsight.ops.recording.record import RecordJob, record_pairs
+from armsight.ops.simulation.cells import load_cell
 from armsight.ops.sources.frames import RecordedFrames, RecordedPairs
 from armsight.records import Frame
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter, repair

@@ -25,9 +25,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.app.simulate.scenarios import load_scenario
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.records import CameraTiming, Frame, PoseStatus, unmeasured_target
 from armsight.store import read_poses, read_rig, rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight_sim import LedCellOptions, beacon_cell, led_cell

@@ -24,14 +24,14 @@ from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
-from armsight.app.robot.opening import arm_model
-from armsight.app.robot.recorder import RecordingLog
 from armsight.control.session.loop_side import lateness_s
 from armsight.control.session.service import Service
 from armsight.drivers.remote import Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
+from armsight.ops.robot.hosting import ProcessHost, RobotSpec, ThreadHost
+from armsight.ops.robot.opening import arm_model
+from armsight.ops.robot.recorder import RecordingLog
 from armsight.server.serving import background
 from armsight.server.web_server import ServeOptions
 from armsight.store.arm_file import arm_from_mapping

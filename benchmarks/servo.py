@@ -22,14 +22,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.measure.warm_up import prepare
-from armsight.app.servo.vision import SteppedClock
-from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
 from armsight.control.status import RobotStatus
 from armsight.measure.poses.pipeline import Setup, Track, measure_pair
+from armsight.ops.measurement.warm_up import prepare
+from armsight.ops.servo.vision import SteppedClock
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.records import PoseStatus, Silent, TargetPose
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping

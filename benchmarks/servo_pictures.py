@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from armsight.app.measure.warm_up import prepare
-from armsight.app.servo.vision import ServoDevices, SteppedClock, Vision
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.servo import Mount, ServoSettings, ServoSource, chosen_gain, on_axis
 from armsight.control.status import QueueSink, RobotStatus
 from armsight.measure.poses.pipeline import Setup
+from armsight.ops.measurement.warm_up import prepare
+from armsight.ops.servo.vision import ServoDevices, SteppedClock, Vision
 from armsight.records import Silent
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping

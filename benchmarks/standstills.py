@@ -33,12 +33,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.truth.lossy_links import ARM
 
 import armsight
-from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.opening import arm_model, driver_settings
-from armsight.app.robot.recorder import RecordingLog
 from armsight.clock import SystemClock, monotonic_s
 from armsight.control.session.channels import JointTrack
 from armsight.control.session.service import Service
+from armsight.ops.robot.hosting import ProcessHost, RobotSpec
+from armsight.ops.robot.opening import arm_model, driver_settings
+from armsight.ops.robot.recorder import RecordingLog
 from armsight.server.serving import serve
 from armsight.server.web_server import ServeOptions
 from armsight.store.arm_file import write_arm

@@ -38,9 +38,6 @@ import numpy as np
 import websockets.frames
 
 import armsight
-from armsight.app.robot.hosting import ProcessHost, RobotSpec
-from armsight.app.robot.opening import arm_model, open_robot
-from armsight.app.robot.recorder import RecordingLog
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
@@ -49,6 +46,9 @@ from armsight.control.session.service import Service
 from armsight.control.setpoints import JointGoal
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed, StaleData
+from armsight.ops.robot.hosting import ProcessHost, RobotSpec
+from armsight.ops.robot.opening import arm_model, open_robot
+from armsight.ops.robot.recorder import RecordingLog
 from armsight.server.serving import serve
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token

@@ -28,9 +28,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.servo.vision import ServoDevices, SteppedClock
-from armsight.app.simulate.run import simulate
-from armsight.app.simulate.scenarios import load_scenario
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
@@ -39,6 +36,9 @@ from armsight.control.paths import smoothed
 from armsight.control.play import PathPlan, PathSource, PlaySettings, Weave, plan_path
 from armsight.control.status import RobotStatus
 from armsight.kinematics import Arm
+from armsight.ops.servo.vision import ServoDevices, SteppedClock
+from armsight.ops.simulation.run import simulate
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.ops.teach import teach
 from armsight.records import TaughtPath
 from armsight.store.arm_file import arm_from_mapping

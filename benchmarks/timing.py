@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import bench
-from armsight.app.measure.streams import streams_of, timing_of
 from armsight.errors import DataRefused
 from armsight.measure.follow import Follower
 from armsight.measure.motion.estimate import ANGULAR_RATIO
@@ -30,6 +29,7 @@ from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
 from armsight.ops.calibrate_rig import calibrate_timing
 from armsight.ops.measure import measure
+from armsight.ops.measurement.streams import streams_of, timing_of
 from armsight.optics import Camera, parallel_rig
 from armsight.records import PoseStatus, Spots, spot_target
 from armsight.store import read_poses, read_rig, read_target, write_rig, write_target

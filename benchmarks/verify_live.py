@@ -21,12 +21,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from armsight.app.simulate.scenarios import load_scenario
-from armsight.app.verify.supervising import Supervised
 from armsight.clock import ManualClock, SystemClock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import DeviceFailed
 from armsight.ops import verify
+from armsight.ops.simulation.scenarios import load_scenario
+from armsight.ops.verification.supervising import Supervised
 from armsight.records import Frame, JointReading
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.simulate.run import simulate
+from armsight.ops.simulation.run import simulate
 
 WIDTH, HEIGHT, FPS, SET_FPS = 640, 360, 15.0, 30.0
 SIGMA_PX, PEAK, DARK, NOISE = 1.5, 200.0, 8.0, 1.5

@@ -23,10 +23,6 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.robot.opening import ClockedRobot, arm_of, open_robot
-from armsight.app.servo.vision import ServoDevices, SteppedClock
-from armsight.app.simulate.run import simulate
-from armsight.app.simulate.scenarios import live_cell
 from armsight.clock import Clock, ManualClock
 from armsight.control.guard import Box, Limits
 from armsight.control.setpoints import Hold
@@ -34,6 +30,10 @@ from armsight.drivers.jog_inputs import JogAxes
 from armsight.errors import ArmsightError, NotEnoughData
 from armsight.ops import motion, robots
 from armsight.ops.action import action_of
+from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
+from armsight.ops.servo.vision import ServoDevices, SteppedClock
+from armsight.ops.simulation.run import simulate
+from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.teach import teach
 from armsight.records import Motion, Silent, TaughtPath
 from armsight.store import write_text

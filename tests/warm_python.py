@@ -91,9 +91,9 @@ def load_all() -> None:
     import armsight_lab
     import armsight_plant
     import armsight_sim
-    from armsight.app.compilation import GROUPS
-    from armsight.app.simulate.run import simulate
     from armsight.kinematics import warm_up
+    from armsight.ops.compilation import GROUPS
+    from armsight.ops.simulation.run import simulate
 
     for package in (armsight, armsight_sim, armsight_plant, armsight_lab):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):

@@ -12,20 +12,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from armsight.app.convert import ConvertOutput
-from armsight.app.demo import DemoOutput
-from armsight.app.doctor import DoctorOutput
-from armsight.app.play.play_path import PlayOutput
-from armsight.app.record.export import ExportOutput
-from armsight.app.record.record import RecordOutput
-from armsight.app.robot.jog import JogOutput
-from armsight.app.robot.link_test import RobotTestOutput
-from armsight.app.robot.run_motion import RunMotionOutput
-from armsight.app.servo.run_servo import ServoOutput
-from armsight.app.simulate.reproduced import ReproduceOutput
-from armsight.app.simulate.run import SimulateOutput
-from armsight.app.tables import ConvertTableOutput
-from armsight.app.teach import TeachResult
 from armsight.calibrate.arm import ArmResult, RobotWorldResult
 from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
 from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
@@ -42,12 +28,26 @@ from armsight.drivers.remote.protocol import protocol_schema
 from armsight.measure.results import REASONS, MeasureResult
 from armsight.ops.arm_files import ConvertArmOutput
 from armsight.ops.compare.run import CompareOutput
+from armsight.ops.conversion import ConvertOutput
+from armsight.ops.demo import DemoOutput
+from armsight.ops.doctor import DoctorOutput
 from armsight.ops.join import JoinResult
 from armsight.ops.kinematics_results import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
 from armsight.ops.path.check import PathCheckOutput
 from armsight.ops.path.export import PathExportOutput
 from armsight.ops.path.picks import PathPicksOutput
 from armsight.ops.path.tools import PathChangeOutput, PathSmoothOutput
+from armsight.ops.play.play_path import PlayOutput
+from armsight.ops.recording.export import ExportOutput
+from armsight.ops.recording.record import RecordOutput
+from armsight.ops.robot.jog import JogOutput
+from armsight.ops.robot.link_test import RobotTestOutput
+from armsight.ops.robot.run_motion import RunMotionOutput
+from armsight.ops.servo.run_servo import ServoOutput
+from armsight.ops.simulation.reproduced import ReproduceOutput
+from armsight.ops.simulation.run import SimulateOutput
+from armsight.ops.tables import ConvertTableOutput
+from armsight.ops.teaching import TeachResult
 from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model

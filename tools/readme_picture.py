@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import armsight
-from armsight.app.simulate.run import simulate
 from armsight.kinematics import link_frames
+from armsight.ops.simulation.run import simulate
 from armsight.store import read_world
 
 Array = NDArray[np.float64]

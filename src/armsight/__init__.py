@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from armsight.api.simulation import read_scenario as read_scenario
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
-    from armsight.app.teach import TeachResult as TeachResult
     from armsight.calibrate.arm import ArmResult as ArmResult
     from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
     from armsight.calibrate.camera_noise.photon_transfer import NoiseResult as NoiseResult
@@ -129,6 +128,7 @@ if TYPE_CHECKING:
     from armsight.ops.robots import check_robot as check_robot
     from armsight.ops.robots import jog as jog
     from armsight.ops.teach import teach as teach
+    from armsight.ops.teaching import TeachResult as TeachResult
     from armsight.ops.verify import check_mastering as check_mastering
     from armsight.ops.verify import plan_verification as plan_verification
     from armsight.ops.verify import propose_mastering_poses as propose_mastering_poses
@@ -188,7 +188,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.ops.motion": ("play", "servo"),
     "armsight.ops.teach": ("teach",),
     "armsight.ops.robots": ("check_robot", "jog"),
-    "armsight.app.teach": ("TeachResult",),
+    "armsight.ops.teaching": ("TeachResult",),
     "armsight.ops.calibrate_cameras": ("calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"),
     "armsight.ops.calibrate_mirrors": ("calibrate_mirrors", "check_mirrors"),
     "armsight.ops.calibrate_rig": ("calibrate_noise", "calibrate_target", "calibrate_timing"),

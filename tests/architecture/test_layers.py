@@ -32,7 +32,7 @@ PLANTED = {
     "the batch sees the commands": ("armsight_lab/batch/planted.py", "import armsight_lab.cli.batch"),
     "app imports the laboratory by name": ("app/planted.py", "import armsight_lab.batch.run"),
     "store sees config": ("store/planted.py", "import armsight.config"),
-    "a world runs armsight": ("armsight_sim/sets/planted.py", "import armsight.app.measure.run"),
+    "a world runs armsight": ("armsight_sim/sets/planted.py", "import armsight.ops.measurement.run"),
     "a world sees what runs armsight on it": ("armsight_sim/twins/planted.py", "import armsight_sim.reproduce.run"),
     "server imports what plants use by name": ("server/planted.py", "import armsight_plant.options"),
     "what plants use serves pages": ("armsight_plant/opcua/planted.py", "import armsight.server"),

@@ -27,7 +27,7 @@ NAMED = re.compile(
 """What a text without any such call does not hold: it need not be parsed."""
 
 ALLOWED = {
-    "app/robot/hosting.py": {"pickle.loads"},  # memory shared with the loop, its own child process, alone
+    "ops/robot/hosting.py": {"pickle.loads"},  # memory shared with the loop, its own child process, alone
     "control/session/loop_side.py": {"pickle.loads"},  # ... and the child's side of it
     "armsight_plant/process.py": {"pickle.loads"},  # memory shared with the publishers, its own child process
     "armsight_sim/twins/urscript.py": {

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 import warm_python
-from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_text
+from armsight.ops.simulation.scenarios import build_world, load_scenario, scenario_text
 
 CHROMIUM = "/usr/bin/chromium"
 PATIENCE_MS = 60_000

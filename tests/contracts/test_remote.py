@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.robot.hosting import ThreadHost
 from armsight.control.session.service import Service
 from armsight.drivers.remote import RemoteRobot
 from armsight.errors import ArmsightError
+from armsight.ops.robot.hosting import ThreadHost
 from armsight.server.serving import background
 from armsight.store.arm_file import arm_from_mapping
 from armsight.testing import RobotCase, RobotContract, WrongController

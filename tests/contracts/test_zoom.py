@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import yaml
 
-from armsight.app.simulate import scenarios
-from armsight.app.simulate.scenarios import VIEW
 from armsight.clock import ManualClock
 from armsight.drivers import AUTOMATIC, CameraSettings, OpenCvCamera, open_pairs, open_source
 from armsight.drivers.aravis import AravisCamera
 from armsight.drivers.camera_settings import ZOOM_S
 from armsight.drivers.live import SETTLED
 from armsight.errors import DeviceFailed, UsageError
+from armsight.ops.simulation import scenarios
+from armsight.ops.simulation.scenarios import VIEW
 from armsight.store.yamls import parse_yaml
 from armsight_sim.scenario_builder import build_world
 from armsight_sim.scenario_schema import Scenario

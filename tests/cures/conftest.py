@@ -23,7 +23,7 @@ from histories import baseline_runs, runs
 @pytest.fixture(scope="session")
 def given_files(tmp_path_factory, scene, boards, mirror_boards):
     """left/ and right/ with rig.yaml and target.yaml; boards/; cell/ of `simulate`; j.csv and poses.csv of an arm."""
-    from armsight.app.simulate.run import simulate
+    from armsight.ops.simulation.run import simulate
     from armsight.store.tokens import add_token
     from armsight_plant.certificates import make_pair
 

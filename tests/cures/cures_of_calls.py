@@ -11,7 +11,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 import armsight
-from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Box
 from armsight.control.guard.plausible import check_corners
 from armsight.control.paths.exports import krl, rapid
@@ -26,6 +25,7 @@ from armsight.kinematics import preset
 from armsight.kinematics.joints import Coupling
 from armsight.measure.settings import Pace
 from armsight.ops.arrays import as_size
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.optics import Camera, Plate
 from armsight.records import Motion, Spots, TaughtPath
 from armsight.records.camera import CameraTiming
@@ -115,7 +115,7 @@ TRIED = {
         lambda: _extent(((0.3, 0.3), (-0.2, 0.2), (0.1, 0.4))),
         lambda: _extent(((0.3, 0.6), (-0.2, 0.2), (0.1, 0.4))),
     ),
-    ("app/simulate/scenarios.py", "Known are: {}; or give"): (
+    ("ops/simulation/scenarios.py", "Known are: {}; or give"): (
         lambda: load_scenario("hand-cell"),
         lambda: load_scenario("webcam-cell"),
     ),

@@ -163,29 +163,29 @@ TRIED = {
         f"{LIT} --target labels.yaml",
         f"{MIRRORS} --image mirrors",
     ),
-    ("app/measure/streams.py", "Leave --timing free away"): (
+    ("ops/measurement/streams.py", "Leave --timing free away"): (
         f"{MEASURE} --stills --timing free",
         f"{MEASURE} --stills",
     ),
-    ("app/measure/streams.py", "in place of --left and --right"): (
+    ("ops/measurement/streams.py", "in place of --left and --right"): (
         "measure --rig mirrors.yaml --target board.yaml --left mirrors --right mirrors -o m",
         "measure --rig mirrors.yaml --target board.yaml --image mirrors -o m",
     ),
-    ("app/measure/streams.py", "one recording as --left"): (
+    ("ops/measurement/streams.py", "one recording as --left"): (
         "measure --rig rig.yaml --target target.yaml -o m",
         f"{MEASURE} && {RECORD} && measure --rig rig.yaml --target target.yaml --left a.mcap -o m --overwrite",
     ),
-    ("app/measure/streams.py", "or use --timing pairs"): (f"{MEASURE} --timing free", f"{MEASURE} --timing pairs"),
-    ("app/measure/free_running.py", "or use --timing pairs"): (
+    ("ops/measurement/streams.py", "or use --timing pairs"): (f"{MEASURE} --timing free", f"{MEASURE} --timing pairs"),
+    ("ops/measurement/free_running.py", "or use --timing pairs"): (
         f"{OF_TIMED} {SIDES} --target labels.yaml",
         "{} --timing pairs",
     ),
-    ("app/record/record.py", "Give --left and --right, or --cell"): (
+    ("ops/recording/record.py", "Give --left and --right, or --cell"): (
         "record -o a.mcap",
         RECORD,
     ),
     ("store/recording/mcapfile.py", "or give --overwrite"): (f"{RECORD} && {RECORD}", f"{RECORD} --overwrite"),
-    ("app/record/export.py", "Give --to with one of"): (
+    ("ops/recording/export.py", "Give --to with one of"): (
         f"{RECORD} && convert recording a.mcap -o f --to zip",
         "convert recording a.mcap -o f --to files",
     ),
@@ -224,7 +224,7 @@ TRIED = {
     ),
     ("ops/machine.py", "Give --rig with it"): ("doctor --depth 1", "{} --rig rig.yaml"),
     ("ops/machine.py", "Give --rig and --depth"): ("doctor --accuracy 1", "{} --rig rig.yaml --depth 1"),
-    ("app/simulate/run.py", "Leave --room and --zoom"): (
+    ("ops/simulation/run.py", "Leave --room and --zoom"): (
         "simulate arm-points --room dark -o s",
         "simulate arm-points -o s",
     ),

@@ -12,7 +12,6 @@ from cures_of_arms import START, plan
 from cures_of_cameras import MEASURE, RECORD, SIDES
 from cures_of_runs import FIND
 
-from armsight.app.measure.streams import _settings_of_one
 from armsight.calibrate.cell.assignment import name_lights
 from armsight.calibrate.cell.calibrate import _require_motion
 from armsight.drivers import AUTOMATIC, CameraSettings
@@ -20,6 +19,7 @@ from armsight.kinematics import preset
 from armsight.ops.calibration.cell import _require_inside, read_priors, require_sources
 from armsight.ops.calibration.spots_of_frames import _require_both
 from armsight.ops.measure import _with_zoom
+from armsight.ops.measurement.streams import _settings_of_one
 from armsight.records import Frame, Motion
 from armsight.store import read_spot_track
 from armsight.store.recording import RecordingWriter
@@ -199,31 +199,31 @@ TRIED = {
         told([[0.0, 0.04, 0.0], [0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]]),
         told(UNLIKE),
     ),
-    ("app/measure/streams.py", "Give --left and --right, or --left-spots"): (
+    ("ops/measurement/streams.py", "Give --left and --right, or --left-spots"): (
         f"{FREE} --left-spots lights-left.csv",
         f"{FREE} {SIDES} && {FREE} {tables('lights')} --overwrite",
     ),
-    ("app/measure/streams.py", "or one recording for both"): (
+    ("ops/measurement/streams.py", "or one recording for both"): (
         f"{FREE} --left left",
         f"{FREE} {SIDES} && {RECORD} && {FREE} --left a.mcap --overwrite",
     ),
-    ("app/measure/streams.py", "Record first: armsight record"): (
+    ("ops/measurement/streams.py", "Record first: armsight record"): (
         f"{FREE} --left camera:0 --right camera:2",
         f"record {SIDES} -o wave.mcap && {FREE} --left wave.mcap",
     ),
-    ("app/measure/free_output.py", "Check that the times of --at"): (
+    ("ops/measurement/free_output.py", "Check that the times of --at"): (
         f"{FREE} {SIDES} --at other-day.csv",
         f"{FREE} {SIDES} --at at.csv",
     ),
-    ("app/measure/streams.py", "Run armsight calibrate timing"): (
+    ("ops/measurement/streams.py", "Run armsight calibrate timing"): (
         f"{MEASURE} --rate 100",
         f"{TIMING} {tables('waved')} && {MEASURE.replace('rig.yaml', 't.yaml')} --rate 100",
     ),
-    ("app/measure/streams.py", "Give --timing pairs"): (
+    ("ops/measurement/streams.py", "Give --timing pairs"): (
         (deep, f"{FREE} --left deep/left --right deep/right --bits 10"),
         f"{FREE} --left deep/left --right deep/right --bits 10 --timing pairs",
     ),
-    ("app/measure/streams.py", "the same value; or leave --set-zoom"): (
+    ("ops/measurement/streams.py", "the same value; or leave --set-zoom"): (
         lambda: _settings_of_one(zoomed_to(100.0, 200.0), "a.png"),
         lambda: [_settings_of_one(zoomed_to(100.0, 100.0), "a.png"), _settings_of_one(AUTOMATIC, "a.png")],
     ),

@@ -21,9 +21,6 @@ from cures_of_robots import KEY, SIM
 from cures_of_runs import BOARD, CAMERAS, DESIGN, FIND
 
 from armsight.app.live.measurement import LiveJob, require_kind
-from armsight.app.record.free_cameras import FreeJob
-from armsight.app.robot.recorder import require_recorded
-from armsight.app.robot.run_motion import recorded_cameras
 from armsight.cli.serve import _of_robot
 from armsight.console.state import Console
 from armsight.drivers import CameraSettings, LivePairs
@@ -32,6 +29,9 @@ from armsight.drivers.rtde import link
 from armsight.kinematics import preset
 from armsight.measure.correspondence import PatchSettings, StereoViews, find_in_other_view
 from armsight.ops.identification.live import Known, _ask, _modelled
+from armsight.ops.recording.free_cameras import FreeJob
+from armsight.ops.robot.recorder import require_recorded
+from armsight.ops.robot.run_motion import recorded_cameras
 from armsight.optics import Camera
 from armsight.optics.zoom import ZoomSetting
 from armsight.records import Frame, JointReading, Silent
@@ -240,11 +240,11 @@ TRIED = {
             require_kind(LiveJob(left="camera:0", right=None), read_rig(Path("mirrors.yaml"))),
         ],
     ),
-    ("app/record/free_cameras.py", "Give live cameras, such as"): (
+    ("ops/recording/free_cameras.py", "Give live cameras, such as"): (
         lambda: FreeJob(left="left", right="right", out=Path("a.mcap")),
         lambda: FreeJob(left="camera:0", right="camera:2", out=Path("a.mcap")),
     ),
-    ("app/robot/recorder.py", "Make room, or name another disk"): (
+    ("ops/robot/recorder.py", "Make room, or name another disk"): (
         lambda: require_recorded("no space is left"),
         lambda: require_recorded(""),
     ),
@@ -275,7 +275,7 @@ TRIED = {
         modelled,
         lambda: modelled(world=read_world(Path("cell/world.yaml"))),
     ),
-    ("app/robot/run_motion.py", "Give --left and --right too"): (
+    ("ops/robot/run_motion.py", "Give --left and --right too"): (
         moved(camera_settings=EXPOSED),
         lambda: recorded_cameras(*LIVE_EYES.values(), EXPOSED, Path("moved")),
     ),

@@ -11,16 +11,6 @@ from cures_of_arms import HANDEYE, PAIRS, START
 from cures_of_robots import SIM, jog
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.play.play_job import check as check_play
-from armsight.app.play.play_job import check_speeds
-from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.opening import ClockedRobot, arm_of, open_robot
-from armsight.app.robot.robot_run import check_arm
-from armsight.app.servo.run_servo import require_axis, turning
-from armsight.app.servo.vision import CameraNames, ServoDevices, measuring, open_servo, placed_cameras
-from armsight.app.verify.live import check_arm as check_supervised_arm
-from armsight.app.verify.live import check_times, open_supervised
-from armsight.app.verify.mastering import drawn_about
 from armsight.calibrate.identify.plan import checked_limits
 from armsight.clock import ManualClock
 from armsight.control.guard import Limits
@@ -36,6 +26,16 @@ from armsight.ops.identification.left_out import read_limits
 from armsight.ops.identification.live import Known, LiveSweeps, open_devices
 from armsight.ops.identification.live import _check as check_identify
 from armsight.ops.identify import joint_numbers
+from armsight.ops.play.play_job import check as check_play
+from armsight.ops.play.play_job import check_speeds
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
+from armsight.ops.robot.robot_run import check_arm
+from armsight.ops.servo.run_servo import require_axis, turning
+from armsight.ops.servo.vision import CameraNames, ServoDevices, measuring, open_servo, placed_cameras
+from armsight.ops.verification.live import check_arm as check_supervised_arm
+from armsight.ops.verification.live import check_times, open_supervised
+from armsight.ops.verification.mastering import drawn_about
 from armsight.records import TaughtPath
 from armsight.store import read_rig, read_target
 
@@ -119,7 +119,7 @@ def recorder(every):
 
 
 def lights(target, rig="cell/rig.yaml", *, overlaid=False):
-    from armsight.app.measure.run import target_of
+    from armsight.ops.measurement.run import target_of
 
     devices = ServoDevices(robot=None, pairs=None, clock=None, overlaid=overlaid)
     return lambda: measuring(read_rig(Path(rig)), target_of(Path(target)), devices)
@@ -212,15 +212,15 @@ IN_CELL = (
 )
 
 TRIED = {
-    ("app/play/play_job.py", "Give {} (--frame)"): (
+    ("ops/play/play_job.py", "Give {} (--frame)"): (
         lambda: check_play("tool", 0.01),
         lambda: [check_play(name, 0.01) for name in ("world", "base")],
     ),
-    ("app/play/play_job.py", "Give m: {} mm are"): (
+    ("ops/play/play_job.py", "Give m: {} mm are"): (
         lambda: check_play("world", 10.0),
         lambda: check_play("world", 0.01),
     ),
-    ("app/play/play_job.py", "Give m/s: "): (
+    ("ops/play/play_job.py", "Give m/s: "): (
         lambda: check_speeds(PlaySettings(speed_m_s=50.0), Limits(), 1.0),
         lambda: check_speeds(PlaySettings(speed_m_s=0.05), Limits(), 1.0),
     ),
@@ -237,8 +237,8 @@ TRIED = {
         planned(through([[0, 0, 0], [0, 0, 3]])),
         planned(CORNER),
     ),
-    ("app/robot/robot_run.py", "Give --yes to move"): (moved(yes=False), moved()),
-    ("app/robot/run_motion.py", "the limits that it is run with"): (
+    ("ops/robot/robot_run.py", "Give --yes to move"): (moved(yes=False), moved()),
+    ("ops/robot/run_motion.py", "the limits that it is run with"): (
         moved(limits=Path("aside.yaml")),
         moved(limits=Path("wide.yaml")),
     ),
@@ -246,44 +246,44 @@ TRIED = {
     ("drivers/jog_inputs.py", "Plug it in, look"): (pressed("gamepad:/dev/input/js99"), pressed("gamepad:/dev/null")),
     ("drivers/jog_inputs.py", "Run it in a terminal"): (pressed("keyboard"), jog(joint=1, by=0.02)),
     ("ops/robots.py", "Give --joint and --by"): (f"robot jog --robot {SIM} --yes --joint 1", jog(joint=1, by=0.02)),
-    ("app/servo/vision.py", "Make it with: armsight calibrate handeye"): (
+    ("ops/servo/vision.py", "Make it with: armsight calibrate handeye"): (
         lambda: placed_cameras(Path("h.yaml")),
         (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: placed_cameras(Path("h.yaml"))),
     ),
-    ("app/servo/run_servo.py", "Give --at tool"): (
+    ("ops/servo/run_servo.py", "Give --at tool"): (
         (PAIRS, f"{HANDEYE} --pairs pairs.csv", lambda: require_axis("camera", placed_cameras(H_YAML), H_YAML)),
         lambda: require_axis("tool", placed_cameras(H_YAML), H_YAML),
     ),
-    ("app/servo/run_servo.py", "(--rotation)"): (lambda: turning("x"), lambda: turning("align")),
-    ("app/servo/vision.py", "Give a target of lights"): (lights("board.yaml"), lights("cell/target.yaml")),
-    ("app/servo/vision.py", "Give --image"): (
+    ("ops/servo/run_servo.py", "(--rotation)"): (lambda: turning("x"), lambda: turning("align")),
+    ("ops/servo/vision.py", "Give a target of lights"): (lights("board.yaml"), lights("cell/target.yaml")),
+    ("ops/servo/vision.py", "Give --image"): (
         lights("lit.yaml", "mirrors.yaml"),
         lights("lit.yaml", "mirrors.yaml", overlaid=True),
     ),
-    ("app/servo/vision.py", "or --image for a mirror rig"): (eyes(), eyes(**LIVE_EYES)),
-    ("app/verify/live.py", "Give seconds, more than zero"): (
+    ("ops/servo/vision.py", "or --image for a mirror rig"): (eyes(), eyes(**LIVE_EYES)),
+    ("ops/verification/live.py", "Give seconds, more than zero"): (
         times(blind_stop_s=0.0),
         times(blind_stop_s=0.5),
     ),
-    ("app/verify/live.py", "Give degrees, zero or more"): (
+    ("ops/verification/live.py", "Give degrees, zero or more"): (
         times(joint_std=-1.0),
         times(joint_std=0.0),
     ),
-    ("app/verify/live.py", "Give seconds, zero or more"): (
+    ("ops/verification/live.py", "Give seconds, zero or more"): (
         times(latency_s=-1.0),
         times(latency_s=0.0),
     ),
-    ("app/verify/live.py", "Leave --play away"): (
+    ("ops/verification/live.py", "Leave --play away"): (
         supervised(*LIVE_EYES.values(), play=True),
         supervised(*LIVE_EYES.values()),
     ),
-    ("app/verify/live.py", "Give camera:NAME for"): (
+    ("ops/verification/live.py", "Give camera:NAME for"): (
         supervised(f"camera:{SIM}:left", f"camera:{SIM}:right"),
         supervised(*LIVE_EYES.values()),
     ),
-    ("app/verify/mastering.py", "Give --around q1"): (MASTERING, "{} --around 0.1,0.2,0.1,0.2,0.9,0.3"),
-    ("app/verify/mastering.py", "Give degrees above 0"): (around(span_rad=0.0), around(span_rad=0.3)),
-    ("app/verify/mastering.py", "Give a pose before both cameras"): (
+    ("ops/verification/mastering.py", "Give --around q1"): (MASTERING, "{} --around 0.1,0.2,0.1,0.2,0.9,0.3"),
+    ("ops/verification/mastering.py", "Give degrees above 0"): (around(span_rad=0.0), around(span_rad=0.3)),
+    ("ops/verification/mastering.py", "Give a pose before both cameras"): (
         f"{IN_CELL} --around=0,-1.57,0,0,0,0",
         f"{IN_CELL} --around={START}",
     ),
@@ -310,20 +310,20 @@ TRIED = {
     ),
     ("control/teach.py", "Give 1 or more (--every)"): (recorder(0), recorder(1)),
     ("ops/teach.py", "or --from poses.csv"): ("teach -o taught", "teach --from poses.csv -o taught"),
-    ("app/teach.py", "Give --world world.yaml, made with"): (f"{TEACH} {VIEWS}", "{} --world cell/world.yaml"),
-    ("app/teach.py", "--image for a mirror rig, or"): (
+    ("ops/teaching.py", "Give --world world.yaml, made with"): (f"{TEACH} {VIEWS}", "{} --world cell/world.yaml"),
+    ("ops/teaching.py", "--image for a mirror rig, or"): (
         f"{TEACH} --left cell/left --world cell/world.yaml",
         f"{TEACH} {VIEWS} --world cell/world.yaml && teach --from poses.csv -o other",
     ),
-    ("app/robot/robot_run.py", "Give the arm's file (--arm)"): (
+    ("ops/robot/robot_run.py", "Give the arm's file (--arm)"): (
         followed(wrap=Untold),
         followed(wrap=Untold, arm="cell/arm.yaml"),
     ),
-    ("app/robot/robot_run.py", "Give the file of this arm"): (
+    ("ops/robot/robot_run.py", "Give the file of this arm"): (
         lambda: check_arm(telling(UR), preset("ur5e")),
         lambda: check_arm(telling(UR), UR),
     ),
-    ("app/verify/live.py", "Give the file of this arm"): (
+    ("ops/verification/live.py", "Give the file of this arm"): (
         lambda: check_supervised_arm(preset("iiwa14"), SimpleNamespace(robot=telling(UR))),
         lambda: check_supervised_arm(UR, SimpleNamespace(robot=telling(UR))),
     ),

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from armsight.app.requests.motion import settings_of
-from armsight.app.requests.plant import PlantFlags
-from armsight.app.robot.jog import _check_frame as check_hand
-from armsight.app.robot.opening import ClockedRobot, arm_model, driver_settings, guard_for, open_robot
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import KeyboardInput
 from armsight.kinematics import preset
 from armsight.ops import robots
 from armsight.ops.action import action_of
+from armsight.ops.requests.motion import settings_of
+from armsight.ops.requests.plant import PlantFlags
+from armsight.ops.robot.jog import _check_frame as check_hand
+from armsight.ops.robot.opening import ClockedRobot, arm_model, driver_settings, guard_for, open_robot
 
 SIM = "sim:webcam-cell"
 URL = "opc.tcp://127.0.0.1:4840"
@@ -51,55 +51,55 @@ class Bare:
 
 
 TRIED = {
-    ("app/robot/jog.py", "Give one of them (--joint)"): (jog(joint=7), jog(joint=6)),
-    ("app/robot/jog.py", "Give rad or m (--by)"): (jog(by=0.0), jog(by=0.1)),
-    ("app/robot/jog.py", "Give radians (--by"): (jog(by=5.0), jog(by=0.0873)),
-    ("app/robot/jog.py", "Ask for a shorter way (--by)"): (
+    ("ops/robot/jog.py", "Give one of them (--joint)"): (jog(joint=7), jog(joint=6)),
+    ("ops/robot/jog.py", "Give rad or m (--by)"): (jog(by=0.0), jog(by=0.1)),
+    ("ops/robot/jog.py", "Give radians (--by"): (jog(by=5.0), jog(by=0.0873)),
+    ("ops/robot/jog.py", "Ask for a shorter way (--by)"): (
         jog(by=0.5, limits=Path("narrow.yaml")),
         jog(by=0.1, limits=Path("narrow.yaml")),
     ),
-    ("app/robot/jog.py", "Go back within them (--by"): (
+    ("ops/robot/jog.py", "Go back within them (--by"): (
         jog(by=-0.1, limits=Path("aside.yaml")),
         jog(by=0.2, limits=Path("aside.yaml")),
     ),
-    ("app/robot/jog.py", "or look at the limits (--limits)"): (
+    ("ops/robot/jog.py", "or look at the limits (--limits)"): (
         jog(by=0.5, limits=Path("box.yaml"), speed=1.0),
         jog(by=0.02, limits=Path("box.yaml"), speed=1.0),
     ),
-    ("app/robot/jog.py", "Give joints, base or tool"): (
+    ("ops/robot/jog.py", "Give joints, base or tool"): (
         lambda: check_hand("wrist", True, SIM),
         lambda: check_hand("tool", True, SIM),
     ),
-    ("app/robot/jog.py", "or --frame joints"): (
+    ("ops/robot/jog.py", "or --frame joints"): (
         lambda: check_hand("tool", False, "egm"),
         lambda: check_hand("joints", False, "egm"),
     ),
     ("drivers/jog_inputs.py", "Use --joint and --by"): (lambda: KeyboardInput(0, 9), jog(joint=1, by=0.1)),
-    ("app/robot/opening.py", "Omit --robot-set"): (
+    ("ops/robot/opening.py", "Omit --robot-set"): (
         lambda: driver_settings(SIM, {"cycle_s": "0.01"}),
         lambda: driver_settings(SIM),
     ),
-    ("app/robot/opening.py", "Give it with --arm"): (
+    ("ops/robot/opening.py", "Give it with --arm"): (
         lambda: driver_settings("alter:1.2.3.4", {"arm": "ur10"}),
         lambda: driver_settings("alter:1.2.3.4", arm=preset("ur10")),
     ),
-    ("app/robot/opening.py", "Omit --rsi-config"): (
+    ("ops/robot/opening.py", "Omit --rsi-config"): (
         lambda: driver_settings("egm:6510", rsi_config=Path("a.xml")),
         lambda: [driver_settings("egm:6510"), driver_settings("rsi:49152", rsi_config=Path("a.xml"))],
     ),
-    ("app/requests/motion.py", "each key once"): (
+    ("ops/requests/motion.py", "each key once"): (
         lambda: settings_of(["controller"]),
         lambda: settings_of(["controller=192.168.0.10"]),
     ),
-    ("app/robot/opening.py", "Give the arm of this robot"): (
+    ("ops/robot/opening.py", "Give the arm of this robot"): (
         lambda: guard_for(Bare(), preset("panda"), None),
         lambda: guard_for(Bare(), preset("ur10"), None),
     ),
-    ("app/robot/opening.py", "or limits without boxes"): (
+    ("ops/robot/opening.py", "or limits without boxes"): (
         lambda: guard_for(Bare(), None, Path("box.yaml")),
         lambda: [guard_for(Bare(), preset("ur10"), Path("box.yaml")), guard_for(Bare(), None, Path("free.yaml"))],
     ),
-    ("app/robot/opening.py", "Give --arm with its arm.yaml"): (
+    ("ops/robot/opening.py", "Give --arm with its arm.yaml"): (
         lambda: arm_model("egm:6510", None),
         lambda: arm_model("egm:6510", "irb120"),
     ),

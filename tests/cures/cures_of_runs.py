@@ -144,20 +144,20 @@ TRIED = {
         f"{JOIN} {OF_ARM} --still",
         f"{RESTING}{IN_TIME} resting.csv --still",
     ),
-    ("app/verify/run.py", "Give --arm with --joints joints.csv, --commanded"): (VERIFY, f"{{}} {OF_ARM}"),
-    ("app/verify/run.py", "and verify twice for both"): (
+    ("ops/verification/run.py", "Give --arm with --joints joints.csv, --commanded"): (VERIFY, f"{{}} {OF_ARM}"),
+    ("ops/verification/run.py", "and verify twice for both"): (
         f"{VERIFY} {OF_ARM} --commanded places.csv",
         f"{VERIFY} {OF_ARM} && {VERIFY}2 --commanded places.csv",
     ),
-    ("app/verify/run.py", "Give --arm with the arm they are of"): (f"{VERIFY} --joints j.csv", "{} --arm irb120"),
-    ("app/verify/run.py", "Give --joints joints.csv: t_s"): (f"{VERIFY} --arm irb120", "{} --joints j.csv"),
-    ("app/verify/run.py", "earlier `armsight verify -o`"): (
+    ("ops/verification/run.py", "Give --arm with the arm they are of"): (f"{VERIFY} --joints j.csv", "{} --arm irb120"),
+    ("ops/verification/run.py", "Give --joints joints.csv: t_s"): (f"{VERIFY} --arm irb120", "{} --joints j.csv"),
+    ("ops/verification/run.py", "earlier `armsight verify -o`"): (
         f"{VERIFY} {OF_ARM} --compare done",
         f"{VERIFY}0 {OF_ARM} && {VERIFY} {OF_ARM} --compare v0",
     ),
     ("cli/verify.py", "Give --arm with its file"): ("verify --plan -o p", PLANNED),
     ("cli/verify.py", "Give --measured FILE, or"): ("verify -o p", PLANNED),
-    ("app/verify/run.py", "Give --arm FILE.urdf"): (
+    ("ops/verification/run.py", "Give --arm FILE.urdf"): (
         f"{VERIFY} --commanded places.csv --tip tool0",
         "convert arm irb120 -o arm.urdf && verify --measured poses.csv -o v --joints j.csv --arm arm.urdf --tip tool",
     ),
@@ -167,7 +167,7 @@ TRIED = {
         f"{VERIFY} {OF_ARM} && {VERIFY} {OF_ARM}",
         f"{VERIFY} {OF_ARM} --overwrite",
     ),
-    ("app/verify/mastering.py", "Give --joints with q1"): (
+    ("ops/verification/mastering.py", "Give --joints with q1"): (
         "verify --mastering --measured poses.csv --arm irb120 -o m",
         "{} --joints j.csv",
     ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-from armsight.app.measure.run import target_of
+from armsight.ops.measurement.run import target_of
 from armsight.store.tracks import read_times
 
 ROWS = [
@@ -136,7 +136,7 @@ TRIED = {
         "convert rig fish.yml -o a.yaml",
         "convert rig fish-told.yml -o a.yaml",
     ),
-    ("app/convert.py", "Give --to with"): (
+    ("ops/conversion.py", "Give --to with"): (
         "convert rig cv.yml --to nothing -o a.yaml",
         "convert rig cv.yml --to ros -o l.yaml -o r.yaml",
     ),
@@ -152,7 +152,7 @@ TRIED = {
         f"{TABLE} angles.csv --as poses -o a.csv",
         "{} --euler xyz-fixed",
     ),
-    ("app/tables.py", "Give --as with"): (
+    ("ops/tables.py", "Give --as with"): (
         f"{TABLE} degrees.csv --as nothing -o a.csv",
         f"{TABLE} degrees.csv --as joints --units deg -o a.csv",
     ),
@@ -184,7 +184,7 @@ TRIED = {
         f"{TABLE} flat.csv --as poses",
         f"{{}} --columns {','.join(f'm{row}{column}' for row in range(4) for column in range(4))}",
     ),
-    ("app/tables.py", "Name them in the first line, or give --columns"): (
+    ("ops/tables.py", "Name them in the first line, or give --columns"): (
         f"{TABLE} unnamed.csv --as points",
         "{} --columns q1,q2,q3,x_m,y_m,z_m",
     ),

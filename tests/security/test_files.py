@@ -19,7 +19,6 @@ import zstandard
 from mcap.opcode import Opcode
 from scipy.io import savemat
 
-from armsight.app.record.export import export
 from armsight.drivers import egm as packets
 from armsight.drivers import images as image_files
 from armsight.drivers import rsi
@@ -27,6 +26,7 @@ from armsight.drivers.images import LARGEST_PX, said_size
 from armsight.drivers.rsi import read_tags
 from armsight.errors import BadFile, BadImage, DataRefused
 from armsight.ops.compare.runs import shared
+from armsight.ops.recording.export import export
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import read_arm
 from armsight.store.interpret import other_files

@@ -23,7 +23,6 @@ import typer
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
-from armsight.app.tables import convert_table
 from armsight.cli.command_ui import CommandUI, visible
 from armsight.cli.commands import app as commands
 from armsight.control.guard import Box, Limits
@@ -31,6 +30,7 @@ from armsight.control.paths import check_path
 from armsight.errors import BadFile
 from armsight.kinematics import Arm, pose, preset
 from armsight.kinematics.symbolic import python_source
+from armsight.ops.tables import convert_table
 from armsight.ops.verify import verify
 from armsight.records import PoseStatus, Spots, TargetPose, TaughtPath
 from armsight.records.result_parts import Verdict

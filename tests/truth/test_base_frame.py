@@ -15,13 +15,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
 from armsight.app.operator.robot_cell import Placement
-from armsight.app.robot.opening import LinkArm
 from armsight.control.guard.guard import Guard
 from armsight.control.guard.limits import Box, Limits, joint_bounds
 from armsight.control.guard.space import Space
 from armsight.control.session.loop_host import flange_pose
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, fk, in_convention, moved, parameter_jacobian, parameter_names
+from armsight.ops.robot.opening import LinkArm
 from armsight.records import TaughtPath
 from armsight.store import World
 from armsight.store.arm_file import arm_mapping, read_arm, write_arm

@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
-from armsight.app.measure.outputs import consistency_output
 from armsight.geometry import pose_difference
 from armsight.measure.consistency.causes import causes_of
 from armsight.measure.consistency.check import RunCheck, advice, sentence
@@ -19,6 +18,7 @@ from armsight.measure.consistency.evidence import target_basis
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels.rig_covariance import misfit_factor
 from armsight.measure.poses.pipeline import Measured, Setup
+from armsight.ops.measurement.outputs import consistency_output
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, PoseStatus, Spots, Target, spot_target

@@ -14,7 +14,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control import CycleState, JointGoal, SetPoint, ToolPose, ToolTwist
 from armsight.control.guard import Box, Guard, GuardState, JointLimit, Limits, TargetState
@@ -25,6 +24,7 @@ from armsight.control.guard.space import Breach
 from armsight.control.loop import ControlLoop
 from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.store.arm_file import arm_from_mapping
 from armsight_sim.arms import SimArm
 from armsight_sim.robot import SimRobot

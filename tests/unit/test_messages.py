@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from armsight import errors
-from armsight.app.robot.recorder import require_recorded
 from armsight.drivers import OpenCvCamera
 from armsight.drivers.images import decode_image
 from armsight.fitting.problem import Evaluation, Problem
 from armsight.fitting.solve import solve
 from armsight.geometry import align_points
 from armsight.kinematics import Joint
+from armsight.ops.robot.recorder import require_recorded
 from armsight.records.motion import JointHistory
 from armsight.store import tracks
 from armsight.store.arm_points import read_arm_points

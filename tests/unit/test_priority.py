@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from armsight import priority
-from armsight.app.robot.recorder import run_with_progress
+from armsight.ops.robot.recorder import run_with_progress
 
 LINUX = pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="the system has no such order")
 ENOUGH_S = 1.0

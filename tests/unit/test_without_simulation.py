@@ -23,9 +23,9 @@ from typer.main import get_command
 
 import armsight
 from armsight._version import __version__
-from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
 from armsight.kinematics import fk, presets
+from armsight.ops.simulation.run import simulate
 from armsight.registry import COMMANDS, known
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,8 +9,8 @@ from ipaddress import ip_address
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from armsight.app.requests.plant import STALE_S
 from armsight.errors import BadFile, UsageError
+from armsight.ops.requests.plant import STALE_S
 from armsight.store.tokens import read_tokens
 
 MQTT_PASSWORD = "ARMSIGHT_MQTT_PASSWORD"

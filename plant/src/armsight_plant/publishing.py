@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armsight.app.requests.plant import STALE_S, PlantFlags
 from armsight.control.session.loop_host import flange_pose
 from armsight.control.session.service import Service
 from armsight.errors import ArmsightError, UsageError
+from armsight.ops.requests.plant import STALE_S, PlantFlags
 from armsight.records import JointReading
 from armsight.verify.supervision import Seen
 from armsight_plant import certificates
@@ -22,7 +22,7 @@ from armsight_plant.process import PlantProcess
 from armsight_plant.state import AlarmBook, Note, PlantState, Request, RobotSeen, conditions
 
 if TYPE_CHECKING:
-    from armsight.app.verify.supervising import Supervision
+    from armsight.ops.verification.supervising import Supervision
 
 
 FEED_S = 0.02

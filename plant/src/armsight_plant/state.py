@@ -14,11 +14,11 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.requests.plant import STALE_S
 from armsight.control.guard import GuardState
 from armsight.control.status import HOW_LONG, RobotStatus
 from armsight.drivers import RobotState
 from armsight.errors import UsageError
+from armsight.ops.requests.plant import STALE_S
 from armsight.records import JointReading
 from armsight.verify.supervision import Level, Seen
 

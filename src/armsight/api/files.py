@@ -13,9 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight import store
-from armsight.app.convert import TUM_SUFFIXES, load_camera, load_rig
-from armsight.app.record.record import mend
-from armsight.app.tables import convert_table
 from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
@@ -23,8 +20,11 @@ from armsight.kinematics import Arm
 from armsight.measure.track import PoseTrack
 from armsight.ops.arrays import as_path, as_size
 from armsight.ops.checks import speaks_python
+from armsight.ops.conversion import TUM_SUFFIXES, load_camera, load_rig
 from armsight.ops.flags import UnitLength
 from armsight.ops.given import PathText, as_table
+from armsight.ops.recording.record import mend
+from armsight.ops.tables import convert_table
 from armsight.optics import Camera, Rig, at_zoom
 from armsight.records import Motion, Target, TaughtPath, require_kind, require_number
 from armsight.store import arm_file, limits_file, path_file, read_zoom_camera, read_zoom_rig, write_text

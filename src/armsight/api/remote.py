@@ -15,8 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight.api.results import Result, Row
-from armsight.app.requests.motion import TwinJob
-from armsight.app.robot.twin import twin_beside
 from armsight.arrays import Array
 from armsight.drivers.remote import Heart, Link, ServerAddress
 from armsight.drivers.remote import protocol as say
@@ -24,6 +22,8 @@ from armsight.errors import ArmsightError, DeviceFailed
 from armsight.ops.checks import speaks_python
 from armsight.ops.commands import in_python
 from armsight.ops.given import ArmLike, Given
+from armsight.ops.requests.motion import TwinJob
+from armsight.ops.robot.twin import twin_beside
 from armsight.records import real_array, require_kind
 from armsight.units import MS
 

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.simulate.cells import load_cell, room_choice
-from armsight.app.simulate.run import CELL_FRAMES
-from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_model, scenario_names
 from armsight.arrays import Array, Image
 from armsight.drivers import CELLS, known
 from armsight.kinematics import Arm
 from armsight.ops.checks import speaks_python
 from armsight.ops.machine import Frames, Seed
+from armsight.ops.simulation.cells import load_cell, room_choice
+from armsight.ops.simulation.run import CELL_FRAMES
+from armsight.ops.simulation.scenarios import build_world, load_scenario, scenario_model, scenario_names
 from armsight.optics import Rig
 from armsight.records import ByValue, Target, require_kind
 from armsight.store import rig_from_mapping, target_from_mapping

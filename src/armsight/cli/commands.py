@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from armsight.app.simulate import MOST_FRAMES
 from armsight.cli import (
     calibrate_cameras,
     calibrate_robot,
@@ -42,6 +41,7 @@ from armsight.ops import kinematics as of_arms
 from armsight.ops import paths
 from armsight.ops.flags import OutFolder
 from armsight.ops.machine import Room, doctor, write_simulation
+from armsight.ops.simulation import MOST_FRAMES
 
 __all__ = [
     "app",
@@ -89,7 +89,7 @@ def demo(
 
     Then calibrate two real cameras from pictures of a board, and measure the board.
     """
-    from armsight.app.demo import demo as run
+    from armsight.ops.demo import demo as run
 
     result = run(
         out,

@@ -28,7 +28,7 @@ def report(
     out: Annotated[Path | None, Doc("The PDF. [default: beside the report]"), Flag("-o --out", metavar="FILE")] = None,
 ) -> None:
     """Print a report as PDF; any browser opens the report itself."""
-    from armsight.app.print_report import print_report
+    from armsight.ops.print_report import print_report
 
     if not pdf:
         raise UsageError("it is not said what becomes of the report", cure="Give --pdf")

@@ -25,7 +25,7 @@ def mended(face: CommandUI, asked: Mapping[str, Any]) -> bool:
     if asked.get("repair") is None:
         face.until_stopped = asked.get("frames") is None and asked.get("seconds_s") is None
         return False
-    from armsight.app.record.record import mend
+    from armsight.ops.recording.record import mend
 
     done = mend(asked["repair"], asked.get("out"), overwrite=asked["overwrite"])
     total = sum(done.messages.values())

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armsight.app.requests.motion import ARM, CAMERAS, SIMULATED, TwinJob
 from armsight.cli.actions import add_action
 from armsight.cli.command import app, command, robot
 from armsight.cli.command_ui import CommandUI, StatusLine
 from armsight.fields import Doc
 from armsight.ops import motion, robots
 from armsight.ops.flags import CAMERAS as SETTINGS
+from armsight.ops.requests.motion import ARM, CAMERAS, SIMULATED, TwinJob
 from armsight.ops.teach import teach
 from armsight.units import MM
 
@@ -131,7 +131,7 @@ add_action(robot, robots.run_motion, flags=yes, beside=_run, panels=(ARM, CAMERA
 def twin(face: CommandUI, job: TwinJob) -> None:
     """Emulate a robot's controller, for tests without a robot; Ctrl-C ends it. Prints what --robot takes."""
     face.until_stopped = True
-    from armsight.app.robot.twin import run_twin
+    from armsight.ops.robot.twin import run_twin
 
     stop = face.progress("twin")
     on = lambda: not stop.cancelled()  # noqa: E731

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from armsight.app.requests.motion import RobotJob, RobotSettings, RsiConfig
-from armsight.app.requests.plant import PLANT, PlantFlags
 from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.flags import AN_ARM, KNOWN_ARM, SRC
+from armsight.ops.requests.motion import RobotJob, RobotSettings, RsiConfig
+from armsight.ops.requests.plant import PLANT, PlantFlags
 
 if TYPE_CHECKING:
     from armsight.server.waiting import WaitingPage
@@ -75,7 +75,7 @@ def serve(
 ) -> None:
     """Serve a robot: this program alone talks to its controller and guards it; others watch, stop and drive it."""
     face.until_stopped = True
-    from armsight.app.robot.recorder import default_log
+    from armsight.ops.robot.recorder import default_log
     from armsight.registry import PLANT, extension
     from armsight.server.serving import Terminal, serve_robot
     from armsight.server.web_server import ServeOptions

@@ -15,7 +15,7 @@ from armsight.units import DEG, MM
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from armsight.app.demo import DemoOutput, PoseErrors
+    from armsight.ops.demo import DemoOutput, PoseErrors
     from armsight.records.result_parts import PoseStd
 
 figure = digits

@@ -6,7 +6,6 @@ import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from armsight.app.requests.plant import PLANT
 from armsight.cli.actions import show
 from armsight.cli.command import Command, add, app
 from armsight.cli.command_ui import CommandUI, StatusLine
@@ -23,6 +22,7 @@ from armsight.ops.flags import (
     TABLES,
     OutFolder,
 )
+from armsight.ops.requests.plant import PLANT
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:

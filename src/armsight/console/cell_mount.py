@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.measure.run import target_of
 from armsight.console import texts_cell as texts
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
 from armsight.kinematics import Arm
 from armsight.ops.arm_files import load_arm
+from armsight.ops.measurement.run import target_of
 from armsight.records import Target
 from armsight.store.cell_file import cell_path
 from armsight.units import MM

@@ -13,7 +13,6 @@ from nicegui.events import SceneClickEventArguments
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.live.views import LiveView, drawn_ellipsoid, track_colours
-from armsight.app.measure.run import target_of
 from armsight.app.operator.identify_run import SweepFit
 from armsight.app.operator.robot_cell import arm_points, read_placement
 from armsight.arrays import Array
@@ -21,6 +20,7 @@ from armsight.console import texts
 from armsight.console.plots import Curve, Ruler, Ticks
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
+from armsight.ops.measurement.run import target_of
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Target
 from armsight.store import read_rig

@@ -23,7 +23,6 @@ from armsight.app.guided.timing import TimingStep
 from armsight.app.live.measurement import COMPLEX, DetectionSettings, FollowedCell, LiveJob, require_kind
 from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.live.views import LiveView
-from armsight.app.measure.run import target_of
 from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
@@ -33,6 +32,7 @@ from armsight.calibrate.handeye import Setup
 from armsight.clock import SystemClock
 from armsight.console.plots import Tracks
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
+from armsight.ops.measurement.run import target_of
 from armsight.optics import RigKind
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile, CellMirrors, cell_path, read_cell, write_cell

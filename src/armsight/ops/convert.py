@@ -15,11 +15,11 @@ from armsight.ops.flags import AN_ARM, KNOWN_ARM, OUT, Base, Table, Tip, UnitLen
 from armsight.ops.kinds import READERS, ArmLike, AsFile
 
 if TYPE_CHECKING:
-    from armsight.app.convert import ConvertOutput
-    from armsight.app.record.export import ExportOutput
-    from armsight.app.tables import ConvertTableOutput
     from armsight.ops.arm_files import ConvertArmOutput
+    from armsight.ops.conversion import ConvertOutput
     from armsight.ops.given import PathText
+    from armsight.ops.recording.export import ExportOutput
+    from armsight.ops.tables import ConvertTableOutput
     from armsight.records import Progress
     from armsight.records.output import Output
     from armsight.store.foreign import FrameNames
@@ -49,8 +49,8 @@ def camera(
     zoom: Annotated[float | None, Doc("Of a zoom lens's camera.yaml: the camera at this setting.")] = None,
 ) -> ConvertOutput:
     """Convert the calibration of one camera; or take one setting out of a zoom lens's."""
-    from armsight.app.calibrate.zoom import fix_camera
-    from armsight.app.convert import convert_camera
+    from armsight.ops.calibration.zoom import fix_camera
+    from armsight.ops.conversion import convert_camera
 
     if zoom is None:
         return convert_camera(source, out, to=to, size=size)
@@ -75,8 +75,8 @@ def rig(
     zoom_right: Annotated[float | None, Doc("... of the right lens.")] = None,
 ) -> ConvertOutput:
     """Convert the calibration of a pair of cameras; or take one setting out of a rig with zoom lenses."""
-    from armsight.app.calibrate.zoom import fix_rig
-    from armsight.app.convert import convert_rig
+    from armsight.ops.calibration.zoom import fix_rig
+    from armsight.ops.conversion import convert_rig
 
     if zoom_left is None and zoom_right is None:
         return convert_rig(source, out, to=to, size=size, unit_m=unit_m)
@@ -92,7 +92,7 @@ def poses(
     out: Annotated[Path, Doc("File to write: .csv, .tum or .txt."), OUT],
 ) -> ConvertOutput:
     """Convert poses between poses.csv and TUM, which evo reads."""
-    from armsight.app.convert import convert_poses
+    from armsight.ops.conversion import convert_poses
 
     return convert_poses(source, out)
 
@@ -109,7 +109,7 @@ def any_table(
     table: Table | None = None,
 ) -> ConvertTableOutput:
     """Show what is understood of a table, and write it in armsight's columns and units."""
-    from armsight.app.tables import convert_table
+    from armsight.ops.tables import convert_table
 
     return convert_table(source, kind=kind, format_=table, arm=arm, out=out)
 
@@ -126,7 +126,7 @@ def handeye(
     target: Annotated[str, Doc("The target's frame in TF.")] = "calibration_target",
 ) -> ConvertOutput:
     """Write a hand-eye calibration for ROS."""
-    from armsight.app.convert import convert_handeye
+    from armsight.ops.conversion import convert_handeye
     from armsight.store.foreign import FrameNames
 
     names = FrameNames(base=base, flange=flange, camera=camera_frame, target=target)
@@ -175,7 +175,7 @@ def export_recording(
     >>> armsight.export_recording(folder / "run.mcap", folder / "run").n["left"]
     2
     """
-    from armsight.app.record.export import export
+    from armsight.ops.recording.export import export
 
     return export(path, out, to=to, progress=progress)
 

@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.app.requests.motion import RobotSettings, RsiConfig
 from armsight.defaults import SWEEP_READINGS, SWEEP_SPEED
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
 from armsight.ops.flags import A_SRC, KNOWN_ARM, SRC, Cameras, Table
 from armsight.ops.kinds import FRAMES, LIGHTS, READERS, ArmLike, RigLike
+from armsight.ops.requests.motion import RobotSettings, RsiConfig
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -252,10 +252,10 @@ def identify_arm_live(
     DataRefused, DeviceFailed, UsageError
         The beacon is lost, or the robot or a camera fails; the robot is stopped.
     """
-    from armsight.app.requests.motion import RobotJob
     from armsight.control.joint_sweep import Pace
     from armsight.drivers import AUTOMATIC
     from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_live
+    from armsight.ops.requests.motion import RobotJob
     from armsight.records import require_count, require_kind
 
     if show is not None and not callable(show):

@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import arm_source
-from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.opening import ClockedRobot
 from armsight.arrays import Array
 from armsight.calibrate.arm import ArmPoints
 from armsight.calibrate.identify import Sweeps
@@ -33,6 +31,8 @@ from armsight.ops.arrays import as_images, as_joint_numbers, as_poses, as_rotati
 from armsight.ops.compare.run import GivenResult
 from armsight.ops.given import Given as Folder
 from armsight.ops.given import as_arm, as_text
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.robot.opening import ClockedRobot
 from armsight.optics import Camera, Rig, ZoomLens
 from armsight.records import (
     Frame,

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
-from armsight.app.simulate import MOST_FRAMES
 from armsight.defaults import SPOT_STD_PX
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
 from armsight.ops.flags import OutFolder
 from armsight.ops.kinds import AsFile
+from armsight.ops.simulation import MOST_FRAMES
 from armsight.units import MM
 
 if TYPE_CHECKING:
-    from armsight.app.doctor import DoctorOutput
-    from armsight.app.simulate.reproduced import ReproduceOutput
-    from armsight.app.simulate.run import SimulateOutput
+    from armsight.ops.doctor import DoctorOutput
+    from armsight.ops.simulation.reproduced import ReproduceOutput
+    from armsight.ops.simulation.run import SimulateOutput
     from armsight.records import Progress
 
 Room: TypeAlias = Annotated[
@@ -61,7 +61,7 @@ def write_simulation(
     >>> armsight.write_simulation("hand-cell", folder / "cell", frames=2).n_frames
     2
     """
-    from armsight.app.simulate.run import simulate
+    from armsight.ops.simulation.run import simulate
 
     return simulate(scenario, out, seed=seed, frames=frames, room=room, zoom=zoom, progress=progress)
 
@@ -131,7 +131,7 @@ def doctor(
     >>> "rtde" in armsight.doctor().drivers["robots"]
     True
     """
-    from armsight.app.doctor import compiled_now, looked_at, rig_resolution
+    from armsight.ops.doctor import compiled_now, looked_at, rig_resolution
     from armsight.records import checked_array
     from armsight.store import read_zoom_rig
 

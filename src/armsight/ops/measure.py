@@ -15,9 +15,9 @@ from armsight.ops.flags import Bits, CameraFlags, Cameras, Fps, Inverted, Limit,
 from armsight.ops.kinds import FRAMES, READERS, AsFile, Left, Right
 
 if TYPE_CHECKING:
-    from armsight.app.record.record import RecordOutput
     from armsight.drivers import PairSettings
     from armsight.measure.results import MeasureResult
+    from armsight.ops.recording.record import RecordOutput
     from armsight.records import Progress
     from armsight.store.recording import ImageFormat
 
@@ -124,12 +124,12 @@ def measure(
     >>> done.n_ok, done.poses.T_parent_target.shape
     (3, (3, 4, 4))
     """
-    from armsight.app.measure.free_output import measure_free
-    from armsight.app.measure.run import about_pairs, run, target_of, zoomed_rig
-    from armsight.app.measure.streams import FrameSources
     from armsight.drivers import AUTOMATIC, ImageReading
     from armsight.measure.poses.setup import SLACK_PX, Setup, rig_slack_px
     from armsight.measure.settings import SpotSettings
+    from armsight.ops.measurement.free_output import measure_free
+    from armsight.ops.measurement.run import about_pairs, run, target_of, zoomed_rig
+    from armsight.ops.measurement.streams import FrameSources
     from armsight.ops.sources.bags import read_motion
     from armsight.ops.sources.frames import frame_times
     from armsight.records import Silent
@@ -232,9 +232,9 @@ def record(
     >>> armsight.record(folder / "run.mcap", *sides, rig=cell.rig, target=cell.target).n_pairs
     2
     """
-    from armsight.app.record.record import RecordJob, image_format
-    from armsight.app.record.record import record as run
     from armsight.drivers import AUTOMATIC
+    from armsight.ops.recording.record import RecordJob, image_format
+    from armsight.ops.recording.record import record as run
 
     if out is None:
         raise UsageError("the recording has no name", cure="Give -o FILE.mcap")

@@ -10,7 +10,24 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.app.requests.motion import (
+from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, HAND_SPEED_M_S, PATH_SPEED_M_S, RETRACT_M
+from armsight.fields import Bounds, Doc, Flag
+from armsight.file_names import FOLLOWED, PLAY_RECORDING, PLAYED, SERVO_RECORDING
+from armsight.ops.action import Input, action
+from armsight.ops.flags import KNOWN_ARM
+from armsight.ops.kinds import (
+    READERS,
+    ArmLike,
+    AsFile,
+    Confirm,
+    GuardLimits,
+    RigLike,
+    RobotLike,
+    TargetLike,
+    ToolTip,
+)
+from armsight.ops.path.check import with_tip
+from armsight.ops.requests.motion import (
     A_GAIN,
     A_LAG,
     ABOVE_0,
@@ -33,34 +50,17 @@ from armsight.app.requests.motion import (
     Speed,
     negated,
 )
-from armsight.app.requests.motion import RobotSettings as Settings
-from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, HAND_SPEED_M_S, PATH_SPEED_M_S, RETRACT_M
-from armsight.fields import Bounds, Doc, Flag
-from armsight.file_names import FOLLOWED, PLAY_RECORDING, PLAYED, SERVO_RECORDING
-from armsight.ops.action import Input, action
-from armsight.ops.flags import KNOWN_ARM
-from armsight.ops.kinds import (
-    READERS,
-    ArmLike,
-    AsFile,
-    Confirm,
-    GuardLimits,
-    RigLike,
-    RobotLike,
-    TargetLike,
-    ToolTip,
-)
-from armsight.ops.path.check import with_tip
+from armsight.ops.requests.motion import RobotSettings as Settings
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
-    from armsight.app.play.play_job import Watcher
-    from armsight.app.play.play_path import PlayOutput
-    from armsight.app.robot.opening import ClockedRobot
-    from armsight.app.servo.run_servo import ServoOutput
-    from armsight.app.servo.vision import Beside
     from armsight.control.play import PathSource
     from armsight.control.status import RobotStatus
+    from armsight.ops.play.play_job import Watcher
+    from armsight.ops.play.play_path import PlayOutput
+    from armsight.ops.robot.opening import ClockedRobot
+    from armsight.ops.servo.run_servo import ServoOutput
+    from armsight.ops.servo.vision import Beside
     from armsight.records import Progress
 
 Folder: TypeAlias = Annotated[
@@ -180,12 +180,12 @@ def servo(
         Another arm's file, no hand-eye calibration, a gain that is not stable; nothing was moved, or the arm was
         brought to rest.
     """
-    from armsight.app.measure.warm_up import prepare
-    from armsight.app.robot.recorder import require_new
-    from armsight.app.robot.robot_run import RobotRun
-    from armsight.app.servo.run_servo import LAG_CYCLES, follow_target, require_axis, turning
-    from armsight.app.servo.vision import CameraNames, measuring, open_servo, placed_cameras
     from armsight.control.servo import Mount, ServoSettings, on_axis
+    from armsight.ops.measurement.warm_up import prepare
+    from armsight.ops.robot.recorder import require_new
+    from armsight.ops.robot.robot_run import RobotRun
+    from armsight.ops.servo.run_servo import LAG_CYCLES, follow_target, require_axis, turning
+    from armsight.ops.servo.vision import CameraNames, measuring, open_servo, placed_cameras
 
     if out is not None:
         require_new(out, SERVO_RECORDING)
@@ -317,15 +317,15 @@ def play(
         A path that the arm cannot run (a jump, out of reach, singular), another arm's file, no hand-eye calibration;
         nothing was moved, or the arm was brought to rest.
     """
-    from armsight.app.measure.warm_up import prepare
-    from armsight.app.play import play_job
-    from armsight.app.play.play_path import run_path
-    from armsight.app.robot.opening import clocked_robot
-    from armsight.app.robot.recorder import require_new
-    from armsight.app.robot.robot_run import RobotRun
-    from armsight.app.servo.vision import CameraNames, measuring, open_servo, placed_cameras
     from armsight.control.guard import Guard
     from armsight.control.play import PlaySettings, Weave, plan_path
+    from armsight.ops.measurement.warm_up import prepare
+    from armsight.ops.play import play_job
+    from armsight.ops.play.play_path import run_path
+    from armsight.ops.robot.opening import clocked_robot
+    from armsight.ops.robot.recorder import require_new
+    from armsight.ops.robot.robot_run import RobotRun
+    from armsight.ops.servo.vision import CameraNames, measuring, open_servo, placed_cameras
 
     play_job.check(frame, stop_m)
     settings = PlaySettings(

@@ -10,8 +10,6 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from armsight.app.requests.motion import A_WAY, HOW_FAR, JOINT, LIVE_SRC, SHARE, UP_TO_1, Override, RsiConfig, Speed
-from armsight.app.requests.motion import RobotSettings as Settings
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import FRAMES, MOTION_RECORDING, MOVED
@@ -19,13 +17,15 @@ from armsight.ops.action import action
 from armsight.ops.flags import KNOWN_ARM, Cameras
 from armsight.ops.kinds import ArmLike, AsFile, Confirm, GuardLimits, RobotLike
 from armsight.ops.motion import Folder
+from armsight.ops.requests.motion import A_WAY, HOW_FAR, JOINT, LIVE_SRC, SHARE, UP_TO_1, Override, RsiConfig, Speed
+from armsight.ops.requests.motion import RobotSettings as Settings
 
 if TYPE_CHECKING:
-    from armsight.app.robot.jog import JogOutput
-    from armsight.app.robot.link_test import RobotTestOutput
-    from armsight.app.robot.run_motion import RunMotionOutput
     from armsight.control.play.path_source import JointMotionSource
     from armsight.drivers.jog_inputs import JogInput
+    from armsight.ops.robot.jog import JogOutput
+    from armsight.ops.robot.link_test import RobotTestOutput
+    from armsight.ops.robot.run_motion import RunMotionOutput
     from armsight.records import Progress
 
 
@@ -50,8 +50,8 @@ def check_robot(
     >>> armsight.check_robot("sim:webcam-cell", for_s=0.1).state
     'ready'
     """
-    from armsight.app.robot.link_test import test_robot
-    from armsight.app.robot.opening import clocked_robot
+    from armsight.ops.robot.link_test import test_robot
+    from armsight.ops.robot.opening import clocked_robot
     from armsight.records import Silent
 
     return test_robot(robot.robot.partition(":")[0], clocked_robot(robot), for_s, progress or Silent())
@@ -112,9 +112,9 @@ def jog(
     >>> armsight.jog("sim:webcam-cell", 1, 0.01, confirm=True).state
     'ready'
     """
-    from armsight.app.robot.jog import jog_by_hand, jog_joint
-    from armsight.app.robot.robot_run import RobotRun
     from armsight.drivers.jog_inputs import open_jog_input
+    from armsight.ops.robot.jog import jog_by_hand, jog_joint
+    from armsight.ops.robot.robot_run import RobotRun
 
     by_hand = hand is not None and joint is None and by is None
     if not by_hand and (hand is not None or joint is None or by is None):
@@ -174,9 +174,9 @@ def run_motion(
     UsageError, DataRefused, DeviceFailed
         A motion beyond a limit; nothing was moved, or the arm was brought to rest.
     """
-    from armsight.app.robot.recorder import require_new
-    from armsight.app.robot.robot_run import RobotRun
-    from armsight.app.robot.run_motion import checked_motion, recorded_cameras, run_joints
+    from armsight.ops.robot.recorder import require_new
+    from armsight.ops.robot.robot_run import RobotRun
+    from armsight.ops.robot.run_motion import checked_motion, recorded_cameras, run_joints
     from armsight.store.tracks import read_joints
 
     cameras = recorded_cameras(left, right, camera_settings, out)

@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from armsight.app.requests.motion import (
+from armsight.defaults import HAND_SPEED_M_S
+from armsight.errors import UsageError
+from armsight.fields import Bounds, Doc, Flag
+from armsight.file_names import TAUGHT
+from armsight.ops.action import Input, action, action_of
+from armsight.ops.flags import KNOWN_ARM
+from armsight.ops.kinds import FRAMES, READERS, AsFile, Confirm, RigLike, TargetLike, WorldLike
+from armsight.ops.motion import DISTANCE_M, MOVED_ARM, Folder, servo
+from armsight.ops.requests.motion import (
     A_GAIN,
     A_LAG,
     ARM,
@@ -19,20 +27,12 @@ from armsight.app.requests.motion import (
     Seconds,
     Speed,
 )
-from armsight.app.requests.motion import RobotSettings as Settings
-from armsight.defaults import HAND_SPEED_M_S
-from armsight.errors import UsageError
-from armsight.fields import Bounds, Doc, Flag
-from armsight.file_names import TAUGHT
-from armsight.ops.action import Input, action, action_of
-from armsight.ops.flags import KNOWN_ARM
-from armsight.ops.kinds import FRAMES, READERS, AsFile, Confirm, RigLike, TargetLike, WorldLike
-from armsight.ops.motion import DISTANCE_M, MOVED_ARM, Folder, servo
+from armsight.ops.requests.motion import RobotSettings as Settings
 
 if TYPE_CHECKING:
-    from armsight.app.teach import TeachResult
     from armsight.control.status import RobotStatus
     from armsight.control.teach import PathRecorder
+    from armsight.ops.teaching import TeachResult
     from armsight.records import Progress
 
 
@@ -138,11 +138,11 @@ def teach(
     >>> len(armsight.teach(poses=seen.poses).taught)
     4
     """
-    from armsight.app import teach as parts
-    from armsight.app.robot.robot_run import as_question
-    from armsight.app.servo.vision import CameraNames
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
+    from armsight.ops import teaching as parts
+    from armsight.ops.robot.robot_run import as_question
+    from armsight.ops.servo.vision import CameraNames
     from armsight.ops.sources.pace import pace_of
     from armsight.records import Silent
     from armsight.store import read_poses

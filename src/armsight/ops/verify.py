@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.app.requests.motion import LATENCY_S, RobotJob, RobotSettings
-from armsight.app.requests.plant import PlantFlags
 from armsight.defaults import JOINT_STD, LATENCY_STD_S
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.file_names import ERRORS, PLAN, PLAN_SUMMARY, REPORT, VERIFY
@@ -17,12 +15,14 @@ from armsight.file_names import MASTERING as POSES_TO_MEASURE
 from armsight.ops.action import action
 from armsight.ops.flags import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
 from armsight.ops.kinds import CHAIN, ArmLike, AsFile, Readings
+from armsight.ops.requests.motion import LATENCY_S, RobotJob, RobotSettings
+from armsight.ops.requests.plant import PlantFlags
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
-    from armsight.app.requests.plant import Publishing
-    from armsight.app.verify.supervising import Show, Supervised
     from armsight.clock import Clock
+    from armsight.ops.requests.plant import Publishing
+    from armsight.ops.verification.supervising import Show, Supervised
     from armsight.records import Progress
     from armsight.verify.iso9283.plan import VerifyPlanOutput
     from armsight.verify.live import VerifyLiveOutput
@@ -121,7 +121,7 @@ def verify(
     >>> armsight.verify(arm.fk(q), arm=arm, joints=q, align="none").after.rms_m < 1e-9
     True
     """
-    from armsight.app.verify import run
+    from armsight.ops.verification import run
     from armsight.store import read_world
     from armsight.store.interpret import OURS
     from armsight.store.verify_files import read_measured
@@ -268,16 +268,16 @@ def supervise(
     UsageError, DataRefused, DeviceFailed
         Nothing could be compared, or a device failed; what was seen until then is written all the same.
     """
-    from armsight.app.measure.run import target_of
-    from armsight.app.measure.warm_up import prepare
-    from armsight.app.verify import live
-    from armsight.app.verify.supervising import Supervision
     from armsight.clock import SystemClock
     from armsight.drivers import AUTOMATIC
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
     from armsight.ops.given import Given as Folder
+    from armsight.ops.measurement.run import target_of
+    from armsight.ops.measurement.warm_up import prepare
     from armsight.ops.sources.pace import live_pace
+    from armsight.ops.verification import live
+    from armsight.ops.verification.supervising import Supervision
     from armsight.records import Silent
     from armsight.store import read_rig, read_world
     from armsight.verify.live import live_output
@@ -351,8 +351,8 @@ def propose_mastering_poses(
     >>> len(armsight.propose_mastering_poses("ur10", [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses)
     10
     """
-    from armsight.app.measure.run import target_of
-    from armsight.app.verify import mastering
+    from armsight.ops.measurement.run import target_of
+    from armsight.ops.verification import mastering
     from armsight.store import read_rig, read_world
 
     stand = None if world is None else read_world(world)
@@ -386,8 +386,8 @@ def check_mastering(
     >>> armsight.check_mastering(arm.fk(q), q, arm, tool="fixed").cause
     'none'
     """
-    from armsight.app.verify import mastering
-    from armsight.app.verify.run import in_world
+    from armsight.ops.verification import mastering
+    from armsight.ops.verification.run import in_world
     from armsight.store import read_world
     from armsight.store.verify_files import read_measured
 

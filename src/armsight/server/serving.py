@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 
-from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.hosting import ProcessHost, spec_of
-from armsight.app.robot.opening import arm_model, left_open, open_to_all
-from armsight.app.robot.recorder import RecordingLog, require_recorded
 from armsight.control.guard import Limits
 from armsight.control.session.service import Service
 from armsight.errors import Cancelled
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.robot.hosting import ProcessHost, spec_of
+from armsight.ops.robot.opening import arm_model, left_open, open_to_all
+from armsight.ops.robot.recorder import RecordingLog, require_recorded
 from armsight.priority import SERVES, give_way
 from armsight.server.application import create_app
 from armsight.server.auth import Authenticator, BrowserSessions

@@ -25,7 +25,7 @@ from armsight.server.limited import LimitedHttp, LimitedWebSocket
 from armsight.store.tokens import TokenEntry, read_tokens
 
 if TYPE_CHECKING:
-    from armsight.app.requests.plant import Publishing
+    from armsight.ops.requests.plant import Publishing
 
 LOOPBACK = "127.0.0.1"
 PORT = 8765

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import armsight
-from armsight.app.convert import convert_rig, load_camera, load_rig
 from armsight.errors import BadFile
+from armsight.ops.conversion import convert_rig, load_camera, load_rig
 from armsight.optics import LensKind
 from refusals import names_it, refuses
 from reports import case

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.app.tables import convert_table
 from armsight.errors import Ambiguous, UsageError
+from armsight.ops.tables import convert_table
 from armsight.store.interpret import TableFormat
 from armsight.store.tracks import read_joints, read_poses
 from armsight.store.verify_files import read_measured

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import armsight
-from armsight.app.robot.hosting import ThreadHost
 from armsight.control.session.service import Service
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
+from armsight.ops.robot.hosting import ThreadHost
 from armsight.server.serving import background
 from armsight.store.arm_file import arm_from_mapping
 from armsight.testing.clocks import GatedClock

@@ -10,9 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from armsight.app.robot.opening import ClockedRobot, open_robot
-from armsight.app.robot.run_motion import RunMotionOutput
-from armsight.app.simulate.run import simulate
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.observations import JointLog
 from armsight.clock import ManualClock
@@ -22,6 +19,9 @@ from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughDat
 from armsight.kinematics import Arm
 from armsight.ops import robots
 from armsight.ops.arm_files import load_arm
+from armsight.ops.robot.opening import ClockedRobot, open_robot
+from armsight.ops.robot.run_motion import RunMotionOutput
+from armsight.ops.simulation.run import simulate
 from armsight.records import Motion, Silent
 from armsight.store import read_target
 from armsight.store.limits_file import write_limits

@@ -8,12 +8,12 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.measure.outputs import made_with
 from armsight.cli.commands import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import preset
 from armsight.ops.compare.calibrations import Value, differences, judged
 from armsight.ops.files import compare
+from armsight.ops.measurement.outputs import made_with
 from armsight.ops.verify import verify
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance, Target, TargetKind

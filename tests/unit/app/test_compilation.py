@@ -10,8 +10,8 @@ import sys
 import numpy as np
 import pytest
 
-from armsight.app.compilation import GROUPS, SHARES, compile_all
 from armsight.errors import Cancelled
+from armsight.ops.compilation import GROUPS, SHARES, compile_all
 from armsight.ops.machine import doctor
 from armsight.records import Silent
 
@@ -21,7 +21,7 @@ import armsight
 import armsight_sim
 from numba.core.dispatcher import Dispatcher
 from armsight._numba import InnerKernel
-from armsight.app.compilation import GROUPS
+from armsight.ops.compilation import GROUPS
 for name in sys.argv[1:]:
     GROUPS[name]()
 used, unused, within = [], [], set()

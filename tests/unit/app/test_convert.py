@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.convert import convert_camera, convert_poses, convert_rig
 from armsight.errors import BadFile, UsageError
+from armsight.ops.conversion import convert_camera, convert_poses, convert_rig
 from armsight.optics import Camera, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
 from armsight.store import read_camera, read_poses, read_rig, write_camera, write_rig

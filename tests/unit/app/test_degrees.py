@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from armsight.app.robot.opening import guard_for, open_robot
 from armsight.clock import SystemClock
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.ops.identification.left_out import read_limits
 from armsight.ops.kinematics import show_arm
+from armsight.ops.robot.opening import guard_for, open_robot
 from armsight.ops.robots import jog
 from armsight.store.arm_file import read_arm
 from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees

@@ -7,17 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.app import requests
-from armsight.app.requests.motion import RobotJob, settings_of
-from armsight.app.robot import opening
-from armsight.app.robot.hosting import spec_of
-from armsight.app.robot.opening import LinkArm, driver_settings, robot_of
 from armsight.clock import ManualClock
 from armsight.control.guard import Limits
 from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import presets
-from armsight.ops import motion, robots, teach
+from armsight.ops import motion, requests, robots, teach
 from armsight.ops.action import action_of
+from armsight.ops.requests.motion import RobotJob, settings_of
+from armsight.ops.robot import opening
+from armsight.ops.robot.hosting import spec_of
+from armsight.ops.robot.opening import LinkArm, driver_settings, robot_of
 from refusals import refuses
 
 Q = np.array([0.3, -1.1, 1.6, -0.9, 1.2, 0.4])

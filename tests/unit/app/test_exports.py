@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.convert import convert_camera, convert_handeye, convert_rig
-from armsight.app.record.export import export
 from armsight.calibrate.handeye import Setup
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.geometry import is_close
+from armsight.ops.conversion import convert_camera, convert_handeye, convert_rig
+from armsight.ops.recording.export import export
 from armsight.ops.sources.bags import joint_states
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose

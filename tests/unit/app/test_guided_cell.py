@@ -18,11 +18,11 @@ from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWat
 from armsight.app.guided.step import Next
 from armsight.app.guided.step_runner import GuidedStepRunner
 from armsight.app.live.views import SideView
-from armsight.app.record.recorder import RecordingState
 from armsight.clock import SystemClock
 from armsight.console.state import Console
 from armsight.defaults import LOST_LOOKS
 from armsight.errors import DeviceFailed, DeviceLost, NotEnoughData, UsageError
+from armsight.ops.recording.recorder import RecordingState
 from armsight.records import Frame, JointReading, Motion, Silent, Spots
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile

@@ -16,12 +16,12 @@ from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.step import Figure, Next
 from armsight.app.guided.step_runner import History, figures_of
 from armsight.app.live.measurement import COMPLEX, LiveJob
-from armsight.app.simulate.run import simulate
 from armsight.console import texts
 from armsight.console.pages.mirrors import turn_words
 from armsight.console.state import Console, steps_of
 from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.calibrate_mirrors import calibrate_mirrors
+from armsight.ops.simulation.run import simulate
 from armsight.optics import Camera
 from armsight.records import Silent
 from armsight.store import read_rig, write_camera

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.requests.motion import RobotJob
-from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import AUTOMATIC, RobotState
@@ -36,6 +34,8 @@ from armsight.ops.identification.live import (
     identify_live,
     open_devices,
 )
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.records import Frame
 from armsight.store import (
     read_rig,
@@ -357,8 +357,8 @@ def test_the_frames_show_where_the_robot_is_now(tmp_path: Path) -> None:
 def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
-    from armsight.app.simulate.run import write_world_files
     from armsight.cli.commands import app
+    from armsight.ops.simulation.run import write_world_files
 
     model = load_scenario("kapucu2005-rrp")[0]
     write_world_files(build_world(model, frames=1), tmp_path)

@@ -14,12 +14,12 @@ from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, L
 from armsight.app.live.station import Snapshot
 from armsight.app.live.views import complex_view, drawn_ellipsoid, track_colours
 from armsight.app.operator.robot_cell import prepare_simulated
-from armsight.app.record.recorder import Recorder
-from armsight.app.simulate.run import simulate
 from armsight.clock import ManualClock
 from armsight.console.routes import picture_message
 from armsight.console.state import Console
 from armsight.errors import UsageError
+from armsight.ops.recording.recorder import Recorder
+from armsight.ops.simulation.run import simulate
 from armsight.store import read_poses
 from armsight.store.cell_file import CellFile
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter

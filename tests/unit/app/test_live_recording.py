@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from armsight.app.record import recorder as recording
-from armsight.app.record.recorder import LiveRecording, RecordingState
 from armsight.clock import ManualClock
+from armsight.ops.recording import recorder as recording
+from armsight.ops.recording.recorder import LiveRecording, RecordingState
 
 
 class Slow:

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from scipy.special import erf
 from typer.testing import CliRunner
 
-from armsight.app.simulate.run import simulate
 from armsight.calibrate.mirrors.result import reasons
 from armsight.cli.actions import action_of
 from armsight.cli.commands import app
@@ -24,6 +23,7 @@ from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.results import MeasureResult
 from armsight.ops import measure as ops
 from armsight.ops.calibration import mirrors, mirrors_lit_target
+from armsight.ops.simulation.run import simulate
 from armsight.ops.sources.frames import complex_pairs, open_source
 from armsight.optics import Camera, parallel_rig
 from armsight.records import NotSeen, PoseStatus, spot_target

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.opening import left_open, noted
-from armsight.app.robot.recorder import RecordingLog, require_recorded
-from armsight.app.simulate.cells import load_cell
-from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, Guard, JointLimit, Limits
 from armsight.errors import RecordingFailed, UsageError
 from armsight.ops.arm_files import load_arm
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.robot.opening import left_open, noted
+from armsight.ops.robot.recorder import RecordingLog, require_recorded
+from armsight.ops.simulation.cells import load_cell
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.records import JointReading
 from armsight.store.recording import RecordingWriter
 from refusals import names_it, refuses

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from armsight.app.robot.opening import open_robot
-from armsight.app.robot.robot_run import check_arm
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState, RobotTraits
 from armsight.errors import BadFile, DeviceNotFound, Inconsistent, UsageError
+from armsight.ops.robot.opening import open_robot
+from armsight.ops.robot.robot_run import check_arm
 from armsight.store.arm_file import arm_from_mapping
 from refusals import refuses
 

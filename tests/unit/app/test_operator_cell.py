@@ -12,10 +12,10 @@ from armsight.app.live.measurement import FollowedCell, FollowedPairs
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import arm_points, flange_pose, prepare_simulated, read_placement, scenario_of
-from armsight.app.simulate.scenarios import live_cell
 from armsight.clock import ManualClock
 from armsight.control.session.channels import JointTrack
 from armsight.errors import DeviceFailed, NotEnoughData, StaleData, UsageError
+from armsight.ops.simulation.scenarios import live_cell
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import CellFile, read_cell, write_cell

@@ -3,9 +3,9 @@
 import pytest
 import yaml
 
-from armsight.app.simulate.run import simulate
 from armsight.errors import DataRefused
 from armsight.ops.measure import measure
+from armsight.ops.simulation.run import simulate
 from refusals import names_it
 
 

@@ -5,9 +5,9 @@ import re
 import pytest
 import yaml
 
-from armsight.app.simulate.run import simulate
 from armsight.errors import NotEnoughData
 from armsight.ops.measure import measure
+from armsight.ops.simulation.run import simulate
 from refusals import refuses
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.print_report import BROWSERS, print_report
 from armsight.cli.commands import app
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, DeviceNotFound, UsageError
+from armsight.ops.print_report import BROWSERS, print_report
 from armsight.ops.sources.frames import recordings_in
 from armsight.records.result_parts import Verdict
 from armsight.report.figures import Figure, layout, points_in_space

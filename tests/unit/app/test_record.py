@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.record import recorder as recorder_module
-from armsight.app.record.export import export
-from armsight.app.record.record import RecordJob, mend, record, record_pairs
-from armsight.app.record.recorder import Recorder
 from armsight.clock import ManualClock
 from armsight.drivers import Skew
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
+from armsight.ops.recording import recorder as recorder_module
+from armsight.ops.recording.export import export
+from armsight.ops.recording.record import RecordJob, mend, record, record_pairs
+from armsight.ops.recording.recorder import Recorder
 from armsight.ops.sources.frames import RecordedFrames, open_pairs, open_source
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_times

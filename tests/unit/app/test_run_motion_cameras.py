@@ -13,14 +13,14 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from armsight.app.record import free_cameras
-from armsight.app.record.free_cameras import SILENT_S, CameraRecorded, FreeCameras, FreeJob, record_free
-from armsight.app.robot import run_motion as run_motion_module
-from armsight.app.robot.opening import ClockedRobot, open_robot
-from armsight.app.robot.run_motion import RunMotionOutput
 from armsight.clock import ManualClock
 from armsight.errors import ArmsightError, Cancelled, DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 from armsight.ops import robots
+from armsight.ops.recording import free_cameras
+from armsight.ops.recording.free_cameras import SILENT_S, CameraRecorded, FreeCameras, FreeJob, record_free
+from armsight.ops.robot import run_motion as run_motion_module
+from armsight.ops.robot.opening import ClockedRobot, open_robot
+from armsight.ops.robot.run_motion import RunMotionOutput
 from armsight.ops.sources.frames import camera_source
 from armsight.records import Frame, Motion, Silent
 from armsight.store.recording import Recording

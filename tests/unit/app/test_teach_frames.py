@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
-from armsight.app.teach import AS_MEASURED
 from armsight.control.teach import PathRecorder, StandingRig
 from armsight.errors import UsageError
 from armsight.ops.sources.pace import pace_of
 from armsight.ops.teach import teach
+from armsight.ops.teaching import AS_MEASURED
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import read_poses, write_poses, write_text
 from refusals import refuses

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.simulate.scenarios import load_scenario
-from armsight.app.verify.supervising import Supervised
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, NotEnoughData
+from armsight.ops.simulation.scenarios import load_scenario
+from armsight.ops.verification.supervising import Supervised
 from armsight.ops.verify import supervise
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm

@@ -12,13 +12,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
-from armsight.app.robot.opening import ClockedRobot, guard_for, open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock, SystemClock
 from armsight.control.guard import Box, Guard, JointLimit, Limits
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint, preset
 from armsight.ops import motion, robots
+from armsight.ops.robot.opening import ClockedRobot, guard_for, open_robot
 from armsight.store.limits_file import limits_from_mapping, read_limits
 from refusals import names_it, refuses
 from robot_runs import acted

@@ -15,8 +15,8 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 
-from armsight.app import compilation
 from armsight.errors import BadFile, DeviceFailed, NotEnoughData, UsageError
+from armsight.ops import compilation
 from armsight_lab.batch import cluster as batch_cluster
 from armsight_lab.batch import run as batch_run
 from armsight_lab.batch.cluster import Workers, connected

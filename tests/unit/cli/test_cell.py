@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.simulate.run import simulate
+from armsight.ops.simulation.run import simulate
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_world
 from armsight.store.arm_file import read_arm

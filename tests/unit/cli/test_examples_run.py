@@ -17,11 +17,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 import histories
-from armsight.app.print_report import BROWSERS
-from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
 from armsight.cli.examples import EXAMPLES
 from armsight.kinematics import presets
+from armsight.ops.print_report import BROWSERS
+from armsight.ops.simulation.run import simulate
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
 from armsight.store.path_file import write_path

@@ -41,7 +41,7 @@ def failing(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("armsight.app.doctor.looked_at", fail)
+    monkeypatch.setattr("armsight.ops.doctor.looked_at", fail)
 
 
 def test_help_and_wrong_flags_load_no_compiler_no_plots_and_no_markdown() -> None:

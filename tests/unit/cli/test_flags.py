@@ -11,13 +11,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from armsight.app.requests import motion
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import PartialRequest
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, known_hints, marks
 from armsight.ops.flags import Table
+from armsight.ops.requests import motion
 from armsight.store.interpret import TableFormat
 from armsight.units import DEG, MM
 from armsight_lab.batch import request as batch

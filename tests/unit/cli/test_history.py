@@ -16,8 +16,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 import histories
-from armsight.app.simulate.run import simulate
 from armsight.cli.commands import app
+from armsight.ops.simulation.run import simulate
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.entry import Entry
 from armsight_lab.history.figures import figures_of, parameters_of

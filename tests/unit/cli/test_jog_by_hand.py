@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.robot.opening import ClockedRobot, open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import GamepadInput, JogAxes, KeyboardInput, open_jog_input
 from armsight.errors import Cancelled, DeviceFailed, DeviceNotFound, UsageError
 from armsight.ops import robots
+from armsight.ops.robot.opening import ClockedRobot, open_robot
 from refusals import refuses
 from robot_runs import acted
 

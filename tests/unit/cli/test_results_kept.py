@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from armsight.app.simulate.run import simulate
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
+from armsight.ops.simulation.run import simulate
 from armsight.records import Silent
 from armsight.store.atomic import FAILED, EarlierResults
 from refusals import names_it
@@ -199,7 +199,7 @@ def test_two_commands_do_not_write_to_one_place_at_once(
         )
         raise UsageError("enough")
 
-    monkeypatch.setattr("armsight.app.simulate.run.simulate", meanwhile)
+    monkeypatch.setattr("armsight.ops.simulation.run.simulate", meanwhile)
     words = ["simulate", "hand-cell", "-o", tmp_path / "cell", "--frames", 1]
     assert armsight(*words).code == 2
     assert inner[0].code == 4

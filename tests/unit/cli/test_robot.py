@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from armsight.app.robot.jog import _Watcher
-from armsight.app.robot.opening import ClockedRobot, open_robot
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, GuardState, JointLimit, Limits
 from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, StaleData, UsageError
 from armsight.ops import robots
+from armsight.ops.robot.jog import _Watcher
+from armsight.ops.robot.opening import ClockedRobot, open_robot
 from armsight.records import JointReading, Silent
 from armsight.store.limits_file import read_limits, write_limits
 from refusals import names_it, refuses

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 import armsight
-from armsight.app.simulate.cells import write_png
 from armsight.drivers.live import open_camera
 from armsight.drivers.sources import open_video
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, Inconsistent
+from armsight.ops.simulation.cells import write_png
 from armsight.records import Frame
 from armsight_sim.backdrops import picture_backdrop
 from refusals import refuses

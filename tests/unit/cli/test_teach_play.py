@@ -14,9 +14,6 @@ import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.app.robot.opening import ClockedRobot, arm_of, open_robot
-from armsight.app.simulate.run import simulate
-from armsight.app.teach import TaughtBeside
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.play import PathSource
@@ -24,7 +21,10 @@ from armsight.drivers.jog_inputs import listening
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import presets
 from armsight.ops import motion
+from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
+from armsight.ops.simulation.run import simulate
 from armsight.ops.teach import teach
+from armsight.ops.teaching import TaughtBeside
 from armsight.records import PoseStatus, Silent, TargetPose, TaughtPath
 from armsight.store import read_poses, write_poses, write_text
 from armsight.store.arm_file import write_arm

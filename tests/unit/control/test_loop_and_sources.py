@@ -13,8 +13,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight.control.loop as loop_module
-from armsight.app.robot.opening import guard_for, open_robot
-from armsight.app.robot.recorder import LoopRecorder
 from armsight.clock import ManualClock
 from armsight.control import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
 from armsight.control.guard import Guard, GuardState, Limits
@@ -27,6 +25,8 @@ from armsight.drivers.goals import JointLimits
 from armsight.drivers.pace import LinkTimes
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import Arm, Joint
+from armsight.ops.robot.opening import guard_for, open_robot
+from armsight.ops.robot.recorder import LoopRecorder
 from armsight.store.recording import Recording
 from armsight.testing.wrong_controllers import prove
 from refusals import names_it

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.robot.opening import arm_of, open_robot
 from armsight.clock import ManualClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
@@ -18,6 +17,7 @@ from armsight.control.servo import Mount
 from armsight.control.setpoints import CycleState, Finished, Hold, ToolPose
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import presets
+from armsight.ops.robot.opening import arm_of, open_robot
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 from refusals import refuses
 

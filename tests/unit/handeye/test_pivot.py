@@ -78,7 +78,7 @@ def test_frames_without_pivoting_are_refused(tmp_path: Path, armsight_cell: Path
 @pytest.fixture
 def armsight_cell(tmp_path: Path) -> Path:
     """A few frames of a simulated target that does not pivot."""
-    from armsight.app.simulate.run import simulate
+    from armsight.ops.simulation.run import simulate
 
     simulate("led-cell", tmp_path / "cell", seed=1, frames=3, room="dark")
     return tmp_path / "cell"

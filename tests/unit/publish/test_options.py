@@ -10,8 +10,8 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
-from armsight.app.requests.plant import PlantFlags
 from armsight.errors import BadFile, DeviceNotFound, UsageError
+from armsight.ops.requests.plant import PlantFlags
 from armsight_plant.certificates import make_pair, read_pair, read_trusted
 from armsight_plant.options import (
     FoxgloveOptions,

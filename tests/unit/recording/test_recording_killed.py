@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from armsight.app.record.record import RecordJob, record_pairs
 from armsight.drivers import Skew
+from armsight.ops.recording.record import RecordJob, record_pairs
 from armsight.records import Frame
 from armsight.store.recording import ImageFormat, Recording, repair
 

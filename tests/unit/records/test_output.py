@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.demo import TruthError
-from armsight.app.record.export import ExportOutput
 from armsight.calibrate.handeye import Part, RejectedPair
 from armsight.errors import BadFile
 from armsight.fields import Doc
+from armsight.ops.demo import TruthError
+from armsight.ops.recording.export import ExportOutput
 from armsight.records.output import Output, extended, figure, flat_rows, output
 from armsight.records.result_parts import PointStd
 from armsight.store.atomic import write_json

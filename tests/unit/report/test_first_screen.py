@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.verify.output import _verdict
 from armsight.calibrate.cameras.board_shape import BoardShape
 from armsight.calibrate.identify import Sweeps
 from armsight.calibrate.identify.result import LEANS
 from armsight.calibrate.identify.sweeps import leaning
 from armsight.cli.tables import figure
+from armsight.ops.verification.output import _verdict
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import NamedCovariance
 from armsight.records.result_parts import Verdict

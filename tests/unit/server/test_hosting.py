@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
-from armsight.app.robot.opening import arm_model
 from armsight.clock import ManualClock
 from armsight.control.guard.limits import ENABLE_AGE_S
 from armsight.control.session.channels import Newest, Queue, Serves, Turns, error_of, put_error
@@ -20,6 +18,8 @@ from armsight.control.session.loop_side import Channels, CountedClock, lateness_
 from armsight.control.setpoints import JointGoal, JointVelocity
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, DeviceLost, UsageError
+from armsight.ops.robot.hosting import ProcessHost, RobotSpec, ThreadHost
+from armsight.ops.robot.opening import arm_model
 from armsight.records import JointReading
 from armsight.store.arm_file import arm_from_mapping
 from armsight.testing.clocks import GatedClock

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import armsight
-from armsight.app.robot.recorder import RecordingLog
 from armsight.clock import ManualClock
+from armsight.ops.robot.recorder import RecordingLog
 
 
 def test_what_the_loop_did_earlier_is_kept_too(tmp_path):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.errors import DeviceFailed
 from armsight.measure.poses.pipeline import Setup, measure_pair
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.records import PoseStatus
 from armsight.store.rigs import rig_from_mapping
 from armsight.store.targets import target_from_mapping

@@ -13,8 +13,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.simulate.scenarios import load_scenario, scenario_names, settled_text
 from armsight.errors import Inconsistent, UsageError
+from armsight.ops.simulation.scenarios import load_scenario, scenario_names, settled_text
 from armsight_sim import Cell, LedCellOptions, Lens, Sensor, board_cell, led_cell
 from armsight_sim.pipeline import IDEAL
 from armsight_sim.rigs import Mirrors, mirror_views

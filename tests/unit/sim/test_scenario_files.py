@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 import yaml
 
-from armsight.app.simulate.run import simulate
-from armsight.app.simulate.scenarios import load_scenario, scenario_names
 from armsight.errors import ArmsightError, BadFile, DeviceNotFound, Inconsistent
+from armsight.ops.simulation.run import simulate
+from armsight.ops.simulation.scenarios import load_scenario, scenario_names
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import read_arm
 from armsight.store.rigs import read_world

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import armsight
-from armsight.app.robot import twin as twins
 from armsight.errors import DeviceFailed, UsageError
+from armsight.ops.robot import twin as twins
 from armsight_sim.twins.base import BEHIND_S, note_silence, small_arm, twin_drive, twin_home
 from armsight_sim.twins.rsi import LATE_LIMIT, RsiController
 from refusals import refuses

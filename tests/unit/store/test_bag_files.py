@@ -26,8 +26,8 @@ pytest.importorskip("rosbags", reason="the extra armsight[bags] is not installed
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from armsight.app.record.record import mend
 from armsight.errors import BadFile, BadImage
+from armsight.ops.recording.record import mend
 from armsight.ops.sources.bags import BagFrames
 from armsight.store import bags
 from armsight.store.recording import repair

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.convert import convert_camera, convert_rig
 from armsight.errors import BadFile
+from armsight.ops.conversion import convert_camera, convert_rig
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store import read_camera, read_rig, write_camera, write_rig
 from armsight.store.foreign import camera_from_kalibr, camera_from_opencv, camera_from_ros

@@ -285,7 +285,7 @@ def compile_for(commands: Collection[str], progress: Progress) -> None:
         if not _kept(folder):
             missing.update(dict.fromkeys(groups))
     if missing:
-        from armsight.app.compilation import compile_all
+        from armsight.ops.compilation import compile_all
 
         compile_all(progress, tuple(missing))
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from armsight.app.requests.motion import GuardLimits, Speed
 from armsight.defaults import CAMERA_HZ, MOTION_HZ, MOTION_S, SPOT_STD_PX
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.flags import AN_ARM, KNOWN_ARM
+from armsight.ops.requests.motion import GuardLimits, Speed
 from armsight.units import DEG, MM
 from armsight_lab.design.request import Box, mount_of, volume_of
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight._files import real_path
-from armsight.app.measure.run import target_of
 from armsight.arrays import Array
 from armsight.calibrate.cell.knowledge import Knowledge, TargetShape, with_priors
 from armsight.calibrate.cell.model import CellModel, start_vector
@@ -23,6 +22,7 @@ from armsight.kinematics import Arm, fk
 from armsight.ops.arm_files import arm_file, load_arm
 from armsight.ops.calibration.cell import read_priors
 from armsight.ops.kinematics_results import reading_values
+from armsight.ops.measurement.run import target_of
 from armsight.optics import SIDES, LensKind, Rig, RigKind
 from armsight.records import Motion, Progress, Silent, Target
 from armsight.records.output import Output, output

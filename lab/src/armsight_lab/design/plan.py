@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.measure.run import target_of
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import pose_from_euler
 from armsight.kinematics import Arm
 from armsight.measure.planning import with_baseline
 from armsight.ops.arm_files import load_arm
+from armsight.ops.measurement.run import target_of
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import Target
 from armsight.store import parse_board, read_rig, read_world

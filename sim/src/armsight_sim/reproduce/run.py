@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from armsight.app.simulate.reproduced import ReproducedErrors, ReproducedTable, ReproduceOutput
 from armsight.errors import UsageError
+from armsight.ops.simulation.reproduced import ReproducedErrors, ReproducedTable, ReproduceOutput
 from armsight.records import Progress, Silent
 from armsight.store import write_text
 from armsight.store.atomic import write_json

@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from armsight.app.simulate.run import simulate
-from armsight.app.simulate.scenarios import VIEWS, load_scenario
 from armsight.errors import Cancelled, UsageError
+from armsight.ops.simulation.run import simulate
+from armsight.ops.simulation.scenarios import VIEWS, load_scenario
 from armsight.records import Progress
 
 SOURCED = re.compile(r"^\s*(?:- )?(?P<text>[^#]*\S)\s*#\s*(?P<source>(?:paper|derived|chosen)[:;].*)$")

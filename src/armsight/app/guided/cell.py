@@ -17,7 +17,6 @@ from armsight.app.guided.cell_recorder import FRAMES, LOG, CellRecorder, CellWat
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.live.measurement import DetectionSettings
 from armsight.app.live.station import MeasurementProcess
-from armsight.app.measure.run import target_of
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.handeye import Setup
 from armsight.clock import Clock, SystemClock
@@ -26,6 +25,7 @@ from armsight.file_names import ARM, HANDEYE, REPORT, RIG, TARGET, WORLD
 from armsight.kinematics import Arm
 from armsight.ops.arm_files import load_arm
 from armsight.ops.calibrate_cell import calibrate_cell
+from armsight.ops.measurement.run import target_of
 from armsight.optics import SIDES
 from armsight.records import Progress
 from armsight.store.handeye_file import write_handeye_poses

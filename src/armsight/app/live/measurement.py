@@ -14,9 +14,6 @@ from typing import Any, Self, cast
 import numpy as np
 
 from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_view
-from armsight.app.measure.outputs import moved_pose
-from armsight.app.measure.run import target_of
-from armsight.app.simulate.scenarios import live_cell
 from armsight.arrays import Mask
 from armsight.clock import Clock
 from armsight.control.session.channels import JointTrack
@@ -25,6 +22,9 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Measured, Setup, Track, lost_pair, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
+from armsight.ops.measurement.outputs import moved_pose
+from armsight.ops.measurement.run import target_of
+from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.frames import open_pairs, open_source
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import SIDES, Rig, RigKind

@@ -14,10 +14,10 @@ import numpy as np
 
 from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
 from armsight.app.live.views import LiveView
-from armsight.app.measure.warm_up import prepare
-from armsight.app.record.recorder import LiveRecording, RecordingState
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
+from armsight.ops.measurement.warm_up import prepare
+from armsight.ops.recording.recorder import LiveRecording, RecordingState
 from armsight.priority import give_way
 from armsight.records import Frame, Silent, Spots, TargetPose
 from armsight.store.atomic import write_bytes

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import MeasurementProcess
-from armsight.app.measure.run import target_of
 from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import StationObserver, around_px
@@ -25,6 +24,7 @@ from armsight.kinematics import Arm, link_frames
 from armsight.ops.action import write_with_page
 from armsight.ops.identification.left_out import consequence, in_radians
 from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_observed
+from armsight.ops.measurement.run import target_of
 from armsight.records import Progress, Silent
 from armsight.store import World, read_rig, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm

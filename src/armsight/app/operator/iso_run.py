@@ -12,11 +12,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import MeasurementProcess
-from armsight.app.measure.run import target_of
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import StationPoses
-from armsight.app.verify.mastering import seen_whole
 from armsight.arrays import Array
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import PathSegment, PoseObserver, PoseVisit, Visitor
@@ -25,6 +23,8 @@ from armsight.drivers import Robot
 from armsight.errors import ArmsightError, DataRefused, NotEnoughData, UsageError
 from armsight.fields import Bounds
 from armsight.kinematics import Arm, singularity_distance, track_path
+from armsight.ops.measurement.run import target_of
+from armsight.ops.verification.mastering import seen_whole
 from armsight.ops.verify import verify
 from armsight.records import Progress
 from armsight.store import World, read_rig, write_text, write_world

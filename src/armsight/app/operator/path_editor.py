@@ -14,21 +14,21 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import MeasurementProcess, Snapshot
-from armsight.app.measure.outputs import moved_pose
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
-from armsight.app.play.play_job import Seen, WatchedRobot, sight_of
-from armsight.app.play.play_path import PlayOutput
-from armsight.app.requests.motion import ABOVE_0
 from armsight.clock import Clock, SystemClock
 from armsight.control.paths import offset_along_tool, resampled, reversed_path, smoothed, tilted, without_rows
 from armsight.control.play import PathSource
 from armsight.control.status import QueueSink
 from armsight.defaults import PATH_SPEED_M_S
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData, UsageError
+from armsight.ops.measurement.outputs import moved_pose
 from armsight.ops.motion import play
 from armsight.ops.path.check import PathCheckOutput, checked
+from armsight.ops.play.play_job import Seen, WatchedRobot, sight_of
+from armsight.ops.play.play_path import PlayOutput
+from armsight.ops.requests.motion import ABOVE_0
 from armsight.records import PoseStatus, TaughtPath
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import HandEyeFile

@@ -14,12 +14,6 @@ from scipy.spatial.transform import RigidTransform
 from armsight._files import DeviceLock
 from armsight.app.live.measurement import FollowedCell
 from armsight.app.operator.job_runner import JobRunner
-from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.hosting import ProcessHost, spec_of
-from armsight.app.robot.opening import SIM, arm_model, left_open, open_to_all
-from armsight.app.robot.recorder import RecordingLog, default_log, require_recorded
-from armsight.app.simulate.run import write_set_up
-from armsight.app.simulate.scenarios import build_world, load_scenario
 from armsight.arrays import Array
 from armsight.calibrate.handeye import Setup
 from armsight.control.guard import Limits
@@ -28,6 +22,12 @@ from armsight.control.session.operator_session import OperatorSession
 from armsight.control.session.service import Service
 from armsight.errors import NotEnoughData
 from armsight.kinematics import Arm, link_frames
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.robot.hosting import ProcessHost, spec_of
+from armsight.ops.robot.opening import SIM, arm_model, left_open, open_to_all
+from armsight.ops.robot.recorder import RecordingLog, default_log, require_recorded
+from armsight.ops.simulation.run import write_set_up
+from armsight.ops.simulation.scenarios import build_world, load_scenario
 from armsight.records import JointReading
 from armsight.store import World, read_world
 from armsight.store.atomic import disk_errors

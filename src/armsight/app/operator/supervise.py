@@ -12,13 +12,13 @@ from typing import Annotated
 from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
-from armsight.app.verify.supervising import Judge
 from armsight.clock import SystemClock
 from armsight.control.session.operator_session import Person
 from armsight.defaults import BLIND_S, JOINT_STD, LATENCY_STD_S
 from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
 from armsight.ops.action import write_with_page
+from armsight.ops.verification.supervising import Judge
 from armsight.records import PoseStatus, TargetPose
 from armsight.store.cell_file import CellFile
 from armsight.units import DEG, MM

@@ -8,10 +8,10 @@ from pathlib import Path
 from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
-from armsight.app.teach import Lesson, at_tip
 from armsight.clock import Clock
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig, Teaching
 from armsight.errors import NotEnoughData
+from armsight.ops.teaching import Lesson, at_tip
 from armsight.records.motion import JointHistory
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import read_tip

@@ -11,7 +11,6 @@ from armsight.app.operator import path_editor as path_desk
 from armsight.app.operator.job_runner import BackgroundJob
 from armsight.app.operator.path_editor import JOB_NAME, TOOLS, PathEditor, PlayRequest
 from armsight.app.operator.teach_controller import TeachController
-from armsight.app.play.play_path import PlayOutput
 from armsight.console import texts
 from armsight.console.layout import (
     TICK_S,
@@ -35,6 +34,7 @@ from armsight.console.work import Working, jog_card
 from armsight.defaults import SMOOTHING_M
 from armsight.errors import ArmsightError
 from armsight.ops.path.check import PathCheckOutput
+from armsight.ops.play.play_path import PlayOutput
 from armsight.records import TaughtPath
 from armsight.units import MM
 

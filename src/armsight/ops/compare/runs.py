@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import bdtr
 
-from armsight.app.verify.run import MAX_SUMMARY_BYTES, read_run
 from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.errors import BadFile, NotEnoughData
@@ -18,6 +17,7 @@ from armsight.file_names import MEASURE
 from armsight.measure.results import MadeWith
 from armsight.measure.series import INSIDE_95
 from armsight.ops.compare.calibrations import Compared, Effect
+from armsight.ops.verification.run import MAX_SUMMARY_BYTES, read_run
 from armsight.records import PoseStatus, TargetPose
 from armsight.records.result_parts import Difference
 from armsight.store import read_poses

@@ -9,9 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.requests.motion import RobotJob
-from armsight.app.robot.opening import refuse_settings, robot_of
-from armsight.app.simulate.scenarios import live_cell
 from armsight.arrays import Array, Image
 from armsight.calibrate.identify import Identification, Sweeps, even_ones, identify
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
@@ -28,6 +25,9 @@ from armsight.ops.identification.beacon_observer import StereoBeaconObserver, be
 from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.ops.identification.solve import solve_sweeps
 from armsight.ops.identify import SweepReadings
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.robot.opening import refuse_settings, robot_of
+from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.frames import open_pairs
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target

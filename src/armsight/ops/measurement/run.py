@@ -1,0 +1,260 @@
+"""Frames in, poses with their uncertainty out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from armsight.drivers import (
+    PairSource,
+    ordered_map,
+)
+from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData
+from armsight.measure.consistency.check import RunCheck, advice, sentence
+from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
+from armsight.measure.results import MeasureResult, ZoomAt, grounds_of
+from armsight.ops.measurement.collector import About, Collector, Zoomed
+from armsight.ops.measurement.outputs import Outputs
+from armsight.ops.measurement.streams import FrameSources
+from armsight.ops.measurement.warm_up import prepare
+from armsight.ops.sources.bags import origin_ns
+from armsight.ops.sources.frames import (
+    FrameTimes,
+    recordings_in,
+)
+from armsight.optics import SIDES, Rig, at_zoom
+from armsight.records import Frame, PoseStatus, Progress, Target
+from armsight.records.checks import wide_rig
+from armsight.store import World, parse_board, read_target, read_zoom_rig
+
+Pair = tuple[Frame, Frame]
+
+SWAPPED_ENOUGH = 3
+"""Pairs at the start of a run that look exchanged before it is refused: one may do so by a reflection."""
+
+MEASURING = "measuring"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """One pair, what was measured, the milliseconds it took; swapped: why left and right look exchanged."""
+
+    pair: Pair
+    measured: Measured
+    ms: float
+    swapped: Inconsistent | None = None
+
+
+def target_of(named: Path) -> Target:
+    """Return the target of a target.yaml, or the board of a text such as checkerboard:9x6:0.025."""
+    return parse_board(str(named)) if ":" in named.name and not named.exists() else read_target(named)
+
+
+def run(
+    setup: Setup,
+    pairs: PairSource,
+    out: Path | None,
+    *,
+    progress: Progress,
+    world: World | None = None,
+    limit: int | None = None,
+    about: About | None = None,
+) -> MeasureResult:
+    """Measure the pairs of a source not yet open, into the folder out where there is one: MEASURED.
+
+    What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
+    DataRefused or DeviceFailed, Cancelled.
+    """
+    about = about or About()
+    report, check, outputs = Collector(setup, world), RunCheck(setup), Outputs(out, world=world)
+    with pairs:
+        prepare(progress)
+        steps = _steps(setup, pairs, limit, progress, alone=about.stills or setup.target.is_board)
+        with outputs:
+            failure = _taken(steps, check, outputs, report)
+    if outputs.n_frames == 0 and failure is not None:
+        raise failure
+    consistency = check.finish()
+    outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
+    failure = failure or _nothing_seen(outputs, consistency, setup)
+    done = outputs.summary(
+        setup,
+        report.poses,
+        consistency,
+        grounds_of(report.poses, report.truth(about)),
+        skew=pairs.skew,
+        error=str(failure) if failure else None,
+        assumed_fps=about.assumed_fps,
+        zoom=zooms_of(about.zoomed),
+    )
+    if out is not None:
+        progress.update(0, 0, "writing the report")
+        report.write(out, done, about)
+    if failure is not None:
+        raise failure if out is None else _with_path(failure, outputs, out)
+    return done
+
+
+def _taken(steps: Iterable[Step], check: RunCheck, outputs: Outputs, report: Collector) -> ArmsightError | None:
+    """Check, write and keep each step; return what ended them early."""
+    try:
+        for step in steps:
+            start_s = time.perf_counter()
+            measured = check.add(step.measured)
+            pose = outputs.add(measured)
+            report.add(*step.pair, measured, pose)
+            outputs.took(step.ms + (time.perf_counter() - start_s) * 1e3)
+    except ArmsightError as error:
+        return error
+    return None
+
+
+def _steps(
+    setup: Setup, pairs: PairSource, limit: int | None, progress: Progress, *, alone: bool
+) -> Generator[Step, None, None]:
+    """Yield each pair measured, in order. Raises Cancelled, and Inconsistent for swapped or wrongly sized views."""
+    total = _total(pairs.total, limit)
+    measure_all = _singly if alone else _tracked
+    done = seen = 0
+    swapped: list[Inconsistent] = []
+    with closing(_generator(pairs)) as source, closing(measure_all(setup, islice(source, limit))) as steps:
+        for step in steps:
+            yield step
+            done += 1
+            seen += step.measured.pose.status is not PoseStatus.LOST
+            swapped += [step.swapped] if step.swapped else []
+            if not seen and len(swapped) >= SWAPPED_ENOUGH:
+                raise swapped[0]
+            progress.update(done, total, MEASURING)
+            if progress.cancelled():
+                raise Cancelled(f"stopped after {done} pairs")
+    if not seen and swapped:
+        raise swapped[0]
+
+
+def _tracked(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
+    """Measure one pair after the other: each tells the next where to look, so that few are searched as a whole."""
+    tracker = TargetTracker(setup)
+    for pair in pairs:
+        yield _one(tracker, pair)
+
+
+def _singly(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
+    """Measure pairs in threads, each by itself: a board, or single shots, which tell nothing of each other."""
+    return ordered_map(lambda pair: _one(TargetTracker(setup), pair), pairs)
+
+
+def _one(tracker: TargetTracker, pair: Pair) -> Step:
+    start_s = time.perf_counter()
+    measured = tracker.take(*pair)
+    return Step(pair=pair, measured=measured, ms=(time.perf_counter() - start_s) * 1e3, swapped=tracker.swapped)
+
+
+LIGHTS_ON = (
+    "the lights must be on, in both views, and brighter than what is round them. Where they are: --rig and --target "
+    "must be theirs, and left be left. --inverted is for dark spots, --mask blackens what is not to be looked at"
+)
+WHOLE_BOARD = "the board must be whole, sharp and evenly lit in both views, and its counts and kind those of --target"
+
+
+def _nothing_seen(outputs: Outputs, consistency: Consistency, setup: Setup) -> NotEnoughData | None:
+    """Return the error for a run in which no frame gave even a position, or in which there was none."""
+    if outputs.n_seen:
+        return None
+    if not outputs.n_frames:
+        return NotEnoughData(
+            "one of the two views has no frames",
+            consequence="There is no pair, so no pose",
+            cure="Give frames of both cameras",
+        )
+    first = outputs.commonest
+    if consistency.refused > 0.0 or consistency.instead:
+        return NotEnoughData(
+            f"the target is seen in the {outputs.n_frames} pairs and fits in none of them. {sentence(consistency)}",
+            consequence="There is no pose",
+            cure=advice(consistency),
+        )
+    return NotEnoughData(
+        f"the target was found in none of the {outputs.n_frames} pairs" + (f"; most often: {first}" if first else ""),
+        consequence="There is no pose",
+        cure=f"{wide_rig(setup.rig.baseline_m)} Look at the report, which shows what was seen: "
+        f"{WHOLE_BOARD if setup.target.is_board else LIGHTS_ON}".strip(),
+    )
+
+
+def _with_path(failure: ArmsightError, outputs: Outputs, out: Path) -> ArmsightError:
+    """Add to an error what was measured until it came, and where it is."""
+    kept = f"What was measured until then ({outputs.n_seen} poses of {outputs.n_frames} pairs) is in {out}"
+    failure.consequence = ". ".join(part.rstrip(".") for part in (failure.consequence, kept) if part)
+    return failure
+
+
+def _total(total: int | None, limit: int | None) -> int:
+    """Return how many pairs there will be, 0 where that is not known."""
+    return min((n for n in (total, limit) if n is not None), default=0)
+
+
+def _generator(pairs: PairSource) -> Generator[Pair, None, None]:
+    yield from pairs
+
+
+def about_pairs(
+    frames: FrameSources,
+    name: str,
+    times: FrameTimes,
+    facts: Sequence[tuple[str, str]],
+    zoomed: Zoomed,
+    *,
+    stills: bool,
+) -> About:
+    """Return what a report says beside the measurement of pairs of frames, which are called by this name."""
+    timed = [("time of the frames", times.source)] if times.source and not stills else []
+    zero_ns = origin_ns(frames.left or frames.image)
+    if zero_ns is not None:
+        timed.append(("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}"))
+    return About(
+        facts=[("frames", name), *facts, *_zoom_facts(zoomed), *timed],
+        assumed_fps=None if stills else times.assumed_fps,
+        stills=stills,
+        recordings=recordings_in(frames.left, frames.right, frames.image),
+        zoomed=zoomed,
+    )
+
+
+def zoomed_rig(path: Path, zoom: tuple[float | None, float | None]) -> tuple[Rig, Zoomed]:
+    """Return the rig in a file at these zooms. Raises as store.read_rig."""
+    found = at_zoom(read_zoom_rig(path), zoom)
+    states = zip(SIDES, found.states, strict=True)
+    return found.rig, {side: state for side, state in states if state is not None}
+
+
+def _zoom_facts(zoomed: Zoomed) -> list[tuple[str, str]]:
+    return [
+        (
+            f"zoom, {side}",
+            f"{state.zoom:g}, {'between settings' if state.interpolated else 'as calibrated'}: focal length "
+            f"{state.camera.intrinsics[0]:.2f} +- {state.covariance.std()['fx']:.2g} px",
+        )
+        for side, state in zoomed.items()
+    ]
+
+
+def zooms_of(zoomed: Zoomed) -> dict[str, ZoomAt] | None:
+    """Return the figures of the zoom lenses; None where there are none."""
+    found = {
+        side: ZoomAt(
+            zoom=state.zoom,
+            interpolated=state.interpolated,
+            fx_px=float(state.camera.intrinsics[0]),
+            fx_std_px=state.covariance.std()["fx"],
+            fx_interpolation_px=state.interpolation["fx"],
+            pupil_m=state.pupil_m,
+        )
+        for side, state in zoomed.items()
+    }
+    return found or None

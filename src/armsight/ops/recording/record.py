@@ -1,0 +1,274 @@
+"""Frames into a recording; a broken recording mended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+from armsight._files import real_path
+from armsight.clock import Clock, SystemClock
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Skew, is_live
+from armsight.drivers.live import MAX_SKEW_S
+from armsight.errors import ArmsightError, NotEnoughData, UsageError
+from armsight.fields import Doc
+from armsight.file_names import RIG, TARGET
+from armsight.measure.poses.pipeline import check_sizes
+from armsight.ops.recording.recorder import Recorder
+from armsight.ops.simulation.cells import CellPairs, load_cell, write_cell_files
+from armsight.ops.sources.frames import is_recording, open_pairs, recording_path
+from armsight.optics import Rig
+from armsight.records import Frame, Progress, Silent
+from armsight.records.output import Output, output
+from armsight.shown import Shown
+from armsight.store import read_rig, read_target
+from armsight.store.atomic import disk_errors
+from armsight.store.recording import ImageFormat, RecordingWriter, Repaired, repair
+
+CELL_FRAMES = 300
+"""Pairs of a simulated cell where no limit is given: five seconds at 60 a second."""
+
+
+@output
+class RecordedSkew(Output):
+    """Time between the frames of pairs, right minus left."""
+
+    mean: Annotated[float, Doc("Mean, s.")]
+    largest: Annotated[float, Doc("Largest, s.")]
+
+
+@output
+class RecordOutput(Output):
+    """armsight record."""
+
+    file: Annotated[str, Doc("The recording.")]
+    format: Annotated[str, Doc("How frames are kept: png, raw or jpeg.")]
+    n_pairs: Annotated[int, Doc("Pairs recorded.")]
+    n_dropped: Annotated[int, Doc("Pairs that found no room: the disk or the processor is too slow.")]
+    n_missed: Annotated[int, Doc("Frames lost by the cameras or without a partner.")]
+    duration_s: Annotated[float, Doc("From the first pair to the last, s.")]
+    pairs_per_s: Annotated[float | None, Doc("Pairs a second.", unit="1/s")]
+    size_bytes: Annotated[int, Doc("Size of the file, bytes.")]
+    skew_s: Annotated[RecordedSkew | None, Doc("Time between the frames of live pairs; null of other sources.")]
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield what a terminal shows of it."""
+        lost = f", {self.n_dropped} dropped because the disk or the processor is too slow" if self.n_dropped else ""
+        lost += f", {self.n_missed} missed by the cameras" if self.n_missed else ""
+        size = f"{self.size_bytes / 1e6:.1f} MB as {self.format}"
+        yield f"{self.n_pairs} pairs in {self.duration_s:.1f} s{lost}; {size} in {self.file}"
+
+
+def image_format(text: str) -> ImageFormat:
+    """Return how frames are kept, by its name. Raises UsageError."""
+    try:
+        return ImageFormat(text.lower())
+    except ValueError:
+        known = ", ".join(kind.value for kind in ImageFormat)
+        raise UsageError(f"frames are not kept as {text!r}", cure=f"Choose one of {known}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordJob:
+    """What to record: left and right, or a simulated cell; rig and target go into the recording. limit: pairs."""
+
+    out: Path
+    left: str | None = None
+    right: str | None = None
+    cell: str | None = None
+    seed: int = 0
+    rig: Path | None = None
+    target: Path | None = None
+    kind: ImageFormat = ImageFormat.PNG
+    colour: bool = False
+    fps: float | None = None
+    limit: int | None = None
+    seconds_s: float | None = None
+    max_skew_s: float | None = None
+    overwrite: bool = False
+    camera_settings: CameraSettings = AUTOMATIC
+
+
+def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordOutput:
+    """Record pairs until the source ends, the limit is reached or the person stops, which is no error here.
+
+    Raises UsageError, DataRefused and DeviceFailed; what was recorded until then is readable.
+    """
+    _check(job)
+    with _files(job) as (files, rig):
+        pairs, live = _source(job)
+        return record_pairs(job, pairs, live=live, files=files, rig=rig, progress=progress, clock=clock)
+
+
+def record_pairs(
+    job: RecordJob,
+    pairs: PairSource,
+    *,
+    live: bool,
+    files: Mapping[str, Path] | None = None,
+    rig: Rig | None = None,
+    progress: Progress | None = None,
+    clock: Clock | None = None,
+) -> RecordOutput:
+    """Record the pairs of a source not yet open; live: what finds no room is dropped. See record."""
+    tally = Tally()
+    with pairs, closing(_generator(pairs)) as source:
+        first = next(source, None)
+        if first is None:
+            raise NotEnoughData(f"{pairs.name} gave no pair", consequence="Nothing was recorded")
+        if rig is not None and not any(frame.unreadable for frame in first):
+            check_sizes(rig, *first, "The rig would stand in the recording as that of its frames; nothing was recorded")
+        start_s = first[0].t_s
+        origin_ns = time.time_ns() - (round(start_s * 1e9) if live else 0)
+        writer = RecordingWriter(job.out, origin_ns=origin_ns, overwrite=job.overwrite)
+        recorder = Recorder(writer, job.kind, live=live)
+        try:
+            with writer:
+                _attach(writer, files or {}, rig, start_s)
+                with recorder:
+                    _pump(job, chain([first], source), recorder, tally, progress or Silent(), clock or SystemClock())
+        except ArmsightError as error:
+            kept = f"What was recorded until then is in {job.out}"
+            error.consequence = ". ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
+            raise
+    return _output(job, recorder, tally, pairs.skew, live=live)
+
+
+def _output(job: RecordJob, recorder: Recorder, tally: Tally, skew: Skew | None, *, live: bool) -> RecordOutput:
+    """Return what was recorded: what found no room, and what the cameras lost or had no partner, is counted apart."""
+    duration_s = tally.last_s - tally.first_s
+    return RecordOutput(
+        file=str(job.out),
+        format=job.kind.value,
+        n_pairs=recorder.written,
+        n_dropped=recorder.dropped,
+        n_missed=tally.missed + (skew.n_dropped if skew else 0) if live else 0,
+        duration_s=duration_s,
+        pairs_per_s=(recorder.written - 1) / duration_s if duration_s > 0.0 else None,
+        size_bytes=job.out.stat().st_size,
+        skew_s=RecordedSkew(mean=skew.mean_s, largest=skew.largest_s) if skew else None,
+    )
+
+
+def _attach(writer: RecordingWriter, files: Mapping[str, Path], rig: Rig | None, start_s: float) -> None:
+    for name, path in files.items():
+        writer.attach(name, path.read_bytes())
+    if rig is not None:
+        writer.rig(start_s, rig)
+
+
+@dataclass(slots=True)
+class Tally:
+    """What went through: n pairs, missed frames by the gaps in the left camera's numbers, first and last time."""
+
+    n: int = 0
+    missed: int = 0
+    first_s: float = 0.0
+    last_s: float = 0.0
+    last_number: int = 0
+
+    def add(self, left: Frame) -> None:
+        """Count a pair by its left frame."""
+        if self.n == 0:
+            self.first_s = left.t_s
+        else:
+            self.missed += max(0, left.sequence - self.last_number - 1)
+        self.last_s, self.last_number = left.t_s, left.sequence
+        self.n += 1
+
+
+def _pump(
+    job: RecordJob,
+    source: Iterable[tuple[Frame, Frame]],
+    recorder: Recorder,
+    tally: Tally,
+    progress: Progress,
+    clock: Clock,
+) -> None:
+    end_s = clock.now_s() + job.seconds_s if job.seconds_s is not None else float("inf")
+    for left, right in source:
+        recorder.put(left, right)
+        tally.add(left)
+        note = f"{recorder.dropped} dropped" if recorder.dropped else ""
+        progress.update(tally.n, job.limit or 0, note)
+        if tally.n == job.limit or clock.now_s() >= end_s or progress.cancelled():
+            return
+
+
+def _check(job: RecordJob) -> None:
+    """Raise UsageError for sources that contradict each other, and for a result that no reader would take."""
+    if job.cell is not None and (job.left is not None or job.right is not None):
+        raise UsageError("--cell goes with neither --left nor --right", cure="Give the one or the others")
+    if job.out.suffix.lower() != ".mcap":
+        raise UsageError(
+            f"{job.out.name} does not end in .mcap",
+            consequence="No command would take it for a recording; nothing is recorded",
+            cure="Give FILE.mcap (-o)",
+        )
+
+
+def _source(job: RecordJob) -> tuple[PairSource, bool]:
+    if job.cell is not None:
+        n = job.limit or CELL_FRAMES
+        return CellPairs(load_cell(job.cell, seed=job.seed, frames=n), n), False
+    sources = [text for text in (job.left, job.right) if text is not None]
+    if not sources:
+        raise UsageError("there is nothing to record", cure="Give --left and --right, or --cell")
+    if any(is_recording(text) and real_path(recording_path(text)) == real_path(job.out) for text in sources):
+        raise UsageError(f"{job.out} is both source and result", cure="Choose another name for the result")
+    pairs = open_pairs(
+        job.left,
+        job.right,
+        colour=job.colour,
+        fps=job.fps,
+        max_skew_s=MAX_SKEW_S if job.max_skew_s is None else job.max_skew_s,
+        settings=job.camera_settings,
+    )
+    return pairs, is_live(sources[0])
+
+
+@contextmanager
+def _files(job: RecordJob) -> Iterator[tuple[dict[str, Path], Rig | None]]:
+    """Give the files to attach, checked, and the rig; a cell brings its own."""
+    with TemporaryDirectory() as folder:
+        rig_path, target_path = job.rig, job.target
+        if job.cell is not None:
+            write_cell_files(load_cell(job.cell, seed=job.seed, frames=1), Path(folder), seed=job.seed, frames=1)
+            rig_path = rig_path or Path(folder) / RIG
+            target_path = target_path or Path(folder) / TARGET
+        files = {name: path for name, path in ((RIG, rig_path), (TARGET, target_path)) if path is not None}
+        if target_path is not None:
+            read_target(target_path)
+        yield files, read_rig(rig_path) if rig_path is not None else None
+
+
+def _generator(pairs: PairSource) -> Generator[tuple[Frame, Frame], None, None]:
+    yield from pairs
+
+
+def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> Repaired:
+    """Make a readable file of a broken recording: in out, or in its own place with the broken one kept beside it.
+
+    Raises BadFile, NotEnoughData, UsageError, DeviceFailed; then source is as it was.
+    """
+    if out is not None:
+        if real_path(out) == real_path(source):
+            raise UsageError(f"{out} is both source and result", cure="Leave -o away to mend a file in its place")
+        return repair(source, out, overwrite=overwrite)
+    made = source.with_name(f".{source.name}.part")
+    kept = source.with_name(f"{source.stem}.broken{source.suffix}")
+    if kept.exists():
+        raise UsageError(f"{kept} is there already", consequence="Nothing was mended", cure="Move it away, or give -o")
+    try:
+        done = repair(source, made, overwrite=True)
+        with disk_errors(source):
+            source.rename(kept)
+            made.rename(source)
+    finally:
+        made.unlink(missing_ok=True)
+    return replace(done, file=str(source))

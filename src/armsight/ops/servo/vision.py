@@ -1,0 +1,369 @@
+"""From pairs of frames to target poses for a servo, and the cameras, real or simulated, that they come from."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from armsight.clock import Clock, ManualClock
+from armsight.control.servo import ServoSource
+from armsight.control.servo.law import CameraDelay
+from armsight.control.status import QueueSink
+from armsight.defaults import HAND_SPEED_M_S
+from armsight.drivers import CameraSettings, PairSource, is_live
+from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData, UsageError
+from armsight.kinematics import Arm
+from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, lost_pair
+from armsight.measure.settings import SpotSettings
+from armsight.ops.requests.motion import LATENCY_S, RobotJob
+from armsight.ops.robot.opening import ClockedRobot, clocked_robot, refuse_settings
+from armsight.ops.simulation.scenarios import live_cell
+from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
+from armsight.ops.sources.pace import live_pace
+from armsight.optics import Rig, RigKind
+from armsight.records import Frame, PoseStatus, Target, TargetPose
+from armsight.store.handeye_file import HandEyeFile, read_handeye
+
+Pair = tuple[Frame, Frame]
+
+
+class SteppedPairs(Protocol):
+    """Cameras of a simulated cell: pairs by their number."""
+
+    fps: float
+    latency_s: float
+    origin_s: float
+
+    def pair(self, index: int) -> Pair:
+        """Return the pair exposed index / fps after the opening."""
+        ...
+
+
+class SteppedClock(ManualClock):
+    """A clock that jumps to the moment waited for, and on the way there to every frame's arrival.
+
+    So a loop and its cameras run in one thread, in the order in which they would by real time, however long it takes
+    to draw a frame; nothing is ever late.
+    """
+
+    def __init__(self, t_s: float = 0.0) -> None:
+        super().__init__(t_s)
+        self._pairs: SteppedPairs | None = None
+        self._take: Callable[[Pair], None] | None = None
+        self._index = 0
+
+    def watch(self, pairs: SteppedPairs, take: Callable[[Pair], None]) -> None:
+        """Give the pairs that arrive from now on to take, each at its time of arrival."""
+        passed_s = self.now_s() - pairs.origin_s - pairs.latency_s
+        self._index = max(1, int(passed_s * pairs.fps + 1e-9) + 1)
+        self._pairs, self._take = pairs, take
+
+    def sleep_until(self, t_s: float) -> None:
+        """Jump to t_s where that lies ahead, by way of all arrivals until then."""
+        for arrival_s, pair in self._arrivals(t_s):
+            super().sleep_until(arrival_s)
+            if self._take is not None:
+                self._take(pair())
+        super().sleep_until(t_s)
+
+    def _arrivals(self, t_s: float) -> Iterator[tuple[float, Callable[[], Pair]]]:
+        """Yield the times of arrival until t_s, and what makes the pair, which is exposed before."""
+        pairs = self._pairs
+        while pairs is not None:
+            index = self._index
+            arrival_s = pairs.origin_s + index / pairs.fps + pairs.latency_s
+            if arrival_s > t_s:
+                return
+            self._index = index + 1
+            yield arrival_s, lambda index=index, pairs=pairs: pairs.pair(index)  # type: ignore[misc]  # bound now
+
+
+CAMERA, TOOL = "camera", "tool"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ServoDevices(ClockedRobot):
+    """A robot and its cameras, not yet open. overlaid: one image holds both views.
+
+    origin_s: tells the clock's time of the cameras' zero once they are open, None where only arrivals tell it.
+    latency_s: from the middle of an exposure to the frame in memory, where only arrivals do. stepped: the clock of a
+    simulated cell, which moves only as far as the loop waits; None: real time.
+    """
+
+    pairs: PairSource
+    overlaid: bool = False
+    latency_s: float = LATENCY_S
+    origin_s: Callable[[], float] | None = None
+    stepped: SteppedClock | None = None
+
+
+JOIN_S = 2.0
+"""How long the end of the thread is waited for."""
+NOISY_SHARE = 0.05
+"""Share of an image's pixels that differ from one picture to the next where a sensor's noise is in them."""
+SHOWN = 200
+"""Pictures that are remembered: one of them that comes again shows nothing of now."""
+PROBED = 15
+"""Pairs of which the cameras' delay is measured before anything moves."""
+PROBED_S = 5.0
+"""Pairs that do not come within so long come too slowly to follow anything."""
+
+
+class Beside(Protocol):
+    """What goes on beside a servo: a path that is taught while the target is followed."""
+
+    def begin(self, source: ServoSource, arm: Arm, clock: Clock, sink: QueueSink) -> None:
+        """Take the source of an arm, before the first cycle, the loop's clock and what takes events."""
+        ...
+
+    def observe(self, pose: TargetPose, exposed_s: float) -> None:
+        """Take what a frame shows, in rig axes, exposed at exposed_s on the loop's clock."""
+        ...
+
+
+class Vision:
+    """Measures pair after pair, and gives the poses to a source once there is one."""
+
+    def __init__(self, setup: Setup, devices: ServoDevices, sink: QueueSink) -> None:
+        self.source: ServoSource | None = None
+        self.beside: Callable[[TargetPose, float], None] | None = None
+        self.delay = CameraDelay()
+        self.counts = dict.fromkeys(PoseStatus, 0)
+        self.took_ms: list[float] = []
+        self.newest: TargetPose | None = None
+        self._setup = setup
+        self._devices = devices
+        self._clock: Clock = devices.clock
+        self._sink = sink
+        self._tracker = TargetTracker(setup)
+        self._last: tuple[Frame, Frame] | None = None
+        self._shown: tuple[deque[int], deque[int]] = (deque(maxlen=SHOWN), deque(maxlen=SHOWN))
+        self._noisy = False
+        self._ahead_s = math.inf  # the clock's time at the cameras' zero
+
+    def take(self, pair: tuple[Frame, Frame]) -> None:
+        """Measure a pair and tell the source. Raises Inconsistent for frames that are not of the rig's size."""
+        begun_s = time.perf_counter()
+        measured = self._measured(pair)
+        pose, zero_s = measured.pose, self._zero_s(pair)
+        exposed_s, now_s = pose.t_s + zero_s, self._clock.now_s()
+        self.delay.add(exposed_s, now_s)
+        if self.source is not None:
+            self.source.observe(pose, exposed_s, now_s)
+        if self.beside is not None:
+            self.beside(pose, exposed_s)
+        self.took_ms.append((time.perf_counter() - begun_s) * 1e3)
+        self.counts[pose.status] += 1
+        self.newest = pose
+        self._sink.pose(replace(pose, t_s=exposed_s))
+
+    def _zero_s(self, pair: tuple[Frame, Frame]) -> float:
+        """Return the clock's time at the cameras' zero: told, or by the frame that came soonest after its exposure."""
+        if self._devices.origin_s is not None:
+            return self._devices.origin_s()
+        newest_s = max(frame.t_s for frame in pair)
+        self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._devices.latency_s)
+        return self._ahead_s
+
+    def _stands(self, pair: tuple[Frame, Frame]) -> bool:
+        """Tell whether a camera sends one of its last pictures again. A sensor's noise never repeats; rendered pictures
+        may."""
+        last, self._last = self._last, pair
+        if last is None or any(a.image.shape != b.image.shape for a, b in zip(last, pair, strict=True)):
+            return False
+        changed = [float(np.mean(a.image[::8, ::8] != b.image[::8, ::8])) for a, b in zip(last, pair, strict=True)]
+        self._noisy = self._noisy or min(changed) > NOISY_SHARE
+        marks = [zlib.crc32(frame.image[::8, ::8].tobytes()) for frame in pair]
+        again = [mark in shown for mark, shown in zip(marks, self._shown, strict=True)]
+        for mark, shown in zip(marks, self._shown, strict=True):
+            shown.append(mark)
+        return self._noisy and any(again)
+
+    def _measured(self, pair: tuple[Frame, Frame]) -> Measured:
+        if self._stands(pair):
+            return lost_pair(pair, "a camera sends one of its last pictures again")
+        return self._tracker.take(*pair)
+
+
+class VisionThread:
+    """Takes the pairs of open cameras in a thread of its own. Leaving it ends the thread.
+
+    A failure ends it too: the source then gets no more poses, the guard holds, and `failed` says why.
+    """
+
+    def __init__(self, vision: Vision, devices: ServoDevices) -> None:
+        self.failed: ArmsightError | None = None
+        self._vision = vision
+        self._devices = devices
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="servo vision", daemon=True)
+
+    def __enter__(self) -> VisionThread:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join(JOIN_S)
+
+    def _run(self) -> None:
+        try:
+            with closing(cast(Any, iter(self._devices.pairs))) as pairs:
+                for pair in pairs:
+                    self._vision.take(pair)
+                    if self._end.is_set():
+                        return
+            self.failed = DeviceFailed("the cameras ended", consequence="The target is not seen", cure="Check them")
+        except ArmsightError as error:
+            self.failed = error
+        except Exception as error:  # told by the main thread; the arm must not go on blind meanwhile
+            self.failed = DeviceFailed(f"measuring failed: {error!r}", consequence="The target is not seen any more")
+
+
+def watch(stack: ExitStack, vision: Vision, devices: ServoDevices) -> Callable[[], ArmsightError | None]:
+    """Open the cameras and measure their pairs until stack ends; return what tells why they ended, once they came.
+
+    Of a simulated clock as that moves, else in a thread. Raises as probe.
+    """
+    pairs = stack.enter_context(devices.pairs)
+    failed: Callable[[], ArmsightError | None] = lambda: None  # noqa: E731
+    if devices.stepped is not None:
+        devices.stepped.watch(pairs, vision.take)  # type: ignore[arg-type]  # of a live cell, by number too
+    else:
+        thread = stack.enter_context(VisionThread(vision, devices))
+        failed = lambda: thread.failed  # noqa: E731
+    probe(vision, devices.clock, failed)
+    return failed
+
+
+def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | None]) -> None:
+    """Wait until the cameras' delay is known. Raises what failed; NotEnoughData for too few pairs in PROBED_S."""
+    until_s = clock.now_s() + PROBED_S
+    while vision.delay.n < PROBED:
+        error = failed()
+        if error is not None:
+            raise error
+        if clock.now_s() >= until_s:
+            raise NotEnoughData(
+                f"only {vision.delay.n} pairs of frames came within {PROBED_S:g} s",
+                consequence="The delay is not known, and nothing is moved",
+                cure="Check the cameras, their exposure and their rate",
+            )
+        clock.sleep_until(clock.now_s() + 0.02)
+
+
+def measuring(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
+    """Return what measuring needs. Raises UsageError for a board, whose pose takes longer than a servo's cycle."""
+    if target.is_board:
+        raise UsageError("a board takes too long to find for a servo", cure="Give a target of lights (--target)")
+    if rig.kind is RigKind.MIRROR and not devices.overlaid:
+        raise UsageError("the rig has mirrors: both of its views are in one image", cure="Give --image")
+    settings = SpotSettings(colour=target.colour)
+    return Setup(rig=rig, target=target, settings=settings, overlaid=devices.overlaid, pace=live_pace())
+
+
+def placed_cameras(handeye: Path) -> HandEyeFile:
+    """Return where the cameras are. Raises BadFile where there is no hand-eye calibration."""
+    if not handeye.exists():
+        raise BadFile(
+            f"the hand-eye calibration {handeye} is missing",
+            consequence="Where the cameras are on the robot is not known, and nothing is moved",
+            cure="Make it with: armsight calibrate handeye",
+        )
+    return read_handeye(handeye)
+
+
+SIM = "sim:"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraNames:
+    """Cameras as people name them, or files of them: left and right, or the one image of a mirror rig.
+
+    exposure_s: None: as they choose it. latency_s: see ServoDevices.
+    """
+
+    left: str | None
+    right: str | None
+    image: str | None
+    exposure_s: float | None
+    latency_s: float = LATENCY_S
+
+    def pairs(self, rig: Rig, target: Target, clock: Clock | None = None) -> tuple[PairSource, bool] | None:
+        """Return their pairs, not yet open, and whether one image holds both views; None where they are not said."""
+        colour, settings = target.colour is not None, CameraSettings(exposure_s=self.exposure_s)
+        if self.image is not None and self.left is self.right is None:
+            return complex_pairs(partial(open_source, self.image, colour=colour, settings=settings, clock=clock), rig)
+        if self.image is not None or self.left is None or self.right is None:
+            return None
+        return open_pairs(self.left, self.right, colour=colour, settings=settings), False
+
+    def require_live(self) -> None:
+        """Raise UsageError for what does not see the target now."""
+        for text in (self.image, self.left, self.right):
+            if text is not None and (not is_live(text) or text.startswith("camera:sim:")):
+                raise UsageError(f"{text} does not see the target now", cure="Give camera:NAME")
+
+
+def open_servo(
+    job: RobotJob,
+    rig: Rig,
+    target: Target,
+    arm: Arm | None,
+    cameras: CameraNames,
+    *,
+    hand: str | None = None,
+    hand_speed_m_s: float = HAND_SPEED_M_S,
+) -> ServoDevices:
+    """Return a robot with its cameras; nothing is opened yet.
+
+    hand, hand_speed_m_s: how the target of a simulated cell is led. Raises UsageError, DeviceNotFound, BadFile.
+    """
+    if isinstance(job.device, ServoDevices):
+        return job.device
+    if job.device is None and job.robot.startswith(SIM):
+        refuse_settings(job)
+        return _simulated(job.robot, cameras, hand, hand_speed_m_s)
+    if hand is not None:
+        raise UsageError(f"--hand leads a simulated target, and {job.robot} is no simulated robot", cure="Leave it out")
+    robot = clocked_robot(job, arm)
+    cameras.require_live()
+    pairs = cameras.pairs(rig, target, robot.clock)
+    if pairs is None:
+        raise UsageError(
+            "which cameras see the target is not said", cure="Give --left and --right, or --image for a mirror rig"
+        )
+    both, overlaid = pairs
+    return ServoDevices(
+        robot=robot.robot, clock=robot.clock, pairs=both, overlaid=overlaid, latency_s=cameras.latency_s
+    )
+
+
+def _simulated(robot: str, cameras: CameraNames, hand: str | None, hand_speed_m_s: float) -> ServoDevices:
+    """Return a simulated cell, whose time moves with the loop."""
+    given = [name for name, value in asdict(cameras).items() if value is not None and name != "latency_s"]
+    if given:
+        raise UsageError(
+            f"the simulated cell {robot} has its own cameras, and {', '.join(given)} is given", cure="Leave it out"
+        )
+    clock = SteppedClock()
+    cell = live_cell(robot.removeprefix(SIM), clock, hand=hand, speed_m_s=hand_speed_m_s)
+    return ServoDevices(
+        robot=cell.robot,
+        pairs=cell.pairs,
+        clock=clock,
+        overlaid=cell.one_image,
+        origin_s=lambda: float(cell.origin_s),
+        stepped=clock,
+    )

@@ -1,0 +1,175 @@
+"""A running arm supervised: live poses beside where the arm says it is, alarms, a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import numpy as np
+
+from armsight.clock import Clock
+from armsight.drivers import CameraSettings, is_live
+from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
+from armsight.kinematics import Arm
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.requests.plant import Publishing
+from armsight.ops.robot.opening import refuse_settings, robot_of
+from armsight.ops.simulation.scenarios import live_cell
+from armsight.ops.sources.frames import open_pairs
+from armsight.ops.verification.supervising import Supervised, Supervision
+from armsight.optics import SIDES
+from armsight.records import Frame, Progress, Target
+from armsight.store.rigs import World
+from armsight.units import DEG
+from armsight.verify.live import LiveLog, VerifyLiveOutput
+from armsight.verify.supervision import Limits
+
+
+def supervise_until_ended(
+    run: Supervision,
+    opened: Callable[[ExitStack], None],
+    ended: Callable[[], bool],
+    plant: Publishing | None,
+    progress: Progress,
+) -> ArmsightError | None:
+    """Go through the pairs until the person stops or enough was seen; return why that ended early.
+
+    The robot is told nothing but to stop: beyond a level, and where supervision itself fails and stops were asked for.
+    Closing its link stops it too where the link commands it. opened: begins what goes on beside it. Raises
+    ArmsightError where nothing was seen at all.
+    """
+    try:
+        with ExitStack() as stack:
+            robot = stack.enter_context(run.devices.robot)
+            stack.enter_context(run.devices.pairs)
+            opened(stack)
+            if plant is not None:
+                stack.enter_context(plant.supervised(run))
+            try:
+                _take_pairs(run, lambda: ended() or progress.cancelled())
+            except BaseException:
+                if run.stops:
+                    robot.stop()  # nobody watches any more
+                raise
+    except ArmsightError as error:
+        if not run.judge.log.rows:
+            raise
+        return error
+    return _nothing_compared(run.judge.log)
+
+
+def _take_pairs(run: Supervision, ended: Callable[[], bool]) -> None:
+    with closing(_generator(run)) as pairs:
+        for pair in pairs:
+            run.take(pair)
+            if ended():
+                return
+    raise DeviceFailed("the cameras ended", consequence="Nobody watches the arm any more", cure="Check them")
+
+
+def _generator(run: Supervision) -> Generator[tuple[Frame, Frame], None, None]:
+    yield from run.devices.pairs
+
+
+def _nothing_compared(log: LiveLog) -> NotEnoughData | None:
+    """Return the error for a run in which not one pair could be compared."""
+    if any(not row.lost for row in log.rows):
+        return None
+    return NotEnoughData(
+        f"none of {len(log.rows)} pairs could be compared; the last: {log.rows[-1].lost}",
+        consequence="Whether the arm is where it says it is, is not known",
+        cure="See that both cameras see the whole target, and that the robot's link delivers joints",
+    )
+
+
+def with_kept(failure: ArmsightError, done: VerifyLiveOutput, out: Path | None) -> ArmsightError:
+    """Return a failure with what was seen until then, which is written where there is a folder."""
+    kept = "" if out is None else f"What was seen until then is in {out}"
+    failure.consequence = ". ".join(part.rstrip(".") for part in (failure.consequence, kept) if part)
+    failure.kept = done
+    return failure
+
+
+def check_times(latency_s: float, latency_std_s: float, blind_stop_s: float | None, joint_std: float) -> None:
+    """Raise UsageError for times that cannot be."""
+    for name, value in (("--latency", latency_s), ("--latency-std", latency_std_s)):
+        if not (np.isfinite(value) and value >= 0.0):
+            raise UsageError(f"{name} {value:g} is no time", cure="Give seconds, zero or more")
+    if blind_stop_s is not None and not blind_stop_s > 0.0:
+        raise UsageError(f"--stop-blind {blind_stop_s:g} is no time", cure="Give seconds, more than zero")
+    if not (np.isfinite(joint_std) and joint_std >= 0.0):
+        raise UsageError(f"--joint-std {joint_std / DEG:g} is no standard deviation", cure="Give degrees, zero or more")
+
+
+def check_arm(arm: Arm, devices: Supervised) -> None:
+    """Raise Inconsistent for the arm of another robot."""
+    if devices.robot.n_joints != arm.n:
+        raise Inconsistent(
+            f"{devices.robot.name} has {devices.robot.n_joints} joints, {arm.name} has {arm.n}",
+            consequence="Nothing is supervised",
+            cure="Give the file of this arm (--arm)",
+        )
+
+
+def doubts(
+    limits: Limits, arm: Arm, world: World, latency_s: tuple[float, float] | None, failure: Exception | None
+) -> Sequence[str]:
+    """Return what to know of a supervision. latency_s: as it was taken, and its deviation; None where it was known."""
+    notes = [f"supervision ended early: {failure}"] if failure is not None else []
+    if not limits.all:
+        notes.append("no level was set: nothing could raise an alarm")
+    if world.covariance is None:
+        notes.append("world.yaml says no uncertainty of the rig's place: none is counted")
+    if arm.covariance is None:
+        notes.append(
+            "the arm's file says no uncertainty of its geometry: an error of the model looks like one of the arm"
+        )
+    if latency_s is not None:
+        notes.append(
+            f"the exposure's moment on the robot's clock is taken as {1e3 * latency_s[0]:.3g} +- "
+            f"{1e3 * latency_s[1]:.2g} ms before a frame's arrival; verify finds it from poses and joints"
+        )
+    return notes
+
+
+SIM = "sim:"
+
+
+def open_supervised(
+    link: RobotJob,
+    views: tuple[str, str],
+    target: Target,
+    clock: Clock,
+    arm: Arm,
+    *,
+    play: bool,
+    camera_settings: CameraSettings,
+) -> Supervised:
+    """Return the robot and the cameras of both views; nothing is opened yet. play: a simulated robot goes by itself.
+
+    Raises UsageError, DeviceNotFound, BadFile.
+    """
+    if link.robot.startswith(SIM):
+        refuse_settings(link)
+        return _simulated(link.robot, views, clock, play, camera_settings)
+    if play:
+        raise UsageError(f"--play is of simulated robots, and {link.robot} is none", cure="Leave --play away")
+    for text in views:
+        if not is_live(text) or text.startswith("camera:sim:"):
+            raise UsageError(f"{text} does not see {link.robot} now", cure="Give camera:NAME for --left and --right")
+    robot = robot_of(link, clock, arm)
+    pairs = open_pairs(*views, colour=target.colour is not None, settings=camera_settings)
+    return Supervised(robot=robot, pairs=pairs)
+
+
+def _simulated(
+    robot: str, views: tuple[str, str], clock: Clock, play: bool, camera_settings: CameraSettings
+) -> Supervised:
+    name = robot.removeprefix(SIM)
+    for side, text in zip(SIDES, views, strict=True):
+        if text != f"camera:sim:{name}:{side}":
+            raise UsageError(f"{text} does not see the simulated robot {robot}", cure=f"Give camera:sim:{name}:{side}")
+    camera_settings.require_none(f"the simulated robot {robot}")
+    cell = live_cell(name, clock, play=play)
+    return Supervised(robot=cell.robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))
