@@ -45,7 +45,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "api/motion.py:teach": FLAGS,
         "cli/serve.py:serve": FLAGS,
         "ops/paths.py:export": FLAGS,
-        "ops/verify.py": FLAGS,
+        "ops/verify.py:*": FLAGS,
         "ops/calibrate_*": FLAGS,
     },
     "arguments": {
