@@ -44,7 +44,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "long": {
         "cli/serve.py:serve": FLAGS,
         "ops/paths.py:export": FLAGS,
-        "ops/verify.py": FLAGS,
+        "ops/verify.py:*": FLAGS,
         "ops/calibrate_*": FLAGS,
         "ops/measure.py:*": FLAGS,
         "ops/motion.py:*": FLAGS,
