@@ -215,7 +215,7 @@ TRIED = {
         f"{FREE} {SIDES} --at other-day.csv",
         f"{FREE} {SIDES} --at at.csv",
     ),
-    ("ops/measurement/streams.py", "Run armsight calibrate timing"): (
+    ("ops/measurement/streams.py", "and measure with the rig.yaml it writes"): (
         f"{MEASURE} --rate 100",
         f"{TIMING} {tables('waved')} && {MEASURE.replace('rig.yaml', 't.yaml')} --rate 100",
     ),
