@@ -70,9 +70,7 @@ class RunOutput(Output):
     missed: Annotated[int, Doc("Cycles that never began.")]
     stopped_by: Annotated[str, Doc("Why it ended: end, time, operator, or in words what stopped it.")]
     holds: Annotated[list[str], Doc("Why the arm held, each reason once.")]
-    recording: Annotated[
-        str, Doc("The recording: set points, commands, readings, poses and events.")
-    ]
+    recording: Annotated[str, Doc("The recording: set points, commands, readings, poses and events.")]
 
     def held(self) -> Iterator[str]:
         """Yield a line for each reason for which the arm held."""
