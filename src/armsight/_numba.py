@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any
 
 from numba import njit, prange, types
@@ -100,10 +101,17 @@ def _holds_array(kind: Any) -> bool:
     return isinstance(kind, types.Array) or any(map(_holds_array, getattr(kind, "types", ())))
 
 
+_called: Any = None  # what each copy of the following calls: an inner kernel
+
+
+def _call(*args: Any) -> Any:
+    return _called(*args)
+
+
 class InnerKernel(CPUDispatcher):
     """A kernel for other kernels: not cached, as its callers are, with all that they call.
 
-    From Python (tests do) it is called through a kernel made for the purpose. It may not call itself.
+    From Python (tests do) it is called through a kernel made for the purpose, kept as all are. It may not call itself.
     """
 
     def __init__(self, py_func: Callable[..., Any], targetoptions: dict[str, Any]) -> None:
@@ -117,9 +125,11 @@ class InnerKernel(CPUDispatcher):
 
     def __call__(self, *args: Any) -> Any:
         """Call it from Python."""
-        if self._from_python is None:
-            inner = self
-            self._from_python = njit(lambda *args: inner(*args), **EXACT, **RULES)
+        if self._from_python is None:  # a global: what a closure holds numba would look a kept one up by
+            space = {"__name__": self.py_func.__module__, "_called": self}
+            caller = FunctionType(_call.__code__, space, self.py_func.__name__)
+            caller.__qualname__ = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+            self._from_python = keep(njit(caller, **EXACT, **RULES))
         return self._from_python(*args)
 
 

@@ -238,7 +238,7 @@ def test_an_arm_that_stands_outside_is_told_before_it_moves(tmp_path: Path) -> N
 def test_every_command_that_takes_limits_refuses_them(tmp_path: Path, command: str) -> None:
     path = tmp_path / "limits.yaml"
     path.write_text(HEAD + "speed_m_s: 100\n")
-    CliRunner().invoke(app, ["simulate", "webcam-cell", "--frames", "1", "-o", str(tmp_path / "set")])
+    CliRunner().invoke(app, ["simulate", "webcam-cell", "--room", "dark", "--frames", "1", "-o", str(tmp_path / "set")])
     files = [f"--{name}={tmp_path / 'set' / name}.yaml" for name in ("rig", "target", "handeye")]
     rows = [f"{k},,{0.01 * k},0.5,0.5,0,0,0,1,0.02," for k in range(2)]
     (tmp_path / "path.csv").write_text("index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag\n" + "\n".join(rows) + "\n")
@@ -258,7 +258,7 @@ def test_servo_and_play_tell_of_an_arm_that_stands_outside(tmp_path: Path) -> No
     """teach is a servo with a recorder beside it."""
     path = tmp_path / "limits.yaml"
     path.write_text(OUTSIDE)
-    CliRunner().invoke(app, ["simulate", "webcam-cell", "--frames", "1", "-o", str(tmp_path / "set")])
+    CliRunner().invoke(app, ["simulate", "webcam-cell", "--room", "dark", "--frames", "1", "-o", str(tmp_path / "set")])
     rig, target, handeye = (tmp_path / "set" / f"{name}.yaml" for name in ("rig", "target", "handeye"))
     asked: list[str] = []
     eyes = {"rig": rig, "target": target, "handeye": handeye}
