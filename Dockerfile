@@ -24,7 +24,7 @@ COPY --from=build /opt/armsight /opt/armsight
 USER worker
 WORKDIR /data
 # for the processor that builds the image; another compiles its own into the same folder when it first needs them
-RUN python3 -m armsight.app.compilation
+RUN python3 -m armsight.ops.compilation
 EXPOSE 8786 8787
 ENTRYPOINT ["dask"]
 CMD ["worker", "--help"]

@@ -3,7 +3,7 @@
     python benchmarks/teach_play.py [circle] [trapezium] [play] [--room workshop] [--seed 1] [--every 10] [--arms 1]
 
 circle, trapezium: Pachidis 2005's second and third experiment in a room, drawn from where the arm truly is at each
-exposure; the target is led as the scenario has it, armsight's servo follows, and app/teach records the path, a vector
+exposure; the target is led as the scenario has it, armsight's servo follows, and ops.teach records the path, a vector
 the mean of some frames; its truth is the mean of the true poses at their exposures, the hand's shake included. As in
 `armsight reproduce`, the poses are placed by the true arm and the true hand-eye pose, since the paper's real state was
 itself told by its robot and cameras; beside that by the nominal arm, and with a hand-eye calibration that is off by
