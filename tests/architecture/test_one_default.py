@@ -183,12 +183,12 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
 def test_a_default_that_drifts_and_a_bound_that_is_left_out_are_found(
     flags_page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(armsight.measure.__wrapped__.__kwdefaults__, "timing", "free")  # type: ignore[attr-defined]
-    with pytest.raises(AssertionError, match=r"measure --timing is auto, measure\(timing\) free"):
+    monkeypatch.setitem(armsight.design.__wrapped__.__kwdefaults__, "views", 30)  # type: ignore[attr-defined]
+    with pytest.raises(AssertionError, match=r"design --views is 20, design\(views\) 30"):
         test_no_default_and_no_bound_has_two_values(flags_page)
     monkeypatch.undo()
-    monkeypatch.setitem(vars(armsight.measure), "requests", ())
-    with pytest.raises(AssertionError, match=r"measure --rate.*None"):
+    monkeypatch.setitem(vars(armsight.design), "requests", ())
+    with pytest.raises(AssertionError, match=r"design --views.*None"):
         test_no_default_and_no_bound_has_two_values(flags_page)
 
 
