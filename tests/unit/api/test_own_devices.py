@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 import armsight
+from hand_cell import hand_cell, pictures
 from refusals import refuses
-
-CELL = armsight.simulate("hand-cell", frames=3, room="dark")
-FRAMES = list(CELL)
 
 
 class Camera:
@@ -33,7 +31,7 @@ class Camera:
         for number in range(10**9):
             assert self.opened == [True]
             self.n = number + 1
-            image = getattr(FRAMES[number % 3], self.side)
+            image = pictures(self.side)[number % 3]
             yield armsight.Frame(image=image, t_s=5.0 + number / 60.0, sequence=number, source=self.side)
 
 
@@ -69,17 +67,17 @@ class Robot:
 
 def test_a_camera_is_opened_read_as_far_as_asked_with_its_times_and_closed() -> None:
     left, right = Camera("left"), Camera("right")
-    done = armsight.measure(CELL.rig, CELL.target, left, right, frames=3)
+    done = armsight.measure(hand_cell().rig, hand_cell().target, left, right, frames=3)
     np.testing.assert_allclose(done.poses.t_s, 5.0 + np.arange(3) / 60.0, atol=1e-8)
-    plain = armsight.measure(CELL.rig, CELL.target, [f.left for f in FRAMES], [f.right for f in FRAMES], stills=True)
+    plain = armsight.measure(hand_cell().rig, hand_cell().target, pictures("left"), pictures("right"), stills=True)
     off_m = done.poses.T_parent_target[0, :3, 3] - plain.poses.T_parent_target[0, :3, 3]
     assert done.n_ok == 3 and abs(off_m).max() < 1e-9
     assert left.opened == right.opened == [True, False] and left.n == right.n == 3
 
 
 def test_a_frame_is_an_image_too() -> None:
-    frame = armsight.Frame(image=FRAMES[0].left, t_s=0.0, sequence=0, source="mine")
-    np.testing.assert_array_equal(armsight.find_spots(frame).uv_px, armsight.find_spots(FRAMES[0].left).uv_px)
+    frame = armsight.Frame(image=pictures("left")[0], t_s=0.0, sequence=0, source="mine")
+    np.testing.assert_array_equal(armsight.find_spots(frame).uv_px, armsight.find_spots(pictures("left")[0]).uv_px)
 
 
 @pytest.mark.alone

@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 
 import armsight
+from hand_cell import hand_cell, pictures
 from refusals import refuses
 
 ROOT = Path(__file__).resolve().parents[3]
-CELL = armsight.simulate("hand-cell", frames=3)
-FRAMES = list(CELL)
-LEFT, RIGHT = [f.left for f in FRAMES], [f.right for f in FRAMES]
 
 
 def test_every_flag_of_the_parser_has_a_python_name_or_a_reason() -> None:
@@ -78,15 +76,15 @@ def test_type_checkers_see_names_and_types(tmp_path: Path) -> None:
 
 
 def test_measure_is_the_same_from_arrays_files_and_a_recording(tmp_path: Path) -> None:
-    for side, images in (("left", LEFT), ("right", RIGHT)):
+    for side, images in (("left", pictures("left")), ("right", pictures("right"))):
         (tmp_path / side).mkdir()
         for i, image in enumerate(images):
             cv2.imwrite(str(tmp_path / side / f"{i}.png"), image)
-    rig, target = CELL.rig.save(tmp_path / "rig.yaml"), CELL.target.save(tmp_path / "target.yaml")
-    one = armsight.measure(CELL.rig, CELL.target, LEFT, RIGHT)
+    rig, target = hand_cell().rig.save(tmp_path / "rig.yaml"), hand_cell().target.save(tmp_path / "target.yaml")
+    one = armsight.measure(hand_cell().rig, hand_cell().target, pictures("left"), pictures("right"))
     two = armsight.measure(str(rig), target, tmp_path / "left", tmp_path / "right", out=tmp_path / "run")
-    armsight.record(tmp_path / "run.mcap", LEFT, RIGHT, rig=CELL.rig, target=target)
-    three = armsight.measure(CELL.rig, CELL.target, tmp_path / "run.mcap")
+    armsight.record(tmp_path / "run.mcap", pictures("left"), pictures("right"), rig=hand_cell().rig, target=target)
+    three = armsight.measure(hand_cell().rig, hand_cell().target, tmp_path / "run.mcap")
     assert one.poses == two.poses
     told, read = two.poses.table(), armsight.read_poses(tmp_path / "run" / "poses.csv").table()
     assert told.pop("status") == read.pop("status") and told.keys() == read.keys()
@@ -100,7 +98,7 @@ def test_measure_is_the_same_from_arrays_files_and_a_recording(tmp_path: Path) -
 
 
 def test_twelve_bits_are_the_same_in_arrays_and_files_and_never_cut(tmp_path: Path) -> None:
-    deep = LEFT[0].astype(np.uint16) * 16 + 7
+    deep = pictures("left")[0].astype(np.uint16) * 16 + 7
     assert deep.max() < 4096
     cv2.imwrite(str(tmp_path / "deep.png"), deep)
     np.testing.assert_array_equal(
@@ -122,7 +120,9 @@ def test_colours_are_blue_first() -> None:
 
 
 def test_a_lost_pose_raises_the_reason_and_still_shows_itself() -> None:
-    lost = armsight.estimate_pose(np.zeros_like(LEFT[0]), np.zeros_like(RIGHT[0]), CELL.rig, CELL.target)
+    lost = armsight.estimate_pose(
+        np.zeros_like(pictures("left")[0]), np.zeros_like(pictures("right")[0]), hand_cell().rig, hand_cell().target
+    )
     assert not lost.ok and lost.why and "lost" in repr(lost) and lost.to_dict()["T_rig_target"] is None
     for name in ("T_rig_target", "xyz_m", "covariance", "std"):
         with refuses(armsight.NotEnoughData, "lost"):
@@ -142,11 +142,13 @@ def test_endings_decide_and_no_folder_is_made(tmp_path: Path) -> None:
 
 def test_errors_name_parameters_and_functions_not_flags() -> None:
     for call in (
-        lambda: armsight.measure(CELL.rig, CELL.target),
-        lambda: armsight.measure(CELL.rig, CELL.target, LEFT, RIGHT, rate_hz=10.0),
-        lambda: armsight.verify(CELL.T_rig_target, arm="ur10"),
+        lambda: armsight.measure(hand_cell().rig, hand_cell().target),
+        lambda: armsight.measure(
+            hand_cell().rig, hand_cell().target, pictures("left"), pictures("right"), rate_hz=10.0
+        ),
+        lambda: armsight.verify(hand_cell().T_rig_target, arm="ur10"),
         lambda: armsight.jog("sim:webcam-cell", 1, 0.01),
-        lambda: armsight.join((CELL.t_s, CELL.T_rig_target)),
+        lambda: armsight.join((hand_cell().t_s, hand_cell().T_rig_target)),
     ):
         with pytest.raises(armsight.ArmsightError) as caught:
             call()
@@ -154,16 +156,18 @@ def test_errors_name_parameters_and_functions_not_flags() -> None:
 
 
 def test_records_are_equal_by_value_and_no_further() -> None:
-    rig = armsight.simulate("hand-cell", frames=1).rig
-    assert rig == CELL.rig and hash(rig) == hash(CELL.rig) and rig != CELL.target
+    rig = armsight.simulate("hand-cell", frames=1, room="dark").rig
+    assert rig == hand_cell().rig and hash(rig) == hash(hand_cell().rig) and rig != hand_cell().target
     assert armsight.presets.ur10() == armsight.presets.ur10() != armsight.presets.irb120()
-    moved = armsight.PoseTrack(poses=armsight.measure(CELL.rig, CELL.target, LEFT, RIGHT).poses.poses[:2])
+    moved = armsight.PoseTrack(
+        poses=armsight.measure(hand_cell().rig, hand_cell().target, pictures("left"), pictures("right")).poses.poses[:2]
+    )
     assert moved != armsight.PoseTrack()
 
 
 def test_a_scenario_is_an_object_and_its_truth_is_told() -> None:
     plain = armsight.read_scenario("webcam-cell")
-    cell = armsight.simulate({**plain, "seed": 9}, frames=3)
+    cell = armsight.simulate({**plain, "seed": 9, "room": "dark"}, frames=3)
     assert cell.T_rig_target.shape == (3, 4, 4) and cell.arm.n == cell.arm_true.n == cell.joints[1].shape[1]
     assert (cell.T_base_rig is None) != (cell.T_flange_rig is None)
     with pytest.raises(armsight.BadFile, match="nonsense"):
