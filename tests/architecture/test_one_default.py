@@ -165,7 +165,7 @@ def test_what_the_program_below_assumes_is_what_is_asked() -> None:
         *((followed[name].default, servo[name]) for name in ("resume_m", "resume_rad", "predict")),
         (inspect.signature(armsight.jog).parameters["speed"].default, FIRST_OVERRIDE),
         (PlayRequest.speed_m_s, played["path_speed_m_s"]),
-        (IdentifyRequest.frames, Pace().frames),
+        (IdentifyRequest.frames, Pace().frames_per_reading),
     )
     for a, b in asked:
         assert a == b

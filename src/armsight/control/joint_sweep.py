@@ -70,10 +70,10 @@ class BeaconObserver(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """speed: share of a joint's travel a second. frames: pairs averaged for a reading."""
+    """speed: share of a joint's travel a second. frames_per_reading: pairs averaged for a reading."""
 
     speed: float = SWEEP_SPEED
-    frames: int = 4
+    frames_per_reading: int = 4
 
 
 class Sweeper:
@@ -215,7 +215,7 @@ class Sweeper:
         """Add the mean of some frames, and of the joint readings beside them, to the rows."""
         looks: list[Observation] = []
         readings: list[Array] = []
-        while len(looks) < self._pace.frames:
+        while len(looks) < self._pace.frames_per_reading:
             _check_going(self._robot, self._progress, f"while joint {joint + 1} was read", *SWEPT)
             look = self._observer.observe(f"while joint {joint + 1} was read")
             if look.uv_px is not None:

@@ -111,7 +111,7 @@ class Cell:
         """Identify this arm, quickly, and write what was found."""
         rig, target, world = (self.folder / f"{name}.yaml" for name in ("rig", "target", "world"))
         out = self.folder / "arm.yaml"
-        sweeps = LiveSweeps(**({"limits": LIMITS, "pace": Pace(speed=1.0, frames=1), "out": out} | more))
+        sweeps = LiveSweeps(**({"limits": LIMITS, "pace": Pace(speed=1.0, frames_per_reading=1), "out": out} | more))
         known = Known(rig=read_rig(rig), world=read_world(world), model=given_arm(model), nominal=given_arm(nominal))
         done = identify_live(
             sweeps,
@@ -209,7 +209,7 @@ def test_a_lost_beacon_stops_the_robot_and_what_was_read_stays(tmp_path: Path) -
 
     cell.robot.stop = noted_stop  # type: ignore[method-assign]
     with refuses(NotEnoughData, "beacon", "lost") as caught:
-        cell.run(progress=progress, model=model, pace=Pace(speed=0.2, frames=1))
+        cell.run(progress=progress, model=model, pace=Pace(speed=0.2, frames_per_reading=1))
     assert "10 readings" in caught.value.consequence and "stopped" in caught.value.consequence
     assert len(read_sweeps(tmp_path / "arm.sweep.csv")) == 10
     assert not (tmp_path / "arm.yaml").exists()

@@ -107,7 +107,7 @@ def cell(tmp_path_factory):
         T_flange_target=handeye.T_parent_target,
         T_world_rig=arm.T_world_base * handeye.T_parent_camera,
         robot=SimpleNamespace(session=SimpleNamespace(arm=arm, override=1.0), joints=lambda: HOME.copy()),
-        asked=IsoRequest(folder=folder, cell=read_cell(folder), cycles=8, speed_m_s=0.5, frames=3),
+        asked=IsoRequest(folder=folder, cell=read_cell(folder), cycles=8, speed_m_s=0.5, frames_per_visit=3),
     )
 
 

@@ -70,7 +70,7 @@ class IdentifyRequest:
     cell: CellFile
     ranges: tuple[Range, ...]
     readings: int = LiveSweeps.readings
-    frames: int = Pace().frames
+    frames: int = Pace().frames_per_reading
 
     @property
     def left_out(self) -> tuple[int, ...]:
@@ -151,7 +151,7 @@ def _identify(
     propose: bool,
 ) -> Identification | ProposedPlanOutput:
     sweeps, known, light = prepared(asked, robot, propose=propose)
-    pace = Pace(speed=_pace(asked, robot.session.override), frames=asked.frames)
+    pace = Pace(speed=_pace(asked, robot.session.override), frames_per_reading=asked.frames)
     sweeps = replace(sweeps, pace=pace, around_px=around_px(station.shown, light))
     observer = StationObserver(station, known.rig, light, clock)
     with moved:

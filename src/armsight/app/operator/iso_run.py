@@ -52,15 +52,17 @@ FIGURES = ("AP_m", "RP_m", "AD_m", "RD_m")
 
 @dataclass(frozen=True, kw_only=True)
 class IsoRequest:
-    """What a page asks. side_m: of the cube, None for the largest that fits; cycles: visits of each pose; frames: poses
-    that are seen at each."""
+    """What a page asks. side_m: of the cube, None for the largest that fits; cycles: visits of each pose.
+
+    frames_per_visit: poses that are seen at each.
+    """
 
     folder: Path
     cell: CellFile
     side_m: Annotated[float | None, Bounds(least=0.01, most=1.0)] = None
     cycles: Annotated[int, Bounds(least=FEWEST_VISITS, most=100)] = 10
     speed_m_s: Annotated[float, Bounds(least=0.001, most=1.0)] = TOOL_SPEED_M_S
-    frames: int = 5
+    frames_per_visit: int = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -223,7 +225,7 @@ def visited(
     made: IsoPlan, asked: IsoRequest, robot: Robot, observer: PoseObserver, clock: Clock, progress: Progress
 ) -> tuple[list[PoseVisit], str]:
     """Return the visits that were made, and why they ended before the last cycle; the robot is held then."""
-    visitor = Visitor(robot, observer, clock, progress, frames=asked.frames)
+    visitor = Visitor(robot, observer, clock, progress, frames=asked.frames_per_visit)
     visits: list[PoseVisit] = []
     total = asked.cycles * len(made.legs)
     try:

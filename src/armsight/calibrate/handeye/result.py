@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import numpy as np
@@ -307,6 +308,14 @@ class HandEyeResult(Output, Saveable):
     def left_out_rms_rad(self) -> float:
         """Error of its rotation in pairs left out, RMS, rad."""
         return self.loo_rms_rad
+
+    @property
+    def solved(self) -> SimpleNamespace:
+        """Of earlier versions: boards and freed, the camera."""
+        warnings.warn(
+            "solved.boards and solved.freed are boards and camera; use those", DeprecationWarning, stacklevel=2
+        )
+        return SimpleNamespace(result=self, boards=self.boards, freed=self.camera)
 
     @property
     def detail(self) -> HandEyeResult:

@@ -254,7 +254,7 @@ def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
 def _check(job: LiveSweeps, known: Known) -> None:
     if known.model is not None and known.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
-    if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames < 1:
+    if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames_per_reading < 1:
         raise UsageError(
             "speed is a share of the travel a second in (0, 1], a sweep has 4 readings or more of a frame or more each"
         )
