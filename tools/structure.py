@@ -186,7 +186,7 @@ def figures(*roots: Path, exceptions: Mapping[str, Mapping[str, str]] | None = N
         figure("modules in circles", "circles", [(" <-> ".join(circle), "") for circle in circles(imports)]),
         *(
             Figure(f"imports between the children of {child}", [(text, "") for text in arrows(imports, child)])
-            for child in ("calibrate", "app", "measure")
+            for child in ("calibrate", "ops", "app", "measure")
         ),
         figure(f"functions over {MOST_LINES} lines, kernels not counted", "long", long(plain, MOST_LINES)),
         figure(f"kernels over {MOST_KERNEL_LINES} lines", "long kernels", long(kernels, MOST_KERNEL_LINES)),
