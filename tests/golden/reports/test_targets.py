@@ -4,6 +4,7 @@ import pytest
 import yaml
 
 from armsight.errors import DataRefused
+from armsight.ops.action import action_of
 from armsight.ops.measure import measure
 from refusals import names_it
 from reports import case
@@ -19,7 +20,7 @@ def run(folder, tmp_path, rig="rig.yaml", target=None):
         "stills": True,
         "out": tmp_path / f"run-{rig.stem}-{'given' if target is None else 'cured'}",
     }
-    return measure(**job)
+    return action_of(measure).run(job)  # in the command line's words
 
 
 def told(folder, tmp_path, rig="rig.yaml"):

@@ -229,7 +229,6 @@ WRONG: dict[str, dict[str, Any]] = {
     "TableLike": {"ragged": {"a": [1.0], "b": [1.0, 2.0]}, "a set": {1.0}, "nowhere": "no-such-file.csv", "none": {}},
     **{name: {"ragged": {"a": [1.0], "b": [1.0, 2.0]}, "a set": {1.0}} for name in ("TableFile", "PairsFile")},
     **{key: {"a text": "1", "share": 1.5, "a row": [1]} for key in ("Workers", "Bits", "Limit")},
-    **{key: {"a text": "1.0", "nan": np.nan, "a row": [1.0, 2.0], "a dict": {}} for key in ("Fps", "Threshold", "MaxSkew")},
     "PoseLike": {"a number": 3, "scaled": 2.0 * np.eye(4), "nowhere": "no-such-file.yaml"},
     "Poses": {"a number": 3, "scaled": 2.0 * np.eye(4)},
     "PathText": {"a number": 3, "a list": [1]},
@@ -247,6 +246,7 @@ WRONG: dict[str, dict[str, Any]] = {
     "FrameNames": {"a dict": {}, "a text": "tool0"},
     "Limits": {"a number": 3, "a dict": {}},
 }
+WRONG |= dict.fromkeys(("Fps", "Threshold", "MaxSkew"), WRONG["float"])
 """What is refused by the kind that a parameter's annotation names first."""
 
 UNCHECKED = {("convert", "source"), ("compare", "a"), ("compare", "b"), ("write_table", "columns")}

@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from armsight.errors import NotEnoughData
+from armsight.ops.action import action_of
 from armsight.ops.measure import measure
 from armsight.ops.simulation.run import simulate
 from refusals import refuses
@@ -28,7 +29,7 @@ def measured(cell, tmp_path, name, factor):
     (tmp_path / name).write_text(yaml.safe_dump(content))
     sides = {side: str(cell / side) for side in ("left", "right")}
     given = {"rig": tmp_path / name, "target": cell / "target.yaml", "times": cell / "times.csv"}
-    return measure(**sides, **given, out=tmp_path / f"run-{name}")
+    return action_of(measure).run({**sides, **given, "out": tmp_path / f"run-{name}"})
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres"), (1 / 0.0254, "inches")])

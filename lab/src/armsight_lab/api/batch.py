@@ -98,7 +98,8 @@ def _job(name: str, called: str, arguments: Mapping[str, Any]) -> Job:
     require_kind("name", name, str)
     require_kind(f"jobs[{name!r}]", arguments, Mapping, cure="Give {argument: value}")
     plain = {key: _plain(f"{key} of {name!r}", value) for key, value in arguments.items()}
-    return Job(name=name, command=called.removeprefix("armsight.api."), arguments=plain, inputs=tuple(_texts(plain)))
+    short = called.removeprefix("armsight.api.").removeprefix("armsight.ops.")
+    return Job(name=name, command=short, arguments=plain, inputs=tuple(_texts(plain)))
 
 
 def _plain(what: str, value: Any) -> Any:

@@ -156,7 +156,7 @@ def _line_weights(t: Array) -> Array:
 
 SAME_M = 1e-6
 """Rows nearer together than this are one position."""
-LEAST_M = 0.005
+LEAST_SHIFT_M = 0.005
 """A shorter step is none: a hand at 100 mm/s goes so far in 50 ms."""
 JUMP_M = 0.05
 """A longer one is a jump even where it goes straight on."""
@@ -225,7 +225,7 @@ def path_jumps(path: TaughtPath) -> tuple[PathJump, ...]:
             text=f"the path jumps by {off.off_m / MM:.0f} mm and back at row {rows[off.row]}",
             cure="Take the outlier out (armsight path smooth --outliers drop), or teach it anew",
         )
-        for off in (outliers(kept, least_m=LEAST_M, least_rad=TURN_RAD) if len(kept) >= LEAST_ROWS else ())
+        for off in (outliers(kept, least_m=LEAST_SHIFT_M, least_rad=TURN_RAD) if len(kept) >= LEAST_ROWS else ())
     ]
     return (*found, *_long_step(kept, rows), *_wide_turn(path))
 
@@ -259,7 +259,7 @@ def jump_step(xyz_m: Array, t_s: Array) -> int | None:
     way, took_s = np.diff(xyz_m, axis=0), np.diff(t_s)
     size = np.linalg.norm(way, axis=1)
     direction = way / size[:, None]
-    for i in np.flatnonzero(size > LEAST_M):
+    for i in np.flatnonzero(size > LEAST_SHIFT_M):
         if size[i] > HAND_M_S * took_s[i]:
             return int(i)
         sides = [part for part in (size[max(0, i - ABOUT) : i], size[i + 1 : i + 1 + ABOUT]) if len(part)]
