@@ -10,13 +10,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import fdtrc
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of
-from armsight.calibrate.cameras.calibrate import judged
+from armsight.calibrate.cameras.calibrate import fit_pairs, judged
 from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers
 from armsight.calibrate.cameras.pairing import in_frame
 from armsight.calibrate.cameras.result import StereoCalibration
-from armsight.calibrate.handeye.kernels.fit import fit_pairs
 from armsight.defaults import GLASS
 from armsight.errors import DataRefused, Inconsistent, UsageError
 from armsight.optics import Camera, Plate, Rig, RigKind
