@@ -27,7 +27,6 @@ from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.fields import Bounds, Doc, Flag, marks
 from armsight.kinematics import fk, moved, preset
 from armsight.ops.action import Input, action
-from armsight.ops.calibrate_cell import calibrate_cell
 from armsight.ops.calibrate_hand_eye import calibrate_hand_eye
 from armsight.ops.calibrate_robot import calibrate_arm, calibrate_robot_world, calibrate_tool_tip
 from armsight.store.handeye_file import write_pairs
@@ -162,13 +161,6 @@ def test_what_is_found_is_the_truth(tmp_path: Path) -> None:
     assert len(found.proposals) == len(found.propose(2)) == 2 and found.urdf is None
 
 
-def test_an_input_is_not_written_over(case: Case, armsight: Any) -> None:
-    for path in (one for one in case.given.values() if isinstance(one, Path)):
-        before = path.read_bytes()
-        assert armsight(*case.words(path)).code == 2
-        assert path.read_bytes() == before
-
-
 def test_what_goes_beside_a_result_is_no_input_either(tmp_path: Path) -> None:
     case = arms(tmp_path)
     points = case.given["q"].rename(tmp_path / "arm.corrections.csv")  # type: ignore[union-attr]  # a path
@@ -290,9 +282,3 @@ def test_names_of_earlier_versions_warn_and_do_the_same(pairs: tuple[RigidTransf
         face.calibrate_hand_eye_from_images("no-such-folder", flange, "camera.yaml", "checkerboard:9x6:0.02")
     with pytest.warns(DeprecationWarning):
         assert calibrate_hand_eye(flange, seen).detail.n_used == 12
-
-
-def test_results_are_not_written_over_what_they_are_made_of(tmp_path: Path) -> None:
-    (tmp_path / "target.yaml").write_text("")
-    with refuses(UsageError, "target.yaml"):
-        calibrate_cell(tmp_path / "log.csv", tmp_path / "target.yaml", "ur10", out=tmp_path)
