@@ -60,7 +60,7 @@ def add_action(
             show(face, result, asked.get(OUT), written=done.writes)
 
     text = SECTION.split(call.__doc__ or "")[0]
-    about = {"keeps": done.keeps} | more
+    about = {"keeps": done.keeps, "in_place": done.in_place} | more
     add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **about))
 
 

@@ -74,10 +74,10 @@ class Command:
     """What a command is beside its function, whose first parameter is the CommandUI and all others are flags.
 
     json: it has a result that programs read. keeps: the results that it writes into its folder `out`. own: a result
-    whose presence says that the folder is this command's own, which it may replace unasked. in_place: its result takes
-    the place of an input. streamed: it writes one table and nothing else, which may go to the standard output (-o -).
-    panels: of the help, in their order. filed: the name under which its result may be filed in a history. judged: its
-    result has a verdict.
+    whose presence says that the folder is this command's own, which it may replace unasked. in_place: the input
+    whose place its result may take. streamed: it writes one table and nothing else, which may go to the standard output
+    (-o -). panels: of the help, in their order. filed: the name under which its result may be filed in a history.
+    judged: its result has a verdict.
     """
 
     function: Callable[..., None]
@@ -85,7 +85,7 @@ class Command:
     json: bool = True
     keeps: tuple[str, ...] = ()
     own: str | None = None
-    in_place: bool = False
+    in_place: str = ""
     streamed: bool = False
     panels: tuple[str, ...] = ()
     filed: str = ""
@@ -166,9 +166,10 @@ class Command:
                     cure="Give one of them",
                 )
             outs = []
-        for out in () if self.in_place else outs:
+        kept = {flag: value for flag, value in given.items() if flag != self.in_place}
+        for out in outs:
             if not out.is_dir():
-                refuse_inputs(out.parent, (out.name,), given)
+                refuse_inputs(out.parent, (out.name,), kept)
         return held_outputs(outs)
 
 

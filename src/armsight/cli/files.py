@@ -10,7 +10,6 @@ from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
-from armsight.file_names import COMPARED
 from armsight.ops.files import compare, join
 from armsight.ops.machine import reproduce
 
@@ -35,4 +34,4 @@ def report(
     face.say(f"Printed: {print_report(report, out)}")
 
 
-add_action(app, compare, keeps=COMPARED, judged=True)
+add_action(app, compare, judged=True)

@@ -66,8 +66,9 @@ class Action:
     """What a function does for people: command: its words on the command line; working: what its progress says.
 
     gives: the attribute of the result that Python gets; '' for all of it. keeps: the files that it writes into a folder
-    `out`; beside: endings of those that go beside a file `out`. None of them is an input. writes: the function itself
-    writes what `out` names, while it works, or by more than one name.
+    `out`; beside: endings of those that go beside a file `out`. None of them is an input, but `in_place`, whose
+    place the result may take. writes: the function itself writes what `out` names, while it works, or by more than one
+    name.
     """
 
     command: str
@@ -76,6 +77,7 @@ class Action:
     gives: str = ""
     keeps: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
+    in_place: str = ""
     writes: bool = False
 
     @cached_property
@@ -126,14 +128,16 @@ class Action:
 
     def _require_kept(self, given: Given) -> None:
         """Raise UsageError where what is to be read would be written over; FILE#LINK is a chain of an arm's file."""
-        if given.get(OUT) is None or not (self.keeps or self.beside):
+        if given.get(OUT) is None:
             return
-        read = [one for name in self.inputs for one in _each(given.get(name)) if isinstance(one, str | PathLike)]
+        names = [name for name in self.inputs if name != self.in_place]
+        read = [one for name in names for one in _each(given.get(name)) if isinstance(one, str | PathLike)]
         texts = {text for one in read for text in (fspath(one), fspath(one).partition("#")[0]) if text}
         paths = {real_path(Path(text)) for text in texts}
-        out = Path(given[OUT])
-        for file in [out / name for name in self.keeps] or [out, *map(out.with_suffix, self.beside)]:
-            if real_path(file) in paths:
+        outs = [Path(one) for one in _each(given[OUT])]
+        beside = [out.with_suffix(ending) for out in outs for ending in self.beside]
+        for file in [outs[0] / name for name in self.keeps] or [*outs, *beside]:
+            if real_path(file) in paths and not file.is_dir():
                 raise UsageError(
                     f"{file} is to be read, and would be written over",
                     consequence="Nothing is written",

@@ -75,7 +75,7 @@ def calibrate_target(
     return calibrate_target(rig, seen, lights, overlaid=overlaid)
 
 
-@action("calibrate timing", working="calibrating")
+@action("calibrate timing", working="calibrating", in_place="rig")
 def calibrate_timing(
     rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
     target: Annotated[TargetLike, Doc("target.yaml of the lights, where they are named in tables.")] = None,

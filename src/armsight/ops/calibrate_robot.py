@@ -104,7 +104,7 @@ def calibrate_tool_tip(
     return replace(found, remarks=(poses.remark,)) if poses.remark else found
 
 
-@action("calibrate pivot", working="pivoting")
+@action("calibrate pivot", working="pivoting", beside=(".poses.csv",))
 def calibrate_pivot(
     rig: Annotated[RigLike, Doc("rig.yaml of the two cameras.")],
     target: Annotated[TargetLike, Doc("target.yaml of the target on the tool.")],

@@ -81,7 +81,8 @@ def _checks_of(made: Action) -> dict[str, list[Check]]:
         hint, bounds = made.hints[name], bounds_of(made.hints[name])
         written = next((group.group.made.__annotations__["return"] for group in marks(hint, Flags)), "")
         written = written or " | ".join(map(_written_kind, bare(hint)))
-        known = PATH if name in WRITTEN else check_of(str(one.annotation)) or check_of(written)
+        several = "list[" in str(one.annotation)  # files that are written together
+        known = PATH if name in WRITTEN and not several else check_of(str(one.annotation)) or check_of(written)
         found[name] = [] if known is None or name in made.inputs else [partial(_or_none, known)]
         found[name] += [] if bounds is None else [partial(_within, bounds)]
     return found

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
+from armsight.file_names import COMPARED
 from armsight.ops.action import Input, action
 from armsight.ops.flags import KNOWN_ARM, TwoTables, setup_called
 from armsight.ops.kinds import READERS, ArmLike, AsFile
@@ -20,7 +21,7 @@ A: TypeAlias = Annotated[Any, Input(f"{READERS}:result"), Flag(positional=True, 
 B: TypeAlias = Annotated[Any, Input(f"{READERS}:result"), Flag(positional=True, metavar="B")]
 
 
-@action("compare")
+@action("compare", keeps=COMPARED)
 def compare(
     a: Annotated[A, Doc("A result: a folder of measure or verify, or a calibration.")],
     b: Annotated[B, Doc("Another of the same kind.")],

@@ -225,23 +225,6 @@ def test_degrees_are_told(armsight: Run, made: Path, tmp_path: Path) -> None:
     assert "deg" in ran.text
 
 
-@pytest.mark.parametrize("name", ["arm.yaml", "target.yaml"])
-def test_inputs_are_never_written_over(armsight: Run, made: Path, tmp_path: Path, name: str) -> None:
-    kept = (made / name).read_bytes()
-    ran = armsight(*words(made, made), "--overwrite")
-    assert ran.code == 2
-    assert name in ran.text or "target.yaml" in ran.text
-    assert (made / name).read_bytes() == kept
-
-
-def test_results_of_another_run_stay(armsight: Run, made: Path, tmp_path: Path) -> None:
-    (tmp_path / "rig.yaml").write_text("mine")
-    ran = armsight(*words(made, tmp_path))
-    assert ran.code == 2
-    assert "--overwrite" in ran.text
-    assert (tmp_path / "rig.yaml").read_text() == "mine"
-
-
 def test_frames_of_two_sizes_are_refused(armsight: Run, made: Path, tmp_path: Path) -> None:
     for side in ("left", "right"):
         (tmp_path / side).mkdir()

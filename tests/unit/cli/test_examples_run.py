@@ -13,18 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import histories
+from action_cases import make_paths, write_sweep
 from armsight.cli.commands import app
 from armsight.cli.examples import EXAMPLES
-from armsight.kinematics import presets
 from armsight.ops.print_report import BROWSERS
 from armsight.ops.simulation.run import simulate
-from armsight.records import TaughtPath
-from armsight.store.arm_file import read_arm
-from armsight.store.path_file import write_path
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.place import place_of
 
@@ -117,7 +114,10 @@ def given(tmp_path_factory: pytest.TempPathFactory, boards, mirror_boards) -> Pa
         make_tables()
         make_pictures(boards.folder, mirror_boards.straight)
         make_foreign()
-        make_paths()
+        make_paths("webcam-cell")
+        Path("taught").mkdir()
+        shutil.copy("path.csv", "taught")
+        Path("limits.yaml").write_text("format: armsight/limits\nversion: 1\nspeed_m_s: 0.2\n")
         make_history()
         make_batch()
     return folder
@@ -136,11 +136,7 @@ def make_tables() -> None:
         run(f"measure --rig rig.yaml --target target.yaml --left webcam-cell/left --right webcam-cell/right -o {name}")
     shutil.copy("pivot/flange.csv", "pivot/poses.csv")
     run("calibrate tooltip --poses pivot/poses.csv -o tip.yaml")
-    q, joint = np.tile([0.0, 1.5, 0.7], (30, 1)), np.repeat([1, 2, 3], 10)
-    q[np.arange(30), joint - 1] = np.concatenate([np.linspace(*ends, 10) for ends in ((0, 4), (0.5, 1.8), (0.6, 1.1))])
-    xyz = presets.preset("stanford-rrp").fk(q)[:, :3, 3] + np.random.default_rng(0).normal(0.0, 2e-4, (30, 3))
-    rows = [",".join(map(str, (j, *values, *place))) for j, values, place in zip(joint, q, xyz, strict=True)]
-    Path("sweep.csv").write_text("\n".join(["joint,q1,q2,q3,x_m,y_m,z_m", *rows]))
+    write_sweep()
 
 
 def make_pictures(boards: Path, mirrors: Path) -> None:
@@ -181,18 +177,6 @@ def make_foreign() -> None:
     Path("robot-world").mkdir()
     shutil.copy("arm-points/arm_tool.yaml", "robot-world/arm.yaml")
     shutil.copy("arm-points/observed.csv", "robot-world")
-
-
-def make_paths() -> None:
-    q = np.loadtxt("webcam-cell/joints.csv", delimiter=",", skiprows=1)[0, 1:]
-    T = np.repeat(read_arm(Path("arm.yaml")).fk(q)[None], 41, axis=0)
-    step = 0.002 * np.arange(41)
-    T[:, 1, 3] += np.minimum(step, 0.04)
-    T[:, 2, 3] += np.maximum(step - 0.04, 0.0)
-    for name, part in (("path", T), ("first", T[:21]), ("second", T[20:]), ("taught/path", T)):
-        Path(name).parent.mkdir(exist_ok=True)
-        write_path(Path(f"{name}.csv"), TaughtPath.of_poses(RigidTransform.from_matrix(part), speed_m_s=0.02))
-    Path("limits.yaml").write_text("format: armsight/limits\nversion: 1\nspeed_m_s: 0.2\n")
 
 
 def make_history() -> None:

@@ -92,12 +92,10 @@ def test_a_path_the_arm_cannot_run_is_told_and_not_exported(taught, tmp_path):
         (["export", "PATH", "-o", "OUT.script", "--frame", "camera", "--speed-m-s", "0.1"], 2),
         (["check", "PATH", "--arm", "irb120", "--frame", "camera"], 2),
         (["check", "PATH", "--arm", "irb120", "--start", "1,2"], 2),
-        (["check", "PATH", "--arm", "nobody"], 2),
         (["smooth", "PATH", "-o", "OUT.csv", "--outliers", "burn"], 2),
         (["angle", "PATH", "-o", "OUT.csv", "--travel-deg", "100"], 2),
         (["join", "PATH", "-o", "OUT.csv"], 2),
         (["fillet", "PATH", "-o", "OUT.csv", "--radius-m", "1"], 3),
-        (["reverse", "nothing.csv", "-o", "OUT.csv"], 3),
     ],
 )
 def test_wrong_input_is_refused(arguments, code, taught, tmp_path):

@@ -99,7 +99,7 @@ def test_a_simulation_that_is_stopped_leaves_tables_that_match_its_frames(scenar
     assert set(lengths.values()) == {2}, lengths
 
 
-def test_no_output_is_an_input(armsight: Any, scene: Any, tmp_path: Path) -> None:
+def test_no_output_is_an_input(armsight: Any, tmp_path: Path) -> None:
     arm = tmp_path / "arm.yaml"
     assert armsight("convert", "arm", "ur10", "-o", arm).code == 0
     before = arm.read_bytes()
@@ -110,12 +110,6 @@ def test_no_output_is_an_input(armsight: Any, scene: Any, tmp_path: Path) -> Non
         assert done.code == 2
         assert "an input" in done.text
     assert arm.read_bytes() == before
-    spots = tmp_path / "spots.csv"
-    spots.write_text("t_s,u_px,v_px\n")
-    words = ["measure", "--rig", scene.folder / "rig.yaml", "--target", scene.folder / "target.yaml"]
-    done = armsight(*words, "--left-spots", spots, "--right-spots", spots, "-o", tmp_path)
-    assert done.code == 2
-    assert spots.exists()
 
 
 def test_earlier_results_come_back_or_go_as_a_whole(tmp_path: Path) -> None:
