@@ -77,7 +77,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "imports by name": {
         "__init__.py": "public names are loaded when they are asked for",
-        "ops/requests/__init__.py": "requests are loaded when a command is called: help begins without them",
         "cli/lazy.py": "help is drawn by what only help needs",
         "fields.py": "defaults of flags that are heavy to import",
         "kinematics/dynamics.py": "an extra that is not always there",

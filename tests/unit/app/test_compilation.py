@@ -41,7 +41,7 @@ SELDOM = {
     "place_corners",  # --detector xcorner
     "add_rows",  # calibrate timing: small sums
     "rows_times",
-    "transposed_times",
+    "add_transposed_times",
 }
 """Kernels that are compiled when it comes to it."""
 

@@ -1,6 +1,5 @@
 """Drivers get what they need beyond their device: an arm where the link speaks of poses, the user's own tags."""
 
-import dataclasses
 import re
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from armsight.clock import ManualClock
 from armsight.control.guard import Limits
 from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import presets
-from armsight.ops import motion, requests, robots, teach
+from armsight.ops import identify, motion, robots, teach, verify
 from armsight.ops.action import action_of
 from armsight.ops.requests.motion import RobotJob, settings_of
 from armsight.ops.robot import opening
@@ -71,19 +70,15 @@ def test_what_is_no_setting_is_refused(texts: list[str]) -> None:
         settings_of(texts)
 
 
-def test_every_request_that_names_a_robot_takes_its_settings() -> None:
-    modules = (requests.motion,)
-    kinds = {kind for module in modules for kind in vars(module).values() if dataclasses.is_dataclass(kind)}
-    named = {kind for kind in kinds if {"robot", "arm"} <= {one.name for one in dataclasses.fields(kind)}}
-    assert named and all(issubclass(kind, RobotJob) for kind in named)  # type: ignore[arg-type]  # classes
+def test_every_action_that_names_a_robot_takes_its_settings() -> None:
     calls = [
         call
-        for module in (motion, robots, teach)
+        for module in (identify, motion, robots, teach, verify)
         for call in vars(module).values()
         if "action" in getattr(call, "__dict__", {})
     ]
-    asked = [set(action_of(call).parameters) for call in calls]
-    assert len(calls) > 4 and all({"robot", "robot_settings", "rsi_config"} < one for one in asked)
+    asked = [names for names in (set(action_of(call).parameters) for call in calls) if "robot" in names]
+    assert len(asked) > 6 and all({"robot_settings", "rsi_config"} < one for one in asked)
 
 
 def test_robots_are_opened_in_one_place() -> None:
