@@ -26,7 +26,6 @@ from armsight.ops.kinds import (
     TargetLike,
     ToolTip,
 )
-from armsight.ops.path.check import with_tip
 from armsight.ops.requests.motion import (
     A_GAIN,
     A_LAG,
@@ -320,6 +319,7 @@ def play(
     from armsight.control.guard import Guard
     from armsight.control.play import PlaySettings, Weave, plan_path
     from armsight.ops.measurement.warm_up import prepare
+    from armsight.ops.path.check import with_tip
     from armsight.ops.play import play_job
     from armsight.ops.play.play_path import run_path
     from armsight.ops.robot.opening import clocked_robot
