@@ -264,14 +264,14 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "calibrate stereo": ("calibrate/cameras", CAMERAS),
     "calibrate mirrors": ("calibrate/cameras", CAMERAS),
     "calibrate zoom-rig": ("calibrate/cameras", CAMERAS),
-    "calibrate target": ("calibrate/light_target", ("spots", "light target")),
+    "calibrate target": ("measure/spots", ("spots", "light target")),
     "calibrate timing": ("measure/poses", ("spots", "poses", "motion")),
-    "calibrate cell": ("calibrate/cell", ("spots", "kinematics", "arm")),
+    "calibrate cell": ("optics", ("spots", "kinematics", "arm")),
     "calibrate handeye": ("calibrate/handeye", ("boards", "hand-eye")),
     "calibrate arm": ("kinematics", ("kinematics", "arm")),
     "kinematics fk": ("kinematics", ("kinematics",)),
 }
-"""Command -> the folder whose kernels it needs, and what compiles them (app.compilation)."""
+"""Command -> the folder whose kernels it needs, and what compiles them (ops.compilation)."""
 
 
 def compile_for(commands: Collection[str], progress: Progress) -> None:
