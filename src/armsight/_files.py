@@ -11,7 +11,6 @@ import errno
 import os
 import re
 import stat
-import tempfile
 from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path
@@ -115,7 +114,9 @@ class DeviceLock:
         """
         self._device, self._key = device, key or device
         self._consequence, self._cure = consequence, cure
-        self._folder = folder or Path(tempfile.gettempdir())
+        from tempfile import gettempdir  # takes longer than all the rest of `import armsight`
+
+        self._folder = folder or Path(gettempdir())
         self._file: int | None = None
         self._path = self._folder
 
