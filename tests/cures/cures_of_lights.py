@@ -164,7 +164,7 @@ TRIED = {
         f"{IDENTIFY} --increments order",
         f"{IDENTIFY} --increments known && {IDENTIFY.replace('swept', 'swept-home')} --increments order",
     ),
-    ("ops/inputs.py", "Give the rig that saw them"): (
+    ("ops/robot_inputs.py", "Give the rig that saw them"): (
         IDENTIFY.replace("swept", "swept-px"),
         f"{IDENTIFY.replace('swept', 'swept-px')} --rig rig.yaml",
     ),

@@ -10,15 +10,15 @@ from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import COMPARED
 from armsight.ops.action import Input, action
 from armsight.ops.flags import KNOWN_ARM, TwoTables, setup_called
-from armsight.ops.kinds import READERS, ArmLike, AsFile
+from armsight.ops.kinds import ArmLike, AsFile
 
 if TYPE_CHECKING:
     from armsight.calibrate.handeye import Setup
     from armsight.ops.compare.run import CompareOutput
     from armsight.ops.join import JoinResult
 
-A: TypeAlias = Annotated[Any, Input(f"{READERS}:result"), Flag(positional=True, metavar="A")]
-B: TypeAlias = Annotated[Any, Input(f"{READERS}:result"), Flag(positional=True, metavar="B")]
+A: TypeAlias = Annotated[Any, Input("armsight.ops.compare.run:given_result"), Flag(positional=True, metavar="A")]
+B: TypeAlias = Annotated[Any, Input("armsight.ops.compare.run:given_result"), Flag(positional=True, metavar="B")]
 
 
 @action("compare", keeps=COMPARED)

@@ -6,7 +6,7 @@ option, check and result is the same, and `armsight.verify(...)` gives what `arm
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from itertools import chain, islice
 from os import PathLike, fspath, sep
@@ -244,3 +244,17 @@ def _columns(name: str, rows: Any) -> dict[str, NDArray[Any]]:
 
 def _is_list_of_poses(rows: Any) -> bool:
     return isinstance(rows, list | tuple) and bool(rows) and isinstance(rows[0], RigidTransform)
+
+
+def path_of(value: Any) -> Path | None:
+    """Return the path that a value is; None for an object."""
+    return Path(fspath(value)) if isinstance(value, str | PathLike) else None
+
+
+def record_of(name: str, value: Any, kind: type[J], read: Callable[[Path], J]) -> J:
+    """Return a record, or that of a file. Raises UsageError, BadFile."""
+    path = path_of(value)
+    if path is not None:
+        return read(path)
+    require_kind(name, value, kind, cure="Give a record or a file")
+    return value  # type: ignore[no-any-return]  # of that kind

@@ -11,7 +11,7 @@ from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
 from armsight.ops.flags import A_SRC, KNOWN_ARM, SRC, Cameras, Table
-from armsight.ops.kinds import FRAMES, LIGHTS, READERS, ArmLike, RigLike
+from armsight.ops.kinds import FRAMES, LIGHTS, READERS, ROBOT_READERS, ArmLike, RigLike
 from armsight.ops.requests.motion import RobotSettings, RsiConfig
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def identify_arm(
     joint: Annotated[
         Any,
         Doc("sweep.csv: joint,q1..qn and positions (x_m,y_m,z_m), pixels, or both."),
-        Input(f"{READERS}:sweeps", hashed=True),
+        Input(f"{ROBOT_READERS}:sweeps", hashed=True),
         Flag("--sweep"),
     ] = None,
     q: ArrayLike | None = None,

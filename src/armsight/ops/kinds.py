@@ -13,6 +13,7 @@ from armsight.ops.action import Input
 from armsight.ops.flags import BOARD, SRC
 
 READERS = "armsight.ops.inputs"
+ROBOT_READERS = "armsight.ops.robot_inputs"
 FRAMES = Input(f"{READERS}:frames", kind=str)
 CHAIN = Input(f"{READERS}:chain", kind=str)
 """An arm, with the links of its file that `tip` and `base` name."""
@@ -32,9 +33,9 @@ RigLike: TypeAlias = Annotated[Any, Input(f"{READERS}:rig", hashed=True)]
 """A Rig, or the path of a rig.yaml."""
 TargetLike: TypeAlias = Annotated[Any, Input(f"{READERS}:target")]
 """A Target, the path of a target.yaml, or a board's text."""
-PointsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:points", hashed=True)]
+PointsLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:points", hashed=True)]
 """Joint readings (m, n) in rad and m, with positions beside them, or the path of a table of both."""
-HeldPointsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:held_points", hashed=True)]
+HeldPointsLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:held_points", hashed=True)]
 """(q, xyz_m), or the path of a table of points."""
 WorldLike: TypeAlias = Annotated[Any, Input(f"{READERS}:world")]
 """A World, the path of a world.yaml, or the rig's pose (4, 4) in the base, m."""
@@ -46,13 +47,13 @@ SpotsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:spots")]
 """Columns t_s, u_px, v_px, or the path of a table of spots."""
 ArmLike: TypeAlias = Annotated[Any, Input(f"{READERS}:arm", kind=str), Flag(metavar="ARM")]
 """An Arm, the path of an arm.yaml or URDF, or a known arm's name."""
-TaughtLike: TypeAlias = Annotated[Any, Input(f"{READERS}:taught"), Flag(positional=True, metavar="PATH")]
+TaughtLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:taught"), Flag(positional=True, metavar="PATH")]
 """A TaughtPath, or the path of a path.csv."""
 ToolTip: TypeAlias = Annotated[
-    Any, Doc("tip.yaml of the tool, in flange axes. [default: the arm's tool frame]"), Input(f"{READERS}:tip")
+    Any, Doc("tip.yaml of the tool, in flange axes. [default: the arm's tool frame]"), Input(f"{ROBOT_READERS}:tip")
 ]
 """What calibrate_tool_tip returns, or the path of its file."""
-LimitsLike: TypeAlias = Annotated[Any, Input(f"{READERS}:limits")]
+LimitsLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:limits")]
 """Limits, or the path of a limits.yaml."""
 Readings: TypeAlias = Annotated[Any, Input(f"{READERS}:readings", kind=str)]
 """Joint readings (n,), written as 0,-1.2,0.4, or the path of a joints.csv."""
@@ -61,7 +62,7 @@ AsFile: TypeAlias = Annotated[Any, Input(f"{READERS}:file")]
 RobotLike: TypeAlias = Annotated[
     Any,
     Doc("sim:SCENARIO, alter:/dev/PORT, rsi:UDP_PORT, egm:UDP_PORT, rtde:HOST[:PORT] or ws://HOST:PORT."),
-    Input(f"{READERS}:robot", kind=str),
+    Input(f"{ROBOT_READERS}:robot", kind=str),
     Flag("--robot", metavar="DRIVER:DEVICE"),
 ]
 """DRIVER:DEVICE, a driver of one's own that keeps drivers.Robot, or one of these with its clock."""

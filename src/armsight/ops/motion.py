@@ -17,6 +17,7 @@ from armsight.ops.action import Input, action
 from armsight.ops.flags import KNOWN_ARM
 from armsight.ops.kinds import (
     READERS,
+    ROBOT_READERS,
     ArmLike,
     AsFile,
     Confirm,
@@ -224,7 +225,7 @@ def servo(
 @action("play", keeps=PLAYED, working="playing")
 def play(
     robot: RobotLike,
-    path: Annotated[Any, Doc("path.csv of the tip."), Input(f"{READERS}:taught")],
+    path: Annotated[Any, Doc("path.csv of the tip."), Input(f"{ROBOT_READERS}:taught")],
     *,
     confirm: Confirm = False,
     robot_settings: Settings = None,

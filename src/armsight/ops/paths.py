@@ -21,7 +21,17 @@ from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
 from armsight.ops.flags import KNOWN_ARM
-from armsight.ops.kinds import READERS, ArmLike, AsFile, LimitsLike, Readings, RigLike, TaughtLike, ToolTip
+from armsight.ops.kinds import (
+    READERS,
+    ROBOT_READERS,
+    ArmLike,
+    AsFile,
+    LimitsLike,
+    Readings,
+    RigLike,
+    TaughtLike,
+    ToolTip,
+)
 from armsight.units import DEG
 
 if TYPE_CHECKING:
@@ -151,10 +161,10 @@ def join(
     first: Annotated[
         Any,
         Doc("Two path.csv or more, in their order."),
-        Input(f"{READERS}:taught_paths", kind=list[Path]),
+        Input(f"{ROBOT_READERS}:taught_paths", kind=list[Path]),
         Flag(positional=True, metavar="PATH..."),
     ],
-    second: Annotated[Any, Input(f"{READERS}:taught_paths")] = (),
+    second: Annotated[Any, Input(f"{ROBOT_READERS}:taught_paths")] = (),
     *,
     gap_m: Annotated[float, Doc("Widest gap between two ends, m."), Bounds(least=0.0)] = PATH_GAP_M,
     gap_rad: Annotated[

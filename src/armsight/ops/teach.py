@@ -11,7 +11,7 @@ from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import TAUGHT
 from armsight.ops.action import Input, action, action_of
 from armsight.ops.flags import KNOWN_ARM
-from armsight.ops.kinds import FRAMES, READERS, AsFile, Confirm, RigLike, TargetLike, WorldLike
+from armsight.ops.kinds import FRAMES, ROBOT_READERS, AsFile, Confirm, RigLike, TargetLike, WorldLike
 from armsight.ops.motion import DISTANCE_M, MOVED_ARM, Folder, servo
 from armsight.ops.requests.motion import (
     A_GAIN,
@@ -51,7 +51,7 @@ def teach(
     robot: Annotated[
         Any,
         Doc("Robot that follows the target meanwhile. [default: none]"),
-        Input(f"{READERS}:robot", kind=str),
+        Input(f"{ROBOT_READERS}:robot", kind=str),
         Flag("--robot", metavar="DRIVER:DEVICE"),
     ] = None,
     robot_settings: Settings = None,
@@ -62,7 +62,7 @@ def teach(
     tip: Annotated[
         Any,
         Doc("tip.yaml of the needle, in target axes. [default: the target's origin]"),
-        Input(f"{READERS}:tip"),
+        Input(f"{ROBOT_READERS}:tip"),
     ] = None,
     every: Annotated[int, Doc("Frames per pose of the path."), Bounds(least=1)] = 1,
     mean: Annotated[bool, Doc("A pose is the mean of its frames, not the last one.")] = False,

@@ -1,26 +1,25 @@
-"""Which page tells of a result of an action, and where it goes beside the result's file."""
+"""Which page tells of a result of an action, and where it goes beside the result's file.
+
+Each page's module is loaded when it is made: together they load all that armsight can calibrate.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from armsight._files import arm_source
-from armsight.calibrate.arm import ArmResult
-from armsight.calibrate.cell import CellResult
-from armsight.calibrate.handeye import HandEyeResult
-from armsight.calibrate.identify import Identification
 from armsight.file_names import REPORT, report_path
-from armsight.report.arm_report import arm_report
-from armsight.report.cell_report import cell_report
-from armsight.report.handeye_report import handeye_report
-from armsight.report.identify_report import identify_report
-from armsight.report.verify_pages import live_report, mastering_report, repeats_report
-from armsight.report.verify_report import verify_report
-from armsight.verify.live import VerifyLiveOutput
-from armsight.verify.results import MasteringOutput, VerifyResult
+
+if TYPE_CHECKING:
+    from armsight.calibrate.arm import ArmResult
+    from armsight.calibrate.cell import CellResult
+    from armsight.calibrate.handeye import HandEyeResult
+    from armsight.calibrate.identify import Identification
+    from armsight.verify.live import VerifyLiveOutput
+    from armsight.verify.results import MasteringOutput, VerifyResult
 
 FILES_SHOWN = 20
 """Files of what went in that a page lists; the result's own file has all, with their hashes."""
@@ -28,15 +27,21 @@ Given = Mapping[str, object]
 
 
 def _hand_eye(result: HandEyeResult, files: Sequence[Path], given: Given) -> str:
+    from armsight.report.handeye_report import handeye_report
+
     return handeye_report(result, inputs=[("file", item.name) for item in files[:FILES_SHOWN]])
 
 
 def _identified(result: Identification, files: Sequence[Path], given: Given) -> str:
+    from armsight.report.identify_report import identify_report
+
     made = [] if result.plan is None else [Path(str(given["out"])).with_suffix(".sweep.csv")]
     return identify_report(result, inputs=[("file", item.name) for item in (*made, *files)])
 
 
 def _cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
+    from armsight.report.cell_report import cell_report
+
     named = (
         ("arm", "model"),
         ("target", "target"),
@@ -48,6 +53,8 @@ def _cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
 
 
 def _arm(result: ArmResult, files: Sequence[Path], given: Given) -> str:
+    from armsight.report.arm_report import arm_report
+
     texts = {name: str(value) for name, value in given.items() if isinstance(value, str | PathLike)}
     inputs = [("measurements", Path(texts[name]).name) for name in ("q", "holdout") if name in texts]
     if "nominal" in texts:
@@ -56,6 +63,9 @@ def _arm(result: ArmResult, files: Sequence[Path], given: Given) -> str:
 
 
 def _verification(result: VerifyResult, files: Sequence[Path], given: Given) -> str:
+    from armsight.report.verify_pages import repeats_report
+    from armsight.report.verify_report import verify_report
+
     if result.verification is None:
         return repeats_report(result)
     arm = given.get("arm")
@@ -66,8 +76,16 @@ def _verification(result: VerifyResult, files: Sequence[Path], given: Given) -> 
 
 
 def _supervision(result: VerifyLiveOutput, files: Sequence[Path], given: Given) -> str:
+    from armsight.report.verify_pages import live_report
+
     devices = ("robot", "left", "right", "arm")
     return live_report(result, inputs=_named(given, (*devices, "rig", "target", "world"), devices))
+
+
+def _mastering(result: MasteringOutput, files: Sequence[Path], given: Given) -> str:
+    from armsight.report.verify_pages import mastering_report
+
+    return mastering_report(result)
 
 
 def _named(given: Given, names: Sequence[str], in_full: Sequence[str]) -> list[tuple[str, str]]:
@@ -77,27 +95,28 @@ def _named(given: Given, names: Sequence[str], in_full: Sequence[str]) -> list[t
     return [(name, text if name in in_full else Path(text).name) for name, text in texts]
 
 
-PAGES: Mapping[type, Callable[[Any, Sequence[Path], Given], str]] = {
-    HandEyeResult: _hand_eye,
-    CellResult: _cell,
-    ArmResult: _arm,
-    VerifyResult: _verification,
-    VerifyLiveOutput: _supervision,
-    MasteringOutput: lambda result, files, given: mastering_report(result),
-    Identification: _identified,
+PAGES: Mapping[str, Callable[[Any, Sequence[Path], Given], str]] = {
+    "HandEyeResult": _hand_eye,
+    "CellResult": _cell,
+    "ArmResult": _arm,
+    "VerifyResult": _verification,
+    "VerifyLiveOutput": _supervision,
+    "MasteringOutput": _mastering,
+    "Identification": _identified,
 }
-"""By class of result: the page, from the result, the files that went in, and what the action was called with."""
-IN_FOLDERS = (CellResult, VerifyResult, VerifyLiveOutput, MasteringOutput)
+"""By a result's class: the page, from the result, the files that went in, and what the action was called with."""
+IN_FOLDERS = ("CellResult", "VerifyResult", "VerifyLiveOutput", "MasteringOutput")
 """Results that have a folder of their own, and their page in it."""
 
 
 def page_path(out: Path, result: object) -> Path | None:
     """Return where a result's page goes, None where it has none: into the folder, or beside a file, rig.report.html."""
-    if type(result) not in PAGES:
+    name = type(result).__name__
+    if name not in PAGES:
         return None
-    return out / REPORT if isinstance(result, IN_FOLDERS) else report_path(out)
+    return out / REPORT if name in IN_FOLDERS else report_path(out)
 
 
 def page_of(result: object, files: Sequence[Path], given: Given) -> str:
     """Return the page of a result as HTML text that needs no other file."""
-    return PAGES[type(result)](result, files, given)
+    return PAGES[type(result).__name__](result, files, given)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.file_names import ARM, COMPARE, HANDEYE, POSES, REPORT, RIG, VERIFY
+from armsight.ops.action import Given
 from armsight.ops.compare.calibrations import (
     Compared,
     Effect,
@@ -22,6 +24,8 @@ from armsight.ops.compare.calibrations import (
     judged_singly,
 )
 from armsight.ops.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
+from armsight.ops.given import Given as Folder
+from armsight.ops.given import path_of
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import MEANING, Difference, Verdict
 from armsight.report.compare_report import Course, compare_report
@@ -141,6 +145,14 @@ class GivenResult:
 
     path: Path
     name: str
+
+
+def given_result(name: str, value: Any, given: Given, undo: ExitStack) -> GivenResult:
+    """Return a result's file or folder, and what it is called: its path, or the parameter."""
+    path = path_of(value)
+    if path is None:
+        return GivenResult(undo.enter_context(Folder()).file(name, value), name)
+    return GivenResult(path, str(path))
 
 
 def compared(a: GivenResult, b: GivenResult, distance_m: float | None, out: Path | None) -> CompareOutput:
