@@ -130,5 +130,3 @@ class ServoPair:
     def close(self) -> None:
         self.robot.__exit__(None, None, None)
         self.twin.close()
-
-

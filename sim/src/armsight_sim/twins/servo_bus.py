@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import zip_longest
 from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Self
@@ -184,7 +185,7 @@ class ServoBus:
                 said.append(self._status(servo, b""))
         if said:
             # two servos pull the line low at once: who is low wins
-            line = said[0] if len(said) == 1 else bytes(a & b for a, b in zip(said[0], said[1], strict=True))
+            line = bytes(a & b for a, b in zip_longest(said[0], said[-1], fillvalue=255))
             self._send(line)
 
     def _say(self, answers: list[tuple[OneServo, bytes]]) -> None:

@@ -69,7 +69,8 @@ class Line:
         answers, foreign = self._packets.answers(line)
         self.counts.garbage_bytes += foreign
         good: dict[int, Answer] = {}
-        turn, spoilt = -1, set()
+        turn = -1
+        spoilt: set[int] = set()
         for answer in answers:
             if answer.id not in ids or len(answer.data) != size:
                 self.counts.late += 1

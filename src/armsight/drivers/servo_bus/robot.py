@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any, ClassVar
 
@@ -243,7 +243,7 @@ class ServoBusRobot(CyclicRobot):
         if len(answers) < len(self._ids):
             self._absent = self._believed.absent(answers)
             return None
-        before = self._believed.states or [None] * len(self._ids)
+        before: Sequence[ServoState | None] = self._believed.states or [None] * len(self._ids)
         states = [state_of(self.family, answers[id], start, last) for id, last in zip(self._ids, before, strict=True)]
         for i, id in enumerate(self._ids):
             if answers[id].error & ALERT and self.family.watched is not None:
