@@ -11,7 +11,8 @@ import numpy as np
 from armsight.drivers import RobotState
 from armsight.drivers.servo_bus import DynamixelRobot, FeetechRobot
 from armsight_sim.twins.base import small_arm, twin_home
-from armsight_sim.twins.servo_bus import DynamixelBus, FeetechBus, ServoBus, bus_drive
+from armsight_sim.twins.servo_bus import ServoBus
+from armsight_sim.twins.servo_twins import DynamixelBus, FeetechBus, bus_drive
 
 KINDS: dict[str, tuple[type[ServoBus], Any]] = {
     "feetech": (FeetechBus, FeetechRobot),

@@ -13,7 +13,7 @@ import pytest
 
 from armsight.clock import SystemClock
 from armsight_sim.twins.base import small_arm, twin_home
-from armsight_sim.twins.servo_bus import DynamixelBus, FeetechBus, bus_drive
+from armsight_sim.twins.servo_twins import DynamixelBus, FeetechBus, bus_drive
 
 ADDRESSES = {
     "feetech": ("scservo_sdk", FeetechBus, 0, (40, 1), (42, 2), (56, 2), (3, 2)),
