@@ -58,6 +58,7 @@ class OwnClock:
             while self.runs() and self._wanted_s is None:
                 self._news.wait(0.001)
             self._t_s += dt_s
+        self.advance(0.0)
 
     def let_go(self, *, free: bool) -> None:
         with self._news:

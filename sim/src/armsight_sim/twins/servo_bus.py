@@ -138,7 +138,8 @@ class ServoBus:
         self._twins.append(other)
 
     def serve(self, wait_s: float = 0.0) -> None:
-        """Answer what has been asked, or comes within wait_s."""
+        """Answer what has been asked, or comes within wait_s; the motors run on meanwhile, asked or not."""
+        self._motors.advance(self._clock.now_s())
         if not select.select([self._master], [], [], wait_s)[0]:
             return
         data = b""

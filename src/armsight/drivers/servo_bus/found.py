@@ -53,10 +53,10 @@ def _absent(
         if line.garbled(family.packets.ping(joint.id), 0 if family.tick is None else 3):
             return _not_alone(joint, name)
     if len(missing) == len(joints):
-        for other in family.bauds:
+        for i, other in enumerate(family.bauds):
             if other != baud:
                 line.at(other)
-                if any(_answers(line, family, joint.id) for joint in joints[:2]):
+                if any(_answers(line, family, joint.id, more=i) for joint in joints[:2]):
                     return DeviceNotFound(
                         f"{name}: its servos talk at {other} baud, and this link is set to {baud}",
                         consequence="The robot is not opened",
@@ -80,8 +80,9 @@ def _absent(
     )
 
 
-def _answers(line: Line, family: Family, id: int) -> bool:
-    start, size = family.model.at, family.model.size
+def _answers(line: Line, family: Family, id: int, more: int = 0) -> bool:
+    """Tell whether a servo answers; more: bytes that are asked for beside its model, so that no late answer counts."""
+    start, size = family.model.at, family.model.size + more
     return bool(line.heard(family.packets.read(id, start, size), [id], size, OPENING_S))
 
 

@@ -29,8 +29,10 @@ from armsight.priority import control_first
 from armsight.records import JointReading
 from armsight.units import DEG, MS
 
-SILENT_CYCLES = 8.0
-"""A bus on which a servo gave no sound answer for so many cycles is lost: at a step's speed limit the arm has stood."""
+UNANSWERED = 8
+"""A bus is lost where a servo gave no sound answer in so many cycles in a row, however long those took this computer."""
+SILENT_CYCLES = 25.0
+"""... or nothing was read for so long, whoever kept this program from asking. What it was told before is stale then."""
 TAGS = 8
 """So many sizes the question has in turn: an answer to an older question is known by its size. Neither protocol numbers
 its answers."""
@@ -101,7 +103,7 @@ class ServoBusRobot(CyclicRobot):
         return self._enabled
 
     def _start(self) -> None:
-        self._turn, self._doubts, self._numbers, self._absent = 0, 0, 0, ""
+        self._turn, self._doubts, self._unanswered, self._numbers, self._absent = 0, 0, 0, 0, ""
         self._closing, self._enabling = False, 0
         self._recent.clear()
         with ExitStack() as undo:
@@ -229,8 +231,8 @@ class ServoBusRobot(CyclicRobot):
             due_s += skipped * self.cycle_s
             try:
                 self._cycle(1 + skipped)
-                if self._fallen_silent():
-                    raise DeviceLost(self._absent or "its servos have fallen silent")
+                if self._unanswered >= UNANSWERED:
+                    raise DeviceLost(self._absent)
             except DeviceLost as error:
                 self._lose(error.cause)
 
@@ -241,8 +243,9 @@ class ServoBusRobot(CyclicRobot):
         question = self.family.packets.sync_read(self._ids, start, size)
         answers = self._line.heard(question, self._ids, size)
         if len(answers) < len(self._ids):
-            self._absent = self._believed.absent(answers)
+            self._unanswered, self._absent = self._unanswered + 1, self._believed.absent(answers)
             return None
+        self._unanswered = 0
         before: Sequence[ServoState | None] = self._believed.states or [None] * len(self._ids)
         states = [state_of(self.family, answers[id], start, last) for id, last in zip(self._ids, before, strict=True)]
         for i, id in enumerate(self._ids):
