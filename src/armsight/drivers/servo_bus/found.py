@@ -10,7 +10,7 @@ from armsight.drivers.servo_bus.line import OPENING_S, Line
 from armsight.drivers.servo_bus.tables import STEPS, Family
 from armsight.errors import DeviceFailed, DeviceNotFound
 
-TRIES = 3
+TRIES = 5
 """A question is asked so often before a servo is said not to answer."""
 LOOKED = range(1, 13)
 """Ids under which a servo that does not answer is looked for: those of two arms."""
@@ -50,7 +50,8 @@ def _absent(
 ) -> DeviceNotFound:
     """Return why servos do not answer, as far as it can be found."""
     for joint in missing:
-        if line.garbled(family.packets.ping(joint.id), 0 if family.tick is None else 3):
+        ping, size = family.packets.ping(joint.id), 0 if family.tick is None else 3
+        if all(line.garbled(ping, size) for _ in range(3)):
             return _not_alone(joint, name)
     if len(missing) == len(joints):
         for i, other in enumerate(family.bauds):

@@ -30,7 +30,7 @@ from armsight.records import JointReading
 from armsight.units import DEG, MS
 
 UNANSWERED = 8
-"""A bus is lost where a servo gave no sound answer in so many cycles in a row, however long those took this computer."""
+"""A bus is lost where a servo gave no sound answer in so many cycles in a row, however long this computer took."""
 SILENT_CYCLES = 25.0
 """... or nothing was read for so long, whoever kept this program from asking. What it was told before is stale then."""
 TAGS = 8
