@@ -1,6 +1,7 @@
 """A guarded arm in real time behind each link, its emulated controller in a process of its own.
 
-python benchmarks/links.py [alter] [rsi] [egm] [rtde] [--for 60] [--busy 2] [--jitter] [--rsi-simulator "COMMAND"]
+python benchmarks/links.py [alter | rsi | egm | rtde | feetech | dynamixel] [--for 60] [--busy 2] [--jitter]
+    [--rsi-simulator "COMMAND"]
 
 A restless source wants more than the limits allow. Prints the controller's cycles that were missed and the answers it
 counts as late, how late the loop woke, and, by the emulated controller's own record and time, the largest speed over
@@ -48,8 +49,10 @@ from armsight_sim.twins.alter import AlterTwin
 from armsight_sim.twins.egm import EgmTwin
 from armsight_sim.twins.rsi import RsiTwin
 from armsight_sim.twins.rtde import RtdeTwin
+from armsight_sim.twins.servo_twins import DynamixelTwin, FeetechTwin
 
-KINDS = ("alter", "rsi", "egm", "rtde")
+BUSES = ("feetech", "dynamixel")
+KINDS = ("alter", "rsi", "egm", "rtde", *BUSES)
 CONTROLLER, NEARER = "127.77.0.1", "127.78.0.1"
 RTDE_PORTS = (30004, 30003, 29999)
 LONGEST_STILL_S = 0.04
@@ -64,19 +67,27 @@ def controller(kind: str, port: str, file: str) -> None:
         "rsi": lambda: RsiTwin(connect=f"127.0.0.1:{port}", clock=SystemClock()),
         "egm": lambda: EgmTwin(connect=f"127.0.0.1:{port}"),
         "rtde": lambda: RtdeTwin(port=f"{CONTROLLER}:{RTDE_PORTS[0]}"),
+        "feetech": lambda: FeetechTwin(clock=SystemClock()),
+        "dynamixel": lambda: DynamixelTwin(clock=SystemClock()),
     }
     ended = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
     rows, stamps = [], []
     with made[kind]() as twin:
         inner = twin.server.controller if kind == "rtde" else twin.controller
-        name = "move" if kind == "alter" else "cycle"
+        name = "serve" if kind in BUSES else "move" if kind == "alter" else "cycle"
         cycle = getattr(inner, name)
+        if kind in BUSES:
+            inner._sag = 0.0  # what sinks when torque comes on is no motion of the loop's
 
-        def noted() -> None:
-            cycle()
-            rows.append(inner.q)
-            stamps.append(time.monotonic())
+        def noted(*wait_s: float) -> None:
+            cycle(*wait_s)
+            if kind not in BUSES:
+                rows.append(inner.q)
+                stamps.append(time.monotonic())
+            while kind in BUSES and (not stamps or stamps[-1] + inner._drive.cycle_s <= inner._motors.t_s):
+                stamps.append(inner._motors.t_s if not stamps else stamps[-1] + inner._drive.cycle_s)
+                rows.append(inner._motors.at(stamps[-1])[0])  # motors of their own, whenever they are asked
 
         setattr(inner, name, noted)
         print(twin.address, flush=True)
@@ -86,7 +97,7 @@ def controller(kind: str, port: str, file: str) -> None:
         with contextlib.suppress(OSError):  # a controller is a real-time system, whatever else this machine does
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIRST))
         twin.run(lambda: not ended.is_set())
-        counts = {} if kind == "rtde" else {key: getattr(inner.counts, key) for key in inner.counts.__slots__}
+        counts = {} if kind in ("rtde", *BUSES) else {key: getattr(inner.counts, key) for key in inner.counts.__slots__}
         np.savez(file, q=np.array(rows), t_s=np.array(stamps), cycle_s=inner._drive.cycle_s)
         print(json.dumps(counts))
 
@@ -166,6 +177,7 @@ def run(kind: str, args: argparse.Namespace) -> None:
         twin = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         told = twin.stdout.readline() if twin.stdout else ""
         device = told.strip().partition(":")[2]
+        time.sleep(1.0 if kind in BUSES else 0.0)  # who speaks first is waited for, who answers must be there
         context = multiprocessing.get_context("spawn")
         others = [context.Process(target=busy, daemon=True) for _ in range(args.busy)]
         ready = context.Event()

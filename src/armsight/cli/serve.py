@@ -39,7 +39,7 @@ def serve(
     plant: PlantFlags,
     robot: Annotated[
         str | None,
-        Doc("The robot: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT, alter:PORT."),
+        Doc("The robot: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT, alter:PORT, feetech:PORT, dynamixel:PORT."),
         Flag(metavar="DRIVER:DEVICE"),
     ] = None,
     bind: Bind = "127.0.0.1",
@@ -157,7 +157,7 @@ def console(
     face: CommandUI,
     robot: Annotated[
         str | None,
-        Doc("The robot to move: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT."),
+        Doc("The robot to move: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT, feetech:PORT."),
         Flag(metavar="DRIVER:DEVICE"),
     ] = None,
     robot_settings: RobotSettings = None,

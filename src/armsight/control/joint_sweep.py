@@ -11,7 +11,7 @@ from armsight.arrays import Array
 from armsight.calibrate.identify import Sweeps
 from armsight.clock import Clock
 from armsight.defaults import SWEEP_SPEED
-from armsight.drivers import Robot, RobotState, Sent
+from armsight.drivers import Robot, RobotState, RobotTraits, Sent
 from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData
 from armsight.records import JointReading, PoseStatus, Progress, TargetPose
 
@@ -92,6 +92,7 @@ class Sweeper:
         self._clock = clock
         self._progress = progress
         self._pace = pace
+        self._flicker = max(REST_STEP, 1.5 * RobotTraits.of(robot).reading_step)
         self._at: Array | None = None
         self._joint: list[int] = []
         self._rows: list[tuple[Array, Array, Array, float | None]] = []
@@ -197,7 +198,8 @@ class Sweeper:
                 )
             look, reading = self._observer.observe(when), self._robot.read()
             fresh = look.taken_s >= arrived_s + HELD_BACK_S
-            still = still + 1 if fresh and _same(before, reading, seen, look) else 0
+            same = _same(before, reading, seen, look, self._flicker)
+            still = still + 1 if fresh and same else 0
             before, seen = reading, look
         self._check_start(before.q)
 
@@ -229,10 +231,10 @@ class Sweeper:
         self._rows.append((np.mean(readings, axis=0), uv, xyz, float(np.median(known)) if known else None))
 
 
-def _same(before: JointReading, now: JointReading, seen: Observation, look: Observation) -> bool:
+def _same(before: JointReading, now: JointReading, seen: Observation, look: Observation, flicker: float) -> bool:
     if seen.uv_px is None or look.uv_px is None:
         return False
-    return bool(np.abs(now.q - before.q).max() <= REST_STEP and np.abs(look.uv_px - seen.uv_px).max() <= REST_PX)
+    return bool(np.abs(now.q - before.q).max() <= flicker and np.abs(look.uv_px - seen.uv_px).max() <= REST_PX)
 
 
 class PoseObserver(Protocol):

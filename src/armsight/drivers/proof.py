@@ -164,8 +164,9 @@ def _unlike(ways: Array) -> Array:
 class Standing:
     """Whether an arm that was told to stand does."""
 
-    def __init__(self, cycle_s: float) -> None:
-        self._cycle_s = cycle_s
+    def __init__(self, cycle_s: float, within: float = STANDS_RAD) -> None:
+        """within: readings (rad or m) of an arm that stands differ by less; of coarse encoders that is two steps."""
+        self._cycle_s, self._within = cycle_s, within
         self._rows: deque[Array] = deque(maxlen=max(4, round(STANDS_S / cycle_s)))
         self._cycles: int | None = None
         self.stands = False
@@ -182,7 +183,7 @@ class Standing:
         self._cycles += 1
         self._rows.append(y)
         full = len(self._rows) == self._rows.maxlen
-        self.stands = full and bool(np.ptp(np.array(self._rows), axis=0).max() <= STANDS_RAD)
+        self.stands = full and bool(np.ptp(np.array(self._rows), axis=0).max() <= self._within)
         if self.stands:
             self._cycles = None
             return False

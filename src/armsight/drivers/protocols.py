@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from enum import StrEnum
@@ -190,13 +191,20 @@ class RobotTraits:
 
     takes_joints: step_joints moves it; else move_pose alone does. guarded: it is behind a loop with a guard of its own.
     arm_mapping: returns the arm that its controller computes with, as arm.yaml has it. true_joints: returns where its
-    joints (n,) really were at a time of the clock, as only a simulated robot knows.
+    joints (n,) really were at a time of the clock, as only a simulated robot knows. reading_step: of its encoders, in
+    rad or m, where that is more than a reading's noise: readings are whole steps.
     """
 
     takes_joints: bool = True
     guarded: bool = False
     arm_mapping: Callable[[], Mapping[str, Any]] | None = None
     true_joints: Callable[[float], NDArray[np.float64]] | None = None
+    reading_step: float = 0.0
+
+    @property
+    def reading_std(self) -> float:
+        """Standard deviation that the encoder's step alone leaves in a reading."""
+        return self.reading_step / math.sqrt(12.0)
 
     @classmethod
     def of(cls, robot: Robot) -> RobotTraits:

@@ -15,6 +15,7 @@ from armsight.kinematics.forward_kinematics import fk, fk_jacobian, link_frames
 from armsight.kinematics.inverse_kinematics import ik, ik_many, in_range
 from armsight.kinematics.joints import Convention, Joint, JointType
 from armsight.kinematics.numeric import Method, solve_numeric, solve_numeric_many
+from armsight.kinematics.so_arms import so100, so101
 from armsight.records import require_kind
 from armsight.units import DEG
 
@@ -285,6 +286,8 @@ PRESETS: Mapping[str, Callable[[], Arm]] = MappingProxyType(
         "iiwa14": iiwa14,
         "panda": panda,
         "irb120": irb120,
+        "so100": so100,
+        "so101": so101,
     }
 )
 

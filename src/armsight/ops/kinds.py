@@ -61,7 +61,10 @@ AsFile: TypeAlias = Annotated[Any, Input(f"{READERS}:file")]
 """A file's path, or what becomes one: a table's columns, a pose."""
 RobotLike: TypeAlias = Annotated[
     Any,
-    Doc("sim:SCENARIO, alter:/dev/PORT, rsi:UDP_PORT, egm:UDP_PORT, rtde:HOST[:PORT] or ws://HOST:PORT."),
+    Doc(
+        "sim:SCENARIO, rsi:UDP_PORT, egm:UDP_PORT, rtde:HOST[:PORT], ws://HOST:PORT, or alter:, feetech: or "
+        "dynamixel:/dev/PORT."
+    ),
     Input(f"{ROBOT_READERS}:robot", kind=str),
     Flag("--robot", metavar="DRIVER:DEVICE"),
 ]

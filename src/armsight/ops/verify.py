@@ -210,7 +210,7 @@ def supervise(
     ] = None,
     joint_std: Annotated[
         float,
-        Doc("Of a joint reading, deg (a slide: m x 57). [default: 0.001]"),
+        Doc("Of a joint reading, deg (a slide: m x 57). [default: 0.001; of coarse encoders more]"),
         Flag("--joint-std", unit=DEG, default=None, panel=LIVE),
     ] = JOINT_STD,
     latency_s: Annotated[
@@ -269,7 +269,7 @@ def supervise(
         Nothing could be compared, or a device failed; what was seen until then is written all the same.
     """
     from armsight.clock import SystemClock
-    from armsight.drivers import AUTOMATIC
+    from armsight.drivers import AUTOMATIC, RobotTraits
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
     from armsight.ops.given import Given as Folder
@@ -296,7 +296,7 @@ def supervise(
         arm=arm if stand.parent == "world" else arm.based(),
         T_parent_rig=stand.T_parent_rig,
         rig_covariance=None if stand.covariance is None else stand.covariance.matrix,
-        joint_std=joint_std,
+        joint_std=max(joint_std, RobotTraits.of(devices.robot).reading_std),
         time_std_s=0.0 if devices.origin_s is not None else latency_std_s,
     )
     live.check_arm(arm, devices)

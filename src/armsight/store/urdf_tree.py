@@ -209,7 +209,48 @@ def _chain_end(start: str, tree: Tree) -> str:
                 cure=f"Name the last link of the chain you mean with --tip, such as {', '.join(counted)}",
             )
         link = onwards[0].child
-    return _tool(link, tree)
+    tool = _tool(link, tree)
+    _check_beside(start, link, tool, tree)
+    return tool
+
+
+def _check_beside(start: str, last: str, tool: str, tree: Tree) -> None:
+    """Refuse a chain whose last joint may be a finger's: where links are fixed beside it, the arm may end in those.
+
+    A tool that is called so is one. A link in the very place of what it is fixed to is a name or a shape more for it.
+    """
+    joint = tree.above.get(last)
+    if joint is None or last == start or _called_tool(tool):
+        return
+    if all(before.type == "fixed" for before in tree.to(joint.parent, start)):  # the arm's only joint
+        return
+    beside = [
+        link
+        for fixed in tree.below[joint.parent]
+        if fixed is not joint
+        for link in tree.under(fixed.child)
+        if link not in tree.below and _away(tree, link, joint.parent)
+    ]
+    if beside:
+        ends = ", ".join(f"{link} ({_count(tree.to(link, start))})" for link in [*beside[:MOST_TOLD], tool])
+        raise BadFile(
+            f"{tree.where}: at the link {joint.parent} the last joint, {joint.name}, leads to {tool}, and fixed beside "
+            f"it {'hang' if len(beside) > 1 else 'hangs'} {_listed(beside)}",
+            consequence="Whether that joint is the arm's or a finger's is not known, and the tool would be another",
+            cure=f"Name the last link of the chain you mean with --tip: {ends}",
+        )
+
+
+def _called_tool(link: str) -> bool:
+    return any(re.search(rf"(^|[^a-z0-9]){name}$", link, re.IGNORECASE) for name in TOOL_LINKS)
+
+
+def _away(tree: Tree, link: str, start: str) -> bool:
+    """Tell whether a link is elsewhere than the one it is fixed to; also where its place cannot be read."""
+    try:
+        return bool(np.abs(_product(tree.to(link, start)) - np.eye(4)).max() >= SAME_PLACE)
+    except BadFile:
+        return True
 
 
 def _tool(last: str, tree: Tree) -> str:

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from armsight._files import arm_source
 from armsight.cli.commands import app
 from armsight.errors import BadFile, UsageError
-from armsight.kinematics import fk
+from armsight.kinematics import fk, preset
 from armsight.ops import kinematics
 from armsight.ops.arm_files import arm_file, load_arm
 from armsight.ops.kinematics_results import read_values
@@ -145,3 +146,132 @@ def test_a_log_by_names_that_are_not_the_arms_is_told_what_they_are(tmp_path: Pa
     with refuses(BadFile, "q1") as error:
         read_values(arm_from_urdf(FOLLOWING), tmp_path / "q.csv")
     assert names_it(error.value, "turn", "lift", "rod", "roll")
+
+
+def urdf_of(joints: list[tuple[str, str, str, str, str, str]]) -> str:
+    """A URDF of joints: name, type, parent, child, origin, axis."""
+    links = sorted({link for joint in joints for link in joint[2:4]})
+    return (
+        "<robot name='r'>"
+        + "".join(f"<link name='{link}'/>" for link in links)
+        + "".join(
+            f"<joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/><origin {origin}/>"
+            f"<axis xyz='{axis}'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
+            for name, kind, parent, child, origin, axis in joints
+        )
+        + "</robot>"
+    )
+
+
+FINGER = [
+    ("j1", "revolute", "base", "a", "xyz='0 0 0'", "0 0 1"),
+    ("j2", "revolute", "a", "flange", "xyz='0.3 0 0'", "0 1 0"),
+    ("to_tool", "fixed", "flange", "tool", "xyz='0 0 0.1'", "1 0 0"),
+    ("finger", "revolute", "flange", "jaw", "xyz='0 0.02 0.05'", "0 0 1"),
+]
+SO101 = [  # as TheRobotStudio's Simulation/SO101/so101_new_calib.urdf has them
+    (
+        "shoulder_pan",
+        "revolute",
+        "base_link",
+        "shoulder_link",
+        "xyz='0.0388353 -8.97657e-09 0.0624' rpy='3.14159 4.18253e-17 -3.14159'",
+        "0 0 1",
+    ),
+    (
+        "shoulder_lift",
+        "revolute",
+        "shoulder_link",
+        "upper_arm_link",
+        "xyz='-0.0303992 -0.0182778 -0.0542' rpy='-1.5708 -1.5708 0'",
+        "0 0 1",
+    ),
+    (
+        "elbow_flex",
+        "revolute",
+        "upper_arm_link",
+        "lower_arm_link",
+        "xyz='-0.11257 -0.028 1.73763e-16' rpy='-3.63608e-16 8.74301e-16 1.5708'",
+        "0 0 1",
+    ),
+    (
+        "wrist_flex",
+        "revolute",
+        "lower_arm_link",
+        "wrist_link",
+        "xyz='-0.1349 0.0052 3.62355e-17' rpy='4.02456e-15 8.67362e-16 -1.5708'",
+        "0 0 1",
+    ),
+    (
+        "wrist_roll",
+        "revolute",
+        "wrist_link",
+        "gripper_link",
+        "xyz='5.55112e-17 -0.0611 0.0181' rpy='1.5708 0.0486795 3.14159'",
+        "0 0 1",
+    ),
+    (
+        "gripper",
+        "revolute",
+        "gripper_link",
+        "moving_jaw_so101_v1_link",
+        "xyz='0.0202 0.0188 -0.0234' rpy='1.5708 -5.24284e-08 -1.41553e-15'",
+        "0 0 1",
+    ),
+    (
+        "gripper_frame_joint",
+        "fixed",
+        "gripper_link",
+        "gripper_frame_link",
+        "xyz='-0.0079 -0.000218121 -0.0981274' rpy='0 3.14159 0'",
+        "0 0 0",
+    ),
+]
+
+
+def test_a_finger_beside_a_fixed_tool_is_no_joint_of_the_arm_unasked() -> None:
+    with refuses(BadFile, "tool (2 joints)", "jaw (3 joints)", "--tip"):
+        arm_from_urdf(urdf_of(FINGER))
+    np.testing.assert_allclose(fk(arm_from_urdf(urdf_of(FINGER), tip="tool"), [0, 0])[:3, 3], [0.3, 0, 0.1], atol=1e-15)
+    assert arm_from_urdf(urdf_of(FINGER), tip="jaw").n == 3
+    with refuses(BadFile, "gripper_frame_link (5 joints)", "moving_jaw_so101_v1_link (6 joints)"):
+        arm_from_urdf(urdf_of(SO101))
+
+
+def test_what_is_fixed_beside_a_joint_is_no_branch_where_the_arms_end_is_named_or_it_is_a_name_more() -> None:
+    camera = ("to_camera", "fixed", "a", "camera", "xyz='0.1 0 0'", "1 0 0")
+    named = [*FINGER[:2], camera, ("t", "fixed", "flange", "tool0", "xyz='0 0 0.1'", "1 0 0")]
+    assert arm_from_urdf(urdf_of(named)).tool_link == "tool0"
+    same = [*FINGER[:3], ("a_shape", "fixed", "a", "a_visual", "xyz='0 0 0'", "1 0 0")]
+    assert arm_from_urdf(urdf_of(same)).n == 2
+
+
+def test_the_so101_preset_is_its_makers_urdf_up_to_the_tool_between_the_jaws() -> None:
+    file, arm = arm_from_urdf(urdf_of(SO101), tip="gripper_frame_link"), preset("so101")
+    q = np.random.default_rng(3).uniform(arm.lower, arm.upper, (50, 5))
+    assert np.abs(fk(file, q) - fk(arm, q)).max() < 2e-5  # its right angles have five digits
+    assert (arm.base_link, arm.tool_link) == (file.base_link, file.tool_link)
+    np.testing.assert_allclose(fk(arm, np.zeros(5))[:3, 3], [0.391, 0.000, 0.226], atol=1e-3)
+
+
+def test_the_so100_presets_chain_is_its_makers() -> None:
+    arm, q = preset("so100"), np.array([0.3, 1.2, -0.7, -0.4, 0.9])
+    T = np.eye(4)
+    for (xyz, rpy, axis), angle in zip(
+        (
+            ([0, -0.0452, 0.0165], [1.57079, 0, 0], [0, 1, 0]),
+            ([0, 0.1025, 0.0306], [-1.8, 0, 0], [1, 0, 0]),
+            ([0, 0.11257, 0.028], [1.57079, 0, 0], [1, 0, 0]),
+            ([0, 0.0052, 0.1349], [-1, 0, 0], [1, 0, 0]),
+            ([0, -0.0601, 0], [0, 1.57079, 0], [0, 1, 0]),
+        ),
+        q,
+        strict=True,
+    ):
+        step = np.eye(4)
+        step[:3, :3] = (
+            Rotation.from_euler("xyz", rpy) * Rotation.from_rotvec(angle * np.array(axis, dtype=float))
+        ).as_matrix()
+        step[:3, 3] = xyz
+        T = T @ step
+    assert np.abs(fk(arm, q) - T).max() < 2e-5

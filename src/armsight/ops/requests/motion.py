@@ -22,7 +22,10 @@ STOP_M = 0.01
 
 RobotName: TypeAlias = Annotated[
     str,
-    Doc("sim:SCENARIO, alter:/dev/PORT, rsi:UDP_PORT, egm:UDP_PORT, rtde:HOST[:PORT] or ws://HOST:PORT."),
+    Doc(
+        "sim:SCENARIO, rsi:UDP_PORT, egm:UDP_PORT, rtde:HOST[:PORT], ws://HOST:PORT, or alter:, feetech: or "
+        "dynamixel:/dev/PORT."
+    ),
     Flag("--robot", metavar="DRIVER:DEVICE"),
 ]
 RsiConfig: TypeAlias = Annotated[

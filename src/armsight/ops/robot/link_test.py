@@ -90,7 +90,7 @@ def test_robot(driver: str, device: ClockedRobot, for_s: float, progress: Progre
         q=reading.q.tolist(),
         state=state.value,
         measured_cycle_s=measured_s,
-        proof="" if proven else UNPROVEN,
+        proof="" if proven else getattr(arm, "unproven", UNPROVEN),
     )
 
 

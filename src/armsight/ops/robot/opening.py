@@ -53,6 +53,7 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
 
 
 TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "egm", "rsi"), "rsi", ("egm", "rsi")
+HAS_RANGES = ("dynamixel", "feetech")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -138,6 +139,8 @@ def driver_settings(
         )
     if driver in TAKES_ARM and arm is not None:
         settings["arm"] = LinkArm(arm=arm)
+    if driver in HAS_RANGES and arm is not None:
+        settings["arm_range"] = (arm.lower.tolist(), arm.upper.tolist())
     if rsi_config is not None:
         if driver != TAKES_TAGS:
             raise UsageError(f"{robot} takes no RSI configuration", cure="Omit --rsi-config, or give rsi:UDP_PORT")
