@@ -322,7 +322,7 @@ sys.modules[__name__].__class__ = _Face
 
 
 def _save(record: object, path: str | PathLike[str]) -> Path:
-    from armsight.store.saving import save  # with all kinds of files, when the first is written
+    from armsight.ops.saving import save  # with all kinds of files, when the first is written
 
     return save(record, path)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 from armsight.defaults import ANGLE_RAD, CELL_LENGTH_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
-from armsight.file_names import CELL_CALIBRATED
+from armsight.file_names import CELL, CELL_CALIBRATED
 from armsight.ops.action import Input, action
 from armsight.ops.flags import KNOWN_ARM, SRC, Fps, Inverted, Limit, Table, Threshold, size_of
 from armsight.ops.kinds import FRAMES, READERS
@@ -38,7 +38,22 @@ def compliance_called(name: str) -> bool | None:
     return COMPLIANCE[name]
 
 
-@action("calibrate cell", working="calibrating", keeps=CELL_CALIBRATED)
+@action(
+    "calibrate cell",
+    working="calibrating",
+    keeps=CELL_CALIBRATED,
+    examples=(
+        "--robot-log joints.csv --left left.mp4 --right right.mp4 --target target.yaml --model ur10e --tip "
+        "0,0,0.12 -o cell",
+        "--robot-log joints.csv --left-spots left.csv --right-spots right.csv --size 1280x720 --target "
+        "target.yaml --model arm.yaml -o cell",
+    ),
+    own=CELL,
+    filed=True,
+    judged=True,
+    writes="armsight.store.saving:write_cell",
+    page="armsight.report.pages:cell",
+)
 def calibrate_cell(
     robot_log: Annotated[
         TableFile,

@@ -36,7 +36,18 @@ AtSetup: TypeAlias = Annotated[
 ]
 
 
-@action("calibrate handeye", working="calibrating")
+@action(
+    "calibrate handeye",
+    working="calibrating",
+    examples=(
+        "--pairs pairs.csv -o handeye.yaml",
+        "--images images/ --camera camera.yaml --board checkerboard:9x6:0.025 --robot robot_poses.csv -o handeye.yaml",
+    ),
+    filed=True,
+    judged=True,
+    writes="armsight.store.handeye_file:write_handeye",
+    page="armsight.report.pages:hand_eye",
+)
 def calibrate_hand_eye(
     T_base_flange: Poses | None = None,
     T_camera_target: Poses | None = None,

@@ -54,7 +54,16 @@ Near: TypeAlias = Annotated[
 Gap: TypeAlias = Annotated[float, Doc("From the plate to the mirror behind it."), Bounds(least=1.0 * MM), Flag(unit=MM)]
 
 
-@action("calibrate mirrors", working="calibrating")
+@action(
+    "calibrate mirrors",
+    working="calibrating",
+    examples=(
+        "--image board/ --board circles:7x11:0.02 -o rig.yaml",
+        "--check --image board/ --rig rig.yaml --board circles:7x11:0.02 -o checked.yaml",
+    ),
+    filed=True,
+    writes="armsight.store.saving:write_rig_of",
+)
 def calibrate_mirrors(
     images: ComplexImages = None,
     board: BoardLike = None,

@@ -73,7 +73,17 @@ DISTANCE_M = 0.6
 """From the camera or the tool to the target that is followed."""
 
 
-@action("servo", keeps=FOLLOWED, working="servo")
+@action(
+    "servo",
+    keeps=FOLLOWED,
+    working="servo",
+    examples=(
+        "--robot sim:pachidis2005-static --rig rig.yaml --target target.yaml --handeye handeye.yaml --hand "
+        "circle -o servo",
+        "--robot rsi:49152 --arm arm.yaml --left camera:0 --right camera:1 --rig rig.yaml --target target.yaml "
+        "--handeye handeye.yaml --distance 0.6 -o servo",
+    ),
+)
 def servo(
     robot: RobotLike,
     rig: Annotated[RigLike, Doc("rig.yaml of the cameras.")],
@@ -222,7 +232,15 @@ def servo(
     return follow_target(run, device, setup, settings, gain, for_s, show, beside)
 
 
-@action("play", keeps=PLAYED, working="playing")
+@action(
+    "play",
+    keeps=PLAYED,
+    working="playing",
+    examples=(
+        "--robot sim:webcam-cell --path taught/path.csv -o played",
+        "--robot rsi:49152 --arm arm.yaml --tip tip.yaml --path taught/path.csv --weave sine:0.002:0.008 -o played",
+    ),
+)
 def play(
     robot: RobotLike,
     path: Annotated[Any, Doc("path.csv of the tip."), Input(f"{ROBOT_READERS}:taught")],

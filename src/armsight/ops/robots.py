@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from armsight.records import Progress
 
 
-@action("robot test", working="reading")
+@action("robot test", working="reading", examples=("--robot rsi:49152 --for 60",))
 def check_robot(
     robot: RobotLike,
     *,
@@ -57,7 +57,14 @@ def check_robot(
     return test_robot(robot.robot.partition(":")[0], clocked_robot(robot), for_s, progress or Silent())
 
 
-@action("robot jog", working="moving")
+@action(
+    "robot jog",
+    working="moving",
+    examples=(
+        "--robot sim:webcam-cell --joint 1 --by 0.02",
+        "--robot rsi:49152 --arm arm.yaml --with gamepad --frame tool",
+    ),
+)
 def jog(
     robot: RobotLike,
     joint: Annotated[int | None, JOINT] = None,
@@ -129,7 +136,15 @@ def jog(
     return jog_joint(run, joint or 0, by or 0.0)
 
 
-@action("robot run", keeps=MOVED, working="moving")
+@action(
+    "robot run",
+    keeps=MOVED,
+    working="moving",
+    examples=(
+        "--robot sim:webcam-cell --motion motion.csv -o moved",
+        "--robot rtde:192.168.0.10 --arm ur5e --motion motion.csv --left camera:0 --right camera:2 -o moved",
+    ),
+)
 def run_motion(
     robot: RobotLike,
     motion: Annotated[AsFile, Doc("joints.csv of the motion: t_s,q1,...,qn."), Flag(metavar="MOTION.csv")],

@@ -52,7 +52,19 @@ Tool: TypeAlias = Annotated[
 ]
 
 
-@action("verify", keeps=(VERIFY, ERRORS, REPORT))
+@action(
+    "verify",
+    keeps=(VERIFY, ERRORS, REPORT),
+    examples=(
+        "--arm arm.yaml --measured poses.csv --joints joints.csv -o verified",
+        "--live --robot rtde:192.168.1.10 --left camera:0 --right camera:1 --rig rig.yaml --target target.yaml "
+        "--arm arm.yaml --world world.yaml -o live",
+    ),
+    filed=True,
+    judged=True,
+    writes="armsight.store.saving:write_verified",
+    page="armsight.report.pages:verification",
+)
 def verify(
     measured: MeasuredFile,
     *,
@@ -153,7 +165,7 @@ def verify(
     return done if earlier is None else run.beside(done, compare, earlier)
 
 
-@action("verify", keeps=(PLAN, PLAN_SUMMARY))
+@action("verify", keeps=(PLAN, PLAN_SUMMARY), writes="armsight.store.saving:write_planned_test")
 def plan_verification(
     arm: AnArm,
     out: Out = None,
@@ -189,7 +201,13 @@ def plan_verification(
     return chosen_motions(plan_test(arm, options, progress), part)
 
 
-@action("verify", working="supervising", keeps=(VERIFY, ERRORS, REPORT, RECORDING))
+@action(
+    "verify",
+    working="supervising",
+    keeps=(VERIFY, ERRORS, REPORT, RECORDING),
+    writes="armsight.store.saving:write_verified",
+    page="armsight.report.pages:supervision",
+)
 def supervise(
     robot: Annotated[str, Doc("Whose joints are read."), Flag(metavar="DRIVER:DEVICE", panel=LIVE)],
     rig: RigFile,
@@ -321,7 +339,7 @@ def supervise(
     return done
 
 
-@action("verify", keeps=(POSES_TO_MEASURE,))
+@action("verify", keeps=(POSES_TO_MEASURE,), writes="armsight.store.saving:write_poses_to_measure")
 def propose_mastering_poses(
     arm: OneArm,
     around: Annotated[
@@ -364,7 +382,12 @@ def propose_mastering_poses(
     return mastering.propose_poses(placed, how, q, view, "" if out is None else str(Path(out) / POSES_TO_MEASURE))
 
 
-@action("verify", keeps=(VERIFY, REPORT))
+@action(
+    "verify",
+    keeps=(VERIFY, REPORT),
+    writes="armsight.store.saving:write_verified",
+    page="armsight.report.pages:mastering",
+)
 def check_mastering(
     measured: MeasuredFile,
     joints: JointsFile,

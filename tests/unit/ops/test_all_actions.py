@@ -64,7 +64,7 @@ def test_every_action_has_a_case_or_a_reason() -> None:
     named = {file for reason in ON_DEVICES.values() for file in re.findall(r"tests/\S+\.py", reason)}
     assert named and all((ROOT / file).is_file() for file in named)
     commands = {name for name, _ in every_command(app)}
-    assert {one.action.command for one in ACTIONS.values()} - commands == {"calibrate noise"}  # type: ignore[attr-defined]
+    assert {one.action.command for one in ACTIONS.values()} <= commands  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="module")
