@@ -60,7 +60,7 @@ def add_action(
         if instead is None or not instead(face, asked):
             own = {name: asked[name] for name in done.parameters if name in asked} | dict(beside(face, asked))
             result = done.run(own, face.progress(done.working.format_map(own)) if done.working else None)
-            show(face, result, asked.get(OUT), written=done.writes)
+            show(face, result, asked.get(OUT), written=done.writes is True)
 
     text = SECTION.split(call.__doc__ or "")[0]
     about = {one.name: getattr(done, one.name) for one in fields(CommandTraits)} | more

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from armsight.drivers import CameraSettings
     from armsight.records import Progress
 
+__all__ = ["calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"]
+
 Images: TypeAlias = Annotated[Any, Doc(f"Images of the board: {SRC}."), IMAGES, Flag(positional=True, metavar="[SRC]")]
 LeftImages: TypeAlias = Annotated[Any, Doc(f"Left images of the board: {SRC}."), IMAGES, Flag("--left", metavar="SRC")]
 RightImages: TypeAlias = Annotated[
@@ -75,7 +77,7 @@ RigOut: TypeAlias = Annotated[Path | None, Doc("rig.yaml to write."), Flag("-o -
     examples=("images/ --board checkerboard:9x6:0.025 -o camera.yaml",),
     filed=True,
     judged=True,
-    writes="armsight.store.saving:write_calibrated_camera",
+    writes="write_calibrated_camera",
 )
 def calibrate_camera(
     images: Images = None,
@@ -165,7 +167,7 @@ def calibrate_camera(
     examples=("--left images/left --right images/right --board checkerboard:9x6:0.025 -o rig.yaml",),
     filed=True,
     judged=True,
-    writes="armsight.store.saving:write_rig_of",
+    writes="write_rig_of",
 )
 def calibrate_stereo(
     left_images: LeftImages,
@@ -220,7 +222,7 @@ def calibrate_stereo(
 @action(
     "calibrate zoom-rig",
     examples=("--rig rig.yaml --left left-zoom.yaml --zoom-left 35 --zoom-right 35 -o zoomed.yaml",),
-    writes="armsight.store.saving:write_rig_of",
+    writes="write_rig_of",
 )
 def calibrate_zoom_rig(
     rig: Annotated[RigLike, Doc("rig.yaml from `armsight calibrate stereo`, at one setting of each lens.")],

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from armsight.calibrate.cell import CellResult
     from armsight.records import Progress
 
+__all__ = ["calibrate_cell"]
+
 SPOTS = "table t_s,u_px,v_px[,su_px,sv_px]"
 COMPLIANCE = {"auto": None, "on": True, "off": False}
 HERE = "armsight.ops.calibration.cell"
@@ -51,8 +53,8 @@ def compliance_called(name: str) -> bool | None:
     own=CELL,
     filed=True,
     judged=True,
-    writes="armsight.store.saving:write_cell",
-    page="armsight.report.pages:cell",
+    writes="write_cell",
+    page="cell",
 )
 def calibrate_cell(
     robot_log: Annotated[

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from armsight.ops.arrays import Poses
     from armsight.records import Progress
 
+__all__ = ["calibrate_hand_eye"]
+
 HERE = "armsight.ops.calibration.handeye"
 TableFile: TypeAlias = Annotated[Any, Input(f"{READERS}:table", hashed=True)]
 """Columns by name, (t_s, T), poses (n, 4, 4), a PoseTrack, or the path of a table."""
@@ -45,8 +47,8 @@ AtSetup: TypeAlias = Annotated[
     ),
     filed=True,
     judged=True,
-    writes="armsight.store.handeye_file:write_handeye",
-    page="armsight.report.pages:hand_eye",
+    writes="write_handeye",
+    page="hand_eye",
 )
 def calibrate_hand_eye(
     T_base_flange: Poses | None = None,

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
     Images = str | Sequence[Frame] | None
 
+__all__ = ["calibrate_mirrors", "check_mirrors"]
+
 ComplexImages: TypeAlias = Annotated[
     Any, Doc(f"Complex images, both views in one: {SRC}."), IMAGES, Flag("--image", metavar="SRC")
 ]
@@ -62,7 +64,7 @@ Gap: TypeAlias = Annotated[float, Doc("From the plate to the mirror behind it.")
         "--check --image board/ --rig rig.yaml --board circles:7x11:0.02 -o checked.yaml",
     ),
     filed=True,
-    writes="armsight.store.saving:write_rig_of",
+    writes="write_rig_of",
 )
 def calibrate_mirrors(
     images: ComplexImages = None,

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from armsight.calibrate.timing import TimingResult
     from armsight.records import Progress
 
+__all__ = ["calibrate_noise", "calibrate_target", "calibrate_timing"]
+
 SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
 
 
@@ -26,7 +28,7 @@ SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
     working="calibrating",
     examples=("--rig rig.yaml --left frames/left --right frames/right --lights 3 -o target.yaml",),
     judged=True,
-    writes="armsight.store.saving:write_lights",
+    writes="write_lights",
 )
 def calibrate_target(
     rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
@@ -87,7 +89,7 @@ def calibrate_target(
     in_place="rig",
     examples=("--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml -o rig-timed.yaml",),
     judged=True,
-    writes="armsight.store.saving:write_rig_of",
+    writes="write_rig_of",
 )
 def calibrate_timing(
     rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],

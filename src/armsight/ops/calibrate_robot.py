@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
     from armsight.records import Progress
 
+__all__ = ["calibrate_arm", "calibrate_pivot", "calibrate_robot_world", "calibrate_tool_tip"]
+
 Point: TypeAlias = Annotated[
     "ArrayLike | None",
     Doc("The point, m or with units (200mm), if it was measured."),
@@ -48,13 +50,7 @@ PointStd: TypeAlias = Annotated[
 TipOut: TypeAlias = Annotated[Path | None, Doc("tip.yaml to write."), Flag("-o --out", needed=True)]
 
 
-@action(
-    "calibrate tooltip",
-    examples=("--poses poses.csv -o tip.yaml",),
-    filed=True,
-    judged=True,
-    writes="armsight.store.handeye_file:write_tip",
-)
+@action("calibrate tooltip", examples=("--poses poses.csv -o tip.yaml",), filed=True, judged=True, writes="write_tip")
 def calibrate_tool_tip(
     T_world_target: Annotated[
         PosesLike, Doc("poses.csv of the target (or flange) while the tool pivots on a point."), Flag("--poses")
@@ -117,7 +113,7 @@ def calibrate_tool_tip(
     examples=("--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml -o tip.yaml",),
     filed=True,
     judged=True,
-    writes="armsight.store.saving:write_pivot",
+    writes="write_pivot",
 )
 def calibrate_pivot(
     rig: Annotated[RigLike, Doc("rig.yaml of the two cameras.")],
@@ -190,8 +186,8 @@ def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:
     ),
     filed=True,
     judged=True,
-    writes="armsight.store.saving:write_calibrated_arm",
-    page="armsight.report.pages:arm",
+    writes="write_calibrated_arm",
+    page="arm",
 )
 def calibrate_arm(
     nominal: Annotated[Any, Doc(f"The nominal arm: {KNOWN_ARM}."), CHAIN, Flag("--model", metavar="ARM")],
@@ -289,7 +285,7 @@ def _with_urdf(found: ArmResult, path: Path) -> ArmResult:
     examples=("--arm arm.yaml --points observed.csv -o world.yaml",),
     filed=True,
     judged=True,
-    writes="armsight.store.saving:write_placed_rig",
+    writes="write_placed_rig",
 )
 def calibrate_robot_world(
     arm: Annotated[Any, Doc(f"{KNOWN_ARM}, its tool the beacon."), CHAIN, AN_ARM],

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from armsight.store.foreign import FrameNames
     from armsight.store.interpret import TableFormat
 
+__all__ = ["convert", "export_recording"]
+
 Kind = Literal["camera", "rig", "handeye", "arm", "poses", "table", "recording"]
 ARGUMENT = Flag(positional=True)
 To: TypeAlias = Annotated[str | None, Doc("armsight, ros, opencv, kalibr, colmap. [armsight]")]

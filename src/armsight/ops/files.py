@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from armsight.ops.compare.run import CompareOutput
     from armsight.ops.join import JoinResult
 
+__all__ = ["compare", "join"]
+
 A: TypeAlias = Annotated[Any, Input("armsight.ops.compare.run:given_result"), Flag(positional=True, metavar="A")]
 B: TypeAlias = Annotated[Any, Input("armsight.ops.compare.run:given_result"), Flag(positional=True, metavar="B")]
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from armsight.calibrate.identify.result import PlanOutput, ProposedPlanOutput
     from armsight.records import Progress
 
+__all__ = ["identify_arm", "identify_arm_live"]
+
 LEFT, RIGHT = Doc(f"Left frames: {SRC}."), Doc("Right frames, in step with the left ones.")
 Confirm: TypeAlias = bool | Callable[[str], bool]
 Rig: TypeAlias = Annotated[RigLike, Doc("rig.yaml: fit pixels instead of positions.")]
@@ -67,8 +69,8 @@ def joint_numbers(text: str) -> tuple[int, ...]:
     ),
     filed=True,
     judged=True,
-    writes="armsight.store.saving:write_identified",
-    page="armsight.report.pages:identified",
+    writes="write_identified",
+    page="identified",
 )
 def identify_arm(
     joint: Annotated[

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
         ShowOutput,
     )
 
+__all__ = ["show_arm", "write_formulas"]
+
 ArmChain: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 Joints: TypeAlias = Annotated[AsFile, Doc("joints.csv: t_s, q1 .. qn in rad and m; or bag:FILE:/topic.")]
 Poses: TypeAlias = Annotated[AsFile, Doc("poses.csv of the tool in world.")]

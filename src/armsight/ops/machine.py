@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from armsight.ops.simulation.run import SimulateOutput
     from armsight.records import Progress
 
+__all__ = ["doctor", "reproduce", "write_simulation"]
+
 Room: TypeAlias = Annotated[
     str | None, Doc("Behind the target: dark, workshop, office, plain or a picture. [default: its own]")
 ]

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from armsight.records import Progress
     from armsight.store.recording import ImageFormat
 
+__all__ = ["measure", "record"]
+
 Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER", needed=True)]
 
 

@@ -63,6 +63,8 @@ if TYPE_CHECKING:
     from armsight.ops.servo.vision import Beside
     from armsight.records import Progress
 
+__all__ = ["play", "servo"]
+
 Folder: TypeAlias = Annotated[
     Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER", needed=True)
 ]

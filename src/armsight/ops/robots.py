@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from armsight.ops.robot.run_motion import RunMotionOutput
     from armsight.records import Progress
 
+__all__ = ["check_robot", "jog"]
+
 
 @action("robot test", working="reading", examples=("--robot rsi:49152 --for 60",))
 def check_robot(

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from armsight.ops.teaching import TeachResult
     from armsight.records import Progress
 
+__all__ = ["teach"]
+
 
 @action(
     "teach",

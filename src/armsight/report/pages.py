@@ -79,7 +79,7 @@ def verification(result: VerifyResult, files: Sequence[Path], given: Given) -> s
     return verify_report(result, inputs=_named(given, ("measured", "arm", "joints", "commanded", "world"), ("arm",)))
 
 
-def supervision(result: VerifyLiveOutput, files: Sequence[Path], given: Given) -> str:
+def live(result: VerifyLiveOutput, files: Sequence[Path], given: Given) -> str:
     """Return the page of a supervision."""
     from armsight.report.verify_pages import live_report
 

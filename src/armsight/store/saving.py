@@ -34,7 +34,8 @@ from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import write_sweeps
 from armsight.store.atomic import disk_errors, write_json, write_text
-from armsight.store.handeye_file import write_tip
+from armsight.store.handeye_file import write_handeye as write_handeye
+from armsight.store.handeye_file import write_tip as write_tip
 from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path, write_test_plan
 from armsight.store.rigs import World, write_camera, write_rig, write_world
