@@ -231,7 +231,8 @@ if not TYPE_CHECKING:  # type checkers know the names above, and refuse all othe
         value = getattr(module, name, None)
         if value is None:  # a module of the face, such as armsight.paths
             value = import_module(f"{place}.{name}")
-        globals()[name] = value
+        if name not in _EARLIER:
+            globals()[name] = value
         return value
 
     def __dir__() -> list[str]:

@@ -199,22 +199,12 @@ def servo(
     from armsight.ops.servo.run_servo import LAG_CYCLES, follow_target, require_axis, turning
     from armsight.ops.servo.vision import CameraNames, measuring, open_servo, placed_cameras
 
-    if out is not None:
-        require_new(out, SERVO_RECORDING)
+    record = None if out is None else require_new(out, SERVO_RECORDING)
     placed, turns = placed_cameras(handeye), turning(rotation)
     require_axis(at, placed, handeye)
     cameras = CameraNames(left, right, image, exposure_s, latency_s)
     device = open_servo(robot, rig, target, arm, cameras, hand=hand, hand_speed_m_s=hand_speed_m_s)
-    run = RobotRun(
-        robot,
-        arm,
-        progress,
-        confirm=confirm,
-        recording=None if out is None else out / SERVO_RECORDING,
-        limits=limits,
-        speed=speed,
-        device=device,
-    )
+    run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed, device=device)
     run.require_lengths("Where its cameras are is not known, and nothing is moved")
     settings = ServoSettings(
         mount=Mount(placed.setup.value),
@@ -357,8 +347,7 @@ def play(
         retract_m=retract_m,
         keep_rotation=keep_rotation,
     )
-    if out is not None:
-        require_new(out, PLAY_RECORDING)
+    record = None if out is None else require_new(out, PLAY_RECORDING)
     watched = any(one is not None for one in (rig, target, handeye, left, right, image))
     watcher: Watcher | None
     device: ClockedRobot
@@ -370,16 +359,7 @@ def play(
     else:
         device = clocked_robot(robot, arm)
         watcher = getattr(device, "watcher", None)
-    run = RobotRun(
-        robot,
-        arm,
-        progress,
-        confirm=confirm,
-        recording=None if out is None else out / PLAY_RECORDING,
-        limits=limits,
-        speed=speed,
-        device=device,
-    )
+    run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed, device=device)
     run.require_lengths("Where its tip goes is not known, and nothing is moved")
     if tip is not None:
         run.guard = Guard(with_tip(run.guard.arm, tip), run.guard.limits, run.guard.cycle_s)

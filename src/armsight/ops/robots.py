@@ -197,9 +197,7 @@ def run_motion(
     from armsight.store.tracks import read_joints
 
     cameras = recorded_cameras(left, right, camera_settings, out)
-    if out is not None:
-        require_new(out, MOTION_RECORDING, FRAMES)
-    recording = None if out is None else out / MOTION_RECORDING
-    run = RobotRun(robot, arm, progress, confirm=confirm, recording=recording, limits=limits, speed=speed)
+    record = None if out is None else require_new(out, MOTION_RECORDING, FRAMES)
+    run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed)
     wanted = checked_motion(read_joints(motion), run.guard, str(motion))
     return run_joints(run, wanted, cameras, override=override, begun=begun, enabled=enabled)

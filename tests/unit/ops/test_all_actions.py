@@ -254,9 +254,7 @@ class Stopped(Silent):
 
 
 STOPPED = {
-    "calibrate_cell.calibrate_cell": "spots and joints are read at once, and solving does not ask",
     "calibrate_hand_eye.calibrate_hand_eye": "a table is read at once; images ask, as those of a camera do",
-    "calibrate_mirrors.check_mirrors": "ends with the images that it has",
     "calibrate_rig.calibrate_timing": "tables are read at once",
     "calibrate_robot.calibrate_pivot": "judges the poses that were taken until then",
     "identify.identify_arm": "a table is read at once",
