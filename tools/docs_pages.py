@@ -5,10 +5,13 @@ from __future__ import annotations
 import ast
 import csv
 import runpy
+from importlib import import_module
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+
+import armsight
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -109,7 +112,7 @@ def examples_page() -> str:
 
 
 def reference_page() -> str:
-    """Return every public name by the module it comes from, in the order of the package's own list."""
+    """Return every public name by the module it comes from."""
     parts = [
         "# Python reference",
         "",
@@ -119,19 +122,17 @@ def reference_page() -> str:
     for module, names in public_names().items():
         if module.startswith("armsight._"):
             continue  # the version
-        parts += ["", f"## {HEADINGS[module]}"]
+        parts += ["", f"## {HEADINGS.get(module) or str(import_module(module).__doc__).partition('.')[0]}"]
         parts += [line for name in names for line in ("", f"::: {module}.{name}")]
     return "\n".join(parts) + "\n"
 
 
 def public_names() -> dict[str, tuple[str, ...]]:
-    """Return the package's own table of public names, by module."""
-    tree = ast.parse((ROOT / "src" / "armsight" / "__init__.py").read_text(encoding="utf-8"))
-    for node in tree.body:
-        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "_MODULES" and node.value is not None:
-            table: dict[str, tuple[str, ...]] = ast.literal_eval(node.value)
-            return table
-    raise LookupError("src/armsight/__init__.py has no table _MODULES")
+    """Return the public names by module, in the order of HEADINGS."""
+    found: dict[str, tuple[str, ...]] = dict.fromkeys(HEADINGS, ())
+    for name, module in armsight._places().items():
+        found[module] = (*found.get(module, ()), name)
+    return found
 
 
 HEADINGS = {

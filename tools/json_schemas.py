@@ -6,55 +6,24 @@ python tools/json_schemas.py [--check]
 from __future__ import annotations
 
 import argparse
+import ast
 import json
+import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from armsight.calibrate.arm import ArmResult, RobotWorldResult
-from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
-from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
-from armsight.calibrate.cameras.zoom import ZoomRigResult
-from armsight.calibrate.cell import CellResult
-from armsight.calibrate.handeye import HandEyeResult
-from armsight.calibrate.identify import Identification
-from armsight.calibrate.identify.result import ProposedPlanOutput
-from armsight.calibrate.light_target import TargetResult
-from armsight.calibrate.mirrors.result import MirrorCheckOutput, MirrorsOutput
-from armsight.calibrate.timing import TimingResult
-from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.drivers.remote.protocol import protocol_schema
-from armsight.measure.results import REASONS, MeasureResult
-from armsight.ops.arm_files import ConvertArmOutput
-from armsight.ops.compare.run import CompareOutput
-from armsight.ops.conversion import ConvertOutput
+from armsight.measure.results import REASONS
+from armsight.ops import actions
+from armsight.ops.action import action_of
 from armsight.ops.demo import DemoOutput
-from armsight.ops.doctor import DoctorOutput
-from armsight.ops.join import JoinResult
-from armsight.ops.kinematics_results import FkOutput, FormulasOutput, IkOutput, JacobianOutput, PathOutput, ShowOutput
-from armsight.ops.path.check import PathCheckOutput
-from armsight.ops.path.export import PathExportOutput
-from armsight.ops.path.picks import PathPicksOutput
-from armsight.ops.path.tools import PathChangeOutput, PathSmoothOutput
-from armsight.ops.play.play_path import PlayOutput
-from armsight.ops.recording.export import ExportOutput
-from armsight.ops.recording.record import RecordOutput
-from armsight.ops.robot.jog import JogOutput
-from armsight.ops.robot.link_test import RobotTestOutput
-from armsight.ops.robot.run_motion import RunMotionOutput
-from armsight.ops.servo.run_servo import ServoOutput
-from armsight.ops.simulation.reproduced import ReproduceOutput
-from armsight.ops.simulation.run import SimulateOutput
-from armsight.ops.tables import ConvertTableOutput
-from armsight.ops.teaching import TeachResult
 from armsight.records.output import Output
 from armsight.records.result_parts import RefusalOutput
 from armsight.store.codec import output_model
 from armsight.store.recording import Repaired
-from armsight.verify.iso9283.plan import VerifyPlanOutput
-from armsight.verify.live import VerifyLiveOutput
-from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
 from armsight_lab.batch.results import BatchOutput
 from armsight_lab.cell_plan.run import CellPlanOutput
 from armsight_lab.design.records import DesignOutput
@@ -67,70 +36,46 @@ from armsight_lab.history.looking import (
 )
 from armsight_lab.history.trend import TrendOutput
 
+OTHERS: Sequence[type[Output]] = (
+    *(DemoOutput, Repaired, DesignOutput, BatchOutput, CellPlanOutput),
+    *(AddedOutput, HistoryListOutput, HistoryShowOutput, HistoryCompareOutput, TrendOutput, HistoryExportOutput),
+)
+"""Of commands that are no actions."""
+NAMES = {
+    "ProposedPlanOutput": "identify-propose",
+    "MasteringPlanOutput": "verify-mastering-poses",
+    "ConvertOutput": "convert",
+    "PathChangeOutput": "path-change",
+}
+"""Of models whose first line has no words for a name alone."""
+
+
+def given() -> Iterator[type[Output]]:
+    """Yield what the actions say to return, from where their modules import it for type checkers."""
+    for call in actions():
+        module = sys.modules[call.__module__]
+        tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
+        where = {
+            alias.name: node.module
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        for name in action_of(call).function.__annotations__["return"].split(" | "):
+            yield getattr(import_module(str(where[name])), name)
+
+
+def name_of(model: type[Output]) -> str:
+    """Return the name of a model's schema: the command's words, with which the first line of its docstring begins."""
+    words = re.match(r"(?:armsight )?([a-z -]+)", str(model.__doc__))
+    return NAMES.get(model.__name__) or "-".join(words[1].replace("--", "").split() if words else ())
+
+
 OUTPUTS: Mapping[str, type[Output]] = {
-    "measure": MeasureResult,
-    "demo": DemoOutput,
-    "calibrate-camera": CameraCalibration,
-    "calibrate-camera-noise": NoiseResult,
-    "calibrate-stereo": StereoCalibration,
-    "calibrate-zoom-rig": ZoomRigResult,
-    "calibrate-mirrors": MirrorsOutput,
-    "calibrate-mirrors-check": MirrorCheckOutput,
-    "calibrate-target": TargetResult,
-    "calibrate-timing": TimingResult,
-    "calibrate-cell": CellResult,
-    "calibrate-handeye": HandEyeResult,
-    "calibrate-tooltip": ToolTipResult,
-    "calibrate-pivot": PivotCalibration,
-    "calibrate-arm": ArmResult,
-    "calibrate-cell-plan": CellPlanOutput,
-    "calibrate-robot-world": RobotWorldResult,
-    "identify": Identification,
-    "identify-propose": ProposedPlanOutput,
-    "verify": VerifyResult,
-    "verify-plan": VerifyPlanOutput,
-    "verify-live": VerifyLiveOutput,
-    "verify-mastering": MasteringOutput,
-    "verify-mastering-poses": MasteringPlanOutput,
-    "record": RecordOutput,
-    "record-repair": Repaired,
-    "convert-recording": ExportOutput,
-    "convert": ConvertOutput,
-    "convert-table": ConvertTableOutput,
-    "convert-arm": ConvertArmOutput,
-    "compare": CompareOutput,
-    "history-add": AddedOutput,
-    "history-list": HistoryListOutput,
-    "history-show": HistoryShowOutput,
-    "history-compare": HistoryCompareOutput,
-    "history-trend": TrendOutput,
-    "history-export": HistoryExportOutput,
-    "design": DesignOutput,
-    "batch": BatchOutput,
-    "join": JoinResult,
-    "simulate": SimulateOutput,
-    "reproduce": ReproduceOutput,
-    "kinematics-fk": FkOutput,
-    "kinematics-ik": IkOutput,
-    "kinematics-jacobian": JacobianOutput,
-    "kinematics-path": PathOutput,
-    "kinematics-formulas": FormulasOutput,
-    "kinematics-show": ShowOutput,
-    "path-smooth": PathSmoothOutput,
-    "path-change": PathChangeOutput,
-    "path-check": PathCheckOutput,
-    "path-export": PathExportOutput,
-    "path-from-picks": PathPicksOutput,
-    "robot-test": RobotTestOutput,
-    "robot-jog": JogOutput,
-    "robot-run": RunMotionOutput,
-    "play": PlayOutput,
-    "servo": ServoOutput,
-    "teach": TeachResult,
-    "doctor": DoctorOutput,
+    **{name_of(model): model for model in (*given(), *OTHERS)},
     "error": RefusalOutput,
 }
-"""Name of the JSON schema -> model. The first line of a model's docstring is the command."""
+"""Name of the JSON schema -> model."""
 
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

@@ -17,7 +17,7 @@ import typer
 import armsight
 from armsight.cli.commands import app
 from armsight.fields import Flag, marks
-from armsight.ops.commands import COMMANDS, parameter
+from armsight.ops.commands import commands, parameter
 
 HEAD = """\
 # Flags in Python
@@ -38,14 +38,12 @@ FUNCTIONS: Mapping[str, tuple[str, ...]] = {
     "convert table": ("convert", "read_table"),
     "convert arm": ("convert", "read_arm"),
     "kinematics ik": ("Arm.ik_many", "Arm.ik"),
-    "kinematics formulas": ("write_formulas",),
-    "kinematics show": ("show_arm",),
     "path from-picks": ("paths.from_picks",),
     "history add": ("history.add",),
     "history list": ("history.runs",),
     **{f"history {name}": (f"history.{name}",) for name in ("show", "compare", "trend", "export")},
 }
-"""Commands that several functions do, or others than COMMANDS names."""
+"""Commands that several functions do, or others than `commands` names."""
 
 CAMERA = {
     "--exposure": "exposure_s",
@@ -152,7 +150,7 @@ def functions(command: str) -> tuple[str, ...]:
     """Return the public names that do a command."""
     if command.startswith("path ") and command not in FUNCTIONS:
         return (f"paths.{command.removeprefix('path ')}",)
-    return FUNCTIONS.get(command) or ((COMMANDS[command],) if command in COMMANDS else ())
+    return FUNCTIONS.get(command) or ((commands()[command],) if command in commands() else ())
 
 
 def in_python(command: str, flag: str) -> str:

@@ -105,8 +105,8 @@ def figures(*roots: Path) -> dict[str, Count]:
     out |= {f"declared fields of {package}": Count(n) for package, n in sorted(fields.items()) if n}
     out["files"] = Count(len(files))
     out["classes"] = Count(sum(isinstance(node, ast.ClassDef) for tree in files.values() for node in ast.walk(tree)))
-    out["public names"] = Count(sum(len(public(tree)) for path, tree in files.items() if places[path] == PUBLIC))
     named = {places[path]: tree for path, tree in files.items()}
+    out["public names"] = Count(len(public(named[PUBLIC], named)) if PUBLIC in named else 0)
     for name, found in (
         ("numeric defaults of one name in several modules", several_defaults(named)),
         ("literal columns of tables", [(at, text) for at, tree in named.items() for text in columns(tree)]),
@@ -122,16 +122,25 @@ def figures(*roots: Path) -> dict[str, Count]:
 PUBLIC = "armsight/__init__.py"
 
 
-def public(tree: ast.Module) -> set[str]:
+def public(tree: ast.Module, files: Mapping[str, ast.Module]) -> set[str]:
     """Return the names that a package's own file imports for type checkers: those are its public ones."""
     return {
-        alias.asname or alias.name
+        name
         for block in tree.body
         if isinstance(block, ast.If) and "TYPE_CHECKING" in ast.unparse(block.test)
         for node in ast.walk(block)
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
+        for name in (listed(files[f"{str(node.module).replace('.', '/')}.py"]) if alias.name == "*" else [alias.name])
     }
+
+
+def listed(tree: ast.Module) -> list[str]:
+    """Return what a module's `__all__` lists."""
+    found = [
+        node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+    ]
+    return [str(name) for value in found for name in ast.literal_eval(value)]
 
 
 def declared(tree: ast.Module) -> Iterator[tuple[str, ast.expr | None]]:

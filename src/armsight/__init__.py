@@ -7,7 +7,9 @@ one, and `T_a_b` is the pose of frame b in frame a.
 
 from __future__ import annotations
 
+import re
 import sys
+from functools import cache
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -95,45 +97,24 @@ if TYPE_CHECKING:
     from armsight.measure.settings import SpotSettings as SpotSettings
     from armsight.measure.track import PoseTrack as PoseTrack
     from armsight.ops import paths as paths
-    from armsight.ops.calibrate_cameras import calibrate_camera as calibrate_camera
-    from armsight.ops.calibrate_cameras import calibrate_stereo as calibrate_stereo
-    from armsight.ops.calibrate_cameras import calibrate_zoom_rig as calibrate_zoom_rig
-    from armsight.ops.calibrate_cell import calibrate_cell as calibrate_cell
-    from armsight.ops.calibrate_hand_eye import calibrate_hand_eye as calibrate_hand_eye
-    from armsight.ops.calibrate_mirrors import calibrate_mirrors as calibrate_mirrors
-    from armsight.ops.calibrate_mirrors import check_mirrors as check_mirrors
-    from armsight.ops.calibrate_rig import calibrate_noise as calibrate_noise
-    from armsight.ops.calibrate_rig import calibrate_target as calibrate_target
-    from armsight.ops.calibrate_rig import calibrate_timing as calibrate_timing
-    from armsight.ops.calibrate_robot import calibrate_arm as calibrate_arm
-    from armsight.ops.calibrate_robot import calibrate_pivot as calibrate_pivot
-    from armsight.ops.calibrate_robot import calibrate_robot_world as calibrate_robot_world
-    from armsight.ops.calibrate_robot import calibrate_tool_tip as calibrate_tool_tip
-    from armsight.ops.convert import convert as convert
-    from armsight.ops.convert import export_recording as export_recording
-    from armsight.ops.files import compare as compare
-    from armsight.ops.files import join as join
-    from armsight.ops.identify import identify_arm as identify_arm
-    from armsight.ops.identify import identify_arm_live as identify_arm_live
+    from armsight.ops.calibrate_cameras import *
+    from armsight.ops.calibrate_cell import *
+    from armsight.ops.calibrate_hand_eye import *
+    from armsight.ops.calibrate_mirrors import *
+    from armsight.ops.calibrate_rig import *
+    from armsight.ops.calibrate_robot import *
+    from armsight.ops.convert import *
+    from armsight.ops.files import *
+    from armsight.ops.identify import *
     from armsight.ops.join import JoinResult as JoinResult
-    from armsight.ops.kinematics import show_arm as show_arm
-    from armsight.ops.kinematics import write_formulas as write_formulas
-    from armsight.ops.machine import doctor as doctor
-    from armsight.ops.machine import reproduce as reproduce
-    from armsight.ops.machine import write_simulation as write_simulation
-    from armsight.ops.measure import measure as measure
-    from armsight.ops.measure import record as record
-    from armsight.ops.motion import play as play
-    from armsight.ops.motion import servo as servo
-    from armsight.ops.robots import check_robot as check_robot
-    from armsight.ops.robots import jog as jog
-    from armsight.ops.teach import teach as teach
+    from armsight.ops.kinematics import *
+    from armsight.ops.machine import *
+    from armsight.ops.measure import *
+    from armsight.ops.motion import *
+    from armsight.ops.robots import *
+    from armsight.ops.teach import *
     from armsight.ops.teaching import TeachResult as TeachResult
-    from armsight.ops.verify import check_mastering as check_mastering
-    from armsight.ops.verify import plan_verification as plan_verification
-    from armsight.ops.verify import propose_mastering_poses as propose_mastering_poses
-    from armsight.ops.verify import supervise as supervise
-    from armsight.ops.verify import verify as verify
+    from armsight.ops.verify import *
     from armsight.optics import Camera as Camera
     from armsight.optics import Rig as Rig
     from armsight.optics import triangulate as triangulate
@@ -157,127 +138,21 @@ if TYPE_CHECKING:
     from armsight_lab.api.batch import batch as batch
     from armsight_lab.api.design import design as design
 
-_MODULES: dict[str, tuple[str, ...]] = {
-    "armsight._version": ("__version__",),
-    "armsight.api.pose": (
-        "LightTarget",
-        "PoseEstimate",
-        "PoseTracker",
-        "estimate_pose",
-        "estimate_pose_from_spots",
-        "find_spots",
-    ),
-    "armsight.measure.track": ("PoseTrack",),
-    "armsight.ops.verify": ("check_mastering", "plan_verification", "propose_mastering_poses", "supervise", "verify"),
-    "armsight.verify.results": ("VerifyResult",),
-    "armsight.ops.measure": ("measure", "record"),
-    "armsight.measure.results": ("MeasureResult",),
-    "armsight_lab.api.design": ("design",),
-    "armsight_lab.api.batch": ("BatchResult", "batch"),
-    "armsight.ops.calibrate_cell": ("calibrate_cell",),
-    "armsight.ops.calibrate_hand_eye": ("calibrate_hand_eye",),
-    "armsight.ops.calibrate_robot": (
-        "calibrate_arm",
-        "calibrate_pivot",
-        "calibrate_robot_world",
-        "calibrate_tool_tip",
-    ),
-    "armsight.ops.join": ("JoinResult",),
-    "armsight.ops.files": ("compare", "join"),
-    "armsight.ops.kinematics": ("show_arm", "write_formulas"),
-    "armsight.ops.motion": ("play", "servo"),
-    "armsight.ops.teach": ("teach",),
-    "armsight.ops.robots": ("check_robot", "jog"),
-    "armsight.ops.teaching": ("TeachResult",),
-    "armsight.ops.calibrate_cameras": ("calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"),
-    "armsight.ops.calibrate_mirrors": ("calibrate_mirrors", "check_mirrors"),
-    "armsight.ops.calibrate_rig": ("calibrate_noise", "calibrate_target", "calibrate_timing"),
-    "armsight.calibrate.arm": ("ArmResult", "RobotWorldResult"),
-    "armsight.calibrate.cameras.zoom": ("ZoomRigResult",),
-    "armsight.calibrate.camera_noise.photon_transfer": ("NoiseResult",),
-    "armsight.calibrate.light_target": ("TargetResult",),
-    "armsight.calibrate.timing": ("TimingResult",),
-    "armsight.calibrate.cell": ("CellResult",),
-    "armsight.calibrate.handeye": ("HandEyeResult",),
-    "armsight.calibrate.tooltip_result": ("ToolTipResult",),
-    "armsight.calibrate.identify": ("Identification",),
-    "armsight.ops.identify": ("identify_arm", "identify_arm_live"),
-    "armsight.ops.machine": ("doctor", "reproduce", "write_simulation"),
-    "armsight.ops.convert": ("convert", "export_recording"),
-    "armsight.api.files": (
-        "cut_recording",
-        "open_recording",
-        "read_arm",
-        "read_camera",
-        "read_hand_eye",
-        "read_joints",
-        "read_limits",
-        "read_path",
-        "read_poses",
-        "read_rig",
-        "read_table",
-        "read_target",
-        "read_tool_tip",
-        "read_world",
-        "repair_recording",
-        "write_joints",
-        "write_table",
-    ),
-    "armsight.api.remote": ("RemoteState", "RobotConnection", "RobotDriver", "connect", "twin"),
-    "armsight.api.simulation": (
-        "SimulatedFrame",
-        "Simulation",
-        "read_scenario",
-        "scenarios",
-        "simulate",
-    ),
-    "armsight.ops": ("paths",),
-    "armsight_lab.api": ("history",),
-    "armsight.measure.settings": ("SpotSettings",),
-    "armsight.calibrate.cameras": ("BoardOptions", "CameraResult", "RigResult"),
-    "armsight.control.guard": ("Limits",),
-    "armsight.drivers": ("CameraSettings", "Robot", "RobotState", "Sent"),
-    "armsight.kinematics": ("Arm", "Inverse", "Joint", "JointPath", "presets"),
-    "armsight.optics": ("Camera", "Rig", "triangulate"),
-    "armsight.records": (
-        "Colour",
-        "Frame",
-        "JointReading",
-        "NoiseModel",
-        "PoseStatus",
-        "Progress",
-        "Spots",
-        "Target",
-        "TargetPose",
-        "TaughtPath",
-    ),
-    "armsight.store": ("World",),
-    "armsight.store.foreign": ("FrameNames",),
-    "armsight.store.interpret": ("TableFormat",),
-    "armsight.store.recording": ("Recording",),
-    "armsight.errors": (
-        "Ambiguous",
-        "ArmsightError",
-        "BadFile",
-        "BadImage",
-        "Cancelled",
-        "DataRefused",
-        "Degenerate",
-        "DeviceFailed",
-        "DeviceLost",
-        "DeviceNotFound",
-        "Inconsistent",
-        "NotConverged",
-        "NotEnoughData",
-        "RecordingFailed",
-        "StaleData",
-        "Undetermined",
-        "UsageError",
-    ),
-}
-"""The public names by the module that they are loaded from when first used: importing armsight itself loads nothing."""
 
-_PLACES = {name: module for module, names in _MODULES.items() for name in names}
+@cache
+def _places() -> dict[str, str]:
+    """Return the module of each public name, as the imports above say; of those with a star, their `__all__`."""
+    own = _source("__init__")
+    found = {name: module for module, name in re.findall(r"^    from (\S+) import (\w+) as", own, re.M)}
+    for module in re.findall(r"^    from armsight\.(\S+) import \*", own, re.M):
+        names = re.findall(r"^__all__ = \[(.*?)\]", _source(module.replace(".", "/")), re.M | re.S)
+        found |= dict.fromkeys(re.findall(r"\w+", "".join(names)), f"armsight.{module}")
+    return found
+
+
+def _source(place: str) -> str:
+    return (Path(__file__).parent / f"{place}.py").read_text(encoding="utf-8")
+
 
 _EARLIER = dict.fromkeys(
     (
@@ -310,11 +185,15 @@ class _NotInstalled:
         self()
 
 
+_PACKAGES = ("measure", "verify")
+"""Public names that are packages too."""
+
+
 class _Face(ModuleType):
     """Keeps a public name such as armsight.measure what it is: importing the package of that name binds nothing."""
 
     def __setattr__(self, name: str, value: object) -> None:
-        if not (name in _PLACES and isinstance(value, ModuleType)):
+        if not (name in _PACKAGES and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
 
@@ -322,7 +201,7 @@ sys.modules[__name__].__class__ = _Face
 
 
 def _save(record: object, path: str | PathLike[str]) -> Path:
-    from armsight.store.saving import save  # with all kinds of files, when the first is written
+    from armsight.ops.saving import save  # with all kinds of files, when the first is written
 
     return save(record, path)
 
@@ -336,10 +215,11 @@ def _plot(record: object) -> object:
 Files.save, Files.plot = _save, _plot
 
 if not TYPE_CHECKING:  # type checkers know the names above, and refuse all others
-    __all__ = sorted(_PLACES)
 
     def __getattr__(name: str) -> Any:
-        place = _PLACES.get(name) or _EARLIER.get(name)
+        if name == "__all__":
+            return sorted(_places())
+        place = _places().get(name) or _EARLIER.get(name)
         if place is None:
             raise AttributeError(f"module 'armsight' has no attribute {name!r}")
         try:
@@ -351,8 +231,9 @@ if not TYPE_CHECKING:  # type checkers know the names above, and refuse all othe
         value = getattr(module, name, None)
         if value is None:  # a module of the face, such as armsight.paths
             value = import_module(f"{place}.{name}")
-        globals()[name] = value
+        if name not in _EARLIER:
+            globals()[name] = value
         return value
 
     def __dir__() -> list[str]:
-        return list(__all__)
+        return sorted(_places())

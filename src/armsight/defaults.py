@@ -79,6 +79,8 @@ LOST_LOOKS = 10
 screen's pictures come single ones are skipped."""
 BLIND_S = 0.5
 """Nothing compared for so long is told."""
+MASTERING_SPAN_RAD = math.radians(30.0)
+"""How far joints go from those about which poses are proposed after a crash."""
 JOINT_STD = 2e-5
 """Of a joint reading in rad or m: a step of a 17-bit encoder is 5e-5 rad."""
 LATENCY_STD_S = 0.01

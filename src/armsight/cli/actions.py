@@ -5,17 +5,20 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
 from keyword import iskeyword
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from armsight.cli.command import Command, ResultsDoubted, add
+from armsight.cli.command import Command, ResultsDoubted, add, app
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.examples import every_command
 from armsight.fields import Flag, marks
 from armsight.file_names import REPORT, report_path
-from armsight.ops.action import OUT, action_of
+from armsight.ops import actions
+from armsight.ops.action import OUT, CommandTraits, action_of
 from armsight.shown import Shown
 
 if TYPE_CHECKING:
@@ -57,11 +60,22 @@ def add_action(
         if instead is None or not instead(face, asked):
             own = {name: asked[name] for name in done.parameters if name in asked} | dict(beside(face, asked))
             result = done.run(own, face.progress(done.working.format_map(own)) if done.working else None)
-            show(face, result, asked.get(OUT), written=done.writes)
+            show(face, result, asked.get(OUT), written=done.writes is True)
 
     text = SECTION.split(call.__doc__ or "")[0]
-    about = {"keeps": done.keeps, "in_place": done.in_place} | more
+    about = {one.name: getattr(done, one.name) for one in fields(CommandTraits)} | more
     add(group, done.command.rpartition(" ")[2], text, Command(function=run, taken=taken, **about))
+
+
+def add_others() -> None:
+    """Add every action whose command is not there yet, to the group that its first word names."""
+    groups = {one.name: one.typer_instance for one in app.registered_groups}
+    there = {name for name, _ in every_command(app)}
+    for call in actions():
+        command = action_of(call).command
+        if command not in there:
+            there.add(command)
+            add_action(groups.get(command.rpartition(" ")[0]) or app, call)
 
 
 def show(face: CommandUI, result: Output, out: Any, *, written: bool = False) -> None:
@@ -69,15 +83,19 @@ def show(face: CommandUI, result: Output, out: Any, *, written: bool = False) ->
 
     written: it says itself where its files are. Raises ResultsDoubted where it is not as it should be.
     """
-    from armsight.report.pages import page_path
-
-    lines, page = list(result.summary()), None if out is None or written else page_path(out, result)
+    lines, page = list(result.summary()), None if out is None or written else _page(out, result)
     told = out is None or written or hasattr(result, "write") or any("{out}" in str(one) for one in lines)
     lines = lines if told else [*lines, f"Result: {out}" + ("" if page is None else f"; open {page}")]
     show_lines(face, lines, out, page)
     face.result(result)
     if result.exit_code:
         raise ResultsDoubted
+
+
+def _page(out: Path, result: Output) -> Path | None:
+    from armsight.ops.saving import page_path  # with all kinds of files
+
+    return page_path(out, result)
 
 
 def show_lines(face: CommandUI, lines: Iterable[Shown], out: Any, page: Path | None = None) -> None:

@@ -1,4 +1,4 @@
-"""armsight calibrate camera, stereo, zoom-rig, mirrors, target and timing."""
+"""armsight calibrate camera, which may find its noise alone, and mirrors, which may check them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from armsight.cli.command_ui import CommandUI
 from armsight.errors import UsageError
 from armsight.fields import Doc
 from armsight.ops.action import action_of
-from armsight.ops.calibrate_cameras import calibrate_camera, calibrate_stereo, calibrate_zoom_rig
+from armsight.ops.calibrate_cameras import calibrate_camera
 from armsight.ops.calibrate_mirrors import calibrate_mirrors, check_mirrors
-from armsight.ops.calibrate_rig import calibrate_target, calibrate_timing
 
 
 def noise_alone(face: CommandUI, asked: Mapping[str, Any]) -> bool:
@@ -63,9 +62,5 @@ def check_flags() -> dict[str, tuple[Any, Any]]:
     return {"check": (Annotated[bool, Doc(text)], False), **action_of(check_mirrors).flags()}
 
 
-add_action(calibrate, calibrate_camera, noise_alone, filed="calibrate camera", judged=True)
-add_action(calibrate, calibrate_stereo, filed="calibrate stereo", judged=True)
-add_action(calibrate, calibrate_zoom_rig)
-add_action(calibrate, calibrate_mirrors, mirrors_checked, check_flags, filed="calibrate mirrors")
-add_action(calibrate, calibrate_target, judged=True)
-add_action(calibrate, calibrate_timing, judged=True)
+add_action(calibrate, calibrate_camera, noise_alone)
+add_action(calibrate, calibrate_mirrors, mirrors_checked, check_flags)

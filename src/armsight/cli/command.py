@@ -22,6 +22,7 @@ from armsight.cli.lazy import Group, LazyCommand
 from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.file_names import ARM, HANDEYE, POINTS, POSES, RIG, TARGET, WORLD
 from armsight.ops import flags as shared
+from armsight.ops.action import CommandTraits
 from armsight.registry import COMMANDS, FILING, extension
 
 if TYPE_CHECKING:
@@ -70,26 +71,15 @@ class ResultsDoubted(typer.Exit):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
-    """What a command is beside its function, whose first parameter is the CommandUI and all others are flags.
+class Command(CommandTraits):
+    """A command; the first parameter of its function is the CommandUI, and all others are flags.
 
-    json: it has a result that programs read. keeps: the results that it writes into its folder `out`. own: a result
-    whose presence says that the folder is this command's own, which it may replace unasked. in_place: the input
-    whose place its result may take. streamed: it writes one table and nothing else, which may go to the standard output
-    (-o -). panels: of the help, in their order. filed: the name under which its result may be filed in a history.
-    judged: its result has a verdict.
+    json: it has a result that programs read.
     """
 
     function: Callable[..., None]
     taken: Callable[[], Mapping[str, tuple[Any, Any]]]
     json: bool = True
-    keeps: tuple[str, ...] = ()
-    own: str | None = None
-    in_place: str = ""
-    streamed: bool = False
-    panels: tuple[str, ...] = ()
-    filed: str = ""
-    judged: bool = False
 
     @functools.cached_property
     def flags(self) -> CommandFlags:
@@ -150,7 +140,7 @@ class Command:
             if place is not None:
                 raise UsageError("--history says where to file, and no cell is named", cure="Add --cell NAME")
             return None
-        found: Filing = extension(FILING, "filing", "lab")(self.filed, cell, place, dict(given))
+        found: Filing = extension(FILING, "filing", "lab")(self.command, cell, place, dict(given))
         return found
 
     def _outputs(self, given: Mapping[str, Any], as_json: bool) -> contextlib.AbstractContextManager[Any]:

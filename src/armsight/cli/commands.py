@@ -1,4 +1,4 @@
-"""The command line: the modules of its commands, and demo, simulate and doctor."""
+"""The command line: the modules of its commands, every action that has none, demo, and the laboratory's."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import typer
 
 from armsight.cli import (
     calibrate_cameras,
-    calibrate_robot,
-    convert,
     files,
     identify,
     measure,
@@ -18,7 +16,7 @@ from armsight.cli import (
     serve,
     verify,
 )
-from armsight.cli.actions import add_action
+from armsight.cli.actions import add_action, add_others
 from armsight.cli.command import (
     SETS,
     SIMULATED,
@@ -29,25 +27,19 @@ from armsight.cli.command import (
     command,
     elsewhere,
     history,
-    kinematics,
-    path,
 )
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.examples import add_examples
 from armsight.cli.tables import demo_tables
 from armsight.fields import Bounds, Doc
 from armsight.file_names import DEMO, MEASURED
-from armsight.ops import kinematics as of_arms
-from armsight.ops import paths
 from armsight.ops.flags import OutFolder
-from armsight.ops.machine import Room, doctor, write_simulation
+from armsight.ops.machine import Room, write_simulation
 from armsight.ops.simulation import MOST_FRAMES
 
 __all__ = [
     "app",
     "calibrate_cameras",
-    "calibrate_robot",
-    "convert",
     "files",
     "identify",
     "measure",
@@ -106,14 +98,7 @@ def demo(
 
 
 add_action(app, write_simulation, keeps=(*SIMULATED, *WITH_ARM, *VIEWS, *SETS))
-add_action(app, doctor)
-for name in ("fk", "ik", "jacobian", "path"):
-    add_action(kinematics, getattr(of_arms, name), streamed=True)
-add_action(kinematics, of_arms.write_formulas)
-add_action(kinematics, of_arms.show_arm)
-for name in ("smooth", "resample", "fillet", "offset", "angle", "reverse", "join", "check", "export", "from_picks"):
-    add_action(path, getattr(paths, name))
-
+add_others()
 elsewhere(
     app,
     "lab",

@@ -1,4 +1,4 @@
-"""armsight compare, join, report and reproduce: what is made of results."""
+"""armsight reproduce and report."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
-from armsight.ops.files import compare, join
 from armsight.ops.machine import reproduce
 
 add_action(app, reproduce, keeps=("reproduce.json", "report.html"))
-add_action(app, join, streamed=True)
 
 
 @command(app, json=False)
@@ -32,6 +30,3 @@ def report(
     if not pdf:
         raise UsageError("it is not said what becomes of the report", cure="Give --pdf")
     face.say(f"Printed: {print_report(report, out)}")
-
-
-add_action(app, compare, judged=True)

@@ -74,4 +74,4 @@ def _refuse_flags_of_live(asked: Mapping[str, Any]) -> None:
         )
 
 
-add_action(app, identify_arm, made_live, live_flags, panels=(CAMERAS, TABLES), filed="identify", judged=True)
+add_action(app, identify_arm, made_live, live_flags, panels=(CAMERAS, TABLES))

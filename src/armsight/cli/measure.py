@@ -41,5 +41,5 @@ def repair_flag() -> dict[str, tuple[Any, Any]]:
     return {"repair": (Annotated[Path | None, Doc(text), Flag(metavar="FILE.mcap")], None)}
 
 
-add_action(app, measure, settled=rates, judged=True)
+add_action(app, measure, settled=rates)
 add_action(app, record, mended, repair_flag)

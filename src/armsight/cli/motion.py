@@ -122,7 +122,6 @@ def _play(face: CommandUI, asked: Asked) -> dict[str, Any]:
 add_action(app, motion.servo, flags=yes, beside=_servo)
 add_action(app, teach, flags=yes, beside=_teach, panels=(CAMERAS, ARM, SIMULATED))
 add_action(app, motion.play, flags=yes, beside=_play)
-add_action(robot, robots.check_robot)
 add_action(robot, robots.jog, flags=yes, beside=asks)
 add_action(robot, robots.run_motion, flags=yes, beside=_run, panels=(ARM, CAMERAS, SETTINGS))
 

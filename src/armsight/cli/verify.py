@@ -163,5 +163,5 @@ add(
     app,
     "verify",
     inspect.getdoc(verify),
-    Command(function=verify, taken=_taken, keeps=VERIFIED, panels=PANELS, filed="verify", judged=True),
+    Command(command="verify", function=verify, taken=_taken, keeps=VERIFIED, panels=PANELS, filed=True, judged=True),
 )

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property, wraps
 from os import PathLike, fspath
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from armsight._files import real_path
@@ -61,24 +60,45 @@ class Input:
         return [Path(one) for path in paths for one in (loaded(self.files)()(path) if self.files else [path])]
 
 
-@dataclass(frozen=True)
-class Action:
-    """What a function does for people: command: its words on the command line; working: what its progress says.
+@dataclass(frozen=True, kw_only=True)
+class CommandTraits:
+    """What a command is beside its function and flags; command: its words.
 
-    gives: the attribute of the result that Python gets; '' for all of it. keeps: the files that it writes into a folder
-    `out`; beside: endings of those that go beside a file `out`. None of them is an input, but `in_place`, whose
-    place the result may take. writes: the function itself writes what `out` names, while it works, or by more than one
-    name.
+    keeps: the results that it writes into its folder `out`. own: a result whose presence says that the folder is this
+    command's own, which it may replace unasked. in_place: the input whose place its result may take. streamed: it
+    writes one table and nothing else, which may go to the standard output (-o -). panels: of the help, in their order.
+    filed: its result may be filed in a history. judged: its result has a verdict.
     """
 
-    command: str
+    command: str = ""
+    keeps: tuple[str, ...] = ()
+    own: str | None = None
+    in_place: str = ""
+    streamed: bool = False
+    panels: tuple[str, ...] = ()
+    filed: bool = False
+    judged: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Action(CommandTraits):
+    """What a function does for people: working: what its progress says; examples: of its flags, for the help.
+
+    gives: the attribute of the result that Python gets; '' for all of it. beside: endings of the files that go beside a
+    file `out`. None of them or of `keeps` is an input, but `in_place`. writes: the function of (path, result,
+    inputs=files) that writes the result into a YAML file, or into a folder where it keeps files; False: the result's
+    own `write`; True: the function itself, while it works, or by more than one name. page: the function of (result,
+    files that went in, what the action was called with) that returns the result's page. Both are loaded late: a name
+    of store.saving and report.pages, or 'module:function'.
+    """
+
     function: Callable[..., Output]
     working: str = ""
+    examples: tuple[str, ...] = ()
     gives: str = ""
-    keeps: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
-    in_place: str = ""
-    writes: bool = False
+    writes: bool | str = False
+    page: str = ""
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
@@ -119,10 +139,10 @@ class Action:
             try:
                 result = self.function(**taken)
             except ArmsightError as error:
-                if error.kept is not None and outs is not None and not self.writes:
+                if error.kept is not None and outs is not None and self.writes is not True:
                     self._write(Path(outs), error.kept, given)
                 raise
-        if outs is not None and not self.writes:
+        if outs is not None and self.writes is not True:
             self._write(Path(outs), result, given)
         return result
 
@@ -146,22 +166,10 @@ class Action:
 
     def _write(self, out: Path, result: object, given: Given) -> None:
         """Write the result's files, with the hashes of what went in, frames last."""
+        from armsight.ops.saving import write_with_page
+
         read = sorted(self.inputs.items(), key=lambda item: bool(item[1].files))
         write_with_page(out, result, [file for name, one in read for file in one.hashed_files(given.get(name))], given)
-
-
-def write_with_page(out: Path, result: object, files: Sequence[Path] = (), given: Given = MappingProxyType({})) -> None:
-    """Write a result's files, with the hashes of the files that went in, and its page beside them. Raises DeviceFailed.
-
-    given: what the action was called with, of which the page tells.
-    """
-    from armsight.report.pages import page_of, page_path
-    from armsight.store import write_text
-    from armsight.store.saving import write_result
-
-    write_result(out, result, files)
-    if (page := page_path(out, result)) is not None:
-        write_text(page, page_of(result, files, given))
 
 
 def _each(value: Any) -> Sequence[Any]:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from armsight.drivers import CameraSettings
     from armsight.records import Progress
 
+__all__ = ["calibrate_camera", "calibrate_stereo", "calibrate_zoom_rig"]
+
 Images: TypeAlias = Annotated[Any, Doc(f"Images of the board: {SRC}."), IMAGES, Flag(positional=True, metavar="[SRC]")]
 LeftImages: TypeAlias = Annotated[Any, Doc(f"Left images of the board: {SRC}."), IMAGES, Flag("--left", metavar="SRC")]
 RightImages: TypeAlias = Annotated[
@@ -69,7 +71,14 @@ CameraOut: TypeAlias = Annotated[
 RigOut: TypeAlias = Annotated[Path | None, Doc("rig.yaml to write."), Flag("-o --out", needed=True)]
 
 
-@action("calibrate camera", working="calibrating")
+@action(
+    "calibrate camera",
+    working="calibrating",
+    examples=("images/ --board checkerboard:9x6:0.025 -o camera.yaml",),
+    filed=True,
+    judged=True,
+    writes="write_calibrated_camera",
+)
 def calibrate_camera(
     images: Images = None,
     board: BoardLike = None,
@@ -152,7 +161,14 @@ def calibrate_camera(
     return done
 
 
-@action("calibrate stereo", working="calibrating")
+@action(
+    "calibrate stereo",
+    working="calibrating",
+    examples=("--left images/left --right images/right --board checkerboard:9x6:0.025 -o rig.yaml",),
+    filed=True,
+    judged=True,
+    writes="write_rig_of",
+)
 def calibrate_stereo(
     left_images: LeftImages,
     right_images: RightImages,
@@ -203,7 +219,11 @@ def calibrate_stereo(
     return done
 
 
-@action("calibrate zoom-rig")
+@action(
+    "calibrate zoom-rig",
+    examples=("--rig rig.yaml --left left-zoom.yaml --zoom-left 35 --zoom-right 35 -o zoomed.yaml",),
+    writes="write_rig_of",
+)
 def calibrate_zoom_rig(
     rig: Annotated[RigLike, Doc("rig.yaml from `armsight calibrate stereo`, at one setting of each lens.")],
     left: Annotated[Any, Doc("camera.yaml with the left lens's settings."), ZOOM_LENS] = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 from armsight.defaults import ANGLE_RAD, CELL_LENGTH_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
-from armsight.file_names import CELL_CALIBRATED
+from armsight.file_names import CELL, CELL_CALIBRATED
 from armsight.ops.action import Input, action
 from armsight.ops.flags import KNOWN_ARM, SRC, Fps, Inverted, Limit, Table, Threshold, size_of
 from armsight.ops.kinds import FRAMES, READERS
@@ -17,6 +17,8 @@ from armsight.units import DEG, MM
 if TYPE_CHECKING:
     from armsight.calibrate.cell import CellResult
     from armsight.records import Progress
+
+__all__ = ["calibrate_cell"]
 
 SPOTS = "table t_s,u_px,v_px[,su_px,sv_px]"
 COMPLIANCE = {"auto": None, "on": True, "off": False}
@@ -38,7 +40,22 @@ def compliance_called(name: str) -> bool | None:
     return COMPLIANCE[name]
 
 
-@action("calibrate cell", working="calibrating", keeps=CELL_CALIBRATED)
+@action(
+    "calibrate cell",
+    working="calibrating",
+    keeps=CELL_CALIBRATED,
+    examples=(
+        "--robot-log joints.csv --left left.mp4 --right right.mp4 --target target.yaml --model ur10e --tip "
+        "0,0,0.12 -o cell",
+        "--robot-log joints.csv --left-spots left.csv --right-spots right.csv --size 1280x720 --target "
+        "target.yaml --model arm.yaml -o cell",
+    ),
+    own=CELL,
+    filed=True,
+    judged=True,
+    writes="write_cell",
+    page="cell",
+)
 def calibrate_cell(
     robot_log: Annotated[
         TableFile,

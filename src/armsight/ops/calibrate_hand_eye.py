@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from armsight.ops.arrays import Poses
     from armsight.records import Progress
 
+__all__ = ["calibrate_hand_eye"]
+
 HERE = "armsight.ops.calibration.handeye"
 TableFile: TypeAlias = Annotated[Any, Input(f"{READERS}:table", hashed=True)]
 """Columns by name, (t_s, T), poses (n, 4, 4), a PoseTrack, or the path of a table."""
@@ -36,7 +38,18 @@ AtSetup: TypeAlias = Annotated[
 ]
 
 
-@action("calibrate handeye", working="calibrating")
+@action(
+    "calibrate handeye",
+    working="calibrating",
+    examples=(
+        "--pairs pairs.csv -o handeye.yaml",
+        "--images images/ --camera camera.yaml --board checkerboard:9x6:0.025 --robot robot_poses.csv -o handeye.yaml",
+    ),
+    filed=True,
+    judged=True,
+    writes="write_handeye",
+    page="hand_eye",
+)
 def calibrate_hand_eye(
     T_base_flange: Poses | None = None,
     T_camera_target: Poses | None = None,

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
     Images = str | Sequence[Frame] | None
 
+__all__ = ["calibrate_mirrors", "check_mirrors"]
+
 ComplexImages: TypeAlias = Annotated[
     Any, Doc(f"Complex images, both views in one: {SRC}."), IMAGES, Flag("--image", metavar="SRC")
 ]
@@ -54,7 +56,16 @@ Near: TypeAlias = Annotated[
 Gap: TypeAlias = Annotated[float, Doc("From the plate to the mirror behind it."), Bounds(least=1.0 * MM), Flag(unit=MM)]
 
 
-@action("calibrate mirrors", working="calibrating")
+@action(
+    "calibrate mirrors",
+    working="calibrating",
+    examples=(
+        "--image board/ --board circles:7x11:0.02 -o rig.yaml",
+        "--check --image board/ --rig rig.yaml --board circles:7x11:0.02 -o checked.yaml",
+    ),
+    filed=True,
+    writes="write_rig_of",
+)
 def calibrate_mirrors(
     images: ComplexImages = None,
     board: BoardLike = None,

@@ -18,10 +18,18 @@ if TYPE_CHECKING:
     from armsight.calibrate.timing import TimingResult
     from armsight.records import Progress
 
+__all__ = ["calibrate_noise", "calibrate_target", "calibrate_timing"]
+
 SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
 
 
-@action("calibrate target", working="calibrating")
+@action(
+    "calibrate target",
+    working="calibrating",
+    examples=("--rig rig.yaml --left frames/left --right frames/right --lights 3 -o target.yaml",),
+    judged=True,
+    writes="write_lights",
+)
 def calibrate_target(
     rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
     left: Left = None,
@@ -75,7 +83,14 @@ def calibrate_target(
     return calibrate_target(rig, seen, lights, overlaid=overlaid)
 
 
-@action("calibrate timing", working="calibrating", in_place="rig")
+@action(
+    "calibrate timing",
+    working="calibrating",
+    in_place="rig",
+    examples=("--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml -o rig-timed.yaml",),
+    judged=True,
+    writes="write_rig_of",
+)
 def calibrate_timing(
     rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
     target: Annotated[TargetLike, Doc("target.yaml of the lights, where they are named in tables.")] = None,
@@ -131,7 +146,7 @@ def calibrate_timing(
     return calibrate_timing(rig, *tracks, positions)
 
 
-@action("calibrate noise", working="calibrating")
+@action("calibrate camera", working="calibrating")
 def calibrate_noise(
     frames: Annotated[Any, Doc("4 to 50 still frames of any scene; or a file with the noise."), FRAMES],
     *,

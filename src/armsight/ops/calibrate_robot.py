@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
     from armsight.records import Progress
 
+__all__ = ["calibrate_arm", "calibrate_pivot", "calibrate_robot_world", "calibrate_tool_tip"]
+
 Point: TypeAlias = Annotated[
     "ArrayLike | None",
     Doc("The point, m or with units (200mm), if it was measured."),
@@ -48,7 +50,7 @@ PointStd: TypeAlias = Annotated[
 TipOut: TypeAlias = Annotated[Path | None, Doc("tip.yaml to write."), Flag("-o --out", needed=True)]
 
 
-@action("calibrate tooltip")
+@action("calibrate tooltip", examples=("--poses poses.csv -o tip.yaml",), filed=True, judged=True, writes="write_tip")
 def calibrate_tool_tip(
     T_world_target: Annotated[
         PosesLike, Doc("poses.csv of the target (or flange) while the tool pivots on a point."), Flag("--poses")
@@ -104,7 +106,15 @@ def calibrate_tool_tip(
     return replace(found, remarks=(poses.remark,)) if poses.remark else found
 
 
-@action("calibrate pivot", working="pivoting", beside=(".poses.csv",))
+@action(
+    "calibrate pivot",
+    working="pivoting",
+    beside=(".poses.csv",),
+    examples=("--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml -o tip.yaml",),
+    filed=True,
+    judged=True,
+    writes="write_pivot",
+)
 def calibrate_pivot(
     rig: Annotated[RigLike, Doc("rig.yaml of the two cameras.")],
     target: Annotated[TargetLike, Doc("target.yaml of the target on the tool.")],
@@ -166,7 +176,19 @@ def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:
     return None if point_m is None else MeasuredPoint(xyz_m=checked_array("point_m", point_m, (3,)), sigma_m=std_m)
 
 
-@action("calibrate arm", beside=(".corrections.csv", ".urdf", ".proposed.csv", ".report.html"))
+@action(
+    "calibrate arm",
+    beside=(".corrections.csv", ".urdf", ".proposed.csv", ".report.html"),
+    examples=(
+        "--model ur10e --points points.csv -o calibrated.yaml",
+        "--propose 20 --model arm.yaml --points points.csv -o calibrated.yaml",
+        "--model two_arms.urdf --tip left_tool0 --points points.csv -o left.yaml",
+    ),
+    filed=True,
+    judged=True,
+    writes="write_calibrated_arm",
+    page="arm",
+)
 def calibrate_arm(
     nominal: Annotated[Any, Doc(f"The nominal arm: {KNOWN_ARM}."), CHAIN, Flag("--model", metavar="ARM")],
     q: Annotated[PointsLike, Doc("points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s]."), Flag("--points")],
@@ -258,7 +280,13 @@ def _with_urdf(found: ArmResult, path: Path) -> ArmResult:
     return replace(found, urdf=str(path) if text else None, notes=notes)
 
 
-@action("calibrate robot-world")
+@action(
+    "calibrate robot-world",
+    examples=("--arm arm.yaml --points observed.csv -o world.yaml",),
+    filed=True,
+    judged=True,
+    writes="write_placed_rig",
+)
 def calibrate_robot_world(
     arm: Annotated[Any, Doc(f"{KNOWN_ARM}, its tool the beacon."), CHAIN, AN_ARM],
     q: Annotated[PointsLike, Doc("observed.csv: q1..qn,x_m,y_m,z_m in rig axes."), Flag("--points")],

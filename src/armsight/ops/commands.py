@@ -3,53 +3,30 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping
+from functools import cache
 
 from armsight.errors import ArmsightError
+from armsight.ops import actions
+from armsight.ops.action import action_of
 
-COMMANDS: Mapping[str, str] = {
-    "measure": "measure",
-    "batch": "batch",
-    "record": "record",
-    "verify": "verify",
-    "compare": "compare",
-    "design": "design",
-    "join": "join",
-    "identify": "identify_arm",
-    "simulate": "simulate",
-    "reproduce": "reproduce",
-    "doctor": "doctor",
-    "servo": "servo",
-    "teach": "teach",
-    "play": "play",
-    "twin": "twin",
-    "calibrate camera": "calibrate_camera",
-    "calibrate stereo": "calibrate_stereo",
-    "calibrate mirrors": "calibrate_mirrors",
-    "calibrate zoom-rig": "calibrate_zoom_rig",
-    "calibrate handeye": "calibrate_hand_eye",
-    "calibrate tooltip": "calibrate_tool_tip",
-    "calibrate pivot": "calibrate_pivot",
-    "calibrate arm": "calibrate_arm",
-    "calibrate robot-world": "calibrate_robot_world",
-    "calibrate target": "calibrate_target",
-    "calibrate timing": "calibrate_timing",
-    "calibrate cell": "calibrate_cell",
-    "convert recording": "export_recording",
-    "convert camera": "convert",
-    "convert rig": "convert",
-    "convert poses": "convert",
-    "convert table": "convert",
-    "convert handeye": "convert",
-    "convert arm": "convert",
-    "kinematics fk": "Arm.fk",
-    "kinematics ik": "Arm.ik_many",
+OTHERS: Mapping[str, str] = {
+    **{name: name for name in ("batch", "design", "simulate", "twin")},
+    **{f"convert {kind}": "convert" for kind in ("camera", "rig", "poses", "table", "handeye", "arm")},
+    **{f"kinematics {name}": f"Arm.{does}" for name, does in (("fk", "fk"), ("ik", "ik_many"), ("path", "track"))},
     "kinematics jacobian": "Arm.jacobian",
-    "kinematics path": "Arm.track",
-    "robot test": "check_robot",
-    "robot jog": "jog",
 }
-"""The public name that does what a command does; tools/python_flags.py lists every flag."""
+"""Public names of what is done otherwise than by the action of the command, or is no action."""
+
+
+@cache
+def commands() -> Mapping[str, str]:
+    """Return the public name that does a command, the first of several; tools/python_flags.py lists every flag."""
+    face = sys.modules[__name__.partition(".")[0]]
+    public = [call for call in actions() if getattr(face, call.__name__, None) is call]
+    return {action_of(call).command: call.__name__ for call in reversed(public)} | dict(OTHERS)
+
 
 PARAMETERS: Mapping[str, str] = {
     "--approach-speed": "approach_speed_m_s",
@@ -110,7 +87,11 @@ PARAMETERS: Mapping[str, str] = {
 """Parameters that are not called as the flag is, with _ for -: those that say their unit, or another word."""
 
 _FLAG = re.compile(r"(?<![\w-])(--[a-z][a-z0-9]*(?:-[a-z0-9]+)*|-o)\b")
-_COMMAND = re.compile(r"`?armsight (" + "|".join(sorted(COMMANDS, key=len, reverse=True)) + r")\b`?")
+
+
+@cache
+def _command() -> re.Pattern[str]:
+    return re.compile(r"`?armsight (" + "|".join(sorted(commands(), key=len, reverse=True)) + r")\b`?")
 
 
 def parameter(flag: str) -> str:
@@ -121,6 +102,6 @@ def parameter(flag: str) -> str:
 def in_python(error: ArmsightError) -> None:
     """Let an error name parameters for flags and functions for commands."""
     for part in ("cause", "consequence", "cure"):
-        text = _COMMAND.sub(lambda found: f"armsight.{COMMANDS[found[1]]}", getattr(error, part))
+        text = _command().sub(lambda found: f"armsight.{commands()[found[1]]}", getattr(error, part))
         setattr(error, part, _FLAG.sub(lambda found: parameter(found[1]), text.replace("--yes", "confirm=True")))
     error.args = (error.cause, *error.args[1:])

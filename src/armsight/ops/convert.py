@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from armsight.store.foreign import FrameNames
     from armsight.store.interpret import TableFormat
 
+__all__ = ["convert", "export_recording"]
+
 Kind = Literal["camera", "rig", "handeye", "arm", "poses", "table", "recording"]
 ARGUMENT = Flag(positional=True)
 To: TypeAlias = Annotated[str | None, Doc("armsight, ros, opencv, kalibr, colmap. [armsight]")]
@@ -39,117 +41,12 @@ OF_ENDING = {".mcap": "recording", ".urdf": "arm", ".tum": "poses", ".txt": "pos
 """What a file is by its name's ending."""
 
 
-@action("convert camera", writes=True)
-def camera(
-    source: Annotated[AsFile, Doc("camera.yaml, ROS camera_info, OpenCV FileStorage or Kalibr camchain."), ARGUMENT],
-    out: Out,
-    *,
-    to: To = None,
-    size: Size = None,
-    zoom: Annotated[float | None, Doc("Of a zoom lens's camera.yaml: the camera at this setting.")] = None,
-) -> ConvertOutput:
-    """Convert the calibration of one camera; or take one setting out of a zoom lens's."""
-    from armsight.ops.calibration.zoom import fix_camera
-    from armsight.ops.conversion import convert_camera
-
-    if zoom is None:
-        return convert_camera(source, out, to=to, size=size)
-    _require_ours(to, size)
-    return fix_camera(source, out, zoom)
-
-
-@action("convert rig", writes=True)
-def rig(
-    source: Annotated[
-        Any,
-        Doc("rig.yaml, OpenCV stereo, Kalibr; two files of ROS or OpenCV."),
-        Input(f"{READERS}:each_file", kind=list[Path]),
-        ARGUMENT,
-    ],
-    out: Annotated[list[Path], Doc("File; for ROS left, right, maybe a launch file of TF."), OUT],
-    *,
-    to: To = None,
-    size: Size = None,
-    unit_m: UnitLength = None,
-    zoom_left: Annotated[float | None, Doc("Of a rig with zoom lenses: at this setting.")] = None,
-    zoom_right: Annotated[float | None, Doc("... of the right lens.")] = None,
-) -> ConvertOutput:
-    """Convert the calibration of a pair of cameras; or take one setting out of a rig with zoom lenses."""
-    from armsight.ops.calibration.zoom import fix_rig
-    from armsight.ops.conversion import convert_rig
-
-    if zoom_left is None and zoom_right is None:
-        return convert_rig(source, out, to=to, size=size, unit_m=unit_m)
-    _require_ours(to, size)
-    if len(source) != 1 or len(out) != 1:
-        raise UsageError("one rig.yaml goes into one", cure="Give one file and one -o with --zoom-left")
-    return fix_rig(source[0], out[0], (zoom_left, zoom_right))
-
-
-@action("convert poses", writes=True)
-def poses(
-    source: Annotated[AsFile, Doc("poses.csv, or a TUM file (.tum, .txt)."), ARGUMENT],
-    out: Annotated[Path, Doc("File to write: .csv, .tum or .txt."), OUT],
-) -> ConvertOutput:
-    """Convert poses between poses.csv and TUM, which evo reads."""
-    from armsight.ops.conversion import convert_poses
-
-    return convert_poses(source, out)
-
-
-@action("convert table")
-def any_table(
-    source: Annotated[AsFile, Doc("CSV, TXT, YAML, JSON, .mat, or a folder with one file per pose."), ARGUMENT],
-    out: Annotated[Path | None, Doc("File to write. [default: only tell]"), OUT] = None,
-    *,
-    kind: Annotated[
-        str | None, Doc("joints, poses, points, pairs, robot_poses or sweep. [default: tell]"), Flag("--as")
-    ] = None,
-    arm: Annotated[ArmLike, Doc("Where columns carry the names of an arm's joints."), AN_ARM] = None,
-    table: Table | None = None,
-) -> ConvertTableOutput:
-    """Show what is understood of a table, and write it in armsight's columns and units."""
-    from armsight.ops.tables import convert_table
-
-    return convert_table(source, kind=kind, format_=table, arm=arm, out=out)
-
-
-@action("convert handeye", writes=True)
-def handeye(
-    source: Annotated[AsFile, Doc("handeye.yaml."), ARGUMENT],
-    out: Out,
-    to: Annotated[str, Doc("easy_handeye, easy_handeye2, or tf: a launch file of ROS 2.")],
-    *,
-    base: Annotated[str, Doc("The base's frame in TF.")] = "base_link",
-    flange: Annotated[str, Doc("The flange's frame in TF.")] = "tool0",
-    camera_frame: Annotated[str, Doc("The camera's optical frame in TF.")] = "camera_optical_frame",
-    target: Annotated[str, Doc("The target's frame in TF.")] = "calibration_target",
-) -> ConvertOutput:
-    """Write a hand-eye calibration for ROS."""
-    from armsight.ops.conversion import convert_handeye
-    from armsight.store.foreign import FrameNames
-
-    names = FrameNames(base=base, flange=flange, camera=camera_frame, target=target)
-    return convert_handeye(source, out, to=to, names=names)
-
-
-@action("convert arm", writes=True)
-def arm(
-    source: Annotated[str, Doc(f"{KNOWN_ARM}."), Flag(positional=True, metavar="FILE")],
-    out: Annotated[Path, Doc("File to write: .yaml or .urdf."), OUT],
-    *,
-    convention: Annotated[str | None, Doc("standard or craig, for arm.yaml.")] = None,
-    tip: Tip = None,
-    base: Base = None,
-) -> ConvertArmOutput:
-    """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
-    from armsight._files import arm_source
-    from armsight.ops.arm_files import convert_arm
-
-    return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention)
-
-
-@action("convert recording", working="exporting", writes=True)
+@action(
+    "convert recording",
+    working="exporting",
+    writes=True,
+    examples=("recording.mcap -o frames", "recording.mcap --to rosbag2 -o bag"),
+)
 def export_recording(
     path: Annotated[AsFile, Doc("A recording."), Flag(positional=True, metavar="FILE.mcap")],
     out: Annotated[Path, Doc("A folder, or a .csv or .tum for the poses."), OUT],
@@ -178,6 +75,118 @@ def export_recording(
     from armsight.ops.recording.export import export
 
     return export(path, out, to=to, progress=progress)
+
+
+@action(
+    "convert camera", writes=True, examples=("camchain.yaml -o camera.yaml", "camera.yaml --to ros -o camera_info.yaml")
+)
+def camera(
+    source: Annotated[AsFile, Doc("camera.yaml, ROS camera_info, OpenCV FileStorage or Kalibr camchain."), ARGUMENT],
+    out: Out,
+    *,
+    to: To = None,
+    size: Size = None,
+    zoom: Annotated[float | None, Doc("Of a zoom lens's camera.yaml: the camera at this setting.")] = None,
+) -> ConvertOutput:
+    """Convert the calibration of one camera; or take one setting out of a zoom lens's."""
+    from armsight.ops.calibration.zoom import fix_camera
+    from armsight.ops.conversion import convert_camera
+
+    if zoom is None:
+        return convert_camera(source, out, to=to, size=size)
+    _require_ours(to, size)
+    return fix_camera(source, out, zoom)
+
+
+@action("convert rig", writes=True, examples=("stereo.yml -o rig.yaml", "rig.yaml --to opencv -o r.yml"))
+def rig(
+    source: Annotated[
+        Any,
+        Doc("rig.yaml, OpenCV stereo, Kalibr; two files of ROS or OpenCV."),
+        Input(f"{READERS}:each_file", kind=list[Path]),
+        ARGUMENT,
+    ],
+    out: Annotated[list[Path], Doc("File; for ROS left, right, maybe a launch file of TF."), OUT],
+    *,
+    to: To = None,
+    size: Size = None,
+    unit_m: UnitLength = None,
+    zoom_left: Annotated[float | None, Doc("Of a rig with zoom lenses: at this setting.")] = None,
+    zoom_right: Annotated[float | None, Doc("... of the right lens.")] = None,
+) -> ConvertOutput:
+    """Convert the calibration of a pair of cameras; or take one setting out of a rig with zoom lenses."""
+    from armsight.ops.calibration.zoom import fix_rig
+    from armsight.ops.conversion import convert_rig
+
+    if zoom_left is None and zoom_right is None:
+        return convert_rig(source, out, to=to, size=size, unit_m=unit_m)
+    _require_ours(to, size)
+    if len(source) != 1 or len(out) != 1:
+        raise UsageError("one rig.yaml goes into one", cure="Give one file and one -o with --zoom-left")
+    return fix_rig(source[0], out[0], (zoom_left, zoom_right))
+
+
+@action("convert poses", writes=True, examples=("poses.csv -o poses.tum",))
+def poses(
+    source: Annotated[AsFile, Doc("poses.csv, or a TUM file (.tum, .txt)."), ARGUMENT],
+    out: Annotated[Path, Doc("File to write: .csv, .tum or .txt."), OUT],
+) -> ConvertOutput:
+    """Convert poses between poses.csv and TUM, which evo reads."""
+    from armsight.ops.conversion import convert_poses
+
+    return convert_poses(source, out)
+
+
+@action("convert table", examples=("log.txt --robot-format kuka --as robot_poses -o robot_poses.csv",))
+def any_table(
+    source: Annotated[AsFile, Doc("CSV, TXT, YAML, JSON, .mat, or a folder with one file per pose."), ARGUMENT],
+    out: Annotated[Path | None, Doc("File to write. [default: only tell]"), OUT] = None,
+    *,
+    kind: Annotated[
+        str | None, Doc("joints, poses, points, pairs, robot_poses or sweep. [default: tell]"), Flag("--as")
+    ] = None,
+    arm: Annotated[ArmLike, Doc("Where columns carry the names of an arm's joints."), AN_ARM] = None,
+    table: Table | None = None,
+) -> ConvertTableOutput:
+    """Show what is understood of a table, and write it in armsight's columns and units."""
+    from armsight.ops.tables import convert_table
+
+    return convert_table(source, kind=kind, format_=table, arm=arm, out=out)
+
+
+@action("convert handeye", writes=True, examples=("handeye.yaml --to easy_handeye -o handeye_easy.yaml",))
+def handeye(
+    source: Annotated[AsFile, Doc("handeye.yaml."), ARGUMENT],
+    out: Out,
+    to: Annotated[str, Doc("easy_handeye, easy_handeye2, or tf: a launch file of ROS 2.")],
+    *,
+    base: Annotated[str, Doc("The base's frame in TF.")] = "base_link",
+    flange: Annotated[str, Doc("The flange's frame in TF.")] = "tool0",
+    camera_frame: Annotated[str, Doc("The camera's optical frame in TF.")] = "camera_optical_frame",
+    target: Annotated[str, Doc("The target's frame in TF.")] = "calibration_target",
+) -> ConvertOutput:
+    """Write a hand-eye calibration for ROS."""
+    from armsight.ops.conversion import convert_handeye
+    from armsight.store.foreign import FrameNames
+
+    names = FrameNames(base=base, flange=flange, camera=camera_frame, target=target)
+    return convert_handeye(source, out, to=to, names=names)
+
+
+@action("convert arm", writes=True, examples=("robot.urdf --tip tool0 -o arm.yaml",))
+def arm(
+    source: Annotated[str, Doc(f"{KNOWN_ARM}."), Flag(positional=True, metavar="FILE")],
+    out: Annotated[Path, Doc("File to write: .yaml or .urdf."), OUT],
+    *,
+    convention: Annotated[str | None, Doc("standard or craig, for arm.yaml.")] = None,
+    tip: Tip = None,
+    base: Base = None,
+) -> ConvertArmOutput:
+    """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
+    from armsight._files import arm_source
+    from armsight.ops.arm_files import convert_arm
+
+    return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention)
 
 
 def convert(

@@ -33,9 +33,13 @@ def identify_arm_from_frames(rig: Any, target: Any, left: Any, right: Any, joint
     return identify_arm(rig=rig, target=target, left=left, right=right, joints=joints, **more)
 
 
-ArmIdentification = LiveIdentification = Identification
-"""What identify_arm and identify_arm_live return."""
+def __getattr__(name: str) -> Any:
+    """Return what identify_arm and identify_arm_live return, by the names that it had."""
+    if name not in ("ArmIdentification", "LiveIdentification"):
+        raise AttributeError(name)
+    _warn("Identification", 4)
+    return Identification
 
 
-def _warn(now: str) -> None:
-    warnings.warn(f"use {now}", DeprecationWarning, stacklevel=3)
+def _warn(now: str, level: int = 3) -> None:
+    warnings.warn(f"use {now}", DeprecationWarning, stacklevel=level)

@@ -17,11 +17,18 @@ if TYPE_CHECKING:
     from armsight.ops.compare.run import CompareOutput
     from armsight.ops.join import JoinResult
 
+__all__ = ["compare", "join"]
+
 A: TypeAlias = Annotated[Any, Input("armsight.ops.compare.run:given_result"), Flag(positional=True, metavar="A")]
 B: TypeAlias = Annotated[Any, Input("armsight.ops.compare.run:given_result"), Flag(positional=True, metavar="B")]
 
 
-@action("compare", keeps=COMPARED)
+@action(
+    "compare",
+    keeps=COMPARED,
+    examples=("measured-monday measured-friday -o compared", "rig-before.yaml rig-after.yaml --distance 1.2"),
+    judged=True,
+)
 def compare(
     a: Annotated[A, Doc("A result: a folder of measure or verify, or a calibration.")],
     b: Annotated[B, Doc("Another of the same kind.")],
@@ -59,7 +66,11 @@ def compare(
     return compared(a, b, distance_m, None if out is None else Path(out))
 
 
-@action("join")
+@action(
+    "join",
+    examples=("--measured poses.csv --joints joints.csv --arm arm.yaml --as points -o points.csv",),
+    streamed=True,
+)
 def join(
     measured: Annotated[AsFile, Doc("Measured poses or points, with t_s."), Flag(metavar="FILE")],
     *,

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from armsight.calibrate.identify.result import PlanOutput, ProposedPlanOutput
     from armsight.records import Progress
 
+__all__ = ["identify_arm", "identify_arm_live"]
+
 LEFT, RIGHT = Doc(f"Left frames: {SRC}."), Doc("Right frames, in step with the left ones.")
 Confirm: TypeAlias = bool | Callable[[str], bool]
 Rig: TypeAlias = Annotated[RigLike, Doc("rig.yaml: fit pixels instead of positions.")]
@@ -57,7 +59,19 @@ def joint_numbers(text: str) -> tuple[int, ...]:
         raise UsageError(f"--leave-out {text!r} names no joints", cure="Write their numbers: --leave-out 5,6") from None
 
 
-@action("identify", working="identifying")
+@action(
+    "identify",
+    working="identifying",
+    examples=(
+        "--sweep sweep.csv -o identified.yaml",
+        "--live sim:kapucu2005-rrp --left camera:sim:kapucu2005-rrp:left --right camera:sim:kapucu2005-rrp:right "
+        "--rig rig.yaml --target target.yaml --limits=-0.5:5.2,-0.4:1.9,0.3:1.1 -o identified.yaml",
+    ),
+    filed=True,
+    judged=True,
+    writes="write_identified",
+    page="identified",
+)
 def identify_arm(
     joint: Annotated[
         Any,

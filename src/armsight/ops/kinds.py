@@ -59,6 +59,17 @@ Readings: TypeAlias = Annotated[Any, Input(f"{READERS}:readings", kind=str)]
 """Joint readings (n,), written as 0,-1.2,0.4, or the path of a joints.csv."""
 AsFile: TypeAlias = Annotated[Any, Input(f"{READERS}:file")]
 """A file's path, or what becomes one: a table's columns, a pose."""
+MeasuredFile: TypeAlias = Annotated[
+    AsFile,
+    Doc(
+        "Measured poses or points: poses.csv, points.csv, a tracker's table (x_m,y_m,z_m), TUM. With columns "
+        "pose and visit, or run, the figures of ISO 9283."
+    ),
+    Flag(metavar="FILE"),
+]
+"""A table's path, a PoseTrack, columns by name, or (t_s, T)."""
+JointsFile: TypeAlias = Annotated[AsFile, Doc("joints.csv of the controller. [default: q1 .. qn of the measured file]")]
+WorldFile: TypeAlias = Annotated[AsFile, Doc("world.yaml: where the measuring rig stands.")]
 RobotLike: TypeAlias = Annotated[
     Any,
     Doc(

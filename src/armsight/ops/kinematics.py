@@ -21,6 +21,8 @@ if TYPE_CHECKING:
         ShowOutput,
     )
 
+__all__ = ["show_arm", "write_formulas"]
+
 ArmChain: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 Joints: TypeAlias = Annotated[AsFile, Doc("joints.csv: t_s, q1 .. qn in rad and m; or bag:FILE:/topic.")]
 Poses: TypeAlias = Annotated[AsFile, Doc("poses.csv of the tool in world.")]
@@ -28,7 +30,7 @@ Out: TypeAlias = Annotated[Path, Doc("File to write."), OUT]
 TaskName: TypeAlias = Annotated[str | None, Doc("pose or position. [default: pose from six joints on]")]
 
 
-@action("kinematics fk")
+@action("kinematics fk", examples=("--arm arm.yaml --joints joints.csv -o poses.csv",), streamed=True)
 def fk(
     arm: ArmChain, joints: Joints, out: Out, *, tip: Tip = None, base: Base = None, table: Table | None = None
 ) -> FkOutput:
@@ -49,7 +51,7 @@ def fk(
     )
 
 
-@action("kinematics ik")
+@action("kinematics ik", examples=("--arm ur10e --poses poses.csv -o joints.csv",), streamed=True)
 def ik(
     arm: ArmChain,
     poses: Poses,
@@ -71,7 +73,7 @@ def ik(
     return solved(arm, targets, starts_of(arm, near, len(targets)), every=every, task=task, saved=str(out))
 
 
-@action("kinematics jacobian")
+@action("kinematics jacobian", examples=("--arm arm.yaml --joints joints.csv -o jacobians.csv",), streamed=True)
 def jacobian(
     arm: ArmChain,
     joints: Joints,
@@ -97,7 +99,7 @@ def jacobian(
     )
 
 
-@action("kinematics path")
+@action("kinematics path", examples=("--arm arm.yaml --poses poses.csv -o joints.csv",), streamed=True)
 def path(
     arm: ArmChain,
     poses: Poses,
@@ -138,7 +140,7 @@ def path(
     )
 
 
-@action("kinematics formulas")
+@action("kinematics formulas", examples=("--arm arm.yaml -o formulas.tex",))
 def write_formulas(arm: ArmChain, out: Out, *, tip: Tip = None, base: Base = None) -> FormulasOutput:
     """Write forward kinematics and Jacobian as Python (.py) or LaTeX (.tex).
 
@@ -159,7 +161,7 @@ def write_formulas(arm: ArmChain, out: Out, *, tip: Tip = None, base: Base = Non
     return FormulasOutput(arm=arm.name, file=fspath(out), content=formulas_of(arm, Path(out).name))
 
 
-@action("kinematics show")
+@action("kinematics show", examples=("--arm ur10e -o arm.html",))
 def show_arm(
     arm: ArmChain,
     out: Out = Path("arm.html"),

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from armsight.ops.simulation.run import SimulateOutput
     from armsight.records import Progress
 
+__all__ = ["doctor", "reproduce", "write_simulation"]
+
 Room: TypeAlias = Annotated[
     str | None, Doc("Behind the target: dark, workshop, office, plain or a picture. [default: its own]")
 ]
@@ -31,7 +33,12 @@ Zoom: TypeAlias = Annotated[
 ]
 
 
-@action("simulate", working="simulating", writes=True)
+@action(
+    "simulate",
+    working="simulating",
+    writes=True,
+    examples=("webcam-cell -o cell", "webcam-cell --room workshop -o cell", "handeye -o photos"),
+)
 def write_simulation(
     scenario: Annotated[str, Doc("A scenario's name or file; or the name of a cell or set."), Flag(positional=True)],
     out: OutFolder,
@@ -66,7 +73,7 @@ def write_simulation(
     return simulate(scenario, out, seed=seed, frames=frames, room=room, zoom=zoom, progress=progress)
 
 
-@action("reproduce", working="reproducing {paper}", writes=True)
+@action("reproduce", working="reproducing {paper}", writes=True, examples=("kapucu2005 -o kapucu",))
 def reproduce(
     paper: Annotated[
         Literal["korayem2018", "pachidis2005", "kapucu2005"],
@@ -95,7 +102,7 @@ def reproduce(
     return load(PAPERS, "reproduce")(paper, out, seed=seed, frames=frames, progress=progress)  # type: ignore[no-any-return]  # of an entry point
 
 
-@action("doctor", working="doctor")
+@action("doctor", working="doctor", examples=("", "--rig rig.yaml --depth 1.5"))
 def doctor(
     rig: Annotated[AsFile, Doc("Tell what this rig can tell apart at distances.")] = None,
     *,

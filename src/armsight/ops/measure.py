@@ -21,10 +21,22 @@ if TYPE_CHECKING:
     from armsight.records import Progress
     from armsight.store.recording import ImageFormat
 
+__all__ = ["measure", "record"]
+
 Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER", needed=True)]
 
 
-@action("measure", working="measuring", keeps=MEASURED, writes=True)
+@action(
+    "measure",
+    working="measuring",
+    keeps=MEASURED,
+    writes=True,
+    examples=(
+        "--left frames/left --right frames/right --rig rig.yaml --target target.yaml -o measured",
+        "--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml -o measured",
+    ),
+    judged=True,
+)
 def measure(
     rig: Annotated[AsFile, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
     target: Annotated[
@@ -181,7 +193,15 @@ def _with_zoom(settings: PairSettings, zoom: tuple[float | None, float | None]) 
     return replace(left, zoom=zoom[0]), replace(right, zoom=zoom[1])
 
 
-@action("record", working="recording", writes=True)
+@action(
+    "record",
+    working="recording",
+    writes=True,
+    examples=(
+        "--left camera:0 --right camera:1 --seconds 60 -o recording.mcap",
+        "--repair recording.mcap -o mended.mcap",
+    ),
+)
 def record(
     out: Annotated[Path | None, Doc("The recording."), Flag("-o --out", metavar="FILE.mcap")] = None,
     left: Left = None,

@@ -63,6 +63,8 @@ if TYPE_CHECKING:
     from armsight.ops.servo.vision import Beside
     from armsight.records import Progress
 
+__all__ = ["play", "servo"]
+
 Folder: TypeAlias = Annotated[
     Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER", needed=True)
 ]
@@ -73,7 +75,17 @@ DISTANCE_M = 0.6
 """From the camera or the tool to the target that is followed."""
 
 
-@action("servo", keeps=FOLLOWED, working="servo")
+@action(
+    "servo",
+    keeps=FOLLOWED,
+    working="servo",
+    examples=(
+        "--robot sim:pachidis2005-static --rig rig.yaml --target target.yaml --handeye handeye.yaml --hand "
+        "circle -o servo",
+        "--robot rsi:49152 --arm arm.yaml --left camera:0 --right camera:1 --rig rig.yaml --target target.yaml "
+        "--handeye handeye.yaml --distance 0.6 -o servo",
+    ),
+)
 def servo(
     robot: RobotLike,
     rig: Annotated[RigLike, Doc("rig.yaml of the cameras.")],
@@ -187,22 +199,12 @@ def servo(
     from armsight.ops.servo.run_servo import LAG_CYCLES, follow_target, require_axis, turning
     from armsight.ops.servo.vision import CameraNames, measuring, open_servo, placed_cameras
 
-    if out is not None:
-        require_new(out, SERVO_RECORDING)
+    record = None if out is None else require_new(out, SERVO_RECORDING)
     placed, turns = placed_cameras(handeye), turning(rotation)
     require_axis(at, placed, handeye)
     cameras = CameraNames(left, right, image, exposure_s, latency_s)
     device = open_servo(robot, rig, target, arm, cameras, hand=hand, hand_speed_m_s=hand_speed_m_s)
-    run = RobotRun(
-        robot,
-        arm,
-        progress,
-        confirm=confirm,
-        recording=None if out is None else out / SERVO_RECORDING,
-        limits=limits,
-        speed=speed,
-        device=device,
-    )
+    run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed, device=device)
     run.require_lengths("Where its cameras are is not known, and nothing is moved")
     settings = ServoSettings(
         mount=Mount(placed.setup.value),
@@ -222,7 +224,15 @@ def servo(
     return follow_target(run, device, setup, settings, gain, for_s, show, beside)
 
 
-@action("play", keeps=PLAYED, working="playing")
+@action(
+    "play",
+    keeps=PLAYED,
+    working="playing",
+    examples=(
+        "--robot sim:webcam-cell --path taught/path.csv -o played",
+        "--robot rsi:49152 --arm arm.yaml --tip tip.yaml --path taught/path.csv --weave sine:0.002:0.008 -o played",
+    ),
+)
 def play(
     robot: RobotLike,
     path: Annotated[Any, Doc("path.csv of the tip."), Input(f"{ROBOT_READERS}:taught")],
@@ -337,8 +347,7 @@ def play(
         retract_m=retract_m,
         keep_rotation=keep_rotation,
     )
-    if out is not None:
-        require_new(out, PLAY_RECORDING)
+    record = None if out is None else require_new(out, PLAY_RECORDING)
     watched = any(one is not None for one in (rig, target, handeye, left, right, image))
     watcher: Watcher | None
     device: ClockedRobot
@@ -350,16 +359,7 @@ def play(
     else:
         device = clocked_robot(robot, arm)
         watcher = getattr(device, "watcher", None)
-    run = RobotRun(
-        robot,
-        arm,
-        progress,
-        confirm=confirm,
-        recording=None if out is None else out / PLAY_RECORDING,
-        limits=limits,
-        speed=speed,
-        device=device,
-    )
+    run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed, device=device)
     run.require_lengths("Where its tip goes is not known, and nothing is moved")
     if tip is not None:
         run.guard = Guard(with_tip(run.guard.arm, tip), run.guard.limits, run.guard.cycle_s)

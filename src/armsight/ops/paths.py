@@ -55,12 +55,12 @@ Speed: TypeAlias = Annotated[float | None, Doc("Where the path leaves it open, m
 Picture: TypeAlias = Annotated[Any, Input(f"{READERS}:picture")]
 
 
-def _tool(command: str) -> Callable[[Callable[P, Change]], Callable[P, TaughtPath]]:
+def _tool(command: str, **more: Any) -> Callable[[Callable[P, Change]], Callable[P, TaughtPath]]:
     """Make a function an action of which Python gets the path that it makes."""
-    return action(command, gives="taught")  # type: ignore[return-value]  # which is a part of the result
+    return action(command, gives="taught", **more)  # type: ignore[return-value]  # which is a part of the result
 
 
-@_tool("path smooth")
+@_tool("path smooth", examples=("path.csv --bound-m 0.0005 -o smooth.csv",))
 def smooth(
     path: APath,
     *,
@@ -94,7 +94,7 @@ def smooth(
     return smooth_path(path.taught, bound_m, bound_rad, outliers, where=path.where, out=out)
 
 
-@_tool("path resample")
+@_tool("path resample", examples=("path.csv --step-m 0.001 -o even.csv",))
 def resample(
     path: APath,
     step_m: Annotated[float, Doc("Rows are at most so far apart, m.")],
@@ -109,7 +109,7 @@ def resample(
     return changed([path.taught], resampled(path.taught, step_m, spline=spline), out)
 
 
-@_tool("path fillet")
+@_tool("path fillet", examples=("path.csv --radius-m 0.005 -o rounded.csv",))
 def fillet(path: APath, radius_m: Annotated[float, Doc("Of the arcs, m.")], *, out: PathOut = None) -> PathChangeOutput:
     """Round the corners to arcs."""
     from armsight.control.paths import filleted
@@ -118,7 +118,7 @@ def fillet(path: APath, radius_m: Annotated[float, Doc("Of the arcs, m.")], *, o
     return changed([path.taught], filleted(path.taught, radius_m), out)
 
 
-@_tool("path offset")
+@_tool("path offset", examples=("path.csv --by-m -0.01 -o above.csv",))
 def offset(
     path: APath,
     by_m: Annotated[float, Doc("Along the tool's z axis, m; negative: back from the work.")],
@@ -132,7 +132,7 @@ def offset(
     return changed([path.taught], offset_along_tool(path.taught, by_m), out)
 
 
-@_tool("path angle")
+@_tool("path angle", examples=("path.csv --travel-deg 15 -o tilted.csv",))
 def angle(
     path: APath,
     *,
@@ -147,7 +147,7 @@ def angle(
     return changed([path.taught], tilted(path.taught, travel_rad=travel_rad, work_rad=work_rad), out)
 
 
-@_tool("path reverse")
+@_tool("path reverse", examples=("path.csv -o back.csv",))
 def reverse(path: APath, *, out: PathOut = None) -> PathChangeOutput:
     """Turn the path round; the same stretches are welded."""
     from armsight.control.paths import reversed_path
@@ -156,7 +156,7 @@ def reverse(path: APath, *, out: PathOut = None) -> PathChangeOutput:
     return changed([path.taught], reversed_path(path.taught), out)
 
 
-@_tool("path join")
+@_tool("path join", examples=("first.csv second.csv -o both.csv",))
 def join(
     first: Annotated[
         Any,
@@ -193,7 +193,7 @@ def join(
     return changed(paths, reduce(lambda a, b: joined(a, b, gap_m=gap_m, gap_rad=gap_rad), paths), out)
 
 
-@action("path check")
+@action("path check", examples=("path.csv --arm arm.yaml --limits limits.yaml -o check.html",))
 def check(
     path: APath,
     arm: Annotated[ArmLike, Doc(f"{KNOWN_ARM}.")],
@@ -230,7 +230,13 @@ def check(
     )
 
 
-@action("path export")
+@action(
+    "path export",
+    examples=(
+        "path.csv --to urscript --arm arm.yaml -o seam.script",
+        "path.csv --to krl --arm arm.yaml --tool 1 -o seam.src",
+    ),
+)
 def export(
     path: APath,
     out: Annotated[Path, Doc("program.script, .src, .mod, path.csv or .py."), Flag("-o --out", metavar="FILE")],
@@ -295,7 +301,11 @@ def export(
     return parts.exported(file, kind, run, parts.PROGRAMS[kind](program), found=found, start=program.start)
 
 
-@action("path from-picks", working="searching")
+@action(
+    "path from-picks",
+    working="searching",
+    examples=("--left left.png --right right.png --rig rig.yaml --picks picks.csv --world world.yaml -o path.csv",),
+)
 def from_picks(
     left: Annotated[Picture, Doc("Picture of the left camera.")],
     right: Annotated[Picture, Doc("Picture of the right camera, of the same scene at rest.")],

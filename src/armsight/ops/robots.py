@@ -28,8 +28,10 @@ if TYPE_CHECKING:
     from armsight.ops.robot.run_motion import RunMotionOutput
     from armsight.records import Progress
 
+__all__ = ["check_robot", "jog"]
 
-@action("robot test", working="reading")
+
+@action("robot test", working="reading", examples=("--robot rsi:49152 --for 60",))
 def check_robot(
     robot: RobotLike,
     *,
@@ -57,7 +59,14 @@ def check_robot(
     return test_robot(robot.robot.partition(":")[0], clocked_robot(robot), for_s, progress or Silent())
 
 
-@action("robot jog", working="moving")
+@action(
+    "robot jog",
+    working="moving",
+    examples=(
+        "--robot sim:webcam-cell --joint 1 --by 0.02",
+        "--robot rsi:49152 --arm arm.yaml --with gamepad --frame tool",
+    ),
+)
 def jog(
     robot: RobotLike,
     joint: Annotated[int | None, JOINT] = None,
@@ -129,7 +138,15 @@ def jog(
     return jog_joint(run, joint or 0, by or 0.0)
 
 
-@action("robot run", keeps=MOVED, working="moving")
+@action(
+    "robot run",
+    keeps=MOVED,
+    working="moving",
+    examples=(
+        "--robot sim:webcam-cell --motion motion.csv -o moved",
+        "--robot rtde:192.168.0.10 --arm ur5e --motion motion.csv --left camera:0 --right camera:2 -o moved",
+    ),
+)
 def run_motion(
     robot: RobotLike,
     motion: Annotated[AsFile, Doc("joints.csv of the motion: t_s,q1,...,qn."), Flag(metavar="MOTION.csv")],
@@ -180,9 +197,7 @@ def run_motion(
     from armsight.store.tracks import read_joints
 
     cameras = recorded_cameras(left, right, camera_settings, out)
-    if out is not None:
-        require_new(out, MOTION_RECORDING, FRAMES)
-    recording = None if out is None else out / MOTION_RECORDING
-    run = RobotRun(robot, arm, progress, confirm=confirm, recording=recording, limits=limits, speed=speed)
+    record = None if out is None else require_new(out, MOTION_RECORDING, FRAMES)
+    run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed)
     wanted = checked_motion(read_joints(motion), run.guard, str(motion))
     return run_joints(run, wanted, cameras, override=override, begun=begun, enabled=enabled)

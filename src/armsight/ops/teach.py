@@ -35,8 +35,20 @@ if TYPE_CHECKING:
     from armsight.ops.teaching import TeachResult
     from armsight.records import Progress
 
+__all__ = ["teach"]
 
-@action("teach", keeps=TAUGHT, working="teaching")
+
+@action(
+    "teach",
+    keeps=TAUGHT,
+    working="teaching",
+    examples=(
+        "--robot sim:pachidis2005-circle --rig rig.yaml --target target.yaml --handeye handeye.yaml -o taught",
+        "--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml --world world.yaml --tip tip.yaml "
+        "-o taught",
+        "--from measured/poses.csv --tip tip.yaml -o taught",
+    ),
+)
 def teach(
     rig: Annotated[RigLike, Doc("rig.yaml of the cameras.")] = None,
     target: Annotated[TargetLike, Doc("target.yaml of the lights that are led along.")] = None,

@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.defaults import JOINT_STD, LATENCY_STD_S
+from armsight.defaults import JOINT_STD, LATENCY_STD_S, MASTERING_SPAN_RAD
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.file_names import ERRORS, PLAN, PLAN_SUMMARY, REPORT, VERIFY
 from armsight.file_names import LIVE as RECORDING
 from armsight.file_names import MASTERING as POSES_TO_MEASURE
 from armsight.ops.action import action
 from armsight.ops.flags import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
-from armsight.ops.kinds import CHAIN, ArmLike, AsFile, Readings
+from armsight.ops.kinds import CHAIN, ArmLike, AsFile, JointsFile, MeasuredFile, Readings, WorldFile
 from armsight.ops.requests.motion import LATENCY_S, RobotJob, RobotSettings
 from armsight.ops.requests.plant import PlantFlags
 from armsight.units import DEG, MM
@@ -28,21 +28,11 @@ if TYPE_CHECKING:
     from armsight.verify.live import VerifyLiveOutput
     from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
 
-SPAN_RAD = 30.0 * DEG
-"""How far joints go from those about which poses are proposed."""
+__all__ = ["check_mastering", "plan_verification", "propose_mastering_poses", "supervise", "verify"]
+
 Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
 AnArm: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 OneArm: TypeAlias = Annotated[ArmLike, Doc(f"{KNOWN_ARM}.")]
-MeasuredFile: TypeAlias = Annotated[
-    AsFile,
-    Doc(
-        "Measured poses or points: poses.csv, points.csv, a tracker's table (x_m,y_m,z_m), TUM. With columns "
-        "pose and visit, or run, the figures of ISO 9283."
-    ),
-    Flag(metavar="FILE"),
-]
-JointsFile: TypeAlias = Annotated[AsFile, Doc("joints.csv of the controller. [default: q1 .. qn of the measured file]")]
-WorldFile: TypeAlias = Annotated[AsFile, Doc("world.yaml: where the measuring rig stands.")]
 RigFile: TypeAlias = Annotated[AsFile, Doc("rig.yaml of the two cameras."), Flag(panel=LIVE)]
 TargetFile: TypeAlias = Annotated[AsFile, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
 Tool: TypeAlias = Annotated[
@@ -52,7 +42,19 @@ Tool: TypeAlias = Annotated[
 ]
 
 
-@action("verify", keeps=(VERIFY, ERRORS, REPORT))
+@action(
+    "verify",
+    keeps=(VERIFY, ERRORS, REPORT),
+    examples=(
+        "--arm arm.yaml --measured poses.csv --joints joints.csv -o verified",
+        "--live --robot rtde:192.168.1.10 --left camera:0 --right camera:1 --rig rig.yaml --target target.yaml "
+        "--arm arm.yaml --world world.yaml -o live",
+    ),
+    filed=True,
+    judged=True,
+    writes="write_verified",
+    page="verification",
+)
 def verify(
     measured: MeasuredFile,
     *,
@@ -127,14 +129,9 @@ def verify(
     from armsight.store.verify_files import read_measured
     from armsight.verify import Align
 
+    links, folders = (tip, base), (compare, out)
     run.check_usage(
-        arm=arm,
-        joints=joints,
-        commanded=commanded,
-        links=(tip, base),
-        align=align,
-        band_m=band_m,
-        folders=(compare, out),
+        arm=arm, joints=joints, commanded=commanded, links=links, align=align, band_m=band_m, folders=folders
     )
     tables, expected = table or OURS, None
     earlier = None if compare is None else run.read_run(compare)
@@ -153,7 +150,7 @@ def verify(
     return done if earlier is None else run.beside(done, compare, earlier)
 
 
-@action("verify", keeps=(PLAN, PLAN_SUMMARY))
+@action("verify", keeps=(PLAN, PLAN_SUMMARY), writes="write_planned_test")
 def plan_verification(
     arm: AnArm,
     out: Out = None,
@@ -189,7 +186,9 @@ def plan_verification(
     return chosen_motions(plan_test(arm, options, progress), part)
 
 
-@action("verify", working="supervising", keeps=(VERIFY, ERRORS, REPORT, RECORDING))
+@action(
+    "verify", working="supervising", keeps=(VERIFY, ERRORS, REPORT, RECORDING), writes="write_verified", page="live"
+)
 def supervise(
     robot: Annotated[str, Doc("Whose joints are read."), Flag(metavar="DRIVER:DEVICE", panel=LIVE)],
     rig: RigFile,
@@ -321,7 +320,7 @@ def supervise(
     return done
 
 
-@action("verify", keeps=(POSES_TO_MEASURE,))
+@action("verify", keeps=(POSES_TO_MEASURE,), writes="write_poses_to_measure")
 def propose_mastering_poses(
     arm: OneArm,
     around: Annotated[
@@ -334,7 +333,7 @@ def propose_mastering_poses(
         float,
         Doc("How far joints may go from there, deg. [default: 30]"),
         Flag("--span", unit=DEG, default=None, panel=MASTERING),
-    ] = SPAN_RAD,
+    ] = MASTERING_SPAN_RAD,
     tool: Tool = None,
     world: WorldFile = None,
     rig: RigFile = None,
@@ -364,7 +363,7 @@ def propose_mastering_poses(
     return mastering.propose_poses(placed, how, q, view, "" if out is None else str(Path(out) / POSES_TO_MEASURE))
 
 
-@action("verify", keeps=(VERIFY, REPORT))
+@action("verify", keeps=(VERIFY, REPORT), writes="write_verified", page="mastering")
 def check_mastering(
     measured: MeasuredFile,
     joints: JointsFile,

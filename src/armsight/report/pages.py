@@ -1,17 +1,16 @@
-"""Which page tells of a result of an action, and where it goes beside the result's file.
+"""Pages of actions' results, named at the actions: of the result, the files that went in, and what it was called with.
 
 Each page's module is loaded when it is made: together they load all that armsight can calibrate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from armsight._files import arm_source
-from armsight.file_names import REPORT, report_path
 
 if TYPE_CHECKING:
     from armsight.calibrate.arm import ArmResult
@@ -26,20 +25,23 @@ FILES_SHOWN = 20
 Given = Mapping[str, object]
 
 
-def _hand_eye(result: HandEyeResult, files: Sequence[Path], given: Given) -> str:
+def hand_eye(result: HandEyeResult, files: Sequence[Path], given: Given) -> str:
+    """Return the page of a hand-eye calibration."""
     from armsight.report.handeye_report import handeye_report
 
     return handeye_report(result, inputs=[("file", item.name) for item in files[:FILES_SHOWN]])
 
 
-def _identified(result: Identification, files: Sequence[Path], given: Given) -> str:
+def identified(result: Identification, files: Sequence[Path], given: Given) -> str:
+    """Return the page of an identified arm."""
     from armsight.report.identify_report import identify_report
 
     made = [] if result.plan is None else [Path(str(given["out"])).with_suffix(".sweep.csv")]
     return identify_report(result, inputs=[("file", item.name) for item in (*made, *files)])
 
 
-def _cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
+def cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
+    """Return the page of a calibrated cell."""
     from armsight.report.cell_report import cell_report
 
     named = (
@@ -52,7 +54,8 @@ def _cell(result: CellResult, files: Sequence[Path], given: Given) -> str:
     return cell_report(result, inputs=[(what, str(one)) for what, one in told if isinstance(one, str | PathLike)])
 
 
-def _arm(result: ArmResult, files: Sequence[Path], given: Given) -> str:
+def arm(result: ArmResult, files: Sequence[Path], given: Given) -> str:
+    """Return the page of a calibrated arm."""
     from armsight.report.arm_report import arm_report
 
     texts = {name: str(value) for name, value in given.items() if isinstance(value, str | PathLike)}
@@ -62,7 +65,8 @@ def _arm(result: ArmResult, files: Sequence[Path], given: Given) -> str:
     return arm_report(result, inputs=inputs)
 
 
-def _verification(result: VerifyResult, files: Sequence[Path], given: Given) -> str:
+def verification(result: VerifyResult, files: Sequence[Path], given: Given) -> str:
+    """Return the page of a verification."""
     from armsight.report.verify_pages import repeats_report
     from armsight.report.verify_report import verify_report
 
@@ -75,14 +79,16 @@ def _verification(result: VerifyResult, files: Sequence[Path], given: Given) -> 
     return verify_report(result, inputs=_named(given, ("measured", "arm", "joints", "commanded", "world"), ("arm",)))
 
 
-def _supervision(result: VerifyLiveOutput, files: Sequence[Path], given: Given) -> str:
+def live(result: VerifyLiveOutput, files: Sequence[Path], given: Given) -> str:
+    """Return the page of a supervision."""
     from armsight.report.verify_pages import live_report
 
     devices = ("robot", "left", "right", "arm")
     return live_report(result, inputs=_named(given, (*devices, "rig", "target", "world"), devices))
 
 
-def _mastering(result: MasteringOutput, files: Sequence[Path], given: Given) -> str:
+def mastering(result: MasteringOutput, files: Sequence[Path], given: Given) -> str:
+    """Return the page of zeros after a crash."""
     from armsight.report.verify_pages import mastering_report
 
     return mastering_report(result)
@@ -93,30 +99,3 @@ def _named(given: Given, names: Sequence[str], in_full: Sequence[str]) -> list[t
     told = [(name, given.get(name)) for name in names]
     texts = [(name, str(value)) for name, value in told if isinstance(value, str | PathLike)]
     return [(name, text if name in in_full else Path(text).name) for name, text in texts]
-
-
-PAGES: Mapping[str, Callable[[Any, Sequence[Path], Given], str]] = {
-    "HandEyeResult": _hand_eye,
-    "CellResult": _cell,
-    "ArmResult": _arm,
-    "VerifyResult": _verification,
-    "VerifyLiveOutput": _supervision,
-    "MasteringOutput": _mastering,
-    "Identification": _identified,
-}
-"""By a result's class: the page, from the result, the files that went in, and what the action was called with."""
-IN_FOLDERS = ("CellResult", "VerifyResult", "VerifyLiveOutput", "MasteringOutput")
-"""Results that have a folder of their own, and their page in it."""
-
-
-def page_path(out: Path, result: object) -> Path | None:
-    """Return where a result's page goes, None where it has none: into the folder, or beside a file, rig.report.html."""
-    name = type(result).__name__
-    if name not in PAGES:
-        return None
-    return out / REPORT if name in IN_FOLDERS else report_path(out)
-
-
-def page_of(result: object, files: Sequence[Path], given: Given) -> str:
-    """Return the page of a result as HTML text that needs no other file."""
-    return PAGES[type(result).__name__](result, files, given)

@@ -1,25 +1,17 @@
-"""Which file each record is written to: the ending of the name decides."""
+"""How results are written into files, and which file each record is written to: the ending of the name decides."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.calibrate.arm import ArmResult, RobotWorldResult
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
-from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
-from armsight.calibrate.cameras.zoom import ZoomRigResult
-from armsight.calibrate.cell import CellResult
-from armsight.calibrate.handeye import HandEyeResult
 from armsight.calibrate.identify import Identification
-from armsight.calibrate.light_target import TargetResult
-from armsight.calibrate.timing import TimingResult
-from armsight.calibrate.tooltip_result import PivotCalibration, ToolTipResult
 from armsight.control.guard import Limits
 from armsight.errors import Inconsistent, UsageError
 from armsight.file_names import (
@@ -42,7 +34,8 @@ from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import write_sweeps
 from armsight.store.atomic import disk_errors, write_json, write_text
-from armsight.store.handeye_file import write_handeye, write_tip
+from armsight.store.handeye_file import write_handeye as write_handeye
+from armsight.store.handeye_file import write_tip as write_tip
 from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path, write_test_plan
 from armsight.store.rigs import World, write_camera, write_rig, write_world
@@ -52,9 +45,19 @@ from armsight.store.tracks import write_poses, write_tum
 from armsight.store.urdf import delete_urdf, urdf_text, write_urdf
 from armsight.store.zoom import with_setting, write_zoom_camera
 from armsight.units import displayed
-from armsight.verify.iso9283.plan import VerifyPlanOutput
-from armsight.verify.live import VerifyLiveOutput
-from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
+from armsight.verify.results import MasteringOutput
+
+if TYPE_CHECKING:
+    from armsight.calibrate.arm import ArmResult, RobotWorldResult
+    from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+    from armsight.calibrate.cameras.zoom import ZoomRigResult
+    from armsight.calibrate.cell import CellResult
+    from armsight.calibrate.light_target import TargetResult
+    from armsight.calibrate.timing import TimingResult
+    from armsight.calibrate.tooltip_result import PivotCalibration
+    from armsight.verify.iso9283.plan import VerifyPlanOutput
+    from armsight.verify.live import VerifyLiveOutput
+    from armsight.verify.results import MasteringPlanOutput, VerifyResult
 
 CORRECTIONS, URDF, PROPOSED = ".corrections.csv", ".urdf", ".proposed.csv"
 """Endings of what is written beside arm.yaml."""
@@ -223,54 +226,9 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     PoseTrack: {".csv": write_poses, ".tum": write_tum, ".txt": write_tum},
     World: dict.fromkeys(YAML, write_world),
     Limits: dict.fromkeys(YAML, write_limits),
-    CellResult: {"": write_cell},
-    HandEyeResult: dict.fromkeys(YAML, write_handeye),
-    ArmResult: dict.fromkeys(YAML, write_calibrated_arm),
-    Identification: {
-        **dict.fromkeys(YAML, write_identified),
-        ".urdf": lambda path, result: write_urdf(path, result.arm),
-    },
-    RobotWorldResult: dict.fromkeys(YAML, write_placed_rig),
-    CameraCalibration: dict.fromkeys(YAML, write_calibrated_camera),
-    StereoCalibration: dict.fromkeys(YAML, write_rig_of),
-    ZoomRigResult: dict.fromkeys(YAML, write_rig_of),
-    PivotCalibration: dict.fromkeys(YAML, write_pivot),
-    TargetResult: dict.fromkeys(YAML, write_lights),
-    TimingResult: dict.fromkeys(YAML, write_rig_of),
-    ToolTipResult: dict.fromkeys(YAML, write_tip),
-    VerifyResult: {"": write_verified},
-    VerifyLiveOutput: {"": write_verified},
-    MasteringOutput: {"": write_verified},
-    MasteringPlanOutput: {"": write_poses_to_measure},
-    VerifyPlanOutput: {"": write_planned_test},
+    Identification: {".urdf": lambda path, result: write_urdf(path, result.arm)},
 }
-"""By class; a class stands before its bases."""
-
-
-def save(record: object, path: str | PathLike[str]) -> Path:
-    """Write a record's file and return its path. Raises UsageError for another ending or no such folder, DeviceFailed.
-
-    Raises TypeError for a record that has no file.
-    """
-    for kind, writers in WRITERS.items():
-        if isinstance(record, kind):
-            file = file_to_write(path, *writers)
-            writers[file.suffix.lower()](file, record)
-            return file
-    raise TypeError(f"{type(record).__name__} has no file of its own; {path} is not written")
-
-
-def write_result(path: Path, result: Any, inputs: Sequence[Path]) -> None:
-    """Write a result's file, with the hashes of the files it was made from, or what it writes itself: `write(path)`.
-
-    Raises DeviceFailed.
-    """
-    writers = next((writers for kind, writers in WRITERS.items() if isinstance(result, kind)), None)
-    if writers is None:
-        result.write(path)
-        return
-    write: Any = next(iter(writers.values()))
-    write(path, result, inputs=inputs)
+"""By class and ending: what is no action's result, and what a result is written as beside its YAML file."""
 
 
 def file_to_write(path: str | PathLike[str], *endings: str) -> Path:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import pkgutil
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -55,13 +57,16 @@ def test_every_public_name_resolves_and_type_checkers_see_the_same() -> None:
         assert getattr(armsight, name) is not None
     tree = ast.parse(Path(armsight.__file__).read_text(encoding="utf-8"))
     typed = {
-        alias.asname: node.module
+        name: str(node.module)
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom) and node.col_offset
         for alias in node.names
-        if alias.asname
+        for name in (import_module(str(node.module)).__all__ if alias.name == "*" else [alias.asname])
+        if name
     }
-    assert typed == {name: module for module, names in armsight._MODULES.items() for name in names}
+    assert typed == armsight._places()
+    packages = {module.name for module in pkgutil.iter_modules(armsight.__path__)}
+    assert packages & set(typed) == set(armsight._PACKAGES)
     with refuses(AttributeError, "nonsense", "attribute"):
         _ = armsight.nonsense
 

@@ -24,7 +24,6 @@ from armsight.errors import (
     StaleData,
     UsageError,
 )
-from armsight.ops.action import write_with_page
 from armsight.ops.arm_files import given_arm
 from armsight.ops.identification.left_out import read_limits
 from armsight.ops.identification.live import (
@@ -35,6 +34,7 @@ from armsight.ops.identification.live import (
     open_devices,
 )
 from armsight.ops.requests.motion import RobotJob
+from armsight.ops.saving import write_with_page
 from armsight.ops.simulation.scenarios import load_scenario
 from armsight.records import Frame
 from armsight.store import (

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import histories
 from action_cases import make_paths, write_sweep
 from armsight.cli.commands import app
-from armsight.cli.examples import EXAMPLES
+from armsight.cli.examples import every_example
 from armsight.ops.print_report import BROWSERS
 from armsight.ops.simulation.run import simulate
 from armsight_lab.history.adding import file_entry
@@ -194,7 +194,7 @@ def make_batch() -> None:
     Path("jobs.csv").write_text("name,command,arm,joints\nmonday,kinematics fk,ur10,joints.csv\n")
 
 
-@pytest.mark.parametrize("example", [text for texts in EXAMPLES.values() for text in texts])
+@pytest.mark.parametrize("example", [text for texts in every_example().values() for text in texts])
 def test_an_example_runs(example: str, given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = example.removeprefix("armsight ")
     monkeypatch.setenv("ARMSIGHT_HISTORY", "history.sqlite")

@@ -238,5 +238,8 @@ def test_names_of_earlier_versions_warn_and_do_the_same(pairs: tuple[RigidTransf
         face.calibrate_hand_eye_from_streams((t_s, flange), (t_s, seen))
     with pytest.warns(DeprecationWarning), pytest.raises(ArmsightError):
         face.calibrate_hand_eye_from_images("no-such-folder", flange, "camera.yaml", "checkerboard:9x6:0.02")
+    for name in ("ArmIdentification", "LiveIdentification"):
+        with pytest.warns(DeprecationWarning, match="Identification"):
+            assert getattr(face, name) is face.Identification
     with pytest.warns(DeprecationWarning):
         assert calibrate_hand_eye(flange, seen).detail.n_used == 12

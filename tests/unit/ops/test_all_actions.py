@@ -64,7 +64,7 @@ def test_every_action_has_a_case_or_a_reason() -> None:
     named = {file for reason in ON_DEVICES.values() for file in re.findall(r"tests/\S+\.py", reason)}
     assert named and all((ROOT / file).is_file() for file in named)
     commands = {name for name, _ in every_command(app)}
-    assert {one.action.command for one in ACTIONS.values()} - commands == {"calibrate noise"}  # type: ignore[attr-defined]
+    assert {one.action.command for one in ACTIONS.values()} <= commands  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="module")
@@ -254,9 +254,7 @@ class Stopped(Silent):
 
 
 STOPPED = {
-    "calibrate_cell.calibrate_cell": "spots and joints are read at once, and solving does not ask",
     "calibrate_hand_eye.calibrate_hand_eye": "a table is read at once; images ask, as those of a camera do",
-    "calibrate_mirrors.check_mirrors": "ends with the images that it has",
     "calibrate_rig.calibrate_timing": "tables are read at once",
     "calibrate_robot.calibrate_pivot": "judges the poses that were taken until then",
     "identify.identify_arm": "a table is read at once",

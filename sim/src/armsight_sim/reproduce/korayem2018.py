@@ -14,7 +14,6 @@ from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
-from armsight.ops.measure import measure
 from armsight.optics import SIDES, Rig
 from armsight.records import Target
 from armsight.store import read_poses, read_rig, read_target, read_times, read_world
@@ -106,7 +105,7 @@ def reproduce_korayem(stage: Stage) -> Reproduction:
 def _measure(stage: Stage, folder: Path) -> _Run:
     """Return the poses by both methods; armsight's files are written."""
     out = stage.out / "korayem2018-measured"
-    measure(
+    stage.measure(
         rig=folder / "rig.yaml",
         target=folder / "target.yaml",
         world=folder / "world.yaml",
@@ -114,9 +113,7 @@ def _measure(stage: Stage, folder: Path) -> _Run:
         left=str(folder / "left"),
         right=str(folder / "right"),
         out=out,
-        progress=stage.progress,
     )
-    stage.check()
     times_s = read_times(folder / "times.csv")
     T_world_rig = read_world(folder / "world.yaml").T_parent_rig.as_matrix()
     seen = spots_by_frame(out / "spots.csv", times_s)

@@ -14,7 +14,6 @@ from armsight.columns import POSE6
 from armsight.drivers import read_image
 from armsight.errors import NotEnoughData
 from armsight.geometry import euler_rad
-from armsight.ops.measure import measure
 from armsight.optics import Rig
 from armsight.records import Target
 from armsight.store import read_poses, read_rig, read_target, read_times
@@ -146,15 +145,13 @@ def _record(stage: Stage, name: str) -> _Recorded:
     """Return the recorded poses of one experiment by both methods; armsight's files are written."""
     folder = stage.simulate(f"pachidis2005-{name}", least=LEAST_FRAMES, room="dark")
     out = stage.out / f"pachidis2005-{name}-measured"
-    measure(
+    stage.measure(
         rig=folder / "rig.yaml",
         target=folder / "target.yaml",
         image=str(folder / "image"),
         times=folder / "times.csv",
         out=out,
-        progress=stage.progress,
     )
-    stage.check()
     times_s = read_times(folder / "times.csv")
     seen = _by_paper(folder, _Vision(rig=read_rig(folder / "rig.yaml"), target=read_target(folder / "target.yaml")))
     measured = measured_poses(out / "poses.csv")

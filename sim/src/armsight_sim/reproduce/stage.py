@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from armsight.errors import Cancelled, UsageError
+from armsight.ops.action import action_of
+from armsight.ops.measure import measure
 from armsight.ops.simulation.run import simulate
 from armsight.ops.simulation.scenarios import VIEWS, load_scenario
 from armsight.records import Progress
@@ -55,6 +57,11 @@ class Stage:
         self.settings += sourced_settings(load_scenario(scenario)[1])
         self.check()
         return folder
+
+    def measure(self, **given: object) -> None:
+        """Measure as the command does, whose flags errors then name. given: of ops.measure. Raises what it does."""
+        action_of(measure).run({**given, "progress": self.progress})
+        self.check()
 
     def check(self) -> None:
         """Raise Cancelled where the person wants to stop."""

@@ -21,10 +21,10 @@ from armsight.columns import DH_ROW
 from armsight.control.joint_sweep import Pace
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, link_frames
-from armsight.ops.action import write_with_page
 from armsight.ops.identification.left_out import consequence, in_radians
 from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_observed
 from armsight.ops.measurement.run import target_of
+from armsight.ops.saving import write_with_page
 from armsight.records import Progress, Silent
 from armsight.store import World, read_rig, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm

@@ -17,7 +17,7 @@ from armsight.control.session.operator_session import Person
 from armsight.defaults import BLIND_S, JOINT_STD, LATENCY_STD_S
 from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
-from armsight.ops.action import write_with_page
+from armsight.ops.saving import write_with_page
 from armsight.ops.verification.supervising import Judge
 from armsight.records import PoseStatus, TargetPose
 from armsight.store.cell_file import CellFile

@@ -42,7 +42,7 @@ from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
 from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
 from armsight.calibrate.cell.wander import JointDrift
-from armsight.errors import Inconsistent, NotConverged, NotEnoughData
+from armsight.errors import Cancelled, Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import SIDES
 from armsight.records import Progress, Target
 
@@ -90,9 +90,9 @@ def solve_cell(
     compliance: bool | None = None,
     progress: Progress,
 ) -> Solved:
-    """Return the fit of everything that the recording can tell. Raises DataRefused with the reason."""
+    """Return the fit of everything that the recording can tell. Raises DataRefused with the reason, Cancelled."""
     starts, weights = _starts(recording)
-    progress.update(1, 4, "finding the cameras")
+    _tell(progress, 1, "finding the cameras")
     lights = _named(recording, starts, weights, target)
     model = CellModel(recording=recording, lights=lights.names)
     x = start_vector(model, [_camera_vector(recording, side, starts[side]) for side in (0, 1)], lights.xyz_m)
@@ -104,7 +104,7 @@ def solve_cell(
     try:
         coarse = _coarse(model, x, before(x, tolerance), starts)
         coarse = _coarse(model, coarse.x, before(x, tolerance), starts)
-        progress.update(2, 4, "fitting, a part of the spots")
+        _tell(progress, 2, "fitting, a part of the spots")
         free = free_names(model, coarse, tolerance, compliance=bool(compliance))
         found = _round(model, coarse, before(x, tolerance), free, thin=True)
     except NotConverged:
@@ -113,7 +113,7 @@ def solve_cell(
     _require_one_model(suspicions(model, found))
     passes = [True, False]
     for thin in passes:
-        progress.update(3 if thin else 4, 4, "fitting, all spots")
+        _tell(progress, 3 if thin else 4, "fitting, all spots")
         # how far this arm is from its model, and how it strays, are both of the fit before
         known = before(found.x, learned_tolerance(model, found, tolerance))
         found = _bearing(model, _round(model, found, known, free, thin=thin, wander=straying(model, found)))
@@ -122,6 +122,13 @@ def solve_cell(
             compliance, free = True, free_names(model, found, tolerance, compliance=True)
             passes += [] if thin else [False]
     return Solved(model=model, fit=found, lights=lights, doubts=tuple(doubts))
+
+
+def _tell(progress: Progress, done: int, note: str) -> None:
+    """Tell of a round that begins. Raises Cancelled before it does."""
+    progress.update(done, 4, note)
+    if progress.cancelled():
+        raise Cancelled(f"stopped before {note}", consequence="No result was kept")
 
 
 def _bearing(model: CellModel, found: CellFit) -> CellFit:

@@ -230,7 +230,8 @@ def watched(
 ) -> tuple[Alignment | Adjustment, list[str]]:
     """Return how the mirrors stand by the last frames, and which frames did not show the board, and why.
 
-    Goes on until the frames end or it is cancelled. Raises NotEnoughData where none shows it.
+    Goes on until the frames end, of a live camera until it is cancelled. Raises NotEnoughData where none shows it, and
+    Cancelled.
     """
     missed: list[str] = []
     last: Alignment | Adjustment | None = None
@@ -242,6 +243,8 @@ def watched(
             last = watch.see(one)
             progress.update(number, limit or 0, _line(last))
         if progress.cancelled():
+            if watch.back is None:
+                raise Cancelled(f"stopped after {number} images", consequence="The alignment is not known")
             break
     if last is None:
         raise NotEnoughData(

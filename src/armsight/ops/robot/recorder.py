@@ -52,12 +52,16 @@ def run_with_progress(target: Callable[[], Result], show: Callable[[], None]) ->
     return results[0]
 
 
-def require_new(folder: Path, *names: str) -> None:
-    """Raise UsageError where a folder holds one of these recordings: those of a robot's motion are never replaced."""
+def require_new(folder: Path, *names: str) -> Path:
+    """Return the path of the first of these recordings in a folder.
+
+    Raises UsageError where one is there: those of a robot's motion are never replaced.
+    """
     if any((folder / name).exists() for name in names):
         raise UsageError(
             f"{folder} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
         )
+    return folder / names[0]
 
 
 class LoopRecorder:
