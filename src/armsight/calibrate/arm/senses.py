@@ -7,7 +7,9 @@ before and behind a joint can make its reversal by half turns, as in wrists, eit
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations, product
 
 import numpy as np
@@ -38,6 +40,8 @@ NEXT = 0.3
 """... and of what choices leave that reverse others."""
 TOLD_ZERO_RAD = 2.0 * DEG
 
+LeftOf = Callable[[Array, Array], tuple[Array, Array]]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Senses:
@@ -53,7 +57,7 @@ class Senses:
     exchanged: tuple[str, ...] = ()
     alike: tuple[tuple[tuple[str, ...], Array], ...] = ()
 
-    def refusal(self, arm: Arm, given_m: float) -> Inconsistent:
+    def refusal(self, arm: Arm, given_m: float, what_missed: str = "the positions") -> Inconsistent:
         """Return the refusal of an arm's file whose joints have other senses, zeros or places than its readings."""
         named, both, off = ", ".join(self.joints), " and ".join(self.exchanged), _off(arm, self.zeros_rad)
         many, add = len(self.joints) > 1, f"add to theta_rad there {', '.join(f'{z:.3f} ({x})' for x, z in off)}"
@@ -73,7 +77,7 @@ class Senses:
             cure = f"In an arm.yaml (`armsight convert arm` writes one) {add}"
         alike = "".join(f", and as well with {_words(arm, *one)}" for one in self.alike)
         return Inconsistent(
-            f"the nominal arm misses the positions by {given_m / MM:.3g} mm (root mean square); with {what} it fits "
+            f"the nominal arm misses {what_missed} by {given_m / MM:.3g} mm (root mean square); with {what} it fits "
             f"them to {self.left_m / MM:.2g} mm{alike}",
             consequence=f"{consequence}{', or as the others say' if alike else ''}, and nothing is written",
             cure=cure,
@@ -104,11 +108,33 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     rows = np.unique(np.linspace(0, len(points) - 1, ROWS).astype(np.intp))
     q, xyz_m = points.q[rows], points.xyz_m[rows]
     spread = float(np.sqrt(((xyz_m - xyz_m.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    choices = np.array(sorted(product((1.0, -1.0), repeat=len(turning)), key=lambda s: s.count(-1.0)))
-    left, found = _fit(arm, turning, choices, q, xyz_m)
-    alike = np.flatnonzero(left * NEXT <= left.min())
+    left_of = partial(_left, arm, turning, xyz_m)
+    choices = all_choices(len(turning))
+    left, found = fit_choices(arm, turning, choices, q, left_of)
     if left.min() > FITS * spread:
         return _exchanged(arm, turning, q, xyz_m, FITS_ALIKE * spread, left)
+    given_m = float(_rms(left_of(q[None], _start(arm, turning)[None])[0])[0])
+    senses = judged(arm, turning, choices, left, found, FITS_ALIKE * spread)
+    if senses is not None and len(senses.joints) > 1:
+        mirrored = partial(_left, arm, turning, xyz_m * [-1.0, 1.0, 1.0])
+        if fit_choices(arm, turning, choices[:1], q, mirrored)[0][0] * NEXT <= senses.left_m:
+            return None  # an arm with a plane of symmetry whose positions are a reflection: one fault, not several
+    return None if senses is None else (senses, given_m if senses.alike else float(left[0]))
+
+
+def all_choices(k: int) -> Array:
+    """Return the senses (2^k, k) that k joints can have, 1 as given or -1, those that reverse fewest first."""
+    return np.array(sorted(product((1.0, -1.0), repeat=k), key=lambda s: s.count(-1.0)))
+
+
+def judged(
+    arm: Arm, turning: NDArray[np.intp], choices: Array, left: Array, found: Array, most_m: float
+) -> Senses | None:
+    """Return what of choices (c, k) explains the rows, with all that does so as well; None where nothing is to be told.
+
+    left (c,), found (c, k): what each leaves, RMS in m, and its zeros. most_m: may be left where several are alike.
+    """
+    alike = np.flatnonzero(left * NEXT <= left.min())
     zeros = [_of_joints(arm, turning, one) for one in found]
     size = [float(np.abs(one).sum().round(1)) for one in zeros]
     # of those that fit alike the one of the smallest zeros that reverses fewest
@@ -116,23 +142,19 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     # a joint that turns the tool about itself, or a wrist that flips, fits both ways: the others are known all the same
     common = np.all([choices[i] < 0.0 for i in alike], axis=0)
     ambiguous = alike[0] == 0 or not np.array_equal(common, choices[best] < 0.0)
-    if ambiguous and left[best] > FITS_ALIKE * spread:
+    if ambiguous and left[best] > most_m:
         return None
     names = _reversed(arm, turning, choices[best])
     if not names and not _off(arm, zeros[best]):
         return None
-    mirrored = _fit(arm, turning, choices[:1], q, xyz_m * [-1.0, 1.0, 1.0])[0]
-    if len(names) > 1 and mirrored[0] * NEXT <= left[best]:
-        return None  # an arm with a plane of symmetry whose positions are a reflection: one fault, not several
     if not ambiguous:
-        return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best]), float(left[0])
+        return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best])
     told = [best]
     for i in others:  # not those that reverse one more joint beside what is told, such as the last
         if (size[i] == size[best] or i == 0) and all(((choices[k] < 0.0) & (choices[i] > 0.0)).any() for k in told):
             told.append(i)
     same = tuple((_reversed(arm, turning, choices[i]), zeros[i]) for i in told[1:])
-    given_m = float(_rms(_left(arm, turning, q[None], _start(arm, turning)[None], xyz_m)[0])[0])
-    return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best], alike=same), given_m
+    return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best], alike=same)
 
 
 def _reversed(arm: Arm, turning: NDArray[np.intp], signs: Array) -> tuple[str, ...]:
@@ -148,7 +170,8 @@ def _exchanged(
     """
     pairs = list(combinations(range(arm.n), 2))
     swapped = np.stack([_swapped(q, pair) for pair in pairs])
-    found_m, zeros = _fit(arm, turning, np.ones((len(pairs), len(turning))), swapped, xyz_m)
+    signs = np.ones((len(pairs), len(turning)))
+    found_m, zeros = fit_choices(arm, turning, signs, swapped, partial(_left, arm, turning, xyz_m))
     order = np.argsort(found_m)
     best_m = float(found_m[order[0]])
     nearest = min([left.min(), *found_m[order[1:2]]])
@@ -177,16 +200,17 @@ def _of_joints(arm: Arm, turning: NDArray[np.intp], zeros_rad: Array) -> Array:
     return out
 
 
-def _fit(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Array) -> tuple[Array, Array]:
-    """Return what each choice leaves, RMS in m (c,), and its zeros of the turning joints (c, k); base and tool free.
+def fit_choices(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, left_of: LeftOf) -> tuple[Array, Array]:
+    """Return what each choice leaves, RMS in m (c,), and its zeros of the turning joints (c, k); the tool is free too.
 
-    signs (c, k). q: readings (m, n), or (c, m, n) each choice's own. Levenberg-Marquardt of all choices at once.
+    signs (c, k). q: readings (m, n), or (c, m, n) each choice's own. left_of: of readings (c, m, n), zeros and tool (c,
+    k + 3), with its derivative. Levenberg-Marquardt of all choices at once.
     """
     k, scale = len(turning), np.array([0.1] * len(turning) + [0.05] * 3)
     read = np.broadcast_to(q, (len(signs), *q.shape[-2:])).copy()
     read[..., turning] *= signs[:, None]
     x = np.tile(_start(arm, turning), (len(signs), 1))
-    r, J = _left(arm, turning, read, x, xyz_m)
+    r, J = left_of(read, x)
     damping = np.full(len(signs), 1e-3)
     for _ in range(STEPS):
         by_scale = J * scale
@@ -194,7 +218,7 @@ def _fit(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Arr
         step = np.linalg.solve(normal, by_scale.mT @ r[..., None])[..., 0]
         step *= np.minimum(1.0, FARTHEST / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
         trial = x - scale * step
-        r_trial, J_trial = _left(arm, turning, read, trial, xyz_m)
+        r_trial, J_trial = left_of(read, trial)
         before, after = (r**2).sum(axis=1), (r_trial**2).sum(axis=1)
         better = after < before
         x[better], r[better], J[better] = trial[better], r_trial[better], J_trial[better]
@@ -212,10 +236,10 @@ def _rms(left: Array) -> Array:
     return np.asarray(np.sqrt(3.0 * (left**2).mean(axis=1)))
 
 
-def _left(arm: Arm, turning: NDArray[np.intp], read: Array, x: Array, xyz_m: Array) -> tuple[Array, Array]:
-    """Return what choices x (c, k + 3) of zeros and tool leave, (c, 3 m), and its derivatives (c, 3 m, k + 3).
+def tool_points(arm: Arm, turning: NDArray[np.intp], read: Array, x: Array) -> tuple[Array, Array]:
+    """Return where choices x (c, k + 3) of zeros and tool put the tool, (c, m, 3), and the derivative (c, m, 3, k + 3).
 
-    The base that fits best (Kabsch 1976) goes with every choice and turns along with x: sum(there x around) stays zero.
+    read: (c, m, n) or (1, m, n) readings with the choices' senses.
     """
     k, shape = len(turning), read.shape
     values = read.copy()
@@ -225,14 +249,24 @@ def _left(arm: Arm, turning: NDArray[np.intp], read: Array, x: Array, xyz_m: Arr
     by_tool, tool = flange[..., :3, :3], x[:, None, k:, None]
     arm_of = by_tool @ (tool - arm.T_flange_tool.translation[:, None])  # from the origin that J is of
     by_zeros = J[..., :3, turning] + np.cross(J[..., 3:, turning], arm_of, axis=-2)
-    there, around = _centred((by_tool @ tool)[..., 0] + flange[..., :3, 3]), _centred(xyz_m)
+    there = (by_tool @ tool)[..., 0] + flange[..., :3, 3]
+    return there, np.concatenate([by_zeros, by_tool], axis=-1)
+
+
+def _left(arm: Arm, turning: NDArray[np.intp], xyz_m: Array, read: Array, x: Array) -> tuple[Array, Array]:
+    """Return what choices x (c, k + 3) of zeros and tool leave, (c, 3 m), and its derivatives (c, 3 m, k + 3).
+
+    The base that fits best (Kabsch 1976) goes with every choice and turns along with x: sum(there x around) stays zero.
+    """
+    there, by_x = tool_points(arm, turning, read, x)
+    there, around = _centred(there), _centred(xyz_m)
     U, _, Vt = np.linalg.svd(around.T @ there)
     U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
     base = U @ Vt
     there = there @ base.mT
-    moved = base[:, None] @ _centred(np.concatenate([by_zeros, by_tool], axis=-1), axis=1)
+    moved = base[:, None] @ _centred(by_x, axis=1)
     B = there.mT @ around
     spin = np.trace(B, axis1=1, axis2=2)[:, None, None] * np.eye(3) - B
     turned = np.linalg.pinv(spin, hermitian=True) @ np.cross(moved, around[None, ..., None], axis=-2).sum(axis=1)
     moved -= np.cross(there[..., None], turned[:, None], axis=-2)
-    return (there - around).reshape(len(x), -1), moved.reshape(len(x), -1, k + 3)
+    return (there - around).reshape(len(x), -1), moved.reshape(len(x), -1, x.shape[1])
