@@ -21,7 +21,7 @@ from armsight.calibrate.arm import ArmModel, ArmPoints, Tolerance, calibrate_arm
 from armsight.calibrate.arm.senses import other_senses
 from armsight.calibrate.arm.touch import Kind, KnownLength, Touches, calibrate_touched
 from armsight.calibrate.arm.touch import senses as touch_senses
-from armsight.errors import DataRefused, Inconsistent
+from armsight.errors import DataRefused
 from armsight.kinematics import Arm, Convention, preset
 
 scene = bench.test_scene("touch_world")

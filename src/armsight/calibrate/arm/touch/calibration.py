@@ -31,6 +31,8 @@ FOLDS = 5
 NOMINAL, CORRECTED = "nominal", "zeros and lengths"
 MOST_SCATTER_M = 2e-3
 """Touches of a right arm scatter by less once it is corrected: by hand into a cone 0.1 mm, a slack home-made arm 1."""
+REFITS = 3
+"""Fits without the touches that are off beyond chance."""
 MOST_GROSS = 0.2
 """Share of touches of wrong features that is borne, by name."""
 UNPROVED = "no gain is proved by correcting it"
@@ -56,20 +58,33 @@ def calibrate_touched(nominal: Arm, touches: Touches, *, tolerance: Tolerance | 
         _refuse_senses(model, guess)
         raise
     _check_fit(model, guess, full)
-    check_moved(model, full)
-    check_lengths(model, guess, full, tolerance)
+    every, gross = model, gross_rows(model, full)
+    for _ in range(REFITS):  # a gross row's pull is bounded, but along what the others hardly tell it is far
+        if not gross:
+            break
+        kept = np.setdiff1d(np.arange(len(touches)), [one.row for one in gross])
+        model = replace(every, touches=touches.take(kept))
+        first = fit_touches(model, first.p, (), tolerance)
+        full = fit_touches(model, full.p, candidates, tolerance)
+        before, gross = gross, gross_rows(every, full)
+        if [one.row for one in gross] == [one.row for one in before]:
+            break
+    check_moved(model, full, tolerance)
+    check_lengths(model, full, tolerance)
     left = _left_out(model, first, full, candidates, tolerance)
-    gain = significant_gain(*left, np.arange(len(touches)))
+    gain = significant_gain(*left, np.arange(len(model.touches)))
     found = told(model, full, candidates, tolerance)
-    judged = _Judged(given=given, model=model, first=first, full=full, left=left, gain=gain, told=found)
+    judged = _Judged(given=given, every=every, model=model, first=first, full=full, left=left, gain=gain, told=found)
     return _result(judged, tolerance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Judged:
-    """The fits of the nominal and the corrected arm, their errors (m,) at touches left out, and what is told."""
+    """The fits of the nominal and the corrected arm to all touches but gross ones, their errors (m,) at those left out,
+    and what is told; every: of all touches."""
 
     given: Touches
+    every: TouchModel
     model: TouchModel
     first: TouchFit
     full: TouchFit
@@ -148,7 +163,7 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
     before_m = judged.first.misses_m(model, judged.given)
     after_m = best.misses_m(model, judged.given)
     cross = Errors.of(judged.left[0]), Errors.of(judged.left[1] if judged.gain else judged.left[0])
-    gross = gross_rows(model, best)
+    gross = gross_rows(judged.every, best)
     T, _ = arm_model.predict(best.p[:n], judged.given.as_points())
     fixed = judged.told.fixed if judged.gain else ((x, UNPROVED) for x in judged.told.known)
     moved = np.ptp(touches.q, axis=0) > STILL * np.where(arm_model.arm.revolute, 1.0, arm_model.arm.length_m)
@@ -171,7 +186,7 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
         fixed=tuple(FixedParameter(*one) for one in fixed),
         condition=judged.told.condition if judged.gain else 1.0,
         covariance=covariance,
-        outlier_rows=tuple((int(touches.row[one.row]), one.miss_m) for one in gross),
+        outlier_rows=tuple((int(judged.every.touches.row[one.row]), one.miss_m) for one in gross),
         couplings=(),
         still=tuple(joint.name for joint, m in zip(arm_model.arm.joints, moved, strict=True) if not m),
         at_limit=at_limit,
@@ -231,9 +246,9 @@ def _feature(model: TouchModel, best: TouchFit, name: str) -> TouchedFeature:
 
 def _notes(judged: _Judged, gross: Sequence[Gross]) -> tuple[str, ...]:
     """Return what to know: rows of other features, what is open and why, what the tool's frame is."""
-    touches = judged.model.touches
+    touches = judged.every.touches
     told_rows = [
-        f"Row {touches.row[one.row] + 1} is called {touches.feature[one.row]} and fits {one.fits}: it weighs little"
+        f"Row {touches.row[one.row] + 1} is called {touches.feature[one.row]} and fits {one.fits}: it is left out"
         for one in gross
         if one.fits
     ]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armsight.arrays import Array
+from armsight.calibrate.arm.covariance import orthonormal_basis
 from armsight.calibrate.arm.fit import Tolerance
 from armsight.calibrate.arm.touch.fit import TouchFit, fit_touches
 from armsight.calibrate.arm.touch.model import TouchModel
@@ -38,40 +39,31 @@ class Gross:
 
 def gross_rows(model: TouchModel, fitted: TouchFit) -> tuple[Gross, ...]:
     """Return the touches that are off beyond chance; a wrong spike's with the name of the right one."""
-    e = model.misses(fitted.p, model.touches)[0]
-    size = np.linalg.norm(np.einsum("mij,mj->mi", fitted.whiten, e), axis=1)
+    e, _, by_q = model.misses(fitted.p, model.touches)
+    whiten = fitted.noise.whitener(model.touches, by_q)
+    size = np.linalg.norm(np.einsum("mij,mj->mi", whiten, e), axis=1)
     spikes = [name for name, kind in model.touches.kinds.items() if kind is Kind.POINT]
     found = []
     for i in np.flatnonzero(size > GROSS).tolist():
         fits = ""
         if model.touches.kind[i] is Kind.POINT:
             tip = e[i] + fitted.p[model.first(model.touches.feature[i])]
-            near = {
-                name: float(np.linalg.norm(fitted.whiten[i] @ (tip - fitted.p[model.first(name)]))) for name in spikes
-            }
+            near = {name: float(np.linalg.norm(whiten[i] @ (tip - fitted.p[model.first(name)]))) for name in spikes}
             nearest = min(near, key=lambda name: near[name])
             fits = nearest if near[nearest] <= GROSS else ""
         found.append(Gross(row=i, miss_m=float(np.linalg.norm(e[i])), fits=fits))
     return tuple(found)
 
 
-def check_moved(model: TouchModel, fitted: TouchFit) -> None:
+def check_moved(model: TouchModel, fitted: TouchFit, tolerance: Tolerance) -> None:
     """Raise Inconsistent where a spike's touches are those of two places, one up to some row and one behind it.
 
     A place of its own for the rows behind is tried at each row of each spike: an F-test of what it takes off the
     squares, with all else free.
     """
-    touches, which = model.touches, np.array(model.touches.feature)
-    names = [name for name in fitted.free if fitted.fit.covariance is not None]
-    at = [model.names.index(name) for name in names]
-    evaluation = model.evaluate(fitted.p, fitted.whiten)
-    m = len(touches)
+    touches, which, m = model.touches, np.array(model.touches.feature), len(model.touches)
     root = np.sqrt(fitted.fit.weights.reshape(-1, 3))[:m, :1]
-    r = (evaluation.residuals.reshape(-1, 3)[:m] * root).ravel()
-    J = (evaluation.shared[0].reshape(-1, 3, len(model.names))[:m] * root[..., None])[:, :, at].reshape(3 * m, -1)
-    scale = np.linalg.norm(J, axis=0)
-    U, s, _ = np.linalg.svd(J / np.maximum(scale, 1e-300), full_matrices=False)
-    Q = U[:, s > 1e-9 * s[0]]
+    r, Q = _squares(model, fitted, tolerance)
     dof, rest = max(fitted.fit.dof, 1), float(r @ r)
     best: tuple[float, str, int, Array] = (0.0, "", 0, np.zeros(3))
     tries = 0
@@ -83,7 +75,8 @@ def check_moved(model: TouchModel, fitted: TouchFit) -> None:
             tries += 1
             behind = np.zeros((m, 3, 3))
             behind[rows[first:]] = -fitted.whiten[rows[first:]]
-            S = np.reshape(behind * root[..., None], (3 * m, 3))
+            S = np.zeros((len(r), 3))
+            S[: 3 * m] = np.reshape(behind * root[..., None], (3 * m, 3))
             S = S - Q @ (Q.T @ S)
             step = np.asarray(np.linalg.lstsq(S, -r, rcond=1e-6)[0], dtype=float)
             gain = rest - float(((r + S @ step) ** 2).sum())
@@ -105,13 +98,24 @@ def check_moved(model: TouchModel, fitted: TouchFit) -> None:
         )
 
 
-def check_lengths(model: TouchModel, guess: Array, fitted: TouchFit, tolerance: Tolerance) -> None:
+def _squares(model: TouchModel, fitted: TouchFit, tolerance: Tolerance) -> tuple[Array, Array]:
+    """Return the weighted residuals of rows, lengths and priors (k,), and an orthonormal basis of what was fitted."""
+    at = [model.names.index(name) for name in fitted.free]
+    evaluation = model.evaluate(fitted.p, fitted.whiten)
+    root = np.sqrt(fitted.fit.weights[0])
+    known = np.array([0.0 if name in model.mounts else 1.0 / tolerance.of(name) for name in fitted.free])
+    r = np.concatenate([evaluation.residuals[0] * root, known * fitted.p[at]])
+    J = np.concatenate([evaluation.shared[0][:, at] * root[:, None], np.diag(known)])
+    return r, orthonormal_basis(J)
+
+
+def check_lengths(model: TouchModel, fitted: TouchFit, tolerance: Tolerance) -> None:
     """Raise Inconsistent where a length that was measured is not what the touches say of it without it."""
     for one in model.touches.lengths:
         others = tuple(known for known in model.touches.lengths if known is not one)
         alone = replace(model, touches=replace(model.touches, lengths=others))
         candidates = [name for name in fitted.free if name not in model.mounts]
-        found = fit_touches(alone, guess, candidates, tolerance, fitted.noise)
+        found = fit_touches(alone, fitted.p, candidates, tolerance, fitted.noise)
         r, by = model.lengths(found.p)
         k = model.touches.lengths.index(one)
         names = [] if found.fit.covariance is None else list(found.fit.covariance.names)

@@ -24,6 +24,8 @@ PARAMETERS = {
     Kind.GAUGE: ("offset_m", "tilt_u_rad", "tilt_v_rad"),
 }
 """Of a feature; a flat's and a gauge's are changes to the ones that the first guess has."""
+TRIMS, TRIMMED = 4, 5.0
+"""Rounds in which touches further off than so many times the middle one are left out of the first guess."""
 LEAST_SPREAD = 1e-3
 """Share of their farthest spread by which touches of a flat, a ball or a gauge must spread across it."""
 
@@ -187,13 +189,20 @@ def _tip(flange: Array, touches: Touches, nominal: Array) -> Array:
     rows = np.flatnonzero(~touches.scalar)
     if not len(rows):
         return nominal
-    which = touches.which[rows]
-    number = np.unique(which, return_inverse=True)[1]
-    share = np.equal.outer(number, np.arange(number.max() + 1)) / np.bincount(number)
-    middle = np.einsum("mk,mij->kij", share, flange[rows][:, :3])
-    off = flange[rows][:, :3] - middle[number]  # R t + p about its spike's mean: linear in t
-    A, b = off[:, :, :3].reshape(-1, 3), -off[:, :, 3].ravel()
-    return np.asarray(nominal + np.linalg.lstsq(A, b - A @ nominal, rcond=1e-2)[0])
+    tip = nominal
+    for _ in range(TRIMS):
+        number = np.unique(touches.which[rows], return_inverse=True)[1]
+        share = np.equal.outer(number, np.arange(number.max() + 1)) / np.bincount(number)
+        middle = np.einsum("mk,mij->kij", share, flange[rows][:, :3])
+        off = flange[rows][:, :3] - middle[number]  # R t + p about its spike's mean: linear in t
+        A, b = off[:, :, :3].reshape(-1, 3), -off[:, :, 3].ravel()
+        tip = nominal + np.linalg.lstsq(A, b - A @ nominal, rcond=1e-2)[0]
+        miss = np.linalg.norm((A @ tip - b).reshape(-1, 3), axis=1)
+        kept = miss <= TRIMMED * float(np.median(miss))
+        if kept.all() or len(np.unique(touches.which[rows[kept]])) <= number.max():
+            break
+        rows = rows[kept]
+    return np.asarray(tip)
 
 
 def _ball(name: str, at: Array, radius_m: float | None) -> list[float]:
