@@ -21,6 +21,9 @@ from armsight.calibrate.arm import ArmModel, ArmPoints, Tolerance, calibrate_arm
 from armsight.calibrate.arm.senses import other_senses
 from armsight.calibrate.arm.touch import Kind, KnownLength, Touches, calibrate_touched
 from armsight.calibrate.arm.touch import senses as touch_senses
+from armsight.calibrate.arm.touch.fit import fit_touches
+from armsight.calibrate.arm.touch.known import told
+from armsight.calibrate.arm.touch.model import start
 from armsight.errors import DataRefused
 from armsight.kinematics import Arm, Convention, preset
 
@@ -57,30 +60,36 @@ def touches_of(q: np.ndarray, which: np.ndarray) -> Touches:
 
 
 def spikes(seeds: int, arms: list[str]) -> None:
-    """Print errors beside the bound, of each arm and of all."""
-    rows, every = [], []
+    """Print errors beside the bound, of each arm and of all: of the fit and the choice that `calibrate arm` makes."""
+    every: list[np.ndarray] = []
+    tolerance = Tolerance(length_m=LENGTH_M, angle_rad=ANGLE_RAD)
+    header = ["arm", "parameters told", "error / bound", "within 95 %, %", "error / claim"]
+    bench.table(f"Two spikes {1e3 * APART_M:.0f} mm apart, 50 postures, {seeds} arms each", header, [])
     for name in arms:
-        found, unproved, told = [], 0, []
+        found: list[np.ndarray] = []
         for seed in range(seeds):
             rng = np.random.default_rng([seed, len(name)])
             arm, world, names, off = drawn(name, rng)
             places, q, which = scene.two_spikes(world, rng, scene.NEAR[name], APART_M)
-            done = calibrate_touched(
-                arm, touches_of(q, which), tolerance=Tolerance(length_m=LENGTH_M, angle_rad=ANGLE_RAD)
-            )
-            unproved += not done.gain
+            model, guess = start(ArmModel(arm=arm, labels=("",), turned=False), touches_of(q, which))
+            fitted = fit_touches(model, guess, names, tolerance)
+            known = told(model, fitted, names, tolerance).known
             joints = [joint.name for joint in arm.joints]
             least = scene.bound(world, q, which, places, names, joints, LENGTH_M, ANGLE_RAD, KNOWN_M)
-            at = [names.index(one) for one in done.free]
-            error = np.array([done.corrections[one] - off[one] for one in done.free])
-            found.append(np.column_stack([error / least[at], error / [done.deviations[one] for one in done.free]]))
-            told.append(len(done.free))
-        z = np.concatenate(found)
-        every.append(z)
-        rows.append([name, float(np.mean(told)), unproved, *figures(z)])
-    rows.append(["all", "", "", *figures(np.concatenate(every))])
-    header = ["arm", "parameters told", "no gain proved", "error / bound", "within 95 %, %", "error / claim"]
-    bench.table(f"Two spikes {1e3 * APART_M:.0f} mm apart, 50 postures, {seeds} arms each", header, rows)
+            std = fitted.fit.std()
+            error = np.array([fitted.fit.value(one) - off[one] for one in known])
+            at = [names.index(one) for one in known]
+            found.append(np.column_stack([error / least[at], error / [std[one] for one in known]]))
+        every += found
+        row(name, len(np.concatenate(found)) / seeds, *figures(np.concatenate(found)))
+    row("all", "", *figures(np.concatenate(every)))
+
+
+def row(*cells: object) -> None:
+    """Print a row of a table as it comes."""
+    print(
+        "| " + " | ".join(f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in cells) + " |", flush=True
+    )
 
 
 def figures(z: np.ndarray) -> list[float]:
@@ -121,14 +130,14 @@ def positions(world: scene.World, q: np.ndarray, rng: np.random.Generator) -> Ar
 
 def patterns(arms: list[str], named: Callable[[str, np.random.Generator, np.ndarray], str], title: str) -> None:
     """Print of how many of the 64 senses of each arm's joints the right ones are named, first or among those alike."""
-    rows = []
+    kinds = ("alone or first", "among those alike", "wrong", "not found")
+    bench.table(title, ["arm", *kinds], [])
     for name in arms:
-        count = dict.fromkeys(("alone or first", "among those alike", "nothing to tell", "wrong", "not found"), 0)
+        count = dict.fromkeys(kinds, 0)
         for k, signs in enumerate(product((1, -1), repeat=6)):
-            if any(sign < 0 for sign in signs):
+            if min(signs) < 0:
                 count[named(name, np.random.default_rng([k, 3]), np.array(signs))] += 1
-        rows.append([name, *count.values()])
-    bench.table(title, ["arm", *count], rows)
+        row(name, *count.values())
 
 
 def said(senses: object, arm: Arm, signs: np.ndarray) -> str:

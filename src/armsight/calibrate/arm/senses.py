@@ -8,7 +8,7 @@ before and behind a joint can make its reversal by half turns, as in wrists, eit
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, product
 
@@ -16,8 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
+from armsight.calibrate.arm.fit import Tolerance, fit_arm
+from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
-from armsight.errors import Inconsistent
+from armsight.errors import Degenerate, Inconsistent, NotConverged
 from armsight.kinematics import Arm, fk_jacobian
 from armsight.units import DEG, MM
 
@@ -38,6 +41,10 @@ FITS_ALIKE = 0.02
 """The same where zeros alone, or readings exchanged, explain the rows: no choice of senses is the worse for it."""
 NEXT = 0.3
 """... and of what choices leave that reverse others."""
+MOST_CLOSE = 16
+"""Choices that are told apart by lengths corrected too: a wrist that flips, a mirror image, a last joint make eight."""
+LEAST_LEFT_M = 1e-5
+"""What choices leave below it is alike: nothing is measured better."""
 TOLD_ZERO_RAD = 2.0 * DEG
 
 LeftOf = Callable[[Array, Array], tuple[Array, Array]]
@@ -48,7 +55,7 @@ class Senses:
     """Joints that run the other way, zeros (n,) by which the others are then off, and what is left, RMS in m.
 
     exchanged: two joints whose readings stand in each other's place. alike: joints that run the other way and zeros
-    that explain the rows as well.
+    that explain the rows as well. reflected: positions of a reflection do so too.
     """
 
     joints: tuple[str, ...]
@@ -56,11 +63,12 @@ class Senses:
     left_m: float
     exchanged: tuple[str, ...] = ()
     alike: tuple[tuple[tuple[str, ...], Array], ...] = ()
+    reflected: bool = False
 
     def refusal(self, arm: Arm, given_m: float, what_missed: str = "the positions") -> Inconsistent:
         """Return the refusal of an arm's file whose joints have other senses, zeros or places than its readings."""
         named, both, off = ", ".join(self.joints), " and ".join(self.exchanged), _off(arm, self.zeros_rad)
-        many, add = len(self.joints) > 1, f"add to theta_rad there {', '.join(f'{z:.3f} ({x})' for x, z in off)}"
+        many, add = len(self.joints) > 1, f"add to theta_rad there {_to_add(arm, off)}"
         what = _words(arm, self.joints, self.zeros_rad)
         if self.exchanged:
             what = f"the readings of {both} exchanged{_zeros(off)}"
@@ -69,13 +77,15 @@ class Senses:
         elif self.joints:
             consequence = f"The reading{'s' * many} of {named} run{'s' * (not many)} the other way than in the model"
             cure = (
-                f"Change the sign of {named} in the arm's file: `sign: -1` there in an arm.yaml (`armsight convert "
-                f"arm` writes one){f', and {add}' if off else ''}; in a URDF reverse the axis"
+                f"Change the sign of {named} in the arm's file: {_signs(arm, self.joints)} there in an arm.yaml "
+                f"(`armsight convert arm` writes one){f', and {add}' if off else ''}; in a URDF reverse the axis"
             )
         else:
             consequence = "The readings count from other places than in the model"
             cure = f"In an arm.yaml (`armsight convert arm` writes one) {add}"
         alike = "".join(f", and as well with {_words(arm, *one)}" for one in self.alike)
+        if self.reflected:
+            alike += ", and as well where the positions are a reflection (one of their axes has the wrong sign)"
         return Inconsistent(
             f"the nominal arm misses {what_missed} by {given_m / MM:.3g} mm (root mean square); with {what} it fits "
             f"them to {self.left_m / MM:.2g} mm{alike}",
@@ -88,6 +98,28 @@ def _off(arm: Arm, zeros_rad: Array) -> list[tuple[str, float]]:
     """Return the joints whose zeros are off by more than what is told, and by how much."""
     each = zip(arm.joints, zeros_rad.tolist(), strict=True)
     return [(joint.name, zero) for joint, zero in each if abs(zero) > TOLD_ZERO_RAD]
+
+
+def _to_add(arm: Arm, off: list[tuple[str, float]]) -> str:
+    """Return what makes up for zeros of readings: theta counts the other way where a joint's sign is -1."""
+    sign = {joint.name: joint.sign for joint in arm.joints}
+    return ", ".join(f"{zero * sign[name]:.3f} ({name})" for name, zero in off)
+
+
+def _signs(arm: Arm, names: tuple[str, ...]) -> str:
+    """Return how the signs of joints that run the other way are written."""
+    new = {joint.name: "`sign: -1`" if joint.sign > 0.0 else "`sign: 1`" for joint in arm.joints}
+    each = [new[name] for name in names]
+    return each[0] if len(set(each)) == 1 else ", ".join(f"{new[name]} ({name})" for name in names)
+
+
+def changed(arm: Arm, signs: Array, zeros_rad: Array) -> Arm:
+    """Return the arm with senses (n,), 1 or -1, and zeros (n,) of its readings."""
+    joints = tuple(
+        replace(joint, sign=joint.sign * sign, theta_rad=joint.theta_rad + joint.sign * zero)
+        for joint, sign, zero in zip(arm.joints, signs.tolist(), zeros_rad.tolist(), strict=True)
+    )
+    return replace(arm, joints=joints, covariance=None)
 
 
 def _words(arm: Arm, names: tuple[str, ...], zeros_rad: Array) -> str:
@@ -114,11 +146,11 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     if left.min() > FITS * spread:
         return _exchanged(arm, turning, q, xyz_m, FITS_ALIKE * spread, left)
     given_m = float(_rms(left_of(q[None], _start(arm, turning)[None])[0])[0])
-    senses = judged(arm, turning, choices, left, found, FITS_ALIKE * spread)
-    if senses is not None and len(senses.joints) > 1:
+    senses = judged(arm, turning, choices, left, found, FITS_ALIKE * spread, partial(_refined, points.take(rows)))
+    if senses is not None and len(senses.joints) > 1:  # of an arm with a plane of symmetry a reflection is one fault
         mirrored = partial(_left, arm, turning, xyz_m * [-1.0, 1.0, 1.0])
-        if fit_choices(arm, turning, choices[:1], q, mirrored)[0][0] * NEXT <= senses.left_m:
-            return None  # an arm with a plane of symmetry whose positions are a reflection: one fault, not several
+        reflected = bool(fit_choices(arm, turning, choices[:1], q, mirrored)[0][0] * NEXT <= left.min())
+        senses = replace(senses, reflected=reflected)
     return None if senses is None else (senses, given_m if senses.alike else float(left[0]))
 
 
@@ -127,13 +159,39 @@ def all_choices(k: int) -> Array:
     return np.array(sorted(product((1.0, -1.0), repeat=k), key=lambda s: s.count(-1.0)))
 
 
+def _refined(points: ArmPoints, arm: Arm) -> float:
+    """Return what an arm leaves of the positions once its lengths and angles are fitted within tolerance, RMS in m."""
+    model = ArmModel(arm=arm, labels=points.labels, turned=False)
+    points = replace(points, rotation=None)
+    try:
+        p = fit_arm(model, points, start(model, points), model.geometry, Tolerance()).p
+    except (NotConverged, Degenerate):
+        return float("inf")
+    return float(np.sqrt((model.errors(p, points)[0] ** 2).sum(axis=1).mean()))
+
+
 def judged(
-    arm: Arm, turning: NDArray[np.intp], choices: Array, left: Array, found: Array, most_m: float
+    arm: Arm,
+    turning: NDArray[np.intp],
+    choices: Array,
+    left: Array,
+    found: Array,
+    most_m: float,
+    refined: Callable[[Arm], float],
 ) -> Senses | None:
     """Return what of choices (c, k) explains the rows, with all that does so as well; None where nothing is to be told.
 
     left (c,), found (c, k): what each leaves, RMS in m, and its zeros. most_m: may be left where several are alike.
+    refined: what an arm leaves with its lengths corrected too, by which those that leave about as much are told apart.
     """
+    close = np.flatnonzero(left * NEXT <= left.min())
+    if len(close) > 1:
+        fine = np.full(len(left), np.inf)
+        for i in close[np.argsort(left[close], kind="stable")][:MOST_CLOSE]:
+            signs = np.ones(arm.n)
+            signs[turning] = choices[i]
+            fine[i] = refined(changed(arm, signs, _of_joints(arm, turning, found[i])))
+        left = np.where(np.isfinite(fine), np.maximum(fine, LEAST_LEFT_M), np.inf) if np.isfinite(fine).any() else left
     alike = np.flatnonzero(left * NEXT <= left.min())
     zeros = [_of_joints(arm, turning, one) for one in found]
     size = [float(np.abs(one).sum().round(1)) for one in zeros]
