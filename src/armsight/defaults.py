@@ -56,6 +56,10 @@ STALE_S = 0.02
 """Age of a controller's reading that is stale: two packets in a row may be late, and an ordinary system too."""
 TIP_POINT_STD_M = 2e-4
 """Standard deviation believed of a point that a tip rests on: a dot measured by two cameras at 0.6 m."""
+HEIGHT_STD_M = 5e-4
+"""Standard deviation believed of a target's height: a rule, or the tool put on it."""
+TOUCH_LENGTH_STD_M = 5e-5
+"""Standard deviation believed of the distance of two touched points, or a ball's radius: calipers say 0.03 mm."""
 TIP_GOAL_M = 1e-4
 """A tip known so well is good enough."""
 

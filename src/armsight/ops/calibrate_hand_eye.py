@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
+from armsight.defaults import HEIGHT_STD_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
@@ -70,6 +71,17 @@ def calibrate_hand_eye(
         Flag(metavar="SECONDS"),
     ] = None,
     setup: AtSetup = "eye-in-hand",
+    target_height_m: Annotated[
+        float | None,
+        Doc("Of a SCARA, palletiser or the like: the target's measured z in the base (eye-to-hand: in the flange)."),
+        Flag("--target-height", quantity="m"),
+    ] = None,
+    target_height_std_m: Annotated[
+        float,
+        Doc("Standard deviation of that height."),
+        Bounds(least=1e-7),
+        Flag("--target-height-sigma", quantity="m"),
+    ] = HEIGHT_STD_M,
     free_camera: Annotated[bool, Doc("With images: refine the camera, if left-out images get better.")] = False,
     propose: Annotated[int, Doc("Propose so many further poses."), Bounds(least=0)] = 0,
     workers: Workers = None,
@@ -105,6 +117,9 @@ def calibrate_hand_eye(
         By how much the clocks differ at most; else any offset is looked for.
     setup
         The camera is on the arm ('eye-in-hand') or beside it ('eye-to-hand').
+    target_height_m, target_height_std_m
+        z of the target in the base (eye-in-hand) or flange (eye-to-hand), m, as measured, and how well: with pairs of a
+        hand that turned about one axis, which cannot tell it.
     free_camera
         Refine the camera too, where images left out get better by it: `camera` of the result.
     propose
@@ -132,7 +147,7 @@ def calibrate_hand_eye(
     >>> armsight.calibrate_hand_eye(T_base_flange, T_camera_target).T_flange_camera[1:3, 3].round(6).tolist()
     [0.05, 0.1]
     """
-    from armsight.calibrate.handeye import Setup
+    from armsight.calibrate.handeye import Setup, TargetHeight
     from armsight.drivers import ImageReading
     from armsight.ops.calibration.handeye import from_boards, from_pairs, from_streams, pairs_of, see_boards
     from armsight.records import Silent, one_of
@@ -144,6 +159,14 @@ def calibrate_hand_eye(
         raise UsageError(
             "give --pairs, or --images (with --camera, --board and --robot), or --robot-stream with --camera-stream"
         )
+    height = None
+    if target_height_m is not None:
+        if (pairs is None and T_base_flange is None) or propose:
+            raise UsageError(
+                "--target-height goes with --pairs alone, without --propose",
+                cure="Give the poses as --pairs, or no height",
+            )
+        height = TargetHeight(z_m=target_height_m, sigma_m=target_height_std_m)
     if images is not None:
         if camera is None or robot is None or board is None:
             raise UsageError("--images needs --camera camera.yaml, --board BOARD and --robot robot_poses.csv")
@@ -156,7 +179,7 @@ def calibrate_hand_eye(
         found = from_streams(robot_stream, camera_stream, at, format_, clocks_within_s)
     else:
         given = pairs or pairs_of(T_base_flange, T_camera_target, names, camera_covariance)
-        found = from_pairs(given, at, format_)
+        found = from_pairs(given, at, format_, height)
     camera_file = None if out is None or found.camera is None else str(freed_camera_path(Path(out)))
     return replace(
         found,

@@ -11,7 +11,7 @@ from armsight.defaults import ANGLE_RAD, LENGTH_M, TIP_GOAL_M, TIP_POINT_STD_M
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
-from armsight.ops.flags import AN_ARM, KNOWN_ARM, Base, Cameras, Table, Tip, point_of
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, Base, Cameras, Table, Tip, lengths_of, point_of
 from armsight.ops.kinds import (
     CHAIN,
     READERS,
@@ -22,6 +22,7 @@ from armsight.ops.kinds import (
     Right,
     RigLike,
     TargetLike,
+    TouchesLike,
     WorldLike,
 )
 from armsight.units import DEG, MM
@@ -46,6 +47,11 @@ PointStd: TypeAlias = Annotated[
     Doc("Standard deviation of one coordinate of the measured point."),
     Bounds(least=1e-9),
     Flag("--point-sigma", quantity="m"),
+]
+Lengths: TypeAlias = Annotated[
+    Sequence[Any],
+    Doc("With --touch: a known distance of two features, or a ball's radius; repeated."),
+    Flag("--length", metavar="A,B,LENGTH", read=lengths_of, repeated=True),
 ]
 TipOut: TypeAlias = Annotated[Path | None, Doc("tip.yaml to write."), Flag("-o --out", needed=True)]
 
@@ -191,11 +197,17 @@ def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:
 )
 def calibrate_arm(
     nominal: Annotated[Any, Doc(f"The nominal arm: {KNOWN_ARM}."), CHAIN, Flag("--model", metavar="ARM")],
-    q: Annotated[PointsLike, Doc("points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s]."), Flag("--points")],
+    q: Annotated[
+        PointsLike, Doc("points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s]."), Flag("--points")
+    ] = None,
     xyz_m: ArrayLike | None = None,
     *,
     rotation: ArrayLike | None = None,
     point: Sequence[str] = (),
+    length: Lengths = (),
+    touch: Annotated[
+        TouchesLike, Doc("In place of points touch.csv: q1..qn,feature[,kind][,reading_m][,sigma_m].")
+    ] = None,
     holdout: Annotated[HeldPointsLike, Doc("Further points, only for judging.")] = None,
     scale: Annotated[bool, Doc("Try joint scales too."), Flag("--scale/--no-scale")] = True,
     tolerance_m: Annotated[
@@ -212,7 +224,7 @@ def calibrate_arm(
     table: Table | None = None,
     out: Annotated[Path | None, Doc("arm.yaml to write."), Flag("-o --out", needed=True)] = None,
 ) -> ArmResult:
-    """Correct a known arm's geometry from measured positions, where a gain can be proved.
+    """Correct a known arm's geometry from measured positions or touched points, where a gain can be proved.
 
     Parameters
     ----------
@@ -226,6 +238,11 @@ def calibrate_arm(
         (m, 3, 3) of the tool in that frame, where measured.
     point
         (m,) names which of the tool's points a row is of.
+    length
+        (a, b, m[, standard deviation]) of touched points or balls that far apart; of a ball's radius b is ''.
+    touch
+        In place of q: (q, feature) or (q, feature, kind) while the tip rested on spikes ('point'), flats ('plane') or
+        balls ('sphere'); or a table's path, which may have dial gauges ('gauge') too.
     holdout
         (q, xyz_m) of further rows, or their table, only for judging.
     scale
@@ -263,6 +280,17 @@ def calibrate_arm(
     if (rig is None) != (world is None):
         raise UsageError("for proposals in view give both --rig and --world: where the rig stands to the measurements")
     tolerance = Tolerance(length_m=tolerance_m, angle_rad=tolerance_rad)
+    if (q is None) == (touch is None):
+        raise UsageError("give the measured positions (--points), or what was touched (--touch)")
+    if touch is not None:
+        from armsight.calibrate.arm.touch import calibrate_touched
+
+        if holdout is not None or propose:
+            raise UsageError("--holdout and --propose go with --points", cure="Leave them away with --touch")
+        found = calibrate_touched(nominal, touch, tolerance=tolerance)
+        return found if out is None else _with_urdf(found, Path(out).with_suffix(".urdf"))
+    if length:
+        raise UsageError("--length goes with --touch", cure="Leave it away, or give what was touched")
     found = calibrate_arm(nominal, q, holdout=holdout, tolerance=tolerance, scale=scale)
     if propose:
         seen = None if rig is None else in_view(rig, world.T_parent_rig)

@@ -186,6 +186,35 @@ def point_of(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
+def lengths_of(texts: list[str] | tuple[str, ...]) -> list[tuple[str, str, float, float | None]]:
+    """Return (a, b, m, standard deviation or None) of each 'A,B,270mm[,0.02mm]'; of a radius 'A,30mm' b is ''.
+
+    Raises UsageError.
+    """
+    found = []
+    for text in texts:
+        cells = [cell.strip() for cell in text.split(",")]
+        numbers: list[float] = []
+        while len(cells) > 1 and len(numbers) < 2 and (value := _length(cells[-1])) is not None:
+            numbers.insert(0, value)
+            cells.pop()
+        if not numbers or not 1 <= len(cells) <= 2 or not all(cells) or min(numbers) <= 0.0:
+            raise UsageError(
+                f"the length {text!r} is not A,B,LENGTH or A,RADIUS",
+                cure="Write for instance --length left,right,270mm or --length ball,19mm,0.01mm: names of the table, "
+                "the length, and its standard deviation",
+            )
+        found.append((cells[0], cells[1] if len(cells) > 1 else "", numbers[0], numbers[1] if numbers[1:] else None))
+    return found
+
+
+def _length(text: str) -> float | None:
+    try:
+        return read_quantity(text, "m")
+    except ValueError:
+        return None
+
+
 def size_of(text: str) -> tuple[int, int]:
     """Return (width, height) of '640x480'. Raises UsageError."""
     match = re.fullmatch(r"([1-9][0-9]{0,5})[xX]([1-9][0-9]{0,5})", text)

@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike
 
 from armsight.arrays import Array
 from armsight.calibrate.arm import ArmPoints
+from armsight.calibrate.arm.touch import Kind, KnownLength, Touches
 from armsight.calibrate.identify import Sweeps
 from armsight.clock import SystemClock
 from armsight.control.guard import Limits
+from armsight.defaults import TOUCH_LENGTH_STD_M
 from armsight.drivers import Robot, RobotState
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
@@ -27,12 +29,13 @@ from armsight.ops.given import Given as Folder
 from armsight.ops.given import as_text, path_of, record_of
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.robot.opening import ClockedRobot
-from armsight.records import TaughtPath, checked_array, require_kind, require_texts
+from armsight.records import TaughtPath, checked_array, one_of, require_kind, require_texts
 from armsight.store.arm_points import read_arm_points, read_sweeps
 from armsight.store.handeye_file import read_tip
 from armsight.store.interpret import OURS
 from armsight.store.limits_file import read_limits
 from armsight.store.path_file import read_path
+from armsight.store.touch_table import read_touches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,6 +57,44 @@ def points(name: str, value: Any, given: Given, undo: ExitStack) -> ArmPoints:
     found = read_arm_points(path, (given.get("table") or OURS).of_arm(model))
     coupled = model.couplings and found.q.shape[1] == model.n
     return replace(found, q=found.q @ model.gearing.T) if coupled else found
+
+
+def touches(name: str, value: Any, given: Given, undo: ExitStack) -> Touches:
+    """Return the touches of a table, or of (q, feature) or (q, feature, kind), with the lengths said beside them."""
+    model, path = _arm_of(given), path_of(value)
+    if path is not None:
+        found = read_touches(path, given.get("table") or OURS)
+    elif isinstance(value, Touches):
+        found = value
+    else:
+        require_kind(name, value, tuple, cure="Give (q, feature), (q, feature, kind), or a table's path")
+        q, feature, *kind = value
+        names = require_texts(f"{name} feature", feature)
+        readings = checked_array(f"{name} q", q, (len(names), model.n))
+        kinds = [one_of(Kind, f"{name} kind", one) for one in (kind[0] if kind else ["point"] * len(names))]
+        if Kind.GAUGE in kinds:
+            raise UsageError(f"{name} has gauges without readings", cure="Give a table's path, with reading_m")
+        nothing = np.zeros(len(names))
+        found = Touches(
+            q=readings,
+            feature=tuple(names),
+            kind=tuple(kinds),
+            reading_m=nothing,
+            sigma_m=nothing,
+            row=np.arange(len(names)),
+        )
+    told = tuple(_known_length(one) for one in given.get("length") or ())
+    coupled = bool(model.couplings) and found.q.shape[1] == model.n
+    q = found.q @ model.gearing.T if coupled else found.q
+    return replace(found, q=q, lengths=(*found.lengths, *told))
+
+
+def _known_length(one: Sequence[Any]) -> KnownLength:
+    """Return a length of (a, b, m) or (a, b, m, standard deviation). Raises UsageError."""
+    if len(one) not in (3, 4) or not all(isinstance(name, str) for name in one[:2]):
+        raise UsageError(f"the length {one!r} is not (a, b, m)", cure="Give ('left', 'right', 0.27), b '' for a radius")
+    sigma = one[3] if len(one) == 4 and one[3] is not None else TOUCH_LENGTH_STD_M
+    return KnownLength(a=one[0], b=one[1], length_m=float(one[2]), sigma_m=float(sigma))
 
 
 def held_points(name: str, value: Any, given: Given, undo: ExitStack) -> ArmPoints:

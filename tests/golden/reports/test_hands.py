@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from armsight import calibrate_hand_eye
 from armsight.errors import Degenerate, Inconsistent
@@ -19,6 +20,25 @@ def test_a_reading_that_stands_still_is_named(tmp_path):
 def test_an_arm_that_cannot_tilt_is_told_what_needs_no_tilt(name, setup, tmp_path):
     with refuses(Degenerate, "one axis", "SCARA", "armsight.calibrate_robot_world"):  # test_base_and_tool.py does so
         calibrate_hand_eye(pairs=case(name) / "pairs.csv", setup=setup, out=tmp_path / "he.yaml")
+
+
+@pytest.mark.parametrize(
+    ("name", "setup", "height_m", "right_mm"),
+    [("cameras-05", "eye-to-hand", 0.05, (550, 300, 1200)), ("arms-30", "eye-in-hand", 0.0, (50, 20, None))],
+)
+def test_one_measured_height_is_enough_for_an_arm_that_cannot_tilt(name, setup, height_m, right_mm, tmp_path):
+    done = calibrate_hand_eye(
+        pairs=case(name) / "pairs.csv", setup=setup, target_height_m=height_m, out=tmp_path / "he.yaml"
+    )
+    off = [
+        1e3 * found - right
+        for found, right in zip(done.T_parent_camera.translation, right_mm, strict=True)
+        if right is not None
+    ]
+    assert np.abs(off).max() < 0.6
+    if name == "cameras-05":
+        turn = done.T_parent_camera.rotation * Rotation.from_euler("xyz", [178, 3, 92], degrees=True).inv()
+        assert np.rad2deg(turn.magnitude()) < 0.1
 
 
 def test_a_board_that_looks_the_same_turned_is_read_as_the_robot_says(tmp_path):

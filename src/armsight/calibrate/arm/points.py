@@ -167,7 +167,7 @@ def check_points(arm: Arm, points: ArmPoints) -> None:
             consequence="Even base and tool would fit anything",
             cure="Measure more joint positions",
         )
-    _check_moves(arm, points)
+    check_moves(arm, points)
     turns = np.abs(points.q[:, arm.revolute])
     if turns.size and turns.max() > MOST_TURNS_RAD:
         raise Inconsistent(
@@ -189,9 +189,9 @@ def _check_touched(points: ArmPoints) -> None:
     raise Inconsistent(
         f"the {len(points)} rows have {places} position{'s' * (places > 1)} to the last digit, and the joints moved: "
         "fixed points that the tool touched",
-        consequence="Such rows say only that the tool came back there, from which nothing here finds an arm's geometry",
-        cure="Measure where the tool is at each joint position (a tracker, or a light and `armsight measure`), and "
-        "give those positions; the tip on the flange `armsight calibrate tooltip` finds",
+        consequence="Such rows say only that the tool came back there, and are no measured positions",
+        cure="Give the table with --touch in place of --points; or measure where the tool is at each joint position (a "
+        "tracker, or a light and `armsight measure`)",
     )
 
 
@@ -207,7 +207,7 @@ def _check_far(points: ArmPoints) -> None:
         )
 
 
-def _check_moves(arm: Arm, points: ArmPoints) -> None:
+def check_moves(arm: Arm, points: ArmPoints) -> None:
     """Raise NotEnoughData where too few joint positions were measured, or the joints hardly moved between them."""
     count = int(points.position.max()) + 1
     if count < FEWEST_POSITIONS:

@@ -68,6 +68,19 @@ class Outlier(NamedTuple):
 
 
 @output
+class TouchedFeature(Output):
+    """What the tip rested on, as the touches have it, in base axes."""
+
+    name: Annotated[str, Doc("Its name.")]
+    kind: Annotated[str, Doc("point, plane, sphere or gauge.")]
+    n: Annotated[int, Doc("Touches of it, those in one posture counted once.")]
+    rms_m: Annotated[float, Doc("By what they miss it, RMS, m.")]
+    place_m: Annotated[list[float], Doc("Point or centre, m; of a plane or gauge a point on it.")]
+    normal: Annotated[list[float] | None, Doc("Direction of a plane or gauge; null of others.")]
+    radius_m: Annotated[float | None, Doc("Radius of a sphere, m; null of others.")]
+
+
+@output
 class ArmNoise(Output):
     """Noise of the measurements."""
 
@@ -129,6 +142,7 @@ class ArmResult(TitledOutput):
         None
     )
     urdf: Annotated[str | None, Doc("The URDF written; null for scales and couplings, which it cannot hold.")]
+    features: Annotated[tuple[TouchedFeature, ...] | None, Doc("What was touched; with --touch.")] = None
 
     @property
     def nominal(self) -> Arm:
@@ -247,6 +261,9 @@ class ArmResult(TitledOutput):
         if self.free:
             freed = [parameter_row(name, self.corrections[name], self.deviations[name]) for name in self.free]
             yield Table("Corrections", ["", "by", "+-"], freed)
+        if self.features is not None:
+            touched = [[one.name, one.kind, str(one.n), digits(one.rms_m / MM)] for one in self.features]
+            yield Table("Touched", ["", "kind", "touches", "RMS, mm"], touched)
         yield self.verdict
         yield from (f"  {note}." for note in self.notes if note not in self.verdict)
         if self.still:

@@ -7,15 +7,20 @@ before and behind a joint can make its reversal by half turns, as in wrists, eit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
+from armsight.calibrate.arm.fit import Tolerance, fit_arm
+from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
-from armsight.errors import Inconsistent
+from armsight.errors import Degenerate, Inconsistent, NotConverged
 from armsight.kinematics import Arm, fk_jacobian
 from armsight.units import DEG, MM
 
@@ -36,7 +41,13 @@ FITS_ALIKE = 0.02
 """The same where zeros alone, or readings exchanged, explain the rows: no choice of senses is the worse for it."""
 NEXT = 0.3
 """... and of what choices leave that reverse others."""
+MOST_CLOSE = 16
+"""Choices that are told apart by lengths corrected too: a wrist that flips, a mirror image, a last joint make eight."""
+LEAST_LEFT_M = 1e-5
+"""What choices leave below it is alike: nothing is measured better."""
 TOLD_ZERO_RAD = 2.0 * DEG
+
+LeftOf = Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +55,7 @@ class Senses:
     """Joints that run the other way, zeros (n,) by which the others are then off, and what is left, RMS in m.
 
     exchanged: two joints whose readings stand in each other's place. alike: joints that run the other way and zeros
-    that explain the rows as well.
+    that explain the rows as well. reflected: positions of a reflection do so too.
     """
 
     joints: tuple[str, ...]
@@ -52,11 +63,12 @@ class Senses:
     left_m: float
     exchanged: tuple[str, ...] = ()
     alike: tuple[tuple[tuple[str, ...], Array], ...] = ()
+    reflected: bool = False
 
-    def refusal(self, arm: Arm, given_m: float) -> Inconsistent:
+    def refusal(self, arm: Arm, given_m: float, what_missed: str = "the positions") -> Inconsistent:
         """Return the refusal of an arm's file whose joints have other senses, zeros or places than its readings."""
         named, both, off = ", ".join(self.joints), " and ".join(self.exchanged), _off(arm, self.zeros_rad)
-        many, add = len(self.joints) > 1, f"add to theta_rad there {', '.join(f'{z:.3f} ({x})' for x, z in off)}"
+        many, add = len(self.joints) > 1, f"add to theta_rad there {_to_add(arm, off)}"
         what = _words(arm, self.joints, self.zeros_rad)
         if self.exchanged:
             what = f"the readings of {both} exchanged{_zeros(off)}"
@@ -65,15 +77,17 @@ class Senses:
         elif self.joints:
             consequence = f"The reading{'s' * many} of {named} run{'s' * (not many)} the other way than in the model"
             cure = (
-                f"Change the sign of {named} in the arm's file: `sign: -1` there in an arm.yaml (`armsight convert "
-                f"arm` writes one){f', and {add}' if off else ''}; in a URDF reverse the axis"
+                f"Change the sign of {named} in the arm's file: {_signs(arm, self.joints)} there in an arm.yaml "
+                f"(`armsight convert arm` writes one){f', and {add}' if off else ''}; in a URDF reverse the axis"
             )
         else:
             consequence = "The readings count from other places than in the model"
             cure = f"In an arm.yaml (`armsight convert arm` writes one) {add}"
         alike = "".join(f", and as well with {_words(arm, *one)}" for one in self.alike)
+        if self.reflected:
+            alike += ", and as well where the positions are a reflection (one of their axes has the wrong sign)"
         return Inconsistent(
-            f"the nominal arm misses the positions by {given_m / MM:.3g} mm (root mean square); with {what} it fits "
+            f"the nominal arm misses {what_missed} by {given_m / MM:.3g} mm (root mean square); with {what} it fits "
             f"them to {self.left_m / MM:.2g} mm{alike}",
             consequence=f"{consequence}{', or as the others say' if alike else ''}, and nothing is written",
             cure=cure,
@@ -84,6 +98,28 @@ def _off(arm: Arm, zeros_rad: Array) -> list[tuple[str, float]]:
     """Return the joints whose zeros are off by more than what is told, and by how much."""
     each = zip(arm.joints, zeros_rad.tolist(), strict=True)
     return [(joint.name, zero) for joint, zero in each if abs(zero) > TOLD_ZERO_RAD]
+
+
+def _to_add(arm: Arm, off: list[tuple[str, float]]) -> str:
+    """Return what makes up for zeros of readings: theta counts the other way where a joint's sign is -1."""
+    sign = {joint.name: joint.sign for joint in arm.joints}
+    return ", ".join(f"{zero * sign[name]:.3f} ({name})" for name, zero in off)
+
+
+def _signs(arm: Arm, names: tuple[str, ...]) -> str:
+    """Return how the signs of joints that run the other way are written."""
+    new = {joint.name: "`sign: -1`" if joint.sign > 0.0 else "`sign: 1`" for joint in arm.joints}
+    each = [new[name] for name in names]
+    return each[0] if len(set(each)) == 1 else ", ".join(f"{new[name]} ({name})" for name in names)
+
+
+def changed(arm: Arm, signs: Array, zeros_rad: Array) -> Arm:
+    """Return the arm with senses (n,), 1 or -1, and zeros (n,) of its readings."""
+    joints = tuple(
+        replace(joint, sign=joint.sign * sign, theta_rad=joint.theta_rad + joint.sign * zero)
+        for joint, sign, zero in zip(arm.joints, signs.tolist(), zeros_rad.tolist(), strict=True)
+    )
+    return replace(arm, joints=joints, covariance=None)
 
 
 def _words(arm: Arm, names: tuple[str, ...], zeros_rad: Array) -> str:
@@ -104,11 +140,59 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     rows = np.unique(np.linspace(0, len(points) - 1, ROWS).astype(np.intp))
     q, xyz_m = points.q[rows], points.xyz_m[rows]
     spread = float(np.sqrt(((xyz_m - xyz_m.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    choices = np.array(sorted(product((1.0, -1.0), repeat=len(turning)), key=lambda s: s.count(-1.0)))
-    left, found = _fit(arm, turning, choices, q, xyz_m)
-    alike = np.flatnonzero(left * NEXT <= left.min())
+    left_of = partial(_left, arm, turning, xyz_m)
+    choices = all_choices(len(turning))
+    left, found = fit_choices(arm, turning, choices, q, left_of)
     if left.min() > FITS * spread:
         return _exchanged(arm, turning, q, xyz_m, FITS_ALIKE * spread, left)
+    given_m = float(_rms(left_of(q[None], _start(arm, turning)[None])[0])[0])
+    senses = judged(arm, turning, choices, left, found, FITS_ALIKE * spread, partial(_refined, points.take(rows)))
+    if senses is not None and len(senses.joints) > 1:  # of an arm with a plane of symmetry a reflection is one fault
+        mirrored = partial(_left, arm, turning, xyz_m * [-1.0, 1.0, 1.0])
+        reflected = bool(fit_choices(arm, turning, choices[:1], q, mirrored)[0][0] * NEXT <= left.min())
+        senses = replace(senses, reflected=reflected)
+    return None if senses is None else (senses, given_m if senses.alike else float(left[0]))
+
+
+def all_choices(k: int) -> Array:
+    """Return the senses (2^k, k) that k joints can have, 1 as given or -1, those that reverse fewest first."""
+    return np.array(sorted(product((1.0, -1.0), repeat=k), key=lambda s: s.count(-1.0)))
+
+
+def _refined(points: ArmPoints, arm: Arm) -> float:
+    """Return what an arm leaves of the positions once its lengths and angles are fitted within tolerance, RMS in m."""
+    model = ArmModel(arm=arm, labels=points.labels, turned=False)
+    points = replace(points, rotation=None)
+    try:
+        p = fit_arm(model, points, start(model, points), model.geometry, Tolerance()).p
+    except (NotConverged, Degenerate):
+        return float("inf")
+    return float(np.sqrt((model.errors(p, points)[0] ** 2).sum(axis=1).mean()))
+
+
+def judged(
+    arm: Arm,
+    turning: NDArray[np.intp],
+    choices: Array,
+    left: Array,
+    found: Array,
+    most_m: float,
+    refined: Callable[[Arm], float],
+) -> Senses | None:
+    """Return what of choices (c, k) explains the rows, with all that does so as well; None where nothing is to be told.
+
+    left (c,), found (c, k): what each leaves, RMS in m, and its zeros. most_m: may be left where several are alike.
+    refined: what an arm leaves with its lengths corrected too, by which those that leave about as much are told apart.
+    """
+    close = np.flatnonzero(left * NEXT <= left.min())
+    if len(close) > 1:
+        fine = np.full(len(left), np.inf)
+        for i in close[np.argsort(left[close], kind="stable")][:MOST_CLOSE]:
+            signs = np.ones(arm.n)
+            signs[turning] = choices[i]
+            fine[i] = refined(changed(arm, signs, _of_joints(arm, turning, found[i])))
+        left = np.where(np.isfinite(fine), np.maximum(fine, LEAST_LEFT_M), np.inf) if np.isfinite(fine).any() else left
+    alike = np.flatnonzero(left * NEXT <= left.min())
     zeros = [_of_joints(arm, turning, one) for one in found]
     size = [float(np.abs(one).sum().round(1)) for one in zeros]
     # of those that fit alike the one of the smallest zeros that reverses fewest
@@ -116,23 +200,19 @@ def other_senses(arm: Arm, points: ArmPoints) -> tuple[Senses, float] | None:
     # a joint that turns the tool about itself, or a wrist that flips, fits both ways: the others are known all the same
     common = np.all([choices[i] < 0.0 for i in alike], axis=0)
     ambiguous = alike[0] == 0 or not np.array_equal(common, choices[best] < 0.0)
-    if ambiguous and left[best] > FITS_ALIKE * spread:
+    if ambiguous and left[best] > most_m:
         return None
     names = _reversed(arm, turning, choices[best])
     if not names and not _off(arm, zeros[best]):
         return None
-    mirrored = _fit(arm, turning, choices[:1], q, xyz_m * [-1.0, 1.0, 1.0])[0]
-    if len(names) > 1 and mirrored[0] * NEXT <= left[best]:
-        return None  # an arm with a plane of symmetry whose positions are a reflection: one fault, not several
     if not ambiguous:
-        return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best]), float(left[0])
+        return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best])
     told = [best]
     for i in others:  # not those that reverse one more joint beside what is told, such as the last
         if (size[i] == size[best] or i == 0) and all(((choices[k] < 0.0) & (choices[i] > 0.0)).any() for k in told):
             told.append(i)
     same = tuple((_reversed(arm, turning, choices[i]), zeros[i]) for i in told[1:])
-    given_m = float(_rms(_left(arm, turning, q[None], _start(arm, turning)[None], xyz_m)[0])[0])
-    return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best], alike=same), given_m
+    return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best], alike=same)
 
 
 def _reversed(arm: Arm, turning: NDArray[np.intp], signs: Array) -> tuple[str, ...]:
@@ -148,7 +228,8 @@ def _exchanged(
     """
     pairs = list(combinations(range(arm.n), 2))
     swapped = np.stack([_swapped(q, pair) for pair in pairs])
-    found_m, zeros = _fit(arm, turning, np.ones((len(pairs), len(turning))), swapped, xyz_m)
+    signs = np.ones((len(pairs), len(turning)))
+    found_m, zeros = fit_choices(arm, turning, signs, swapped, partial(_left, arm, turning, xyz_m))
     order = np.argsort(found_m)
     best_m = float(found_m[order[0]])
     nearest = min([left.min(), *found_m[order[1:2]]])
@@ -177,16 +258,17 @@ def _of_joints(arm: Arm, turning: NDArray[np.intp], zeros_rad: Array) -> Array:
     return out
 
 
-def _fit(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Array) -> tuple[Array, Array]:
-    """Return what each choice leaves, RMS in m (c,), and its zeros of the turning joints (c, k); base and tool free.
+def fit_choices(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, left_of: LeftOf) -> tuple[Array, Array]:
+    """Return what each choice leaves, RMS in m (c,), and its zeros of the turning joints (c, k); the tool is free too.
 
-    signs (c, k). q: readings (m, n), or (c, m, n) each choice's own. Levenberg-Marquardt of all choices at once.
+    signs (c, k). q: readings (m, n), or (c, m, n) each choice's own. left_of: of readings (c, m, n), zeros and tool (c,
+    k + 3), with its derivative. Levenberg-Marquardt of all choices at once.
     """
     k, scale = len(turning), np.array([0.1] * len(turning) + [0.05] * 3)
     read = np.broadcast_to(q, (len(signs), *q.shape[-2:])).copy()
     read[..., turning] *= signs[:, None]
     x = np.tile(_start(arm, turning), (len(signs), 1))
-    r, J = _left(arm, turning, read, x, xyz_m)
+    r, J = left_of(read, x)
     damping = np.full(len(signs), 1e-3)
     for _ in range(STEPS):
         by_scale = J * scale
@@ -194,7 +276,7 @@ def _fit(arm: Arm, turning: NDArray[np.intp], signs: Array, q: Array, xyz_m: Arr
         step = np.linalg.solve(normal, by_scale.mT @ r[..., None])[..., 0]
         step *= np.minimum(1.0, FARTHEST / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
         trial = x - scale * step
-        r_trial, J_trial = _left(arm, turning, read, trial, xyz_m)
+        r_trial, J_trial = left_of(read, trial)
         before, after = (r**2).sum(axis=1), (r_trial**2).sum(axis=1)
         better = after < before
         x[better], r[better], J[better] = trial[better], r_trial[better], J_trial[better]
@@ -212,10 +294,10 @@ def _rms(left: Array) -> Array:
     return np.asarray(np.sqrt(3.0 * (left**2).mean(axis=1)))
 
 
-def _left(arm: Arm, turning: NDArray[np.intp], read: Array, x: Array, xyz_m: Array) -> tuple[Array, Array]:
-    """Return what choices x (c, k + 3) of zeros and tool leave, (c, 3 m), and its derivatives (c, 3 m, k + 3).
+def tool_points(arm: Arm, turning: NDArray[np.intp], read: Array, x: Array) -> tuple[Array, Array]:
+    """Return where choices x (c, k + 3) of zeros and tool put the tool, (c, m, 3), and the derivative (c, m, 3, k + 3).
 
-    The base that fits best (Kabsch 1976) goes with every choice and turns along with x: sum(there x around) stays zero.
+    read: (c, m, n) or (1, m, n) readings with the choices' senses.
     """
     k, shape = len(turning), read.shape
     values = read.copy()
@@ -225,14 +307,24 @@ def _left(arm: Arm, turning: NDArray[np.intp], read: Array, x: Array, xyz_m: Arr
     by_tool, tool = flange[..., :3, :3], x[:, None, k:, None]
     arm_of = by_tool @ (tool - arm.T_flange_tool.translation[:, None])  # from the origin that J is of
     by_zeros = J[..., :3, turning] + np.cross(J[..., 3:, turning], arm_of, axis=-2)
-    there, around = _centred((by_tool @ tool)[..., 0] + flange[..., :3, 3]), _centred(xyz_m)
+    there = (by_tool @ tool)[..., 0] + flange[..., :3, 3]
+    return there, np.concatenate([by_zeros, by_tool], axis=-1)
+
+
+def _left(arm: Arm, turning: NDArray[np.intp], xyz_m: Array, read: Array, x: Array) -> tuple[Array, Array]:
+    """Return what choices x (c, k + 3) of zeros and tool leave, (c, 3 m), and its derivatives (c, 3 m, k + 3).
+
+    The base that fits best (Kabsch 1976) goes with every choice and turns along with x: sum(there x around) stays zero.
+    """
+    there, by_x = tool_points(arm, turning, read, x)
+    there, around = _centred(there), _centred(xyz_m)
     U, _, Vt = np.linalg.svd(around.T @ there)
     U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
     base = U @ Vt
     there = there @ base.mT
-    moved = base[:, None] @ _centred(np.concatenate([by_zeros, by_tool], axis=-1), axis=1)
+    moved = base[:, None] @ _centred(by_x, axis=1)
     B = there.mT @ around
     spin = np.trace(B, axis1=1, axis2=2)[:, None, None] * np.eye(3) - B
     turned = np.linalg.pinv(spin, hermitian=True) @ np.cross(moved, around[None, ..., None], axis=-2).sum(axis=1)
     moved -= np.cross(there[..., None], turned[:, None], axis=-2)
-    return (there - around).reshape(len(x), -1), moved.reshape(len(x), -1, k + 3)
+    return (there - around).reshape(len(x), -1), moved.reshape(len(x), -1, x.shape[1])

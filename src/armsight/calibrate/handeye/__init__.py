@@ -8,6 +8,7 @@ from armsight.calibrate.handeye.calibrate import (
 from armsight.calibrate.handeye.image_comparison import ImageComparison, LeftOutErrors, ObservationModel
 from armsight.calibrate.handeye.images import ImageHandEye, calibrate_from_views
 from armsight.calibrate.handeye.noise import Noise, Part
+from armsight.calibrate.handeye.one_axis import TargetHeight
 from armsight.calibrate.handeye.pairs import PosePairs, Setup
 from armsight.calibrate.handeye.propose import propose
 from armsight.calibrate.handeye.result import HandEyeResult, Proposal, RejectedPair, Scale
@@ -28,6 +29,7 @@ __all__ = [
     "Scale",
     "Setup",
     "Solution",
+    "TargetHeight",
     "TimeOffset",
     "calibrate_eye_in_hand",
     "calibrate_eye_to_hand",

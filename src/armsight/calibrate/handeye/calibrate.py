@@ -12,6 +12,7 @@ from armsight.arrays import Array
 from armsight.calibrate.handeye.advice import advise, require_one_mount
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
 from armsight.calibrate.handeye.noise import noise_of_pairs
+from armsight.calibrate.handeye.one_axis import TargetHeight, calibrate_about_one_axis
 from armsight.calibrate.handeye.pairs import (
     MIN_PAIRS,
     Arrays,
@@ -53,22 +54,27 @@ REJECTION_ROUNDS = 10
 """Rounds of naming outliers and fitting again; two or three settle it."""
 
 
-def calibrate_eye_in_hand(pairs: PosePairs, *, target_pitch_m: float | None = None) -> HandEyeResult:
+def calibrate_eye_in_hand(
+    pairs: PosePairs, *, target_pitch_m: float | None = None, target_height: TargetHeight | None = None
+) -> HandEyeResult:
     """Return T_flange_camera and T_base_target from T_base_flange * T_flange_camera * T_camera_target = T_base_target.
 
     target_pitch_m: pitch of the printed target, where there is one, so that advice can name the right one.
+    target_height: for a hand that turned about one axis alone, see one_axis.
     Raises Degenerate for too little turning, Inconsistent for wrong units, inverted or wrongly paired poses and
     poses without agreement, NotConverged. Zhuang, Roth, Sudhakar 1994 (Pachidis 2005 section 4), by maximum likelihood.
     """
-    return _calibrate(pairs, Setup.EYE_IN_HAND, target_pitch_m)
+    return _calibrate(pairs, Setup.EYE_IN_HAND, target_pitch_m, target_height)
 
 
-def calibrate_eye_to_hand(pairs: PosePairs, *, target_pitch_m: float | None = None) -> HandEyeResult:
+def calibrate_eye_to_hand(
+    pairs: PosePairs, *, target_pitch_m: float | None = None, target_height: TargetHeight | None = None
+) -> HandEyeResult:
     """Return T_base_camera and T_flange_target from T_base_camera * T_camera_target = T_base_flange * T_flange_target.
 
     Raises as calibrate_eye_in_hand.
     """
-    return _calibrate(pairs, Setup.EYE_TO_HAND, target_pitch_m)
+    return _calibrate(pairs, Setup.EYE_TO_HAND, target_pitch_m, target_height)
 
 
 def expected_deviation(
@@ -95,13 +101,24 @@ def _places(T_base_flange: RigidTransform) -> NDArray[np.intp]:
     return repeats(np.column_stack([R / np.sqrt(2.0), t]), SAME_PLACE)
 
 
-def _calibrate(pairs: PosePairs, setup: Setup, target_pitch_m: float | None) -> HandEyeResult:
+def _calibrate(
+    pairs: PosePairs, setup: Setup, target_pitch_m: float | None, target_height: TargetHeight | None
+) -> HandEyeResult:
     require_metres(pairs)
     place = np.arange(len(pairs)) if pairs.t_s is not None else _places(pairs.T_base_flange)
     repeated = {row: why for row, _, why in pairs.duplicates()}
     rows = np.array([i for i in range(len(pairs)) if i not in repeated], dtype=np.intp)
     chosen = pairs.take(rows) if repeated else pairs
-    require_turning(chosen)
+    try:
+        require_turning(chosen)
+    except Degenerate as why:
+        return calibrate_about_one_axis(chosen, setup, why, target_height)
+    if target_height is not None:
+        raise Inconsistent(
+            "a target's height is given, and the hand turned about two axes",
+            consequence="The poses tell it, and the height would not be used",
+            cure="Leave --target-height away, and compare it with the target's z in the result",
+        )
     solution, left_out, keep = _solve_places(chosen, setup, np.unique(place[rows], return_inverse=True)[1])
     _require_others(chosen, np.flatnonzero(keep & ~np.isfinite(left_out).all(axis=1)))
     used = np.zeros(len(pairs), bool)

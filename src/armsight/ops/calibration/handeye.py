@@ -20,6 +20,7 @@ from armsight.calibrate.handeye import (
     PosePairs,
     RejectedPair,
     Setup,
+    TargetHeight,
     calibrate_eye_in_hand,
     calibrate_eye_to_hand,
     calibrate_from_views,
@@ -88,17 +89,19 @@ def pairs_of(
     return PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows, camera_covariance=covariance)
 
 
-def from_pairs(pairs: PosePairs | Path, setup: Setup, format_: TableFormat) -> HandEyeResult:
-    """Return the calibration from pairs, or a pairs.csv.
+def from_pairs(
+    pairs: PosePairs | Path, setup: Setup, format_: TableFormat, height: TargetHeight | None = None
+) -> HandEyeResult:
+    """Return the calibration from pairs, or a pairs.csv; height: of the target, for a hand that cannot tilt.
 
     Raises as calibrate_eye_in_hand; Inconsistent with the order of Euler angles that fits where one does.
     """
     calibrate = calibrate_eye_in_hand if setup is Setup.EYE_IN_HAND else calibrate_eye_to_hand
     if isinstance(pairs, PosePairs):
-        return calibrate(pairs)
+        return calibrate(pairs, target_height=height)
     format_ = replace(format_, on_hand=setup is Setup.EYE_IN_HAND)  # some programs save other poses for each
     try:
-        return calibrate(read_pairs(pairs, format_))
+        return calibrate(read_pairs(pairs, format_), target_height=height)
     except Inconsistent as error:
         raise _with_order(error, lambda other: read_pairs(pairs, other), setup, format_) from error
 

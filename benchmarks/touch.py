@@ -1,0 +1,189 @@
+"""Arms calibrated by touching spikes, beside the least that any method can reach; and which joints run the other way.
+
+    python benchmarks/touch.py [spikes] [right] [points] [touched] [--seeds 20] [--arms irb120 ur5e]
+
+spikes: two spikes 0.27 m apart, 25 postures each, arms drawn within the tolerances: RMS of error over the bound (by
+finite differences of a kinematics of its own) and the share within 1.96 claimed deviations, of what is told. right:
+right arms of which a reversed joint is invented. points, touched: all 64 choices of senses of six joints.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import bench
+from armsight.calibrate.arm import ArmModel, ArmPoints, Tolerance, calibrate_arm
+from armsight.calibrate.arm.senses import other_senses
+from armsight.calibrate.arm.touch import Kind, KnownLength, Touches, calibrate_touched
+from armsight.calibrate.arm.touch import senses as touch_senses
+from armsight.calibrate.arm.touch.fit import fit_touches
+from armsight.calibrate.arm.touch.known import told
+from armsight.calibrate.arm.touch.model import start
+from armsight.errors import DataRefused
+from armsight.kinematics import Arm, Convention, preset
+
+scene = bench.test_scene("touch_world")
+
+LENGTH_M, ANGLE_RAD = 1e-3, 5e-3
+"""Standard deviations by which the arms are drawn, and which the calibration is told."""
+APART_M, KNOWN_M = 0.27, 2e-5
+SENSED = ("irb120", "ur5e", "kr6")
+"""Arms whose senses are looked for: with a spherical wrist and without one."""
+
+
+def drawn(name: str, rng: np.random.Generator) -> tuple[Arm, scene.World, tuple[str, ...], dict[str, float]]:
+    """Return a nominal arm, the true one, and by what it is off in which parameters."""
+    arm = preset(name)
+    names = ArmModel(arm=arm, labels=("",), turned=False).geometry
+    rows, off = scene.true_rows(arm, rng, names, LENGTH_M, ANGLE_RAD)
+    sense = np.array([joint.sign for joint in arm.joints])
+    return arm, scene.World(rows, sense, arm.convention is Convention.CRAIG, scene.TIP), names, off
+
+
+def touches_of(q: np.ndarray, which: np.ndarray) -> Touches:
+    """Return touches of spikes a and b at readings (m, n)."""
+    m = len(q)
+    return Touches(
+        q=q,
+        feature=tuple("ab"[k] for k in which),
+        kind=(Kind.POINT,) * m,
+        reading_m=np.zeros(m),
+        sigma_m=np.zeros(m),
+        lengths=(KnownLength(a="a", b="b", length_m=APART_M, sigma_m=KNOWN_M),),
+        row=np.arange(m),
+    )
+
+
+def spikes(seeds: int, arms: list[str]) -> None:
+    """Print errors beside the bound, of each arm and of all: of the fit and the choice that `calibrate arm` makes."""
+    every: list[np.ndarray] = []
+    tolerance = Tolerance(length_m=LENGTH_M, angle_rad=ANGLE_RAD)
+    header = ["arm", "parameters told", "error / bound", "within 95 %, %", "error / claim"]
+    bench.table(f"Two spikes {1e3 * APART_M:.0f} mm apart, 50 postures, {seeds} arms each", header, [])
+    for name in arms:
+        found: list[np.ndarray] = []
+        for seed in range(seeds):
+            rng = np.random.default_rng([seed, len(name)])
+            arm, world, names, off = drawn(name, rng)
+            places, q, which = scene.two_spikes(world, rng, scene.NEAR[name], APART_M)
+            model, guess = start(ArmModel(arm=arm, labels=("",), turned=False), touches_of(q, which))
+            fitted = fit_touches(model, guess, names, tolerance)
+            known = told(model, fitted, names, tolerance).known
+            joints = [joint.name for joint in arm.joints]
+            least = scene.bound(world, q, which, places, names, joints, LENGTH_M, ANGLE_RAD, KNOWN_M)
+            std = fitted.fit.std()
+            error = np.array([fitted.fit.value(one) - off[one] for one in known])
+            at = [names.index(one) for one in known]
+            found.append(np.column_stack([error / least[at], error / [std[one] for one in known]]))
+        every += found
+        row(name, len(np.concatenate(found)) / seeds, *figures(np.concatenate(found)))
+    row("all", "", *figures(np.concatenate(every)))
+
+
+def row(*cells: object) -> None:
+    """Print a row of a table as it comes."""
+    print(
+        "| " + " | ".join(f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in cells) + " |", flush=True
+    )
+
+
+def figures(z: np.ndarray) -> list[float]:
+    """Return RMS of error over bound, the share within 95 % and RMS of error over claim of (k, 2)."""
+    size = np.sqrt(np.mean(z**2, axis=0))
+    return [float(size[0]), 100.0 * float(np.mean(np.abs(z[:, 1]) < 1.96)), float(size[1])]
+
+
+def right(seeds: int, arms: list[str]) -> None:
+    """Print how many right arms, with touches and with positions, are called otherwise."""
+    rows = []
+    for kind in ("touches", "points"):
+        invented, refused = 0, 0
+        for seed in range(10 * seeds):
+            rng = np.random.default_rng([seed, 7])
+            name = arms[seed % len(arms)]
+            arm, world, _, _ = drawn(name, rng)
+            try:
+                if kind == "touches":
+                    _, q, which = scene.two_spikes(world, rng, scene.NEAR[name], APART_M)
+                    calibrate_touched(arm, touches_of(q, which))
+                else:
+                    q = np.asarray(scene.NEAR[name]) + rng.uniform(-1.0, 1.0, (50, arm.n))
+                    calibrate_arm(arm, positions(world, q, rng))
+            except DataRefused as refusal:
+                invented += "other way" in str(refusal) or "other places" in str(refusal)
+                refused += 1
+        rows.append([kind, 10 * seeds, invented, refused])
+    bench.table("Right arms", ["measured", "arms", "a sense or zero invented", "refused at all"], rows)
+
+
+def positions(world: scene.World, q: np.ndarray, rng: np.random.Generator) -> ArmPoints:
+    """Return positions that a tracker sees, 0.1 mm off in each coordinate."""
+    tracker = RigidTransform.from_components([0.9, -0.2, 0.4], Rotation.from_rotvec([0.3, -0.5, 1.2]))
+    there = np.array([world.there(one)[0] for one in q])
+    return ArmPoints(q=q, xyz_m=tracker.apply(there) + rng.normal(0.0, 1e-4, (len(q), 3)))
+
+
+def patterns(arms: list[str], named: Callable[[str, np.random.Generator, np.ndarray], str], title: str) -> None:
+    """Print of how many of the 64 senses of each arm's joints the right ones are named, first or among those alike."""
+    kinds = ("alone or first", "among those alike", "wrong", "not found")
+    bench.table(title, ["arm", *kinds], [])
+    for name in arms:
+        count = dict.fromkeys(kinds, 0)
+        for k, signs in enumerate(product((1, -1), repeat=6)):
+            if min(signs) < 0:
+                count[named(name, np.random.default_rng([k, 3]), np.array(signs))] += 1
+        row(name, *count.values())
+
+
+def said(senses: object, arm: Arm, signs: np.ndarray) -> str:
+    """Return how senses that were found stand to the true ones."""
+    true = tuple(joint.name for joint, sign in zip(arm.joints, signs, strict=True) if sign < 0)
+    if senses is None:
+        return "not found"
+    if senses.joints == true:
+        return "alone or first"
+    return "among those alike" if true in [one[0] for one in senses.alike] else "wrong"
+
+
+def of_points(name: str, rng: np.random.Generator, signs: np.ndarray) -> str:
+    arm, world, _, _ = drawn(name, rng)
+    q = np.asarray(scene.NEAR[name]) + rng.uniform(-1.0, 1.0, (50, 6))
+    zeros = rng.uniform(-0.3, 0.3, 6)
+    found = other_senses(arm, ArmPoints(q=q * signs - zeros, xyz_m=positions(world, q, rng).xyz_m))
+    return said(None if found is None else found[0], arm, signs)
+
+
+def of_touches(name: str, rng: np.random.Generator, signs: np.ndarray) -> str:
+    arm, world, _, _ = drawn(name, rng)
+    _, q, which = scene.two_spikes(world, rng, scene.NEAR[name], APART_M)
+    zeros = rng.uniform(-0.3, 0.3, 6)
+    return said(touch_senses.other_senses(arm, touches_of(q * signs - zeros, which)), arm, signs)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", choices=["spikes", "right", "points", "touched", []])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--arms", nargs="*", default=None)
+    given = parser.parse_args()
+    print(bench.machine())
+    parts = given.parts or ["spikes", "right", "points", "touched"]
+    if "spikes" in parts:
+        spikes(given.seeds, given.arms or list(scene.NEAR))
+    if "right" in parts:
+        right(given.seeds, given.arms or list(scene.NEAR))
+    if "points" in parts:
+        patterns(
+            given.arms or list(SENSED), of_points, "All senses of six joints, zeros off to 17 degrees: 50 positions"
+        )
+    if "touched" in parts:
+        patterns(given.arms or list(SENSED), of_touches, "The same: 50 touches of two spikes")
+
+
+if __name__ == "__main__":
+    main()
