@@ -15,10 +15,12 @@ import tempfile
 from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
+from signal import SIGKILL, SIGTERM
 from types import TracebackType
 from typing import Any, ClassVar, Self
 
 from armsight.clock import Clock, SystemClock
+from armsight.drivers.linuxcnc.__main__ import HAL_FILE, set_up
 from armsight.errors import DeviceFailed, DeviceNotFound, UsageError
 from armsight_sim.twins.base import small_arm_mapping
 from armsight_sim.twins.linuxcnc_files import Row, ini, machine_hal, rows_of, without_tcp
@@ -104,13 +106,14 @@ class LinuxcncTwin:
         process, folder = self._process, self._folder
         self._process = self._folder = None
         if process is not None and folder is not None:
-            (folder / "up").unlink(missing_ok=True)  # the holder then ends, and LinuxCNC with it
-            try:
-                process.wait(END_S)
-            except subprocess.TimeoutExpired:
+            (folder / "on").unlink(missing_ok=True)  # the holder then ends, and LinuxCNC with it
+            for signal in (SIGTERM, SIGKILL):  # its script tidies up behind the first
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(END_S)
+                    break
                 with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, 9)
-                process.wait()
+                    os.kill(process.pid, signal)
+            process.wait()
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -126,20 +129,22 @@ class LinuxcncTwin:
         holder = folder / "holder.py"
         holder.write_text((files("armsight_sim.twins") / "linuxcnc_holder.py").read_text())
         display = f"{folder}/display"
-        (folder / "display").write_text(f'#!/bin/sh\nexec /usr/bin/python3 {holder} {folder}/up {os.getpid()} "$@"\n')
-        (folder / "display").chmod(0o755)
-        hal = {"machine.hal": machine_hal(self._rows)}
-        for name, text in hal.items():
-            (folder / name).write_text(text)
-        (folder / "twin.ini").write_text(
-            ini(self._rows, servo_ns=self._servo_ns, display=display, hal_files=tuple(hal))
+        (folder / "display").write_text(
+            f"#!/bin/sh\nexec /usr/bin/python3 {holder} {folder}/on {folder}/up {os.getpid()}\n"
         )
+        (folder / "on").touch()
+        (folder / "display").chmod(0o755)
+        (folder / "machine.hal").write_text(machine_hal(self._rows))
+        names = ("machine.hal", HAL_FILE)
+        twin_ini = folder / "twin.ini"
+        twin_ini.write_text(ini(self._rows, servo_ns=self._servo_ns, display=display, hal_files=names))
+        set_up(twin_ini, bind="127.0.0.1", port=self._port)
         (folder / "linuxcnc.nml").write_text(without_tcp(NML.read_text()))
         (folder / "linuxcnc.tbl").write_text("")
         if os.geteuid() != 0:
             return None
         owner = pwd.getpwnam(ORDINARY)
-        for path in (folder, *folder.iterdir()):
+        for path in (folder, *folder.rglob("*")):
             os.chown(path, owner.pw_uid, owner.pw_gid)
         return ORDINARY
 

@@ -1,7 +1,7 @@
 """Stands in the place of LinuxCNC's screen: switches on, homes, and ends LinuxCNC by ending.
 
-Debian's Python runs it, with LinuxCNC's own module: holder.py UP OWNER, and what LinuxCNC adds. It writes UP where all
-joints are homed, or what went wrong, and ends with the process OWNER, or where UP is taken away.
+Debian's Python runs it, with LinuxCNC's own module: holder.py ON UP OWNER. It writes the file UP where all joints are
+homed, or what went wrong, and ends with the process OWNER, or where the file ON is taken away.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ WAIT_S = 20.0
 
 def main() -> None:
     """Switch on, home, wait."""
-    up, owner = Path(sys.argv[1]), Path("/proc", sys.argv[2])
+    on, up, owner = Path(sys.argv[1]), Path(sys.argv[2]), Path("/proc", sys.argv[3])
     sys.path.append("/usr/lib/python3/dist-packages")
     import linuxcnc  # type: ignore[import-not-found]
 
@@ -26,7 +26,7 @@ def main() -> None:
 
     def until(what: str, holds: Callable[[Any], bool]) -> None:
         end_s = time.monotonic() + WAIT_S
-        while time.monotonic() < end_s:
+        while time.monotonic() < end_s and on.exists() and owner.exists():
             stat.poll()
             if holds(stat):
                 return
@@ -52,7 +52,7 @@ def main() -> None:
     new = up.with_suffix(".new")
     new.write_text(why, encoding="utf-8")
     new.replace(up)
-    while up.exists() and owner.exists():
+    while on.exists() and owner.exists():
         time.sleep(0.1)
 
 

@@ -1,0 +1,133 @@
+"""HAL: the bridge's pins, the sampler as clock, the streamer, and what LinuxCNC does just now."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from typing import Any
+
+MAY, ENABLED, HOMED, JOINT_MODE, E_STOP, AUTO, MDI = (1 << i for i in range(7))
+SWITCH_ON, HOME = 1, 2
+
+
+class Pins:
+    """HAL as the bridge uses it, for n joints."""
+
+    OUT = (
+        "heartbeat",
+        "session",
+        "jog-enable",
+        "estop-reset",
+        "machine-on",
+        "manual",
+        "joint-mode",
+        "home-all",
+        "free",
+    )
+
+    def __init__(self, n: int) -> None:
+        sys.path.append("/usr/lib/python3/dist-packages")
+        import hal  # type: ignore[import-not-found]
+
+        self._hal, self._n = hal, n
+        self._component = hal.component("armsight")
+        for name in self.OUT:
+            self._component.newpin(name, hal.HAL_BIT, hal.HAL_OUT)
+        self._component.ready()
+        for name in self.OUT:  # a bridge that is started again joins the signals that its predecessor had
+            with contextlib.suppress(Exception):  # that of a line that was left out
+                hal.connect(f"armsight.{name}", f"armsight-{name}")
+            self._component[name] = name == "free"
+        self._samples = hal.stream(self._component, hal.sampler_base)
+        self._counts = hal.stream(self._component, hal.streamer_base)
+
+    def sample(self) -> tuple[int, list[float], list[float]] | None:
+        """Return the newest sample's number, commanded and measured positions; None: none has come."""
+        newest = None
+        while self._samples.readable:
+            row = self._samples.read()
+            if row is None:
+                break
+            newest = self._samples.sampleno, list(row[: self._n]), list(row[self._n :])
+        return newest
+
+    @property
+    def waiting(self) -> int:
+        """How many samples wait for the streamer."""
+        return int(self._counts.depth)
+
+    def feed(self, rows: list[tuple[int, ...]]) -> None:
+        """Let the streamer have counts."""
+        for row in rows:
+            self._counts.write(row)
+
+    def counts(self) -> list[int]:
+        """Return the counts that the joints have."""
+        return [int(self._hal.get_value(f"streamer.0.pin.{j}")) for j in range(self._n)]
+
+    def get(self, name: str) -> bool:
+        """Return a bit of HAL; False where nothing has that name."""
+        return self.has(name) and bool(self._hal.get_value(name))
+
+    def has(self, name: str) -> bool:
+        """Tell whether HAL has something of that name."""
+        try:
+            self._hal.get_value(name)
+        except Exception:  # of a type of its own, which is not told
+            return False
+        return True
+
+    def put(self, name: str, value: bool) -> None:
+        """Set a pin of the bridge."""
+        self._component[name] = value
+
+    def flags(self) -> int:
+        """Return what LinuxCNC does just now."""
+        joint_mode = not (self.get("motion.teleop-mode") or self.get("motion.coord-mode"))
+        told = (
+            (ENABLED, self.get("motion.motion-enabled")),
+            (HOMED, all(self.get(f"joint.{j}.homed") for j in range(self._n))),
+            (JOINT_MODE, joint_mode),
+            (E_STOP, self.get("halui.estop.is-activated")),
+            (AUTO, self.get("halui.mode.is-auto")),
+            (MDI, self.get("halui.mode.is-mdi")),
+        )
+        flags = sum(bit for bit, on in told if on)
+        needed = ENABLED | HOMED | JOINT_MODE
+        return flags | MAY * (flags & (needed | AUTO | MDI) == needed)
+
+
+class Switching:
+    """Ends the e-stop, switches on, homes and chooses joint mode, where that was asked for: once, at the opening."""
+
+    WAIT_S, PULSE_S = 10.0, 0.1
+
+    def __init__(self, what: int, now_s: float) -> None:
+        self._what, self._begun_s, self._next_s = what, now_s, now_s
+        self._pin = ""
+
+    def turn(self, pins: Any, flags: int, now_s: float) -> None:
+        """Do what is next."""
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + self.PULSE_S
+        if self._pin:
+            pins.put(self._pin, False)
+            self._pin = ""
+            return
+        if flags & MAY or now_s - self._begun_s > self.WAIT_S:
+            self._what = 0  # an e-stop that comes later stays
+        self._pin = self._due(flags)
+        if self._pin:
+            pins.put(self._pin, True)
+
+    def _due(self, flags: int) -> str:
+        """Return the pin that is next; home comes before joint mode, since all joints' homing ends in teleop mode."""
+        wanted = (
+            (SWITCH_ON, flags & E_STOP, "estop-reset"),
+            (SWITCH_ON, not flags & ENABLED, "machine-on"),
+            (SWITCH_ON | HOME, flags & (AUTO | MDI), "manual"),
+            (HOME, not flags & HOMED, "home-all"),
+            (SWITCH_ON | HOME, not flags & JOINT_MODE, "joint-mode"),
+        )
+        return next((pin for what, missing, pin in wanted if self._what & what and missing), "")
