@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import Any, ClassVar, Self
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.linuxcnc.__main__ import HAL_FILE, set_up
+from armsight.drivers.linuxcnc.__main__ import BRIDGE, HAL_FILE, set_up
 from armsight.errors import DeviceFailed, DeviceNotFound, UsageError
 from armsight_sim.twins.base import small_arm_mapping
 from armsight_sim.twins.linuxcnc_files import Row, ini, machine_hal, rows_of, without_tcp
@@ -32,6 +32,9 @@ PORT = 49160
 SERVO_S = 0.001
 ORDINARY = "nobody"
 """As whom it runs where this program is root's."""
+
+BRIDGE_FIRST = 20
+"""Of SCHED_FIFO; the servo threads go before it."""
 
 UP_S, END_S, POLL_S = 40.0, 15.0, 0.1
 LOG_LINES = 6
@@ -95,6 +98,7 @@ class LinuxcncTwin:
             user = self._write(self._folder)
             self._begin(self._folder, user)
             self._wait_up()
+            self._go_first(self._folder)
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -177,6 +181,18 @@ class LinuxcncTwin:
             self._clock.sleep_until(self._clock.now_s() + POLL_S)
         if (why := up.read_text()) != "up":
             raise DeviceFailed(f"LinuxCNC is up, but {why}: {self._log()}", consequence="There is no twin")
+
+    @staticmethod
+    def _go_first(folder: Path) -> None:
+        """Let servo threads and bridge go before other work of this computer, as a controller's do on its own."""
+        for process in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):  # it has ended, or the system does not allow it
+                command = (process / "cmdline").read_bytes()
+                ours = f"{folder}/{BRIDGE.name}".encode() in command and b"python3" in command
+                if not ours and b"rtapi_app" not in command:
+                    continue
+                for task in (process / "task").iterdir():
+                    os.sched_setscheduler(int(task.name), os.SCHED_FIFO, os.sched_param(BRIDGE_FIRST + (not ours)))
 
     def _log(self) -> str:
         log = self.folder / "linuxcnc.log"
