@@ -238,6 +238,8 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
 
     def _decode(self, data: bytes) -> LinuxcncState:
         n = self.n_joints
+        if data == HELLO.pack(b"ASLN", self._token):
+            self._lose("the bridge beside LinuxCNC has started anew, or had not heard of this program for too long")
         if len(data) != STATE.size + 24 * n or data[: HELLO.size] != HELLO.pack(b"ASLS", self._token):
             raise Inconsistent("a packet is no state of this link")
         _, _, session, number, sample, taken, flags, why, joints = STATE.unpack_from(data)

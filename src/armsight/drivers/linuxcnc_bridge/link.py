@@ -152,12 +152,14 @@ class Bridge:
                 self._send(b"ASLD" + data[4:8] + json.dumps(self._told()).encode(), where)
             elif magic == b"ASLB" and len(data) == BEGIN.size:
                 self._take_up(data, where, now_s)
-            elif self._client is not None and where == self._client.where and len(data) >= HELLO.size:
-                self._take(self._client, data, now_s)
+            elif len(data) >= HELLO.size:
+                self._take(data, where, now_s)
 
-    def _take(self, client: Client, data: bytes, now_s: float) -> None:
+    def _take(self, data: bytes, where: tuple[str, int], now_s: float) -> None:
         magic, token = HELLO.unpack_from(data)
-        if token != client.token:
+        client = self._client
+        if client is None or (where, token) != (client.where, client.token):
+            self._send(b"ASLN" + data[4:8], where)  # who was forgotten, or is of a bridge before this one, learns it
             return
         client.heard_s = now_s
         if magic == b"ASLE" and len(data) == HELLO.size:
