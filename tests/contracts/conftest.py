@@ -285,6 +285,12 @@ class LinuxcncPair(Pair):
     def sends(self) -> bool:
         return bool(super().sends() and self.twin.bridge._client is not None)
 
+    def _wait(self, before: int, heard: int) -> None:
+        if self.sends():
+            super()._wait(before, heard)
+        else:  # a bridge that has given the driver up says nothing more
+            until(lambda: bool(self.robot._lost) or self.robot._turns.turn_s == self.clock.now_s())
+
     def answered(self, heard: int) -> bool:
         return bool(self.robot.counts.heard > heard and not self.robot._lost)
 
