@@ -30,6 +30,9 @@ LOCK = Path("/tmp/linuxcnc.lock")
 NML = Path("/usr/share/linuxcnc/linuxcnc.nml")
 PORT = 49160
 SERVO_S = 0.001
+SYSTEM_PATH = "/usr/bin:/bin:/usr/sbin:/sbin"
+"""Debian's programs: LinuxCNC's are scripts for Debian's Python."""
+
 ORDINARY = "nobody"
 """As whom it runs where this program is root's."""
 
@@ -38,6 +41,11 @@ BRIDGE_FIRST = 20
 
 UP_S, END_S, POLL_S = 40.0, 15.0, 0.1
 LOG_LINES = 6
+
+
+def missing() -> str:
+    """Return that LinuxCNC is not installed; empty where it is."""
+    return "" if shutil.which("linuxcnc", path=SYSTEM_PATH) else "LinuxCNC is not installed"
 
 
 class LinuxcncTwin:
@@ -71,8 +79,8 @@ class LinuxcncTwin:
         self._process: subprocess.Popen[bytes] | None = None
         self._folder: Path | None = None
         self.messages: list[str] = []
-        if shutil.which("linuxcnc") is None:
-            raise DeviceNotFound("LinuxCNC is not installed", consequence="There is no twin", cure=f"Install it: {APT}")
+        if lacks := missing():
+            raise DeviceNotFound(lacks, consequence="There is no twin", cure=f"Install it: {APT}")
 
     @property
     def address(self) -> str:
@@ -95,8 +103,8 @@ class LinuxcncTwin:
             )
         self._folder = Path(tempfile.mkdtemp(prefix="armsight-linuxcnc-"))
         try:
-            user = self._write(self._folder)
-            self._begin(self._folder, user)
+            self._write(self._folder)
+            self._begin()
             self._wait_up()
             self._go_first(self._folder)
         except BaseException:
@@ -128,8 +136,8 @@ class LinuxcncTwin:
                 raise DeviceFailed(f"LinuxCNC ended by itself: {self._log()}", consequence="There is no twin any more")
             self._clock.sleep_until(self._clock.now_s() + POLL_S)
 
-    def _write(self, folder: Path) -> str | None:
-        """Write what it starts from; return as whom it runs, None for this user."""
+    def _write(self, folder: Path) -> None:
+        """Write what it starts from, owned by whom it runs as."""
         holder = folder / "holder.py"
         holder.write_text((files("armsight_sim.twins") / "linuxcnc_holder.py").read_text())
         display = f"{folder}/display"
@@ -145,30 +153,41 @@ class LinuxcncTwin:
         set_up(twin_ini, bind="127.0.0.1", port=self._port)
         (folder / "linuxcnc.nml").write_text(without_tcp(NML.read_text()))
         (folder / "linuxcnc.tbl").write_text("")
-        if os.geteuid() != 0:
-            return None
-        owner = pwd.getpwnam(ORDINARY)
-        for path in (folder, *folder.rglob("*")):
-            os.chown(path, owner.pw_uid, owner.pw_gid)
-        return ORDINARY
+        if os.geteuid() == 0:
+            owner = pwd.getpwnam(ORDINARY)
+            for path in (folder, *folder.rglob("*")):
+                os.chown(path, owner.pw_uid, owner.pw_gid)
 
-    def _begin(self, folder: Path, user: str | None) -> None:
+    def hal(self, *words: str) -> str:
+        """Return what LinuxCNC's halcmd answers, asked as the user it runs as. Raises DeviceFailed where it refuses."""
+        done = subprocess.run(["halcmd", *words], capture_output=True, text=True, check=False, **self._as_user())
+        if done.returncode:
+            raise DeviceFailed(f"halcmd {' '.join(words)}: {done.stderr.strip() or done.stdout.strip()}")
+        return done.stdout
+
+    def joints_deg(self) -> list[float]:
+        """Return where its joints are commanded to be, in degrees."""
+        return [float(self.hal("getp", f"joint.{j}.pos-cmd")) for j in range(len(self._rows))]
+
+    def _as_user(self) -> dict[str, Any]:
+        """Return how a program of LinuxCNC's is begun: environment, folder, and user where this program is root's."""
         away = {"DISPLAY", "WAYLAND_DISPLAY", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"}
         env = {key: value for key, value in os.environ.items() if key not in away}
-        env |= {"HOME": str(folder), "RTAPI_FIFO_PATH": str(folder / "rtapi_fifo"), "PATH": "/usr/bin:/bin:/usr/sbin"}
-        group = None if user is None else pwd.getpwnam(user).pw_gid
-        with (folder / "linuxcnc.log").open("wb") as log:
+        env |= {"HOME": f"{self.folder}", "RTAPI_FIFO_PATH": f"{self.folder}/rtapi_fifo", "PATH": SYSTEM_PATH}
+        if os.geteuid() != 0:
+            return {"env": env, "cwd": self.folder}
+        owner = pwd.getpwnam(ORDINARY)
+        return {"env": env, "cwd": self.folder, "user": owner.pw_uid, "group": owner.pw_gid, "extra_groups": []}
+
+    def _begin(self) -> None:
+        with (self.folder / "linuxcnc.log").open("wb") as log:
             self._process = subprocess.Popen(
-                [str(shutil.which("linuxcnc")), str(folder / "twin.ini")],
-                cwd=folder,
-                env=env,
+                ["linuxcnc", f"{self.folder}/twin.ini"],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C is for this process, which ends the other
-                user=user,
-                group=group,
-                extra_groups=None if user is None else [],
+                **self._as_user(),
             )
 
     def _wait_up(self) -> None:
