@@ -65,7 +65,8 @@ class World:
         self.pins: dict[str, bool] = {}
         self.rows: list[tuple[int, ...]] = []
         self.number = 0
-        self._counts = [0] * len(home)
+        self._counts, self.counts = [0] * len(home), [0] * len(home)
+        self.signals = {"ok"}
         self._new = False
         one = {"linear": False, "lower": -most_deg, "upper": most_deg, "speed": SPEED, "acceleration": ACCELERATION}
         self.machine: dict[str, Any] = {
@@ -106,12 +107,14 @@ class World:
     def put(self, name: str, value: bool) -> None:
         pressed = value and not self.pins.get(name)
         self.pins[name] = value
-        if pressed and name in ("estop-reset", "machine-on", "home-all", "manual", "joint-mode"):
+        if pressed and name in ("estop-reset", "machine-off", "machine-on", "home-all", "manual", "joint-mode"):
             self.press(name)
 
     def press(self, name: str) -> None:
         if name == "estop-reset":
             self.doing &= ~E_STOP
+        elif name == "machine-off":
+            self.doing &= ~ENABLED
         elif name == "machine-on" and not self.doing & E_STOP:
             self.doing |= ENABLED
         elif name == "home-all" and self.doing & ENABLED:
@@ -134,15 +137,10 @@ class World:
 
     def feed(self, rows: list[tuple[int, ...]]) -> None:
         self.rows += rows
-
-    def counts(self) -> list[int]:
-        return list(self._counts)
+        self.counts = list(rows[-1])
 
     def get(self, name: str) -> bool:
-        return bool(name == "watchdog.ok-out" and self.pins.get("session"))
-
-    def has(self, name: str) -> bool:
-        return True
+        return bool(name == "ok" and self.pins.get("session"))
 
     def flags(self) -> int:
         return self.doing | MAY * (self.doing == NEEDED)

@@ -25,7 +25,6 @@ JOG_SCALE = 1e-4
 SCALES = {
     WrongController.REVERSED: {1: -1.0},
     WrongController.SCALE: dict.fromkeys(range(6), 1.1),
-    WrongController.RADIANS: dict.fromkeys(range(6), 57.3),
     WrongController.GEAR: {2: 2.0},
 }
 """Joints' jog-scale in HAL as a multiple of what it should be."""
@@ -92,6 +91,6 @@ class TestContract(RobotContract):
 
     def make_wrong(self, fault: WrongController) -> WrongCase | str:
         if fault not in SCALES:
-            return "jog counts are differences whose cycle the driver chooses; axes are exchanged in test_links.py"
+            return "counts are differences in degrees, in cycles that the driver chooses; others are in test_links.py"
         case = self._make(SCALES[fault])
         return WrongCase(robot=case.robot, advance=case.advance, joints=case.true_joints or (lambda: np.zeros(6)))

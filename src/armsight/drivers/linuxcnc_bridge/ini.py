@@ -106,8 +106,17 @@ net armsight-session => watchdog.enable-in
 net armsight-ok watchdog.ok-out => armsight-or.in0
 net armsight-free => armsight-or.in1
 net armsight-enable armsight-or.out => motion.enable
+# What the bridge has to know.
+net armsight-enabled motion.motion-enabled
+net armsight-homed motion.is-all-homed
+net armsight-teleop motion.teleop-mode
+net armsight-coord motion.coord-mode
+net armsight-estop halui.estop.is-activated
+net armsight-auto halui.mode.is-auto
+net armsight-mdi halui.mode.is-mdi
 # Leave these out where armsight may not end the e-stop, switch on, home, or choose the mode.
 net armsight-estop-reset => halui.estop.reset
+net armsight-machine-off => halui.machine.off
 net armsight-machine-on => halui.machine.on
 net armsight-home-all => halui.home-all
 net armsight-manual => halui.mode.manual

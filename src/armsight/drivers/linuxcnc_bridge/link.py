@@ -105,7 +105,7 @@ class Bridge:
             self._end(BEGUN)
         elif not self._may:
             if self._rest and not self._pins.waiting:
-                self._feed.start(self._commanded, self._pins.counts())
+                self._feed.start(self._commanded, self._pins.counts)
                 self._begin(self._next_why)
                 self._may, self._still_s, client.answered_s = True, now_s, now_s
                 self._pins.put("session", True)
@@ -169,7 +169,7 @@ class Bridge:
 
     def _told(self) -> dict[str, Any]:
         driver = "" if self._client is None else "{}:{}".format(*self._client.where)
-        return {**self._machine, "driver": driver, "watchdog": self._pins.has("watchdog.ok-out")}
+        return {**self._machine, "driver": driver, "watchdog": "ok" in self._pins.signals}
 
     def _take_up(self, data: bytes, where: tuple[str, int], now_s: float) -> None:
         """Let a program drive, where none does."""
@@ -205,7 +205,7 @@ class Bridge:
     def _tell(self, client: Client, flags: int) -> None:
         client.number = (client.number + 1) & 0xFFFFFFFF
         if self._may:  # from now on the machine is on as long as this program lives
-            self._pins.put("free", not self._pins.get("watchdog.ok-out"))
+            self._pins.put("free", not self._pins.get("ok"))
         n = self._feed.n
         flags = flags if self._may else flags & ~MAY
         counted = (client.token, self._session, client.number, self._sample, client.taken)

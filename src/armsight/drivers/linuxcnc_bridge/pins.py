@@ -18,26 +18,33 @@ class Pins:
         "session",
         "jog-enable",
         "estop-reset",
+        "machine-off",
         "machine-on",
         "manual",
         "joint-mode",
         "home-all",
         "free",
     )
+    IN = ("enabled", "homed", "teleop", "coord", "estop", "auto", "mdi", "ok")
+    """Pins of its own: to ask HAL for another component's is to wait for a lock, which any halcmd may hold for 0.1 s."""
 
     def __init__(self, n: int) -> None:
         sys.path.append("/usr/lib/python3/dist-packages")
         import hal  # type: ignore[import-not-found]
 
-        self._hal, self._n = hal, n
-        self._component = hal.component("armsight")
-        for name in self.OUT:
-            self._component.newpin(name, hal.HAL_BIT, hal.HAL_OUT)
+        self._n, self._component = n, hal.component("armsight")
+        for names, way in ((self.OUT, hal.HAL_OUT), (self.IN, hal.HAL_IN)):
+            for name in names:
+                self._component.newpin(name, hal.HAL_BIT, way)
         self._component.ready()
-        for name in self.OUT:  # a bridge that is started again joins the signals that its predecessor had
+        self.signals = set()
+        for name in self.OUT + self.IN:  # a bridge that is started again joins the signals that its predecessor had
             with contextlib.suppress(Exception):  # that of a line that was left out
                 hal.connect(f"armsight.{name}", f"armsight-{name}")
+                self.signals.add(name)
+        for name in self.OUT:
             self._component[name] = name == "free"
+        self.counts = [int(hal.get_value(f"streamer.0.pin.{j}")) for j in range(n)]
         self._samples = hal.stream(self._component, hal.sampler_base)
         self._counts = hal.stream(self._component, hal.streamer_base)
 
@@ -57,25 +64,14 @@ class Pins:
         return int(self._counts.depth)
 
     def feed(self, rows: list[tuple[int, ...]]) -> None:
-        """Let the streamer have counts."""
+        """Let the streamer have counts; `counts` are the last ones that it was given."""
         for row in rows:
-            self._counts.write(row)
-
-    def counts(self) -> list[int]:
-        """Return the counts that the joints have."""
-        return [int(self._hal.get_value(f"streamer.0.pin.{j}")) for j in range(self._n)]
+            if self._counts.write(row) is not False:
+                self.counts = list(row)
 
     def get(self, name: str) -> bool:
-        """Return a bit of HAL; False where nothing has that name."""
-        return self.has(name) and bool(self._hal.get_value(name))
-
-    def has(self, name: str) -> bool:
-        """Tell whether HAL has something of that name."""
-        try:
-            self._hal.get_value(name)
-        except Exception:  # of a type of its own, which is not told
-            return False
-        return True
+        """Return a pin of the bridge."""
+        return bool(self._component[name])
 
     def put(self, name: str, value: bool) -> None:
         """Set a pin of the bridge."""
@@ -83,14 +79,13 @@ class Pins:
 
     def flags(self) -> int:
         """Return what LinuxCNC does just now."""
-        joint_mode = not (self.get("motion.teleop-mode") or self.get("motion.coord-mode"))
         told = (
-            (ENABLED, self.get("motion.motion-enabled")),
-            (HOMED, all(self.get(f"joint.{j}.homed") for j in range(self._n))),
-            (JOINT_MODE, joint_mode),
-            (E_STOP, self.get("halui.estop.is-activated")),
-            (AUTO, self.get("halui.mode.is-auto")),
-            (MDI, self.get("halui.mode.is-mdi")),
+            (ENABLED, self.get("enabled")),
+            (HOMED, self.get("homed")),
+            (JOINT_MODE, not (self.get("teleop") or self.get("coord"))),
+            (E_STOP, self.get("estop")),
+            (AUTO, self.get("auto")),
+            (MDI, self.get("mdi")),
         )
         flags = sum(bit for bit, on in told if on)
         needed = ENABLED | HOMED | JOINT_MODE
@@ -104,7 +99,7 @@ class Switching:
 
     def __init__(self, what: int, now_s: float) -> None:
         self._what, self._begun_s, self._next_s = what, now_s, now_s
-        self._pin = ""
+        self._pin = self._last = ""
 
     def turn(self, pins: Any, flags: int, now_s: float) -> None:
         """Do what is next."""
@@ -118,7 +113,10 @@ class Switching:
         if flags & MAY or now_s - self._begun_s > self.WAIT_S:
             self._what = 0  # an e-stop that comes later stays
         self._pin = self._due(flags)
+        if self._pin == "machine-on" and self._last != "machine-off":
+            self._pin = "machine-off"  # motion that was ended by motion.enable is on already by the task's own state
         if self._pin:
+            self._last = self._pin
             pins.put(self._pin, True)
 
     def _due(self, flags: int) -> str:
