@@ -36,6 +36,7 @@ MAY, ENABLED, HOMED, JOINT_MODE, E_STOP, AUTO, MDI = (1 << i for i in range(7))
 STOP = 1
 SWITCH_ON, HOME = 1, 2
 WHY = {
+    0: "LinuxCNC took no motion meanwhile",
     1: "LinuxCNC had no answer for too long, and let the arm come to rest",
     3: "LinuxCNC did not take what it was sent (a limit, a hold), and stands elsewhere",
 }
@@ -244,7 +245,9 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             raise Inconsistent("a packet is no state of this link")
         _, _, session, number, sample, taken, flags, why, joints = STATE.unpack_from(data)
         values = np.array(struct.unpack_from(f"<{3 * n}d", data, STATE.size)).reshape(3, n) * self._unit
-        if joints != n or not (np.abs(values) < LARGEST_RAD).all():  # not a number fails this, too
+        if (
+            joints != n or why not in (*WHY, STOPPED) or not (np.abs(values) < LARGEST_RAD).all()
+        ):  # not a number fails this, too
             raise Inconsistent("a packet has joint values that no joint can have")
         q, commanded, at = values
         return LinuxcncState(
@@ -276,7 +279,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             return
         if state.why == STOPPED:
             self._goals.start(state.at)  # where it comes to rest: nothing leads back
-        elif state.why in WHY:
+        else:
             self._begin_anew(WHY[state.why], state.q)
 
     def _taken(self, state: LinuxcncState) -> bool:

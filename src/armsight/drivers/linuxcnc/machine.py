@@ -137,7 +137,7 @@ def check_machine(
         raise _refused(
             machine,
             f"has [KINS]KINEMATICS {machine.kinematics}"
-            + ("" if kinematics else ", which takes every joint for an axis of its own: no arm"),
+            + (f", not {kinematics}" if kinematics else ", which takes every joint for an axis of its own: no arm"),
             f"Take the arm's there (genserkins), or set kinematics to {machine.kinematics}: its joints alone are used",
         )
     samples = cycle_s / machine.servo_s

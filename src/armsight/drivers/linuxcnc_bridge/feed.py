@@ -46,6 +46,11 @@ class Feed:
         """Tell whether the joints move, or a goal is elsewhere."""
         return any(self._velocity) or goal != self.at
 
+    def far(self, goal: list[float], samples: int) -> bool:
+        """Tell whether a goal is farther than the way of so many samples at full speed."""
+        time_s = samples * self._dt
+        return any(abs(g - at) > speed * time_s for g, at, speed in zip(goal, self.at, self._speed))  # noqa: B905
+
     @property
     def moves(self) -> bool:
         """Whether the last goal was another than the one before."""

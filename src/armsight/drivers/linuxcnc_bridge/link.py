@@ -35,6 +35,9 @@ STILL_S = 0.1
 LOST = 5e-4
 """By so much, in degrees or the length unit, the commanded position is then off."""
 
+FAR = 4
+"""A goal that is farther than the way at full speed in so many cycles is none of one step: it moves nothing."""
+
 TURN_S = 0.001
 
 HELLO = struct.Struct("<4sI")
@@ -104,6 +107,7 @@ class Bridge:
         if client is None or not flags & MAY:
             self._end(BEGUN)
         elif not self._may:
+            self._feed.at = list(self._commanded)
             if self._rest and not self._pins.waiting:
                 self._feed.start(self._commanded, self._pins.counts)
                 self._begin(self._next_why)
@@ -189,7 +193,7 @@ class Bridge:
         _, _, session, answered, given, flags, n = GOAL.unpack_from(data)
         goal = list(struct.unpack_from(f"<{self._feed.n}d", data, GOAL.size))
         fits = n == self._feed.n and all(map(math.isfinite, goal)) and client.number - answered in (0, 1)
-        if not self._may or session != self._session or not fits:
+        if not self._may or session != self._session or not fits or self._feed.far(goal, FAR * client.samples):
             return
         client.answered_s = now_s
         if flags & STOP:

@@ -26,7 +26,7 @@ class Pins:
         "free",
     )
     IN = ("enabled", "homed", "teleop", "coord", "estop", "auto", "mdi", "ok")
-    """Pins of its own: to ask HAL for another component's is to wait for a lock, which any halcmd may hold for 0.1 s."""
+    """Pins of its own: asking HAL for those of others waits for a lock, which any halcmd may hold for 0.1 s."""
 
     def __init__(self, n: int) -> None:
         sys.path.append("/usr/lib/python3/dist-packages")
@@ -103,6 +103,8 @@ class Switching:
 
     def turn(self, pins: Any, flags: int, now_s: float) -> None:
         """Do what is next."""
+        if flags & MAY or now_s - self._begun_s > self.WAIT_S:
+            self._what = 0  # an e-stop that comes later stays
         if now_s < self._next_s:
             return
         self._next_s = now_s + self.PULSE_S
@@ -110,8 +112,6 @@ class Switching:
             pins.put(self._pin, False)
             self._pin = ""
             return
-        if flags & MAY or now_s - self._begun_s > self.WAIT_S:
-            self._what = 0  # an e-stop that comes later stays
         self._pin = self._due(flags)
         if self._pin == "machine-on" and self._last != "machine-off":
             self._pin = "machine-off"  # motion that was ended by motion.enable is on already by the task's own state
