@@ -18,15 +18,17 @@ from armsight.clock import ManualClock
 from armsight.drivers import RobotState
 from armsight.drivers.alter import AlterRobot
 from armsight.drivers.egm import EgmRobot
+from armsight.drivers.linuxcnc import LinuxcncRobot
 from armsight.drivers.rsi import RsiRobot
 from armsight.drivers.udp import UdpRobot
 from armsight.testing import WrongController
 from armsight.testing.clocks import HaltingClock
 from armsight.testing.wrong_controllers import prove
 from armsight_sim.twins.alter import AlterController
-from armsight_sim.twins.base import Wrong, small_arm, twin_drive, twin_home
+from armsight_sim.twins.base import RIGHT, Wrong, small_arm, twin_drive, twin_home
 from armsight_sim.twins.egm import EgmController
 from armsight_sim.twins.rsi import RsiController
+from linuxcnc_world import SAMPLES, SERVO_S, LinuxcncController
 
 CYCLE_S = 0.004
 EXACT = {"bind": "127.0.0.1", "stale_s": 3.5 * CYCLE_S, "silent_s": 9.0 * CYCLE_S}
@@ -70,6 +72,8 @@ class Pair:
     cycle_s = CYCLE_S
     robot: Any
     twin: Any
+    brakes_rad = 2e-5
+    """So far from where it was sent last an arm comes to rest that is stopped at full speed."""
 
     def __init__(self, **more: Any) -> None:
         self.clock = ManualClock(100.0)
@@ -267,6 +271,30 @@ class AlterPair(Pair):
         return bool(self.robot.counts.heard > heard and last is not None and last.on and not self.robot._lost)
 
 
+class LinuxcncPair(Pair):
+    """... with the bridge that is shipped, beside a small LinuxCNC."""
+
+    kind, cycle_s = "linuxcnc", SAMPLES * SERVO_S
+    brakes_rad = 0.04
+
+    def join(self, *, wrong: Wrong = RIGHT, **more: Any) -> None:
+        self.twin = LinuxcncController(self.home, self.clock, wrong=wrong)
+        settings = {"stale_s": 3.5 * self.cycle_s, "silent_s": 9.0 * self.cycle_s, **more}
+        self.robot = LinuxcncRobot(f"127.0.0.1:{self.twin.port}", settings=settings, clock=self.halting)
+
+    def sends(self) -> bool:
+        return bool(super().sends() and self.twin.bridge._client is not None)
+
+    def _wait(self, before: int, heard: int) -> None:
+        if self.sends():
+            super()._wait(before, heard)
+        else:  # a bridge that has given the driver up says nothing more
+            until(lambda: bool(self.robot._lost) or self.robot._turns.turn_s == self.clock.now_s())
+
+    def answered(self, heard: int) -> bool:
+        return bool(self.robot.counts.heard > heard and not self.robot._lost)
+
+
 @pytest.fixture
 def opened() -> Iterator[Callable[[type[Pair]], Callable[..., Pair]]]:
     """Return what makes pairs, all of which are closed at the end."""
@@ -299,7 +327,12 @@ def make_alter(opened: Any) -> Any:
     return opened(AlterPair)
 
 
-@pytest.fixture(params=[EgmPair, RsiPair, AlterPair], ids=["egm", "rsi", "alter"])
+@pytest.fixture
+def make_linuxcnc(opened: Any) -> Any:
+    return opened(LinuxcncPair)
+
+
+@pytest.fixture(params=[EgmPair, RsiPair, AlterPair, LinuxcncPair], ids=["egm", "rsi", "alter", "linuxcnc"])
 def make_link(request: Any, opened: Any) -> Any:
     """What makes pairs of every link in turn."""
     return opened(request.param)

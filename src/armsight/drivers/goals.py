@@ -77,6 +77,18 @@ class JointGoals:
         with self._lock:
             self._longest = np.minimum(self._limits.max_speed, max_speed) * self._cycle_s
 
+    def narrow(self, limits: JointLimits) -> None:
+        """Keep within the limits of the controller as well, which are known when it has told them."""
+        with self._lock:
+            own = self._limits
+            self._limits = JointLimits(
+                lower=np.maximum(own.lower, limits.lower),
+                upper=np.minimum(own.upper, limits.upper),
+                max_speed=np.minimum(own.max_speed, limits.max_speed),
+            )
+            self._longest = np.minimum(self._longest, limits.max_speed * self._cycle_s)
+            self._lead = np.minimum(self._lead, limits.max_speed * max(LEAD_S, 2.0 * self._cycle_s))
+
     def start(self, q: Array) -> None:
         """Begin at q (n,), with nothing asked."""
         with self._lock:

@@ -175,6 +175,17 @@ def small_arm() -> SimArm:
     )
 
 
+def small_arm_mapping() -> dict[str, Any]:
+    """Return a small arm of six axes whose joints are counted from where Craig's x axes are parallel."""
+    quarter = math.pi / 2
+    table = ((0.0, 0, 0.29), (0.0, -1, 0.0), (0.27, 0, 0.0), (0.07, -1, 0.302), (0.0, 1, 0.0), (0.0, -1, 0.072))
+    joints = [
+        {"name": f"j{i}", "a_m": a, "alpha_rad": k * quarter, "d_m": d, "lower": -3.0, "upper": 3.0}
+        for i, (a, k, d) in enumerate(table, 1)
+    ]
+    return {"convention": "craig", "joints": joints}
+
+
 def twin_drive(arm: SimArm, cycle_s: float, *, lag_s: float = LAG_S, noise: float = 0.0) -> Drive:
     """Return the motors of a twin; noise: of readings, in rad or m. Raises UsageError for a cycle that cannot be."""
     if not 0.0 < cycle_s <= 1.0:

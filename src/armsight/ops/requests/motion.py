@@ -104,7 +104,9 @@ class RobotJob:
 class TwinJob:
     """An emulated controller."""
 
-    name: Annotated[str, Doc("alter, rsi, egm or rtde."), Flag(positional=True, metavar="DRIVER")]
+    name: Annotated[
+        str, Doc("alter, rsi, egm, rtde or linuxcnc (the real one)."), Flag(positional=True, metavar="DRIVER")
+    ]
     port: Annotated[
         str | None, Doc("Where it listens; for alter a name for its serial line."), Flag(metavar="PORT")
     ] = None

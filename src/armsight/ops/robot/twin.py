@@ -112,7 +112,9 @@ def serve_twin() -> None:
 
 def _made(name: str, port: str | None, connect: str | None, arm: str | None, cycle_s: float | None) -> Any:
     maker: Any = load(TWINS, name)
-    mapping = None if arm is None else arm_mapping(in_convention(load_arm(arm), "standard"))
+    mapping = (
+        None if arm is None else arm_mapping(in_convention(load_arm(arm), getattr(maker, "convention", "standard")))
+    )
     return maker(port=port, connect=connect, arm=mapping, cycle_s=cycle_s, clock=SystemClock())
 
 
