@@ -74,7 +74,8 @@ def robotics(scenario: Scenario, seed: int) -> Robotics:
         )
         for joint, unit in zip(keys.joints, units, strict=True)
     )
-    nominal = SimArm(joints=joints, T_world_base=keys.T_world_base.pose())
+    frame0 = keys.T_base_frame0.pose().as_matrix()
+    nominal = SimArm(joints=joints, T_world_base=keys.T_world_base.pose(), T_base_frame0=frame0)
     rng = np.random.default_rng([seed, SEED_ARM])
     step = np.array([(1.0 if joint.prismatic else 2.0 * np.pi) / keys.steps for joint in joints])
     return Robotics(

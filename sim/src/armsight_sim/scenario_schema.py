@@ -70,10 +70,14 @@ class VibrationKeys(Keys):
 
 
 class ArmKeys(Keys):
-    """The robot. cycle_s, lag_s: of its controller and servos; steps: of an encoder per turn, or per m of a slide."""
+    """The robot. cycle_s, lag_s: of its controller and servos; steps: of an encoder per turn, or per m of a slide.
+
+    T_base_frame0: where the first joint's row begins.
+    """
 
     joints: Annotated[list[JointKeys], Field(min_length=1, max_length=12)]
     T_world_base: PoseKeys = PoseKeys()
+    T_base_frame0: PoseKeys = PoseKeys()
     error: ErrorKeys = ErrorKeys()
     cycle_s: Annotated[float, Field(ge=0.0005, le=1.0)]
     lag_s: NotNegative = 0.0

@@ -18,7 +18,7 @@ from armsight.ops.identify import identify_arm, identify_arm_live
 if TYPE_CHECKING:
     from armsight.calibrate.identify.result import PlanOutput
 
-NEEDED = ("rig", "target", "left", "right", "limits")
+NEEDED, VIEWS = ("rig", "target", "limits"), ("left", "right")
 OF_SWEEPS = {"joint": None, "joints": None, "increments": "known"}
 """What is not said of sweeps that are made live, with its default."""
 
@@ -35,8 +35,12 @@ def made_live(face: CommandUI, asked: Mapping[str, Any]) -> bool:
     if asked.get("robot") is None:
         _refuse_flags_of_live(asked)
         return False
-    if any(asked.get(name) is None for name in NEEDED):
-        raise UsageError("--live lacks something", cure="Give --rig, --target, --left, --right and --limits with it")
+    needed = NEEDED if asked.get("cell") is not None else (*NEEDED, *VIEWS)
+    if any(asked.get(name) is None for name in needed):
+        raise UsageError(
+            "--live lacks something",
+            cure="Give --rig, --target, --limits, and --left and --right or --cell SCENARIO --follow with it",
+        )
     if any(asked.get(name) != default for name, default in OF_SWEEPS.items()):
         raise UsageError(
             "--live makes its own sweeps, of known values",

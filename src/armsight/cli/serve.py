@@ -15,7 +15,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.flags import AN_ARM, KNOWN_ARM, SRC
-from armsight.ops.requests.motion import RobotJob, RobotSettings, RsiConfig
+from armsight.ops.requests.motion import FollowedCell, RobotJob, RobotSettings, RsiConfig
 from armsight.ops.requests.plant import PLANT, PlantFlags
 
 if TYPE_CHECKING:
@@ -162,6 +162,7 @@ def console(
     ] = None,
     robot_settings: RobotSettings = None,
     rsi_config: RsiConfig = None,
+    cell: FollowedCell = None,
     folder: Annotated[Path, Doc("Where cell.yaml and all results are kept."), Flag(metavar="FOLDER")] = Path("cell"),
     left: Annotated[
         str | None, Doc(f"Left frames, or the complex images of a mirror rig: {SRC}."), Flag(metavar="SRC")
@@ -193,20 +194,20 @@ def console(
         check_options(options)
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
         changed = {name: value for name, value in given.items() if value is not None}
-        job = _of_robot(robot, robot_settings, rsi_config)
+        job = _of_robot(robot, robot_settings, rsi_config, cell)
         if job is None:
             _without_robot(face, folder, changed, options, page)
         else:
             serve_cell(face, job, folder, changed, options, page)
 
 
-def _of_robot(robot: str | None, settings: RobotSettings, rsi_config: Path | None) -> RobotJob | None:
+def _of_robot(robot: str | None, settings: RobotSettings, rsi_config: Path | None, cell: str | None) -> RobotJob | None:
     """Return the robot, None where none is named. Raises UsageError for settings of none."""
     if robot is not None:
-        return RobotJob(robot=robot, robot_settings=settings, rsi_config=rsi_config)
-    if settings is not None or rsi_config is not None:
+        return RobotJob(robot=robot, robot_settings=settings, rsi_config=rsi_config, cell=cell)
+    if settings is not None or rsi_config is not None or cell is not None:
         raise UsageError(
-            "--robot-set and --rsi-config are of a robot, and none is named",
+            "--robot-set, --rsi-config and --cell are of a robot, and none is named",
             consequence="Nothing is served",
             cure="Give --robot DRIVER:DEVICE",
         )
@@ -271,7 +272,7 @@ def serve_cell(
     with contextlib.ExitStack() as stack:
         stack.enter_context(one_console(folder))
         if not changed:
-            prepare_simulated(robot, folder)
+            prepare_simulated(job, folder)
         face.say(f"{robot} is being opened")
         page.step(texts.OPENING["robot"].format(robot=robot))
         cell = stack.enter_context(open_robot_cell(job, folder))

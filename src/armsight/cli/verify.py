@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 VERIFY, PLANNING, SUPERVISION = action_of(ops.verify), action_of(ops.plan_verification), action_of(ops.supervise)
 PROPOSAL, CHECK = action_of(ops.propose_mastering_poses), action_of(ops.check_mastering)
 Mode = PartialRequest[dict[str, Any]]
+VIEWS = ("--left", "--right")
+"""Cameras, which a simulated cell brings."""
 
 
 def _taken() -> dict[str, tuple[Any, Any]]:
@@ -123,8 +125,9 @@ def check_options(mode: str, missing: tuple[str, ...], foreign: list[str]) -> No
 
 
 def _supervise(face: CommandUI, asked: Mode, foreign: list[str], out: Path) -> None:
-    check_options("--live", asked.missing, foreign)
-    given = asked.made()
+    missing = tuple(one for one in asked.missing if one not in VIEWS or "--cell" not in asked.given)
+    check_options("--live", missing, foreign)
+    given: dict[str, Any] = {"left": None, "right": None, **asked.made()}
     face.until_stopped = "frames" not in given and "seconds_s" not in given
     given |= {"show": LiveLine(face).show, "tell": face.say}
     show(face, SUPERVISION.run(given, face.progress(SUPERVISION.working)), out)

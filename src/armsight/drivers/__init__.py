@@ -16,7 +16,7 @@ from armsight.drivers.opening import (
     open_split,
 )
 from armsight.drivers.pace import Pace, Paced
-from armsight.drivers.protocols import PROVING, FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent
+from armsight.drivers.protocols import PROVING, FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent, listen
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile, cores, frame_period_s, ordered_map
 from armsight.records.result_parts import Skew
@@ -68,6 +68,7 @@ __all__ = [
     "is_video",
     "known",
     "list_images",
+    "listen",
     "load",
     "open_pairs",
     "open_source",

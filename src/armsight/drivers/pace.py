@@ -185,6 +185,11 @@ class ControllerClock:
         self._packets.append((stamp_s, number))
         return jump
 
+    @property
+    def ahead_s(self) -> float | None:
+        """This computer's clock minus the controller's, by the packet that came soonest; None before the first."""
+        return self._least_s
+
     def take_step(self) -> bool:
         """Tell whether its time allows one more step, and count that."""
         if self._credit < NEARLY:

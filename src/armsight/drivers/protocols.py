@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.errors import UsageError
 from armsight.records import Frame, JointReading, frozen_array
 from armsight.records.result_parts import Skew
 
@@ -191,14 +192,16 @@ class RobotTraits:
 
     takes_joints: step_joints moves it; else move_pose alone does. guarded: it is behind a loop with a guard of its own.
     arm_mapping: returns the arm that its controller computes with, as arm.yaml has it. true_joints: returns where its
-    joints (n,) really were at a time of the clock, as only a simulated robot knows. reading_step: of its encoders, in
-    rad or m, where that is more than a reading's noise: readings are whole steps.
+    joints (n,) really were at a time of the clock, as only a simulated robot knows. listen: has a function told of each
+    reading: when it was sent, on the clock, and its joints (n,). reading_step: of its encoders, in rad or m, where that
+    is more than a reading's noise: readings are whole steps.
     """
 
     takes_joints: bool = True
     guarded: bool = False
     arm_mapping: Callable[[], Mapping[str, Any]] | None = None
     true_joints: Callable[[float], NDArray[np.float64]] | None = None
+    listen: Callable[[Callable[[float, NDArray[np.float64]], object]], None] | None = None
     reading_step: float = 0.0
 
     @property
@@ -211,3 +214,18 @@ class RobotTraits:
         """Return the traits of a robot, which has them as attributes of these names; none of them is needed."""
         found = {field.name: getattr(robot, field.name) for field in fields(cls) if hasattr(robot, field.name)}
         return cls(**found)
+
+
+def listen(robot: Robot, heard: Callable[[float, NDArray[np.float64]], object]) -> None:
+    """Have `heard` told of each reading of a robot: when it was sent, on the clock, and its joints (n,).
+
+    Raises UsageError for a robot that does not tell that.
+    """
+    told = RobotTraits.of(robot).listen
+    if told is None:
+        raise UsageError(
+            f"{robot.name} does not tell when its joints were read",
+            consequence="Where its arm is at a picture's exposure would not be known, and nothing is moved",
+            cure="Name the controller itself, such as rsi:49152 or egm:6510; sim:SCENARIO brings its own cameras",
+        )
+    told(heard)

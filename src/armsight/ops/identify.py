@@ -12,7 +12,7 @@ from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
 from armsight.ops.flags import A_SRC, KNOWN_ARM, SRC, Cameras, Table
 from armsight.ops.kinds import FRAMES, LIGHTS, READERS, ROBOT_READERS, ArmLike, RigLike
-from armsight.ops.requests.motion import RobotSettings, RsiConfig
+from armsight.ops.requests.motion import FollowedCell, RobotSettings, RsiConfig
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -199,8 +199,8 @@ def identify_arm_live(
     ],
     rig: Rig,
     target: Beacon,
-    left: Annotated[str, LEFT, A_SRC],
-    right: Annotated[str, RIGHT, A_SRC],
+    left: Annotated[str | None, LEFT, A_SRC],
+    right: Annotated[str | None, RIGHT, A_SRC],
     limits: Annotated[
         Any,
         Doc("With --live: lo:hi,lo:hi ... in rad or m (or -90deg:90deg,0mm:500mm), or limits.yaml. Never left."),
@@ -229,6 +229,7 @@ def identify_arm_live(
     ] = (),
     mask: Mask = None,
     camera_settings: Cameras | None = None,
+    cell: FollowedCell = None,
     out: Out = None,
     robot_settings: RobotSettings = None,
     rsi_config: RsiConfig = None,
@@ -240,6 +241,8 @@ def identify_arm_live(
     ----------
     robot, left, right
         DRIVER:DEVICE and 'camera:NAME'; or sim:SCENARIO and camera:sim:SCENARIO:left.
+    cell
+        In place of cameras (None): a scenario whose simulated ones watch the joints that the robot tells.
     robot_settings, rsi_config
         As `servo` takes them.
     limits
@@ -291,7 +294,7 @@ def identify_arm_live(
     )
     ask = confirm if callable(confirm) else lambda _: bool(confirm)
     person = OperatorCallbacks(confirm=ask) if show is None else OperatorCallbacks(confirm=ask, show=show)
-    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config)
+    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, cell=cell)
     known = Known(rig=rig, world=world, model=model, nominal=nominal)
     return identify_live(
         order, known, target, link, (left, right), person, camera_settings or AUTOMATIC, mask, progress

@@ -8,8 +8,8 @@ from armsight.defaults import SPOT_STD_PX
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
-from armsight.ops.flags import OutFolder
-from armsight.ops.kinds import AsFile
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, OutFolder
+from armsight.ops.kinds import AsFile, Readings
 from armsight.ops.simulation import MOST_FRAMES
 from armsight.units import MM
 
@@ -47,6 +47,14 @@ def write_simulation(
     frames: Frames = None,
     room: Room = None,
     zoom: Zoom = None,
+    arm: Annotated[
+        str | None,
+        Doc(f"{KNOWN_ARM}: before the cameras in place of the scenario's arm, exactly as it is there."),
+        AN_ARM,
+    ] = None,
+    home: Annotated[
+        Readings, Doc("With --arm: readings at which the cameras see it, as 0,-1.2,0.4. [default: a twin's first]")
+    ] = None,
     progress: Progress | None = None,
 ) -> SimulateOutput:
     """Write the frames of a simulated cell, its files and the truth into a folder; or a set for one calibration.
@@ -55,6 +63,8 @@ def write_simulation(
     ----------
     frames, seed, room, zoom
         As `simulate` takes them.
+    arm, home
+        Another arm before the scenario's cameras, and joint readings at which they see it.
 
     Raises
     ------
@@ -70,7 +80,9 @@ def write_simulation(
     """
     from armsight.ops.simulation.run import simulate
 
-    return simulate(scenario, out, seed=seed, frames=frames, room=room, zoom=zoom, progress=progress)
+    return simulate(
+        scenario, out, seed=seed, frames=frames, room=room, zoom=zoom, arm=arm, home=home, progress=progress
+    )
 
 
 @action("reproduce", working="reproducing {paper}", writes=True, examples=("kapucu2005 -o kapucu",))

@@ -38,6 +38,7 @@ from armsight.ops.requests.motion import (
     STOP_M,
     WAY,
     Exposure,
+    FollowedCell,
     HandSpeed,
     Latency,
     LiveImage,
@@ -145,6 +146,7 @@ def servo(
         Flag(read=str, panel=SIMULATED),
     ] = None,
     hand_speed_m_s: HandSpeed = HAND_SPEED_M_S,
+    cell: FollowedCell = None,
     show: Callable[[RobotStatus, float | None], object] = lambda *_: None,
     beside: Beside | None = None,
     progress: Progress | None = None,
@@ -177,6 +179,8 @@ def servo(
         The arm where the robot does not tell it, what the guard keeps, and the share of its speeds.
     hand, hand_speed_m_s
         How the target of a simulated cell is led.
+    cell
+        A scenario, by name or file, whose simulated cameras watch the joints that the robot tells.
     show
         Is told now and then of a cycle's status, and of the error of position in m where the target is followed.
     beside
@@ -281,6 +285,7 @@ def play(
         Doc("Stop where the tip is seen so far from where it was told."),
         Flag("--stop-at", quantity="m", panel=CAMERAS),
     ] = STOP_M,
+    cell: FollowedCell = None,
     show: Callable[..., object] = lambda *_: None,
     begun: Callable[[PathSource], object] = lambda _: None,
     enabled: Callable[[], bool] = lambda: True,
@@ -304,8 +309,8 @@ def play(
         'none', 'sine:AMPLITUDE:WAVELENGTH' or 'zigzag:AMPLITUDE:WAVELENGTH' in m.
     path_speed_m_s, blend_m, approach_speed_m_s, retract_m, keep_rotation
         How it is run.
-    rig, target, handeye, left, right, image
-        Cameras that watch.
+    rig, target, handeye, left, right, image, cell
+        Cameras that watch; of a cell simulated ones, as `servo` takes them.
     stop_m
         How far the tip may be seen from where it was told to be.
     show
@@ -348,14 +353,14 @@ def play(
         keep_rotation=keep_rotation,
     )
     record = None if out is None else require_new(out, PLAY_RECORDING)
-    watched = any(one is not None for one in (rig, target, handeye, left, right, image))
+    watched = any(one is not None for one in (rig, target, handeye, left, right, image, cell))
     watcher: Watcher | None
     device: ClockedRobot
     if watched:
         play_job.require_cameras(rig=rig, target=target, handeye=handeye)
         placed = placed_cameras(handeye)
-        cell = device = open_servo(robot, rig, target, arm, CameraNames(left, right, image, exposure_s, latency_s))
-        watcher = play_job.TargetMonitor(cell, measuring(rig, target, cell), placed)
+        seen = device = open_servo(robot, rig, target, arm, CameraNames(left, right, image, exposure_s, latency_s))
+        watcher = play_job.TargetMonitor(seen, measuring(rig, target, seen), placed)
     else:
         device = clocked_robot(robot, arm)
         watcher = getattr(device, "watcher", None)

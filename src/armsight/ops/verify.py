@@ -15,7 +15,7 @@ from armsight.file_names import MASTERING as POSES_TO_MEASURE
 from armsight.ops.action import action
 from armsight.ops.flags import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
 from armsight.ops.kinds import CHAIN, ArmLike, AsFile, JointsFile, MeasuredFile, Readings, WorldFile
-from armsight.ops.requests.motion import LATENCY_S, RobotJob, RobotSettings
+from armsight.ops.requests.motion import LATENCY_S, FollowedCell, RobotJob, RobotSettings
 from armsight.ops.requests.plant import PlantFlags
 from armsight.units import DEG, MM
 
@@ -193,11 +193,12 @@ def supervise(
     robot: Annotated[str, Doc("Whose joints are read."), Flag(metavar="DRIVER:DEVICE", panel=LIVE)],
     rig: RigFile,
     target: TargetFile,
-    left: Annotated[str, Doc("The left camera: camera:NAME."), Flag(metavar="SRC", panel=LIVE)],
-    right: Annotated[str, Doc("The right camera."), Flag(metavar="SRC", panel=LIVE)],
+    left: Annotated[str | None, Doc("The left camera: camera:NAME."), Flag(metavar="SRC", panel=LIVE)],
+    right: Annotated[str | None, Doc("The right camera."), Flag(metavar="SRC", panel=LIVE)],
     arm: OneArm,
     world: WorldFile,
     *,
+    cell: FollowedCell = None,
     warn_m: Annotated[float | None, Doc("Error of place that warns."), Flag(unit=MM, panel=LIVE)] = None,
     stop_m: Annotated[float | None, Doc("Error of place that stops the robot."), Flag(unit=MM, panel=LIVE)] = None,
     warn_rad: Annotated[float | None, Doc("Error of rotation that warns."), Flag(unit=DEG, panel=LIVE)] = None,
@@ -240,7 +241,7 @@ def supervise(
     Parameters
     ----------
     robot, left, right
-        As identify_arm_live takes them, and robot_settings and rsi_config.
+        As identify_arm_live takes them, and robot_settings, rsi_config and cell.
     arm, world
         Where the arm should be: its geometry, and where the rig stands (T_base_rig).
     warn_m, stop_m, warn_rad, stop_rad
@@ -286,7 +287,7 @@ def supervise(
     clock, progress = clock or SystemClock(), progress or Silent()
     seen, lights, stand = read_rig(rig), target_of(target), read_world(world)
     live.check_times(latency_s, latency_std_s, blind_stop_s, joint_std)
-    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config)
+    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, cell=cell)
     settings = camera_settings or AUTOMATIC
     devices = devices or live.open_supervised(
         link, (left, right), lights, clock, arm, play=play, camera_settings=settings

@@ -19,6 +19,7 @@ from armsight.console.routes import picture_message
 from armsight.console.state import Console
 from armsight.errors import UsageError
 from armsight.ops.recording.recorder import Recorder
+from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.run import simulate
 from armsight.store import read_poses
 from armsight.store.cell_file import CellFile
@@ -155,7 +156,7 @@ def test_a_tracks_colours_go_from_best_to_worst() -> None:
 
 
 def test_a_simulated_robot_with_a_mirror_rig_brings_its_one_camera(tmp_path: Path) -> None:
-    made = prepare_simulated("sim:pachidis2005-static", tmp_path)
+    made = prepare_simulated(RobotJob(robot="sim:pachidis2005-static"), tmp_path)
     assert made is not None and (made.left, made.right) == ("camera:sim:pachidis2005-static:image", "")
     assert made.cameras == "carried"
     job = Console(folder=tmp_path, cell=made).job_of(made)

@@ -14,7 +14,8 @@ from armsight.app.operator.path_editor import PathEditor
 from armsight.app.operator.robot_cell import arm_points, flange_pose, prepare_simulated, read_placement, scenario_of
 from armsight.clock import ManualClock
 from armsight.control.session.channels import JointTrack
-from armsight.errors import DeviceFailed, NotEnoughData, StaleData, UsageError
+from armsight.errors import DeviceFailed, DeviceLost, NotEnoughData, StaleData, UsageError
+from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
@@ -28,7 +29,7 @@ HOME = np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0])
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("operator") / "cell"
-    assert prepare_simulated("sim:webcam-cell", made) == read_cell(made)
+    assert prepare_simulated(RobotJob(robot="sim:webcam-cell"), made) == read_cell(made)
     return made
 
 
@@ -42,25 +43,29 @@ def test_a_simulated_cell_brings_its_files_along(folder):
 
 def test_a_folder_with_a_cell_and_a_real_robot_are_left_alone(tmp_path):
     write_cell(tmp_path, CellFile(left="camera:0", right="camera:1"))
-    assert prepare_simulated("sim:webcam-cell", tmp_path) is None
-    assert prepare_simulated("rtde:10.0.0.1", tmp_path / "other") is None
+    assert prepare_simulated(RobotJob(robot="sim:webcam-cell"), tmp_path) is None
+    assert prepare_simulated(RobotJob(robot="rtde:10.0.0.1"), tmp_path / "other") is None
     assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
 
 @pytest.mark.parametrize(("robot", "scenario"), [("sim:webcam-cell", "webcam-cell"), ("rtde:10.0.0.1", None)])
 def test_only_simulated_robots_have_a_scenario(robot, scenario):
-    assert scenario_of(robot) == scenario
+    assert scenario_of(RobotJob(robot=robot)) == scenario
 
 
-def test_a_track_tells_joints_between_and_at_its_ends():
+def test_a_track_tells_joints_between_and_none_beyond():
     track = JointTrack(2, slots=128)
     with pytest.raises(StaleData):
         track.at(0.0)
     for i in range(300):
         track.write(0.01 * i, np.array([i, -2.0 * i]))
     assert track.at(2.985) == pytest.approx([298.5, -597.0])
-    assert track.at(99.0) == pytest.approx([299.0, -598.0])
-    assert track.at(0.0)[0] >= 300 - 128, "what is older is forgotten"
+    assert track.reaches(2.99) and not track.reaches(3.0)
+    for unknown in (99.0, 0.0):  # not heard yet; forgotten
+        with pytest.raises(StaleData):
+            track.at(unknown)
+    track.write(2.9, np.zeros(2))
+    assert track.at(2.9) == pytest.approx([290.0, -580.0]), "an older reading changes nothing"
 
 
 def test_the_pictures_show_the_arm_that_another_process_moves(folder):
@@ -68,13 +73,18 @@ def test_the_pictures_show_the_arm_that_another_process_moves(folder):
     clock, track = ManualClock(), JointTrack(6)
     pairs = FollowedPairs(FollowedCell("webcam-cell", track, room="dark"), clock)
     track.write(0.0, HOME)
+    track.write(0.06, HOME)
     moved = HOME + np.deg2rad([3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     with pairs:
         frames = iter(pairs)
         first, again = next(frames)[0], next(frames)[0]
         track.write(clock.now_s() + 1e-3, moved)
+        track.write(clock.now_s() + 0.2, moved)
         clock.advance(0.1)
         last = next(frames)[0]
+        clock.advance(0.2)
+        with refuses(DeviceLost, "told no joints"):
+            next(frames)
     assert first.t_s <= clock.now_s() and last.t_s > again.t_s, "stamped with the clock"
     assert np.abs(brightest(first) - brightest(again)).max() < 3.0, "noise"
     assert np.abs(brightest(first) - brightest(last)).max() > 20.0

@@ -15,6 +15,7 @@ from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import DataRefused, DeviceFailed, NotEnoughData, UsageError
+from armsight.ops.requests.motion import RobotJob
 from armsight.records import JointReading, PoseStatus, Silent, TargetPose
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
@@ -99,7 +100,7 @@ def dh(arm, q: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory):
     folder = tmp_path_factory.mktemp("iso") / "cell"
-    prepare_simulated("sim:webcam-cell", folder)
+    prepare_simulated(RobotJob(robot="sim:webcam-cell"), folder)
     arm, handeye = read_arm(folder / "arm.yaml"), read_handeye(folder / "handeye.yaml")
     return SimpleNamespace(
         folder=folder,

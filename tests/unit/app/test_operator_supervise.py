@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.operator.supervise import Levels, StationSupervisor
 from armsight.errors import NotEnoughData, UsageError
+from armsight.ops.requests.motion import RobotJob
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.store.arm_file import read_arm
 from armsight.store.cell_file import read_cell
@@ -94,7 +95,7 @@ class Cell:
 
 @pytest.fixture
 def cell(tmp_path):
-    prepare_simulated("sim:webcam-cell", tmp_path / "cell")
+    prepare_simulated(RobotJob(robot="sim:webcam-cell"), tmp_path / "cell")
     return Cell(tmp_path / "cell")
 
 

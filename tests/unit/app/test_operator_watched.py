@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.operator.path_editor import watcher_of
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
+from armsight.ops.requests.motion import RobotJob
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import World, write_world
 from armsight.store.cell_file import read_cell
@@ -25,7 +26,7 @@ FLANGE = RigidTransform.from_components([-0.9, -0.1, 0.3], Rotation.from_euler("
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("watched") / "cell"
-    prepare_simulated("sim:webcam-cell", made)
+    prepare_simulated(RobotJob(robot="sim:webcam-cell"), made)
     return made
 
 

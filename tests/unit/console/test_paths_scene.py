@@ -18,13 +18,14 @@ from armsight.console.plots import APART_M, POINTS, Ticks, Tracks
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.ops.arm_files import load_arm
+from armsight.ops.requests.motion import RobotJob
 
 
 class Page:
     """A scene on a page, its robot's joints, and what is sent to the browser."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        prepare_simulated("sim:webcam-cell", folder)
+        prepare_simulated(RobotJob(robot="sim:webcam-cell"), folder)
         self.arm = load_arm(str(folder / "arm.yaml"))
         self.q = np.array([0.1, -1.2, 1.4, -0.3, 0.2, 0.0])
         robot = SimpleNamespace(session=SimpleNamespace(arm=self.arm), joints=lambda: self.q)

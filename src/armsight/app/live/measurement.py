@@ -24,6 +24,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.ops.measurement.outputs import moved_pose
 from armsight.ops.measurement.run import target_of
+from armsight.ops.simulation.following import when_heard
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.frames import open_pairs, open_source
 from armsight.ops.sources.pace import live_pace
@@ -54,7 +55,7 @@ class FollowedPairs:
     def __init__(self, cell: FollowedCell, clock: Clock) -> None:
         """Open nothing yet. Raises DeviceNotFound, BadFile, Inconsistent for the scenario."""
         self._cell: Any = live_cell(cell.scenario, clock, room=cell.room)
-        self._cell.robot.follow(cell.track.at)
+        self._cell.robot.follow(when_heard(cell.track, clock))
         self.name = str(self._cell.pairs.name)
 
     def __enter__(self) -> Self:

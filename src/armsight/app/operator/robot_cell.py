@@ -20,12 +20,13 @@ from armsight.control.guard import Limits
 from armsight.control.session.channels import JointTrack
 from armsight.control.session.operator_session import OperatorSession
 from armsight.control.session.service import Service
-from armsight.errors import NotEnoughData
+from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, link_frames
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.robot.hosting import ProcessHost, spec_of
 from armsight.ops.robot.opening import SIM, arm_model, left_open, open_to_all
 from armsight.ops.robot.recorder import RecordingLog, default_log, require_recorded
+from armsight.ops.simulation.following import require_joints
 from armsight.ops.simulation.run import write_set_up
 from armsight.ops.simulation.scenarios import build_world, load_scenario
 from armsight.records import JointReading
@@ -72,9 +73,11 @@ def open_robot_cell(job: RobotJob, folder: Path) -> Iterator[RobotCell]:
     robot = job.robot
     model = arm_model(robot, None if arm is None else str(arm))
     kept = Limits() if limits is None else read_limits(limits)
-    scenario = scenario_of(robot)
+    scenario = scenario_of(job)
     track = None if scenario is None else JointTrack(model.n)
     spec = spec_of(job, model, kept)
+    if scenario is not None:
+        require_joints(len(load_scenario(scenario)[0].arm.joints), robot, model.n)
     folder.mkdir(parents=True, exist_ok=True)
     with RecordingLog(folder / default_log()) as log, ProcessHost(spec, track) as host:
         service = Service(host, log)
@@ -96,10 +99,19 @@ def open_robot_cell(job: RobotJob, folder: Path) -> Iterator[RobotCell]:
     require_recorded(log.failed)
 
 
-def scenario_of(robot: str) -> str | None:
-    """Return the scenario of a robot sim:SCENARIO; None for others."""
-    driver, _, device = robot.partition(":")
-    return device if driver == SIM else None
+def scenario_of(job: RobotJob) -> str | None:
+    """Return the scenario whose cameras watch a robot, its own one of sim:SCENARIO; None for others.
+
+    Raises UsageError for another one's before a simulated robot.
+    """
+    driver, _, device = job.robot.partition(":")
+    if driver == SIM and job.cell is not None:
+        raise UsageError(
+            f"{job.robot} brings its own cameras, and --cell {job.cell} is given",
+            consequence="Nothing is opened",
+            cure="Leave --cell and --follow out, or name a real controller",
+        )
+    return device if driver == SIM else job.cell
 
 
 def cameras_of(scenario: str) -> tuple[str, str]:
@@ -112,13 +124,13 @@ def cameras_of(scenario: str) -> tuple[str, str]:
     return f"camera:sim:{scenario}:left", f"camera:sim:{scenario}:right"
 
 
-def prepare_simulated(robot: str, folder: Path) -> CellFile | None:
-    """Write rig, target, arm and hand-eye of sim:SCENARIO into a folder that holds no cell; return the cell.
+def prepare_simulated(job: RobotJob, folder: Path) -> CellFile | None:
+    """Write rig, target, arm and hand-eye of a robot's scenario into a folder that holds no cell; return the cell.
 
-    A folder with a cell, and a robot that is not simulated, are left as they are: None. Raises BadFile,
+    A folder with a cell, and a robot before real cameras, are left as they are: None. Raises BadFile,
     DeviceNotFound for the scenario.
     """
-    scenario = scenario_of(robot)
+    scenario = scenario_of(job)
     if scenario is None or read_cell(folder) != CellFile():
         return None
     model, _ = load_scenario(scenario)
@@ -129,7 +141,7 @@ def prepare_simulated(robot: str, folder: Path) -> CellFile | None:
     cell = CellFile(
         left=left,
         right=right,
-        robot=robot,
+        robot=job.robot,
         rig="rig.yaml",
         target="target.yaml",
         arm="arm.yaml",

@@ -222,23 +222,35 @@ class JointTrack:
         self._memory: Any = RawArray("d", 1 + slots * (1 + n))
 
     def write(self, t_s: float, q: Array) -> None:
-        """Add the values q (n,) of t_s."""
+        """Add the values q (n,) of t_s; those that are no newer than the last are left out."""
         rows, written = self._rows()
         number = int(written[0])
+        if number and t_s <= rows[(number - 1) % self._count, 0]:
+            return
         rows[number % self._count] = (t_s, *q)
         written[0] = number + 1
 
-    def at(self, t_s: float) -> Array:
-        """Return the values (n,) at t_s, between two that were written; the newest, or the oldest kept, beyond them.
+    def reaches(self, t_s: float) -> bool:
+        """Tell whether values of t_s or later were written."""
+        rows, written = self._rows()
+        number = int(written[0])
+        return number > 0 and t_s <= float(rows[(number - 1) % self._count, 0])
 
-        Raises StaleData where none was written yet.
+    def at(self, t_s: float) -> Array:
+        """Return the values (n,) at t_s, between two that were written: nothing is guessed beyond them.
+
+        Raises StaleData for a time before the oldest that is kept, or after the newest.
         """
         rows, written = self._rows()
         number = int(written[0])
-        if number == 0:
-            raise StaleData("no joint values came yet", consequence="Where the arm stands is not known")
         kept = min(number, self._count - SPARE)
         table = rows[np.arange(number - kept, number) % self._count]
+        if not kept or not table[0, 0] <= t_s <= table[-1, 0]:
+            known = f"they are known from {table[0, 0]:.3f} to {table[-1, 0]:.3f} s" if kept else "none came yet"
+            raise StaleData(
+                f"joint values at {t_s:.3f} s of the clock are not known: {known}",
+                consequence="Where the arm stood then is not known",
+            )
         return np.array([np.interp(t_s, table[:, 0], column) for column in table[:, 1:].T])
 
     def _rows(self) -> tuple[Array, Array]:

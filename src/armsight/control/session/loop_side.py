@@ -20,7 +20,7 @@ from armsight.control.session.channels import JointTrack, LineChannels, Newest, 
 from armsight.control.session.loop_host import SETPOINT_S, LoopCommand, LoopEvent
 from armsight.control.setpoints import ClientSource, CycleState, JointGoal, SetPoint
 from armsight.control.status import RobotStatus
-from armsight.drivers import Robot, RobotTraits
+from armsight.drivers import Robot, RobotTraits, listen
 from armsight.drivers.remote.protocol import JointDescription, RobotDescription
 from armsight.errors import ArmsightError
 from armsight.kinematics import Arm
@@ -286,12 +286,18 @@ def run_loop(
 def tracked(
     publish: Callable[[RobotStatus], bool], robot: Robot, track: JointTrack, clock: Clock
 ) -> Callable[[RobotStatus], bool]:
-    """Return publish, with a simulated robot's joints written into the track after each cycle, as they truly are."""
+    """Return publish, with a robot's joints written into the track, after each cycle or as its link hears them.
+
+    Those of a simulated robot are written as they truly are. Raises UsageError for a robot that tells no time of them.
+    """
     true_joints = RobotTraits.of(robot).true_joints
+    if true_joints is None:
+        listen(robot, track.write)
+        return publish
 
     def publish_tracked(status: RobotStatus) -> bool:
         now_s = clock.now_s()
-        track.write(now_s, status.q if true_joints is None else true_joints(now_s))
+        track.write(now_s, true_joints(now_s))
         return publish(status)
 
     return publish_tracked

@@ -25,8 +25,9 @@ from armsight.ops.identification.beacon_observer import StereoBeaconObserver, be
 from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.ops.identification.solve import solve_sweeps
 from armsight.ops.identify import SweepReadings
-from armsight.ops.requests.motion import RobotJob
+from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
 from armsight.ops.robot.opening import refuse_settings, robot_of
+from armsight.ops.simulation.following import followed_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.frames import open_pairs
 from armsight.optics import Rig
@@ -88,7 +89,7 @@ def identify_live(
     known: Known,
     target: Target,
     link: RobotJob,
-    sources: tuple[str, str],
+    sources: tuple[str | None, str | None],
     person: OperatorCallbacks,
     settings: CameraSettings = AUTOMATIC,
     mask: Image | None = None,
@@ -210,13 +211,19 @@ def _probe_question(robot: Robot, limits: Array) -> str:
 
 
 def open_devices(
-    link: RobotJob, sources: tuple[str, str], settings: CameraSettings, target: Target, clock: Clock
+    link: RobotJob, sources: tuple[str | None, str | None], settings: CameraSettings, target: Target, clock: Clock
 ) -> tuple[Robot, PairSource]:
     """Return the robot and the pairs that are named; nothing is opened yet. Raises UsageError, DeviceNotFound."""
+    if link.cell is not None:
+        refuse_cameras(link.cell, left=sources[0], right=sources[1])
+        settings.require_none(f"the simulated cell {link.cell}")
+        robot = robot_of(link, clock)
+        return robot, followed_cell(link.cell, robot, clock).pairs
+    left, right = require_views(*sources)
     if link.robot.startswith(SIM):
         refuse_settings(link)
         name = link.robot.removeprefix(SIM)
-        for view, text in zip(("left", "right"), sources, strict=True):
+        for view, text in zip(("left", "right"), (left, right), strict=True):
             if text != f"camera:sim:{name}:{view}":
                 raise UsageError(
                     f"{text} does not see the simulated robot {link.robot}", cure=f"Give camera:sim:{name}:{view}"
@@ -224,9 +231,9 @@ def open_devices(
         settings.require_none(f"the simulated robot {link.robot}")
         cell = live_cell(name, clock)
         return cell.robot, cell.pairs
-    if not all(map(is_live, sources)):
+    if not (is_live(left) and is_live(right)):
         raise UsageError("a robot that moves needs live cameras", cure="Give camera:NAME for --left and --right")
-    return robot_of(link, clock), open_pairs(*sources, colour=target.colour is not None, settings=settings)
+    return robot_of(link, clock), open_pairs(left, right, colour=target.colour is not None, settings=settings)
 
 
 def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:

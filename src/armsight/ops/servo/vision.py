@@ -26,8 +26,9 @@ from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData,
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, lost_pair
 from armsight.measure.settings import SpotSettings
-from armsight.ops.requests.motion import LATENCY_S, RobotJob
+from armsight.ops.requests.motion import LATENCY_S, RobotJob, refuse_cameras
 from armsight.ops.robot.opening import ClockedRobot, clocked_robot, refuse_settings
+from armsight.ops.simulation.following import followed_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
 from armsight.ops.sources.pace import live_pace
@@ -332,6 +333,8 @@ def open_servo(
     """
     if isinstance(job.device, ServoDevices):
         return job.device
+    if job.cell is not None:
+        return _following(job, job.cell, arm, cameras, hand, hand_speed_m_s)
     if job.device is None and job.robot.startswith(SIM):
         refuse_settings(job)
         return _simulated(job.robot, cameras, hand, hand_speed_m_s)
@@ -366,4 +369,20 @@ def _simulated(robot: str, cameras: CameraNames, hand: str | None, hand_speed_m_
         overlaid=cell.one_image,
         origin_s=lambda: float(cell.origin_s),
         stepped=clock,
+    )
+
+
+def _following(
+    job: RobotJob, cell: str, arm: Arm | None, cameras: CameraNames, hand: str | None, hand_speed_m_s: float
+) -> ServoDevices:
+    """Return a robot with the simulated cameras that watch it, or that it carries, in real time."""
+    refuse_cameras(cell, left=cameras.left, right=cameras.right, image=cameras.image, exposure=cameras.exposure_s)
+    robot = clocked_robot(job, arm)
+    seen = followed_cell(cell, robot.robot, robot.clock, hand=hand, speed_m_s=hand_speed_m_s)
+    return ServoDevices(
+        robot=robot.robot,
+        pairs=seen.pairs,
+        clock=robot.clock,
+        overlaid=seen.one_image,
+        origin_s=lambda: float(seen.origin_s),
     )

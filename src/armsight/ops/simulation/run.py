@@ -13,7 +13,7 @@ from armsight.drivers import CELLS, SETS, known, load
 from armsight.errors import Cancelled, UsageError
 from armsight.fields import Doc
 from armsight.ops.simulation.cells import CellPairs, load_cell, room_choice, write_cell_files, write_png
-from armsight.ops.simulation.scenarios import build_world, load_scenario, scenario_names, settled_text
+from armsight.ops.simulation.scenarios import build_world, load_scenario, scenario_names, settled_text, with_arm
 from armsight.records import Frame, Motion, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.shown import Shown
@@ -62,6 +62,8 @@ def simulate(
     frames: int | None = None,
     room: str | None = None,
     zoom: float | None = None,
+    arm: str | None = None,
+    home: str | None = None,
     progress: Progress | None = None,
 ) -> SimulateOutput:
     """Simulate a scenario, by name or file, a built-in cell, or a set for one calibration, into the folder out.
@@ -71,16 +73,26 @@ def simulate(
     joints.csv (encoders), truth_world.csv, handeye.yaml and world.yaml (of a fixed rig), true both, and
     sweep_joints.csv (of sweeps). seed, frames
     and room (a name, or a picture's path) default to the scenario's own. Raises DeviceNotFound for an unknown scenario,
-    UsageError for an unknown room; zoom: of the zoom lenses of the scenario, or of those that a
-    cell's cameras then get. BadFile for what cannot be, DeviceFailed where the disk refuses, Cancelled.
+    UsageError for an unknown room; zoom: of the zoom lenses of the scenario, or of those that a cell's cameras then
+    get. arm, home: as with_arm takes them; UsageError for a cell or set. BadFile for what cannot be, DeviceFailed where
+    the disk refuses, Cancelled.
     """
     progress = progress or Silent()
+    own = scenario not in scenario_names() and (scenario in known(CELLS) or scenario in known(SETS))
+    if (home is not None and arm is None) or (own and arm is not None):
+        raise UsageError(
+            f"{scenario} has no arm that could be another" if own else "a home position is given, and no arm",
+            consequence="Nothing is simulated",
+            cure="Give --arm with a scenario whose cameras stand beside an arm, such as webcam-cell",
+        )
     if scenario in known(CELLS) and scenario not in scenario_names():
         return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, room, zoom, progress)
     if scenario in known(SETS):
         require_own(scenario, room, zoom)
         return simulate_set(scenario, out, seed=1 if seed is None else seed, size=frames, progress=progress)
     model, text = load_scenario(scenario)
+    if arm is not None:
+        model, text = with_arm(scenario, model, arm, home)
     chosen = None if room is None else room_choice(room)
     world = build_world(scenario, model, seed=seed, frames=frames, room=chosen, zoom=zoom)
     settled = settled_text(text, seed=world.seed, frames=world.n_frames, room=chosen, zoom=zoom)

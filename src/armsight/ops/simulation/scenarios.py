@@ -11,13 +11,16 @@ from typing import Any
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, SETS, CameraSettings, FrameSource, folder, known, load
 from armsight.errors import DeviceNotFound
-from armsight.ops.arm_files import refuse_file_called
+from armsight.kinematics import in_convention
+from armsight.ops.arm_files import load_arm, refuse_file_called
+from armsight.ops.kinematics_results import reading_values
+from armsight.store.arm_file import arm_mapping
 from armsight.store.atomic import read_bytes
 from armsight.store.codec import named, validated
-from armsight.store.yamls import MAX_BYTES, parse_yaml
+from armsight.store.yamls import MAX_BYTES, dump_yaml, parse_yaml
 
 MODEL = "scenario"
-FILES, WORLD, LIVE, VIEW = "files", "world", "live", "view"
+FILES, WORLD, LIVE, VIEW, WITH_ARM = "files", "world", "live", "view", "with-arm"
 VIEWS = ("left", "right", "image")
 
 ROOM_BLOCK = re.compile(r"^room:.*\n(?:[ \t]+.*\n|#.*\n(?=[ \t]))*", re.MULTILINE)
@@ -67,6 +70,20 @@ def load_scenario(name: str) -> tuple[Any, str]:
 def scenario_model(content: Mapping[str, Any], where: str) -> Any:
     """Return a scenario of what its file holds, checked. Raises BadFile naming the key."""
     return validated(load(SCENARIOS, MODEL), content, where)
+
+
+def with_arm(name: str, model: Any, arm: str, home: str | None) -> tuple[Any, str]:
+    """Return a scenario with another arm, of load_arm, before its cameras, and its text.
+
+    home: readings at which the cameras see it, as text or in a file; None: where a twin of it stands first. Raises
+    UsageError for an arm that cannot be simulated, Inconsistent where its lights cannot be seen.
+    """
+    known = in_convention(load_arm(arm), "standard")
+    stand = None if home is None else reading_values(known, home).tolist()
+    with named(f"the scenario {name}"):
+        keys = load(SCENARIOS, WITH_ARM)(model, arm_mapping(known), stand)
+    made = scenario_model(keys, f"the scenario {name} with {arm}")
+    return made, dump_yaml(keys)
 
 
 def build_world(

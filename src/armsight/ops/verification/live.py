@@ -12,9 +12,10 @@ from armsight.clock import Clock
 from armsight.drivers import CameraSettings, is_live
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
-from armsight.ops.requests.motion import RobotJob
+from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
 from armsight.ops.requests.plant import Publishing
 from armsight.ops.robot.opening import refuse_settings, robot_of
+from armsight.ops.simulation.following import followed_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.frames import open_pairs
 from armsight.ops.verification.supervising import Supervised, Supervision
@@ -138,7 +139,7 @@ SIM = "sim:"
 
 def open_supervised(
     link: RobotJob,
-    views: tuple[str, str],
+    views: tuple[str | None, str | None],
     target: Target,
     clock: Clock,
     arm: Arm,
@@ -150,16 +151,23 @@ def open_supervised(
 
     Raises UsageError, DeviceNotFound, BadFile.
     """
+    if play and not link.robot.startswith(SIM):
+        raise UsageError(f"--play is of simulated robots, and {link.robot} is none", cure="Leave --play away")
+    if link.cell is not None:
+        refuse_cameras(link.cell, left=views[0], right=views[1])
+        camera_settings.require_none(f"the simulated cell {link.cell}")
+        robot = robot_of(link, clock, arm)
+        cell = followed_cell(link.cell, robot, clock)
+        return Supervised(robot=robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))
+    left, right = require_views(*views)
     if link.robot.startswith(SIM):
         refuse_settings(link)
-        return _simulated(link.robot, views, clock, play, camera_settings)
-    if play:
-        raise UsageError(f"--play is of simulated robots, and {link.robot} is none", cure="Leave --play away")
-    for text in views:
+        return _simulated(link.robot, (left, right), clock, play, camera_settings)
+    for text in (left, right):
         if not is_live(text) or text.startswith("camera:sim:"):
             raise UsageError(f"{text} does not see {link.robot} now", cure="Give camera:NAME for --left and --right")
     robot = robot_of(link, clock, arm)
-    pairs = open_pairs(*views, colour=target.colour is not None, settings=camera_settings)
+    pairs = open_pairs(left, right, colour=target.colour is not None, settings=camera_settings)
     return Supervised(robot=robot, pairs=pairs)
 
 
