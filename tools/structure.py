@@ -77,6 +77,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     },
     "imports by name": {
         "__init__.py": "public names are loaded when they are asked for",
+        "ops/__init__.py": "modules of actions, which import this package",
         "cli/lazy.py": "help is drawn by what only help needs",
         "fields.py": "defaults of flags that are heavy to import",
         "kinematics/dynamics.py": "an extra that is not always there",

@@ -39,7 +39,7 @@ PLANT = "armsight.plant"
 """Group of what armsight-plant brings: `publishing`: (PlantFlags, notify, users) -> Publishing; `make-pair`."""
 
 FILING = "armsight.history"
-"""Group of a callable (command, cell, history, given) -> cli.command.Filing, under the name `filing`."""
+"""Group of a callable (command, cell, history, given) -> what has `file`, a cli.command.Filing, named `filing`."""
 
 SIMULATION = (CELLS, SETS, SCENARIOS, TWINS, PAPERS)
 """Groups that armsight-sim fills, a distribution of its own; it also brings the name `sim` of ROBOTS and CAMERAS."""

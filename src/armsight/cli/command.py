@@ -11,7 +11,7 @@ import inspect
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
 import typer
 
@@ -39,6 +39,8 @@ SETS = (*SET_TABLES, *CELL_SET, *SET_FILES, POSES, "handeye_true.yaml", "tip_tru
 WRITTEN = {"out", "record", "log"}
 """Options that name what a command writes."""
 NOT_TO_BE_TRUSTED = 3
+Filing: TypeAlias = "Callable[[Output, int, str], list[str]]"
+"""Files a command's result, with its exit code and why that is not 0; returns what to tell the person."""
 Face: TypeAlias = Callable[..., CommandUI]
 """Makes a command's way to the person, of as_json."""
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
@@ -54,13 +56,6 @@ HISTORY_PLACE = Annotated[
 ]
 CHECK = Annotated[bool, typer.Option("--check", help="End with exit code 3 where the verdict is not good.")]
 OVERWRITE = Annotated[bool, typer.Option("--overwrite", help="Replace the results of another run in the folder.")]
-
-
-class Filing(Protocol):
-    """What files a command's result in the history of a cell."""
-
-    def file(self, result: Output, exit_code: int, reason: str) -> list[str]:
-        """File a result; return what to tell the person."""
 
 
 class ResultsDoubted(typer.Exit):
@@ -140,7 +135,7 @@ class Command(CommandTraits):
             if place is not None:
                 raise UsageError("--history says where to file, and no cell is named", cure="Add --cell NAME")
             return None
-        found: Filing = extension(FILING, "filing", "lab")(self.command, cell, place, dict(given))
+        found: Filing = extension(FILING, "filing", "lab")(self.command, cell, place, dict(given)).file
         return found
 
     def _outputs(self, given: Mapping[str, Any], as_json: bool) -> contextlib.AbstractContextManager[Any]:
@@ -180,7 +175,7 @@ def _filed(face: CommandUI, filing: Filing | None) -> Iterator[None]:
         raise
     finally:
         if filing is not None and face.given is not None:
-            for line in filing.file(face.given, exit_code, reason):
+            for line in filing(face.given, exit_code, reason):
                 face.say(line)
 
 

@@ -232,7 +232,6 @@ class AimingHint:
 
     advice: Aiming
     background: float
-    clipped_share: float
     n_clipped: int = 0
     brightest: float | None = None
     sigma_px: float | None = None
@@ -245,7 +244,7 @@ def aiming_hint(frame: Frame, spots: Spots, settings: SpotSettings) -> AimingHin
     background, clipped = float(np.median(sample)), float((sample >= settings.saturation).mean())
     if len(spots) == 0:
         advice = Aiming.ROOM_TOO_BRIGHT if clipped > BRIGHT_ROOM else Aiming.NOTHING_SEEN
-        return AimingHint(advice=advice, background=background, clipped_share=clipped)
+        return AimingHint(advice=advice, background=background)
     n_clipped = sum(
         _holds_clipped(image, u, v, s, settings) for (u, v), s in zip(spots.uv_px, spots.size_px, strict=True)
     )
@@ -253,7 +252,6 @@ def aiming_hint(frame: Frame, spots: Spots, settings: SpotSettings) -> AimingHin
     return AimingHint(
         advice=_advice(clipped, n_clipped, float(np.median(spots.peak)), sigma_px),
         background=background,
-        clipped_share=clipped,
         n_clipped=n_clipped,
         brightest=brightest,
         sigma_px=sigma_px,

@@ -58,7 +58,6 @@ class Clock:
     std_s: float
     mid_s: float
     drift_ppm: float
-    drift_std_ppm: float
     p: Array
     notes: tuple[str, ...] = ()
 
@@ -272,7 +271,6 @@ def _final(stream: Stream, measured: Measured, t_s: Array, p: Array, offset: flo
         std_s=float(wide * fit.std(OFFSET)),
         mid_s=mid,
         drift_ppm=drift if proved else 0.0,
-        drift_std_ppm=drift_std,
         p=fit.p[:-2],
         notes=_notes(stream, t_s, found, drift if proved else 0.0, over),
     )

@@ -145,13 +145,8 @@ def _record(stage: Stage, name: str) -> _Recorded:
     """Return the recorded poses of one experiment by both methods; armsight's files are written."""
     folder = stage.simulate(f"pachidis2005-{name}", least=LEAST_FRAMES, room="dark")
     out = stage.out / f"pachidis2005-{name}-measured"
-    stage.measure(
-        rig=folder / "rig.yaml",
-        target=folder / "target.yaml",
-        image=str(folder / "image"),
-        times=folder / "times.csv",
-        out=out,
-    )
+    rig, target, times = (folder / name for name in ("rig.yaml", "target.yaml", "times.csv"))
+    stage.measure(rig=rig, target=target, image=str(folder / "image"), times=times, out=out)
     times_s = read_times(folder / "times.csv")
     seen = _by_paper(folder, _Vision(rig=read_rig(folder / "rig.yaml"), target=read_target(folder / "target.yaml")))
     measured = measured_poses(out / "poses.csv")

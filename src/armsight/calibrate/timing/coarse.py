@@ -34,12 +34,11 @@ APART_S = 0.15
 class Coarse:
     """A delay to begin with, and what speaks for it.
 
-    rms_px: distance from the epipolar lines at delay_s; typical_px: at the median of all delays tried.
+    rms_px: distance from the epipolar lines at delay_s.
     """
 
     delay_s: float
     rms_px: float
-    typical_px: float
 
 
 def coarse_delay(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[Array, Array], name: str) -> Coarse:
@@ -132,4 +131,4 @@ def _chosen(delays: Array, rms: Array) -> Coarse:
             consequence="A delay of whole periods fits as well as the right one; no timing is given",
             cure="Wave irregularly, with changes of direction and pace; check that rig.yaml is of these cameras",
         )
-    return Coarse(delay_s=float(delays[best]), rms_px=least, typical_px=typical)
+    return Coarse(delay_s=float(delays[best]), rms_px=least)
