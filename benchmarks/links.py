@@ -1,13 +1,14 @@
 """A guarded arm in real time behind each link, its emulated controller in a process of its own.
 
-python benchmarks/links.py [alter | rsi | egm | rtde | feetech | dynamixel] [--for 60] [--busy 2] [--jitter]
-    [--rsi-simulator "COMMAND"]
+python benchmarks/links.py [alter] [rsi] [egm] [rtde] [linuxcnc] [feetech] [dynamixel] [--for 60] [--busy 2]
+    [--jitter] [--rsi-simulator "COMMAND"]
 
 A restless source wants more than the limits allow. Prints the controller's cycles that were missed and the answers it
 counts as late, how late the loop woke, and, by the emulated controller's own record and time, the largest speed over
 three cycles as a share of its limit and how far ranges and walls were passed. --busy: processes that do nothing but
-compute, beside all that. --jitter (rtde): connections stand still for up to 40 ms now and then, each way by itself.
---rsi-simulator: a program that plays a KUKA controller, told address and port; its joints are jogged and read back.
+compute, beside all that. --jitter (rtde): connections stand still for up to 40 ms now and then, each way by
+itself. linuxcnc is the real one, where it is installed, recorded by HAL's sampler. --rsi-simulator: a program that
+plays a KUKA controller, told address and port; its joints are jogged and read back.
 """
 
 from __future__ import annotations
@@ -46,13 +47,15 @@ from armsight.drivers import ROBOTS, load
 from armsight.kinematics import Joint
 from armsight.ops.robot.recorder import run_with_progress
 from armsight_sim.twins.alter import AlterTwin
+from armsight_sim.twins.base import MAX_SPEED, small_arm_mapping
 from armsight_sim.twins.egm import EgmTwin
+from armsight_sim.twins.linuxcnc import SERVO_S
 from armsight_sim.twins.rsi import RsiTwin
 from armsight_sim.twins.rtde import RtdeTwin
 from armsight_sim.twins.servo_twins import DynamixelTwin, FeetechTwin
 
 BUSES = ("feetech", "dynamixel")
-KINDS = ("alter", "rsi", "egm", "rtde", *BUSES)
+KINDS = ("alter", "rsi", "egm", "rtde", "linuxcnc", *BUSES)
 CONTROLLER, NEARER = "127.77.0.1", "127.78.0.1"
 RTDE_PORTS = (30004, 30003, 29999)
 LONGEST_STILL_S = 0.04
@@ -157,13 +160,38 @@ def driven(kind: str, device: str, for_s: float, seed: int, limits: Limits) -> d
     robot: Any = load(ROBOTS, kind)(device, settings=settings, clock=clock)
     source = Restless(np.random.default_rng(seed))
     with robot:
+        last = getattr(robot, "_last", None)
         guard = Guard(ARM, limits, robot.cycle_s)
         loop = ControlLoop(robot, guard, source, clock, enabled=lambda: True, by_pose=False)
         timing = loop.run(for_s=for_s)
         counts = getattr(robot, "counts", None)
         missed = robot.missed if counts is None else counts.missed
         late = robot.late if counts is None else counts.late
-        return {"timing": timing, "missed": missed, "late": late, "status": loop.status, "cycles": robot._pace.cycles}
+        return {
+            "timing": timing,
+            "missed": missed,
+            "late": late,
+            "status": loop.status,
+            "cycles": robot._pace.cycles,
+            "began": getattr(last, "sample", 0),
+        }
+
+
+def linuxcnc(args: argparse.Namespace) -> None:
+    """Drive the real LinuxCNC, whose joints HAL's sampler records in each servo cycle."""
+    from linuxcnc import Recorded
+
+    limits, cycle_s = limits_of(np.random.default_rng(args.seed)), 0.008
+    arm = small_arm_mapping()
+    for joint in arm["joints"]:
+        joint["max_speed"] = MAX_SPEED
+    others = [multiprocessing.get_context("spawn").Process(target=busy, daemon=True) for _ in range(args.busy)]
+    with Recorded(arm=arm) as twin, twin.record() as record, beside(others):
+        device = twin.address.partition(":")[2]
+        said = run_with_progress(lambda: driven("linuxcnc", device, args.time_s, args.seed, limits), lambda: None)
+    numbers, joints, _ = record
+    q = np.radians(joints[numbers >= said["began"]])[:: round(cycle_s / SERVO_S)]
+    shown("linuxcnc", said, args.time_s, "", q, cycle_s, limits)
 
 
 def run(kind: str, args: argparse.Namespace) -> None:
@@ -191,28 +219,33 @@ def run(kind: str, args: argparse.Namespace) -> None:
             said = run_with_progress(lambda: driven(kind, device, args.time_s, args.seed, limits), lambda: None)
         out, _ = twin.communicate("")
         record = np.load(file)
-        found, by_log = Found(), Found()
-        judge((record["q"],), limits, float(record["cycle_s"]), found)
+        shown(kind, said, args.time_s, out.strip(), record["q"], float(record["cycle_s"]), limits)
         stamps = record["t_s"]
         span_s = stamps[WINDOW:] - stamps[:-WINDOW]
         speed = np.abs(record["q"][WINDOW:] - record["q"][:-WINDOW]).max(axis=1) / span_s
-        by_log.joint_ratio = float(speed.max())
+    print(f"  by the stamps of its log: up to {float(speed.max()):.3f} rad/s", flush=True)
+
+
+def shown(kind: str, said: dict[str, Any], time_s: float, counts: str, q: Any, cycle_s: float, limits: Limits) -> None:
+    """Print what loop and driver tell, and what the controller's own record of its joints (n, 6) in rad does."""
+    found = Found()
+    judge((q,), limits, cycle_s, found)
     timing, status = said["timing"], said["status"]
     ms = [1e3 * value for value in timing.lateness_s]
     print(
-        f"{kind}: {said['cycles']} of its controller's cycles in {args.time_s:g} s, missed {said['missed']}, answers "
+        f"{kind}: {said['cycles']} of its controller's cycles in {time_s:g} s, missed {said['missed']}, answers "
         f"late {said['late']}; at the end {status.guard} {status.why}"
     )
     print(
         f"  loop: {timing.n_cycles} cycles, late {timing.late}, missed {timing.missed}, woke late by {ms[0]:.3f} ms "
-        f"median, {ms[1]:.3f} p99, {ms[2]:.3f} at most; the controller counts {out.strip()}"
+        f"median, {ms[1]:.3f} p99, {ms[2]:.3f} at most; the controller counts {counts or 'nothing'}"
     )
     print(
         f"  by the controller's time, over {WINDOW} cycles: joints {found.joint_ratio:.3f} of their limit, tool "
         f"{found.tool_ratio:.3f} (allowed {1.0 + SPEED_TOLERANCE:g}); beyond a range by {1e3 * found.joint_beyond:.3f} "
-        f"mrad, a wall by {1e3 * found.wall_beyond_m:.3f} mm; {found.moved} cycles in motion"
+        f"mrad, a wall by {1e3 * found.wall_beyond_m:.3f} mm; {found.moved} cycles in motion",
+        flush=True,
     )
-    print(f"  by the stamps of its log: up to {by_log.joint_ratio:.3f} rad/s", flush=True)
 
 
 def simulated(args: argparse.Namespace) -> None:
@@ -266,7 +299,7 @@ def main() -> None:
         simulated(args)
     else:
         for kind in args.kinds:
-            run(kind, args)
+            linuxcnc(args) if kind == "linuxcnc" else run(kind, args)
 
 
 if __name__ == "__main__":

@@ -178,7 +178,8 @@ def lag(robot: Told, numbers: Any, joints: Any) -> tuple[float, float]:
     return best[1], best[0]
 
 
-def steps(joints: Any) -> str:
+def steps(robot: Told, found: list[Any]) -> str:
+    joints = found[1][found[0] >= robot.times[0][0]]  # homing sets the position at once
     speed = np.abs(np.diff(joints, axis=0)).max() / 1e-3
     hard = np.abs(np.diff(joints, n=2, axis=0)).max() / 1e-6
     return f"worst speed {speed / SPEED:.5f} of its limit, acceleration {hard / ACCELERATION:.3f} (recorded to 0.02)"
@@ -192,7 +193,7 @@ def run_sine(twin: Recorded) -> None:
         state = f"{robot.state} {robot.why}"
         counts = robot.counts
     behind, rms = lag(robot, found[0], found[1])
-    print(f"sine to {PEAK:g} degrees/s: {behind:.1f} ms behind, {rms:.4f} degrees RMS; {steps(found[1])}; {state}")
+    print(f"sine to {PEAK:g} degrees/s: {behind:.1f} ms behind, {rms:.4f} degrees RMS; {steps(robot, found)}; {state}")
     print(f"  {counts}", flush=True)
 
 
@@ -209,7 +210,7 @@ def run_lossy(twin: Recorded) -> None:
                 robot.rng = np.random.default_rng(robot.lost)
             run_with_progress(lambda: sine(robot, 8.0), lambda: None)
         state = f"{robot.state} {robot.why}"
-    print(f"lossy: {robot.lost} lost, {robot.late} late: {steps(found[1])}; {state}", flush=True)
+    print(f"lossy: {robot.lost} lost, {robot.late} late: {steps(robot, found)}; {state}", flush=True)
 
 
 def rest(numbers: Any, joints: Any, since: float) -> tuple[float, float, float]:

@@ -163,7 +163,7 @@ class LinuxcncTwin:
         done = subprocess.run(["halcmd", *words], capture_output=True, text=True, check=False, **self._as_user())
         if done.returncode:
             raise DeviceFailed(f"halcmd {' '.join(words)}: {done.stderr.strip() or done.stdout.strip()}")
-        return done.stdout
+        return str(done.stdout)
 
     def joints_deg(self) -> list[float]:
         """Return where its joints are commanded to be, in degrees."""

@@ -50,6 +50,7 @@ class RobotTestOutput(Output):
         float | None, Doc("The cycle that the controller keeps by its own clock, s; null where its driver tells none.")
     ]
     proof: Annotated[str, Doc("What is still to be shown before the robot moves; empty: nothing.")]
+    notes: Annotated[list[str], Doc("What is not as it should be on its controller, and refuses nothing.")]
 
     def summary(self) -> Iterator[Shown]:
         """Yield how punctual the link is."""
@@ -61,6 +62,7 @@ class RobotTestOutput(Output):
             f"{self.period_ms.max:.3f} longest; new readings at most {self.silence_ms:.0f} ms apart. "
             f"{clock}The robot is {self.state}" + (f"; {self.proof}." if self.proof else ".")
         )
+        yield from (f"note: {note}" for note in self.notes)
 
 
 def test_robot(driver: str, device: ClockedRobot, for_s: float, progress: Progress) -> RobotTestOutput:
@@ -76,7 +78,7 @@ def test_robot(driver: str, device: ClockedRobot, for_s: float, progress: Progre
             lambda: shown.update(min(for_s, clock.now_s() - start_s), for_s),
         )
         state, measured_s = arm.state, getattr(arm, "measured_cycle_s", None)
-        proven = getattr(arm, "proven", True)
+        proven, notes = getattr(arm, "proven", True), list(getattr(arm, "notes", ()))
     timing = jitter.timing()
     median, p99, most = (value / MS for value in timing.period_s)
     return RobotTestOutput(
@@ -91,6 +93,7 @@ def test_robot(driver: str, device: ClockedRobot, for_s: float, progress: Progre
         state=state.value,
         measured_cycle_s=measured_s,
         proof="" if proven else getattr(arm, "unproven", UNPROVEN),
+        notes=notes,
     )
 
 

@@ -53,7 +53,11 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
 
 
 TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "egm", "rsi"), "rsi", ("egm", "rsi")
+<<<<<<< HEAD
 HAS_RANGES = ("dynamixel", "feetech")
+=======
+TELLS_RANGES = "linuxcnc"
+>>>>>>> lcnc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,9 +122,9 @@ def driver_settings(
 ) -> dict[str, Any]:
     """Return the settings of the driver that DRIVER:DEVICE names: those given, and what it needs beside them.
 
-    arm: alter sends poses and needs it for joints; where others send poses it says how their probe moves every joint.
-    rsi_config: the RSI Ethernet XML file with the tags of
-    the user's own configuration. Raises UsageError for what the driver has no use for; of `given` the driver itself
+    arm: alter sends poses and needs it for joints; where others send poses it says how their probe moves every joint;
+    linuxcnc compares its ranges. rsi_config: the RSI Ethernet XML file with the tags of the user's own configuration.
+    Raises UsageError for what the driver has no use for; of `given` the driver itself
     says that, and what it knows.
     """
     driver = robot.partition(":")[0]
@@ -139,8 +143,14 @@ def driver_settings(
         )
     if driver in TAKES_ARM and arm is not None:
         settings["arm"] = LinkArm(arm=arm)
+<<<<<<< HEAD
     if driver in HAS_RANGES and arm is not None:
         settings["arm_range"] = (arm.lower.tolist(), arm.upper.tolist())
+=======
+    if driver == TELLS_RANGES and arm is not None and not arm.couplings:
+        for key, end in (("lower_rad", "lower"), ("upper_rad", "upper")):  # it refuses where its own are others
+            settings.setdefault(key, [getattr(joint, end) for joint in arm.joints])
+>>>>>>> lcnc
     if rsi_config is not None:
         if driver != TAKES_TAGS:
             raise UsageError(f"{robot} takes no RSI configuration", cure="Omit --rsi-config, or give rsi:UDP_PORT")
@@ -227,11 +237,12 @@ def standing_outside(guard: Guard, robot: Robot) -> str:
     return f"the arm stands {outside}" if outside else ""
 
 
-def noted(outside: str, guard: Guard, job: RobotJob, file: Path | None) -> str:
+def noted(outside: str, guard: Guard, job: RobotJob, file: Path | None, robot: Robot | None = None) -> str:
     """Return what is added to the question before a motion: where the arm stands outside its limits, what file, the
-    limits.yaml that was given, leaves open, and who may speak on the link."""
+    limits.yaml that was given, leaves open, who may speak on the link, and what an open robot's controller lacks."""
     open_ = "" if file is None else left_open(guard.limits, file.name)
-    return "".join(f" Note: {text}." for text in (outside, open_, open_to_all(job)) if text)
+    texts = (outside, open_, open_to_all(job), *getattr(robot, "notes", ()))
+    return "".join(f" Note: {text}." for text in texts if text)
 
 
 def left_open(limits: Limits, file: str) -> str:

@@ -229,7 +229,7 @@ class RobotRun:
 
     def ask(self, question: str, *, unasked: str = "unasked") -> None:
         """Ask whether the arm may move, with what is to be known of it besides. Raises Cancelled."""
-        if not self._confirm(question + noted(self.outside, self.guard, self._job, self._limits)):
+        if not self._confirm(question + noted(self.outside, self.guard, self._job, self._limits, self.robot)):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure=f"Give --yes to move {unasked}")
 
     @contextmanager
