@@ -3,7 +3,7 @@
 python benchmarks/servo_bus.py [feetech] [dynamixel] [--spoilt 1000] [--seed 1]
 
 The bus runs on a pseudo terminal in a process of its own, its joints under way all the time; one answer in the course
-of every second question is lost, late by one to three questions, exchanged with its neighbour, broken in one to four
+of every third question is lost, late by one to three questions, exchanged with its neighbour, broken in one to four
 bytes or cut off, or doubled, and after some that are late the same servo's next one is lost. Positions that a client
 calls available are compared with the emulated encoders' steps when it asked. Prints how many were wrong, how many
 questions gave none, and how long one took; bytes need no time there, which at 1 Mbit/s is 3 ms more for a
@@ -29,6 +29,7 @@ import numpy as np
 
 from armsight.clock import SystemClock
 from armsight.drivers import ROBOTS, load
+from armsight.errors import DeviceFailed
 from armsight_sim.twins.base import small_arm, twin_home
 from armsight_sim.twins.servo_bus import BusFault, ServoBus
 from armsight_sim.twins.servo_twins import DynamixelBus, FeetechBus, bus_drive
@@ -58,10 +59,10 @@ def bus(kind: str, seed: int) -> None:
     def asked(body: bytes) -> Any:
         nonlocal n_asked, place
         n_asked += 1
-        if on and n_asked % 2:
+        if on and n_asked % 3 == 1:
             place = int(rng.integers(JOINTS))
-            twin.plant(FAULTS[n_asked // 2 % 5], place, rng)
-        elif on and n_asked % 10 == 4:
+            twin.plant(FAULTS[n_asked // 3 % 5], place, rng)
+        elif on and n_asked % 15 == 5:
             twin.plant(BusFault.LOST, place, rng)
         log.append((clock.now_s(), [twin._step(q) for q in twin.q]))
         return read_all(body)
@@ -108,25 +109,25 @@ Said = list[tuple[float, float, list[int] | None]]
 def ours(kind: str, path: str, spoil: Callable[[], None], cycles: int) -> tuple[Said, str]:
     robot: Any = load(ROBOTS, kind)(path, settings={}, clock=SystemClock())
     said: Said = []
-    with robot:
-        cycle = robot._cycle
+    cycle, lost, told = robot._cycle, 0, dict.fromkeys(("missed", "late", "repeated", "refused", "garbage_bytes"), 0)
 
-        def noted(n: int) -> None:
-            start_s, before = time.monotonic(), robot._reading
-            asked_s = SystemClock().now_s()
-            cycle(n)
-            new = robot._reading is not before
-            steps = [joint.steps(q) for joint, q in zip(robot.joints, robot._reading.q, strict=True)] if new else None
-            said.append((asked_s, time.monotonic() - start_s, steps))
+    def noted(n: int) -> None:
+        start_s, before = time.monotonic(), robot._reading
+        asked_s = SystemClock().now_s()
+        cycle(n)
+        new = robot._reading is not before
+        steps = [joint.steps(q) for joint, q in zip(robot.joints, robot._reading.q, strict=True)] if new else None
+        said.append((asked_s, time.monotonic() - start_s, steps))
 
-        robot._cycle = noted
-        spoil()
-        while len(said) < cycles and not robot._lost:
-            time.sleep(0.05)
-        counts = robot.counts
-    told = f"missed {counts.missed}, late {counts.late}, doubled or out of turn {counts.repeated}"
-    told += f", refused {counts.refused}, foreign bytes {counts.garbage_bytes}"
-    return said, told + (f"; lost: {robot._lost}" if robot._lost else "")
+    robot._cycle = noted
+    spoil()
+    while len(said) < cycles:
+        with contextlib.suppress(DeviceFailed), robot:
+            while len(said) < cycles and not robot._lost:
+                time.sleep(0.05)
+            lost += bool(robot._lost)
+            told = {key: n + getattr(robot.counts, key) for key, n in told.items()}
+    return said, ", ".join(f"{key} {n}" for key, n in told.items()) + f", lost and opened again {lost} times"
 
 
 def makers(kind: str, path: str, spoil: Callable[[], None], cycles: int) -> tuple[Said, str]:
@@ -183,7 +184,7 @@ def main() -> None:
         for called, client in (("armsight", ours), (KINDS[kind][1], makers)):
             with beside(kind, args.seed) as (path, spoil, end):
                 try:
-                    said, told = client(kind, path, spoil, 2 * args.spoilt)
+                    said, told = client(kind, path, spoil, round(2.5 * args.spoilt))
                 except ImportError:
                     print(f"{kind}: {called} is not installed")
                     continue

@@ -123,7 +123,8 @@ def shown(name: str, value: float, std: float) -> str:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointVerdict:
     """What is known of one joint: judged or why not; its zero (rad or m) with standard deviation where estimated; the
-    share that its best effect takes off left-out squares, and which effect that is, None where it takes nothing off."""
+    share that its best effect takes off left-out squares, and which effect that is, None where it takes nothing off.
+    backlash: (rad or m, standard deviation), None where it did not come from both sides."""
 
     judged: bool
     why: str = ""
@@ -131,3 +132,4 @@ class JointVerdict:
     std: float | None = None
     gain_heldout: float | None = None
     kind: Kind | None = None
+    backlash: tuple[float, float] | None = None

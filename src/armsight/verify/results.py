@@ -172,6 +172,10 @@ class VerifyJoint(Output):
     why: Annotated[str, Doc("Why it is not judged; empty where it is.")]
     gain_heldout: Annotated[float | None, Doc("Share it alone takes off squared errors of rows left out.")]
     kind: Annotated[str | None, Doc("What of it would take off so much: zero offset, backlash, ...")]
+    backlash_rad: Annotated[float | None, Doc("Of its own, whatever the cause; null where it came from one side.")] = (
+        None
+    )
+    backlash_std_rad: Annotated[float | None, Doc("Standard deviation of that.")] = None
 
 
 @output

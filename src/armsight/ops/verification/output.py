@@ -168,6 +168,8 @@ def _joint(result: Verification, i: int, name: str, verdict: JointVerdict) -> Ve
         why=verdict.why,
         gain_heldout=verdict.gain_heldout,
         kind=None if verdict.kind is None else verdict.kind.value,
+        backlash_rad=None if verdict.backlash is None else verdict.backlash[0],
+        backlash_std_rad=None if verdict.backlash is None else verdict.backlash[1],
     )
 
 
