@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -136,5 +137,7 @@ def _given(pose: Mapping[str, Any] | None) -> RigidTransform:
 
 
 def _pose(T: RigidTransform) -> dict[str, list[float]]:
-    turn = T.rotation.as_euler("xyz", degrees=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # where two angles turn about one axis, one of them is nothing: as good as any
+        turn = T.rotation.as_euler("xyz", degrees=True)
     return {"xyz_m": np.asarray(T.translation).tolist(), "turn_deg": turn.tolist()}

@@ -35,11 +35,11 @@ def made_live(face: CommandUI, asked: Mapping[str, Any]) -> bool:
     if asked.get("robot") is None:
         _refuse_flags_of_live(asked)
         return False
-    needed = NEEDED if asked.get("cell") is not None else (*NEEDED, *VIEWS)
+    needed = NEEDED if asked.get("follow") is not None else (*NEEDED, *VIEWS)
     if any(asked.get(name) is None for name in needed):
         raise UsageError(
             "--live lacks something",
-            cure="Give --rig, --target, --limits, and --left and --right or --cell SCENARIO --follow with it",
+            cure="Give --rig, --target, --limits, and --left and --right or --follow SCENARIO with it",
         )
     if any(asked.get(name) != default for name, default in OF_SWEEPS.items()):
         raise UsageError(
@@ -55,7 +55,7 @@ def made_live(face: CommandUI, asked: Mapping[str, Any]) -> bool:
         return asked["yes"] or agreed(question)
 
     done = action_of(identify_arm_live)
-    given = {name: asked[name] for name in done.parameters if name in asked}
+    given = {name: asked.get(name) for name in done.parameters if name in asked or name in VIEWS}
     result = done.run({**given, "confirm": confirm, "show": show_plan}, face.progress(done.working))
     show(face, result, None if asked.get("propose") else asked["out"])
     return True

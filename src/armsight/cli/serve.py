@@ -162,7 +162,7 @@ def console(
     ] = None,
     robot_settings: RobotSettings = None,
     rsi_config: RsiConfig = None,
-    cell: FollowedCell = None,
+    follow: FollowedCell = None,
     folder: Annotated[Path, Doc("Where cell.yaml and all results are kept."), Flag(metavar="FOLDER")] = Path("cell"),
     left: Annotated[
         str | None, Doc(f"Left frames, or the complex images of a mirror rig: {SRC}."), Flag(metavar="SRC")
@@ -194,20 +194,22 @@ def console(
         check_options(options)
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
         changed = {name: value for name, value in given.items() if value is not None}
-        job = _of_robot(robot, robot_settings, rsi_config, cell)
+        job = _of_robot(robot, robot_settings, rsi_config, follow)
         if job is None:
             _without_robot(face, folder, changed, options, page)
         else:
             serve_cell(face, job, folder, changed, options, page)
 
 
-def _of_robot(robot: str | None, settings: RobotSettings, rsi_config: Path | None, cell: str | None) -> RobotJob | None:
+def _of_robot(
+    robot: str | None, settings: RobotSettings, rsi_config: Path | None, follow: str | None
+) -> RobotJob | None:
     """Return the robot, None where none is named. Raises UsageError for settings of none."""
     if robot is not None:
-        return RobotJob(robot=robot, robot_settings=settings, rsi_config=rsi_config, cell=cell)
-    if settings is not None or rsi_config is not None or cell is not None:
+        return RobotJob(robot=robot, robot_settings=settings, rsi_config=rsi_config, follow=follow)
+    if settings is not None or rsi_config is not None or follow is not None:
         raise UsageError(
-            "--robot-set, --rsi-config and --cell are of a robot, and none is named",
+            "--robot-set, --rsi-config and --follow are of a robot, and none is named",
             consequence="Nothing is served",
             cure="Give --robot DRIVER:DEVICE",
         )

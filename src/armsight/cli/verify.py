@@ -125,7 +125,7 @@ def check_options(mode: str, missing: tuple[str, ...], foreign: list[str]) -> No
 
 
 def _supervise(face: CommandUI, asked: Mode, foreign: list[str], out: Path) -> None:
-    missing = tuple(one for one in asked.missing if one not in VIEWS or "--cell" not in asked.given)
+    missing = tuple(one for one in asked.missing if one not in VIEWS or "--follow" not in asked.given)
     check_options("--live", missing, foreign)
     given: dict[str, Any] = {"left": None, "right": None, **asked.made()}
     face.until_stopped = "frames" not in given and "seconds_s" not in given

@@ -11,7 +11,7 @@ from armsight.arrays import Array
 from armsight.calibrate.identify import Sweeps
 from armsight.clock import Clock
 from armsight.defaults import SWEEP_SPEED
-from armsight.drivers import Robot, RobotState, RobotTraits, Sent
+from armsight.drivers import PROVING, Robot, RobotState, RobotTraits, Sent
 from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData
 from armsight.records import JointReading, PoseStatus, Progress, TargetPose
 
@@ -150,7 +150,8 @@ class Sweeper:
             step = np.zeros(len(at))
             step[joint] = np.clip(goal[joint] - at[joint], -longest, longest)
             sent = self._robot.step_joints(step)
-            stuck = stuck + 1 if abs(sent.q[joint] - at[joint]) < 1e-3 * abs(step[joint]) else 0
+            stands = abs(sent.q[joint] - at[joint]) < 1e-3 * abs(step[joint]) and PROVING not in sent.limited
+            stuck = stuck + 1 if stands else 0
             if stuck >= STUCK:
                 raise DeviceFailed(
                     f"joint {joint + 1} does not go from {at[joint]:.4g} to {goal[joint]:.4g}{_limited_by(sent)}",
@@ -291,7 +292,8 @@ class Visitor:
             sent = self._robot.step_joints(goal - at)
             short = np.abs(goal - sent.q).max()
             stuck = stuck + 1 if short > THERE else 0  # the guard took a part of it: wait on the track
-            if stuck >= STUCK and np.abs(sent.q - at).max() < THERE:
+            proving = PROVING in sent.limited  # the link, which ends by itself, or stops the robot
+            if stuck >= STUCK and not proving and np.abs(sent.q - at).max() < THERE:
                 raise DeviceFailed(
                     f"the arm does not go on towards {segment.name}{_limited_by(sent)}",
                     consequence="The run ends there",

@@ -229,7 +229,7 @@ def identify_arm_live(
     ] = (),
     mask: Mask = None,
     camera_settings: Cameras | None = None,
-    cell: FollowedCell = None,
+    follow: FollowedCell = None,
     out: Out = None,
     robot_settings: RobotSettings = None,
     rsi_config: RsiConfig = None,
@@ -241,7 +241,7 @@ def identify_arm_live(
     ----------
     robot, left, right
         DRIVER:DEVICE and 'camera:NAME'; or sim:SCENARIO and camera:sim:SCENARIO:left.
-    cell
+    follow
         In place of cameras (None): a scenario whose simulated ones watch the joints that the robot tells.
     robot_settings, rsi_config
         As `servo` takes them.
@@ -294,7 +294,7 @@ def identify_arm_live(
     )
     ask = confirm if callable(confirm) else lambda _: bool(confirm)
     person = OperatorCallbacks(confirm=ask) if show is None else OperatorCallbacks(confirm=ask, show=show)
-    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, cell=cell)
+    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, follow=follow)
     known = Known(rig=rig, world=world, model=model, nominal=nominal)
     return identify_live(
         order, known, target, link, (left, right), person, camera_settings or AUTOMATIC, mask, progress

@@ -146,7 +146,7 @@ def servo(
         Flag(read=str, panel=SIMULATED),
     ] = None,
     hand_speed_m_s: HandSpeed = HAND_SPEED_M_S,
-    cell: FollowedCell = None,
+    follow: FollowedCell = None,
     show: Callable[[RobotStatus, float | None], object] = lambda *_: None,
     beside: Beside | None = None,
     progress: Progress | None = None,
@@ -179,7 +179,7 @@ def servo(
         The arm where the robot does not tell it, what the guard keeps, and the share of its speeds.
     hand, hand_speed_m_s
         How the target of a simulated cell is led.
-    cell
+    follow
         A scenario, by name or file, whose simulated cameras watch the joints that the robot tells.
     show
         Is told now and then of a cycle's status, and of the error of position in m where the target is followed.
@@ -285,7 +285,7 @@ def play(
         Doc("Stop where the tip is seen so far from where it was told."),
         Flag("--stop-at", quantity="m", panel=CAMERAS),
     ] = STOP_M,
-    cell: FollowedCell = None,
+    follow: FollowedCell = None,
     show: Callable[..., object] = lambda *_: None,
     begun: Callable[[PathSource], object] = lambda _: None,
     enabled: Callable[[], bool] = lambda: True,
@@ -309,8 +309,8 @@ def play(
         'none', 'sine:AMPLITUDE:WAVELENGTH' or 'zigzag:AMPLITUDE:WAVELENGTH' in m.
     path_speed_m_s, blend_m, approach_speed_m_s, retract_m, keep_rotation
         How it is run.
-    rig, target, handeye, left, right, image, cell
-        Cameras that watch; of a cell simulated ones, as `servo` takes them.
+    rig, target, handeye, left, right, image, follow
+        Cameras that watch; or simulated ones, as `servo` takes them.
     stop_m
         How far the tip may be seen from where it was told to be.
     show
@@ -353,7 +353,7 @@ def play(
         keep_rotation=keep_rotation,
     )
     record = None if out is None else require_new(out, PLAY_RECORDING)
-    watched = any(one is not None for one in (rig, target, handeye, left, right, image, cell))
+    watched = any(one is not None for one in (rig, target, handeye, left, right, image, follow))
     watcher: Watcher | None
     device: ClockedRobot
     if watched:

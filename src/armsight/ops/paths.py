@@ -46,9 +46,6 @@ __all__ = ["angle", "check", "export", "fillet", "from_picks", "join", "offset",
 P = ParamSpec("P")
 Change = TypeVar("Change", bound="PathChangeOutput")
 
-TURN_RAD_S = math.pi / 3.0
-"""Of a program's motions in which the tool turns about its tip."""
-
 APath: TypeAlias = Annotated[TaughtLike, Doc("path.csv.")]
 PathOut: TypeAlias = Annotated[Path | None, Doc("path.csv to write."), Flag("-o --out", metavar="FILE", needed=True)]
 Speed: TypeAlias = Annotated[float | None, Doc("Where the path leaves it open, m/s.")]
@@ -239,9 +236,11 @@ def check(
 )
 def export(
     path: APath,
-    out: Annotated[Path, Doc("program.script, .src, .mod, path.csv or .py."), Flag("-o --out", metavar="FILE")],
+    out: Annotated[Path, Doc("program.script, .src, .mod, .ngc, path.csv or .py."), Flag("-o --out", metavar="FILE")],
     *,
-    to: Annotated[str | None, Doc("urscript, krl, rapid, csv or python. [default: by the file's ending]")] = None,
+    to: Annotated[
+        str | None, Doc("urscript, krl, rapid, linuxcnc, csv or python. [default: by the file's ending]")
+    ] = None,
     arm: Annotated[ArmLike, Doc(f"{KNOWN_ARM}: the path is checked for it, or refused.")] = None,
     tip: ToolTip = None,
     limits: Annotated[LimitsLike, Doc("limits.yaml for the check. [default: the guard's own]")] = None,
@@ -254,10 +253,16 @@ def export(
     blend_m: Annotated[float, Doc("Radius of blends or zones, m; 0 stops at rows.")] = 0.0,
     acceleration_m_s2: Annotated[float, Doc("Of the tool, m/s^2.")] = EXPORT_ACCELERATION_M_S2,
     approach_m: Annotated[float, Doc("How far back along the tool it begins and ends, m.")] = 0.05,
+    turn_acceleration_rad_s2: Annotated[
+        float, Doc("LinuxCNC: of the axes A B C, deg/s^2."), Bounds(above=0.0), Flag("--turn-acceleration", unit=DEG)
+    ] = math.pi,
+    controller: Annotated[
+        ArmLike, Doc("LinuxCNC: the arm that its genserkins is set to, where --arm is calibrated. [default: --arm]")
+    ] = None,
     tool: Annotated[str | None, Doc("KRL: number of TOOL_DATA; RAPID: name of the tooldata.")] = None,
     weld_output: Annotated[str | None, Doc("Digital output of weld_on and weld_off. [default: comments alone]")] = None,
 ) -> PathExportOutput:
-    """Write the path as a controller's program (Universal Robots, KUKA, ABB), as CSV, or as a Python module.
+    """Write the path as a controller's program (Universal Robots, KUKA, ABB, LinuxCNC), as CSV, or as a Python module.
 
     Parameters
     ----------
@@ -265,18 +270,21 @@ def export(
         As `check` takes them.
     name, speed_m_s, blend_m, acceleration_m_s2, approach_m, tool, weld_output
         They are written into the program.
+    turn_acceleration_rad_s2, controller
+        Of LinuxCNC, whose joints are worked out by the axes' accelerations: what A B C have, and another geometry.
 
     Raises
     ------
     Inconsistent
         The arm cannot run it.
     """
+    from armsight.control.paths.linuxcnc import Axes
     from armsight.control.paths.program import Program, program_moves
     from armsight.ops.kinematics_results import reading_values
     from armsight.ops.path import export as parts
 
     file, kind, taught = Path(out), parts.format_of(Path(out), to), path.taught
-    if kind not in parts.PROGRAMS:
+    if kind in parts.AS_IT_IS:
         return parts.exported(file, kind, taught, parts.AS_IT_IS[kind](taught))
     parts.require_tags(path.where, taught, weld_output)
     carrier = parts.carrier_of(arm, tip)
@@ -288,11 +296,15 @@ def export(
         first = None if start is None else reading_values(carrier, start)
         parts.refuse_jumps(taught)
         found = parts.checked_run(run, carrier, limits, speed_m_s=speed_m_s, start=first)
+    if kind == parts.LINUXCNC:
+        axes = Axes(acceleration_m_s2=acceleration_m_s2, acceleration_rad_s2=turn_acceleration_rad_s2)
+        called = file.stem if name is None else name
+        return parts.for_linuxcnc(file, called, run, moves, found, carrier, controller, limits, axes, weld_output)
     program = Program(
         name=file.stem if name is None else name,
         moves=moves,
         acceleration_m_s2=acceleration_m_s2,
-        turn_rad_s=TURN_RAD_S,
+        turn_rad_s=parts.TURN_RAD_S,
         start=None if carrier is None or found is None else parts.start_of(carrier, found),
         tool=tool,
         T_flange_tool=None if carrier is None else carrier.T_flange_tool,

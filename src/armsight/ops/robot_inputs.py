@@ -179,14 +179,14 @@ ROBOT_MEMBERS = ("__enter__", "__exit__", *(name for name in vars(Robot) if not 
 
 def robot(name: str, value: Any, given: Given, undo: ExitStack) -> RobotJob:
     """Return a robot that is named DRIVER:DEVICE, or a driver of one's own, with what its driver is told beside it."""
-    settings, config, cell = given.get("robot_settings"), given.get("rsi_config"), given.get("cell")
+    settings, config, follow = given.get("robot_settings"), given.get("rsi_config"), given.get("follow")
     config = None if config is None else undo.enter_context(Folder()).file("rsi_config", config)
     if isinstance(value, RobotJob):
         return value
     if isinstance(value, str):
-        return RobotJob(robot=value, robot_settings=settings, rsi_config=config, cell=cell)
+        return RobotJob(robot=value, robot_settings=settings, rsi_config=config, follow=follow)
     device = value if isinstance(value, ClockedRobot) else ClockedRobot(robot=value, clock=SystemClock())
-    return RobotJob(robot=device.called or _name_of(device.robot, settings, config), device=device, cell=cell)
+    return RobotJob(robot=device.called or _name_of(device.robot, settings, config), device=device, follow=follow)
 
 
 def _name_of(robot: Any, *told: object) -> str:

@@ -106,7 +106,7 @@ def teach(
         Flag(read=str, panel=SIMULATED),
     ] = None,
     hand_speed_m_s: HandSpeed = HAND_SPEED_M_S,
-    cell: FollowedCell = None,
+    follow: FollowedCell = None,
     show: Callable[[RobotStatus, float | None], object] = lambda *_: None,
     begun: Callable[[PathRecorder], object] = lambda _: None,
     progress: Progress | None = None,
@@ -123,7 +123,7 @@ def teach(
         T_base_rig of cameras that stand.
     poses
         Instead of frames: poses that were measured, as `measure` returns them.
-    robot, handeye, confirm, robot_settings, rsi_config, cell, show
+    robot, handeye, confirm, robot_settings, rsi_config, follow, show
         The arm that follows, as `servo` takes them.
     tip
         The result of calibrate_tool_tip, or tip.yaml; else the target's origin.
@@ -174,7 +174,7 @@ def teach(
         raise UsageError(f"{needed} are needed", consequence="Nothing is taught", cure="Give them, or --from poses.csv")
     if robot is None:
         parts.refuse_beside(
-            "no --robot", {"handeye": handeye, "arm": arm, "limits": limits, "hand": hand, "cell": cell}
+            "no --robot", {"handeye": handeye, "arm": arm, "limits": limits, "hand": hand, "follow": follow}
         )
         parts.require_world(world)
         pairs, overlaid = parts.require_pairs(CameraNames(left, right, image, exposure_s).pairs(rig, target))

@@ -198,7 +198,7 @@ def supervise(
     arm: OneArm,
     world: WorldFile,
     *,
-    cell: FollowedCell = None,
+    follow: FollowedCell = None,
     warn_m: Annotated[float | None, Doc("Error of place that warns."), Flag(unit=MM, panel=LIVE)] = None,
     stop_m: Annotated[float | None, Doc("Error of place that stops the robot."), Flag(unit=MM, panel=LIVE)] = None,
     warn_rad: Annotated[float | None, Doc("Error of rotation that warns."), Flag(unit=DEG, panel=LIVE)] = None,
@@ -241,7 +241,7 @@ def supervise(
     Parameters
     ----------
     robot, left, right
-        As identify_arm_live takes them, and robot_settings, rsi_config and cell.
+        As identify_arm_live takes them, and robot_settings, rsi_config and follow.
     arm, world
         Where the arm should be: its geometry, and where the rig stands (T_base_rig).
     warn_m, stop_m, warn_rad, stop_rad
@@ -287,7 +287,7 @@ def supervise(
     clock, progress = clock or SystemClock(), progress or Silent()
     seen, lights, stand = read_rig(rig), target_of(target), read_world(world)
     live.check_times(latency_s, latency_std_s, blind_stop_s, joint_std)
-    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, cell=cell)
+    link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, follow=follow)
     settings = camera_settings or AUTOMATIC
     devices = devices or live.open_supervised(
         link, (left, right), lights, clock, arm, play=play, camera_settings=settings

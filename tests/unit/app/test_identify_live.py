@@ -133,7 +133,7 @@ def when(condition: Callable[[int], bool], act: Callable[[], None]) -> Any:
     state = SimpleNamespace(n=0, done=False)
 
     def update(done: float, total: float, note: str = "") -> None:
-        state.n += 1
+        state.n += total > 0  # else it is prepared
         if not state.done and condition(state.n):
             state.done = True
             act()

@@ -105,13 +105,13 @@ def scenario_of(job: RobotJob) -> str | None:
     Raises UsageError for another one's before a simulated robot.
     """
     driver, _, device = job.robot.partition(":")
-    if driver == SIM and job.cell is not None:
+    if driver == SIM and job.follow is not None:
         raise UsageError(
-            f"{job.robot} brings its own cameras, and --cell {job.cell} is given",
+            f"{job.robot} brings its own cameras, and --follow {job.follow} is given",
             consequence="Nothing is opened",
-            cure="Leave --cell and --follow out, or name a real controller",
+            cure="Leave --follow out, or name a real controller",
         )
-    return device if driver == SIM else job.cell
+    return device if driver == SIM else job.follow
 
 
 def cameras_of(scenario: str) -> tuple[str, str]:

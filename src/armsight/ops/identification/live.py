@@ -25,6 +25,7 @@ from armsight.ops.identification.beacon_observer import StereoBeaconObserver, be
 from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.ops.identification.solve import solve_sweeps
 from armsight.ops.identify import SweepReadings
+from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
 from armsight.ops.robot.opening import refuse_settings, robot_of
 from armsight.ops.simulation.following import followed_cell
@@ -110,6 +111,7 @@ def identify_live(
     _check(sweeps, known)
     robot, pairs = devices or open_devices(link, sources, settings, target, clock)
     setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, mask))
+    prepare(progress)  # a controller that waits for compilers gives the link up
     with robot, pairs:
         observer = StereoBeaconObserver(setup, iter(pairs), clock)
         done = identify_observed(sweeps, known, person, robot, observer, clock, progress)
@@ -214,11 +216,11 @@ def open_devices(
     link: RobotJob, sources: tuple[str | None, str | None], settings: CameraSettings, target: Target, clock: Clock
 ) -> tuple[Robot, PairSource]:
     """Return the robot and the pairs that are named; nothing is opened yet. Raises UsageError, DeviceNotFound."""
-    if link.cell is not None:
-        refuse_cameras(link.cell, left=sources[0], right=sources[1])
-        settings.require_none(f"the simulated cell {link.cell}")
+    if link.follow is not None:
+        refuse_cameras(link.follow, left=sources[0], right=sources[1])
+        settings.require_none(f"the simulated cell {link.follow}")
         robot = robot_of(link, clock)
-        return robot, followed_cell(link.cell, robot, clock).pairs
+        return robot, followed_cell(link.follow, robot, clock).pairs
     left, right = require_views(*sources)
     if link.robot.startswith(SIM):
         refuse_settings(link)

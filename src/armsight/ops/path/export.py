@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -12,25 +13,45 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.control.guard import Limits
+from armsight.control.guard.limits import joint_bounds
 from armsight.control.paths import PathCheck, Program, check_path, krl, python_module, rapid, urscript, with_approach
+from armsight.control.paths.gcode import gcode
+from armsight.control.paths.linuxcnc import Axes, plan_lines, require_genserkins, require_kept
 from armsight.control.paths.outliers import path_jumps
-from armsight.control.paths.program import weld_state
+from armsight.control.paths.program import ProgramMove, weld_state
 from armsight.errors import Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm, JointType
 from armsight.ops.path.check import with_tip
 from armsight.records import TaughtPath
-from armsight.records.output import output
-from armsight.shown import Shown
+from armsight.records.output import Output, output
+from armsight.shown import Shown, Table
 from armsight.store.atomic import TextOutput
 from armsight.store.path_file import path_text
+from armsight.units import DEG, MM
 
 PROGRAMS: Mapping[str, Callable[[Program], str]] = MappingProxyType({"urscript": urscript, "krl": krl, "rapid": rapid})
 AS_IT_IS: Mapping[str, Callable[[TaughtPath], str]] = MappingProxyType({"csv": path_text, "python": python_module})
-FORMATS = (*PROGRAMS, *AS_IT_IS)
-BY_SUFFIX = MappingProxyType({".script": "urscript", ".src": "krl", ".mod": "rapid", ".csv": "csv", ".py": "python"})
+LINUXCNC = "linuxcnc"
+FORMATS = (*PROGRAMS, LINUXCNC, *AS_IT_IS)
+BY_SUFFIX = MappingProxyType(
+    {".script": "urscript", ".src": "krl", ".mod": "rapid", ".ngc": LINUXCNC, ".csv": "csv", ".py": "python"}
+)
+TURN_RAD_S = math.pi / 3.0
+"""Of a program's motions in which the tool turns about its tip."""
 TOLD = 3
 """Issues of the check that a refusal tells."""
+
+
+@output
+class JointPlanned(Output):
+    """What a joint will do where a controller keeps only the limits of its axes."""
+
+    name: Annotated[str, Doc("The joint.")]
+    speed: Annotated[float, Doc("Its largest speed.", unit="rad/s")]
+    speed_limit: Annotated[float, Doc("What is allowed.", unit="rad/s")]
+    acceleration: Annotated[float, Doc("Its largest acceleration.", unit="rad/s^2")]
+    acceleration_limit: Annotated[float, Doc("What is allowed.", unit="rad/s^2")]
 
 
 @output
@@ -38,19 +59,43 @@ class PathExportOutput(TextOutput):
     """armsight path export."""
 
     file: Annotated[str, Doc("The file written.")]
-    format: Annotated[str, Doc("urscript, krl, rapid, csv or python.")]
+    format: Annotated[str, Doc("urscript, krl, rapid, linuxcnc, csv or python.")]
     n: Annotated[int, Doc("Rows written, those of the approach among them.")]
     length_m: Annotated[float, Doc("Length of the path with them, m.")]
     checked: Annotated[bool, Doc("Whether the path was checked for an arm; it is not without --arm.")]
     start_q: Annotated[
         list[float] | None,
-        Doc("Readings to which the program goes first, rad; null where it goes there on a straight line."),
+        Doc(
+            "Readings to which the program goes first, rad; null where it goes there on a straight line. Of LinuxCNC: "
+            "at which the arm has to stand."
+        ),
     ]
+    duration_s: Annotated[float | None, Doc("How long LinuxCNC will take, s; null for others.")] = None
+    off_m: Annotated[float | None, Doc("How far its tip will be from the path at most, m.")] = None
+    joints: Annotated[
+        list[JointPlanned] | None, Doc("What its joints will do, whose limits LinuxCNC does not keep.")
+    ] = None
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
         checked = "checked for the arm" if self.checked else "not checked for any arm"
         yield f"{self.n} rows, {self.length_m:.4f} m, {checked}: {self.file}"
+        if self.joints is None or self.duration_s is None or self.off_m is None or self.start_q is None:
+            return
+        yield (
+            f"LinuxCNC will take {self.duration_s:.2f} s, the tip at most {self.off_m / MM:.3f} mm from the path; it "
+            f"begins where the joints stand at {', '.join(f'{q / DEG:.2f}' for q in self.start_q)} deg alone"
+        )
+        columns = ["joint", "deg/s", "allowed", "deg/s^2", "allowed"]
+        rows = [
+            [
+                joint.name,
+                *(f"{value / DEG:.1f}" for value in (joint.speed, joint.speed_limit)),
+                *(f"{value / DEG:.0f}" for value in (joint.acceleration, joint.acceleration_limit)),
+            ]
+            for joint in self.joints
+        ]
+        yield Table("What the joints will do, whose limits LinuxCNC does not keep", columns, rows)
 
 
 def exported(
@@ -141,3 +186,46 @@ def start_of(arm: Arm, found: PathCheck) -> Array | None:
     """Return the readings (6,) at the first row; None for arms that these controllers have no joint motion for."""
     six = arm.n == 6 and all(joint.type is JointType.REVOLUTE for joint in arm.joints)
     return np.asarray(found.q[0]) if six else None
+
+
+def for_linuxcnc(
+    file: Path,
+    name: str,
+    run: TaughtPath,
+    moves: Sequence[ProgramMove],
+    found: PathCheck | None,
+    arm: Arm | None,
+    controller: Arm | None,
+    limits: Limits | None,
+    axes: Axes,
+    weld_output: str | None,
+) -> PathExportOutput:
+    """Return a path as G-code that LinuxCNC runs within the joints' limits, which it does not keep itself.
+
+    controller: the arm that its genserkins is set to, where it is not the (calibrated) one that the path is planned
+    for. Raises UsageError without an arm or for one that genserkins is none of, Inconsistent where a joint's limit
+    would be passed, or the way led over another branch.
+    """
+    if arm is None or found is None:
+        raise UsageError(
+            "LinuxCNC takes poses of the flange in the first frame of the arm's table, and no arm is given",
+            consequence="Where its joints would go is not known, and no program is written",
+            cure="Give the arm (--arm), and what its joints may (--limits)",
+        )
+    kept, model = limits or Limits(), require_genserkins(controller or arm)
+    bounds = joint_bounds(arm, kept)
+    plan = plan_lines(moves, arm, model, axes, found.q[0], TURN_RAD_S)
+    require_kept(plan, arm, bounds, kept.singularity)
+    content = gcode(name, plan, model, axes, bounds, weld_output)
+    joints = [
+        JointPlanned(
+            name=joint.name,
+            speed=float(plan.speed[j]),
+            speed_limit=float(bounds.speed[j]),
+            acceleration=float(plan.acceleration[j]),
+            acceleration_limit=float(bounds.acceleration[j]),
+        )
+        for j, joint in enumerate(arm.joints)
+    ]
+    done = exported(file, LINUXCNC, run, content, found=found, start=plan.q[0])
+    return replace(done, duration_s=float(plan.t_s[-1]), off_m=plan.off_m, joints=joints)

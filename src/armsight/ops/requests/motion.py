@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from armsight.errors import UsageError
-from armsight.fields import Bounds, Doc, Flag, Flags
+from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.flags import AN_ARM, KNOWN_ARM
 
 if TYPE_CHECKING:
@@ -87,44 +87,21 @@ def negated(given: bool) -> bool:
     return not given
 
 
-@dataclass(frozen=True, kw_only=True)
-class CellFlags:
-    """A simulated cell whose cameras watch a robot."""
-
-    cell: Annotated[
-        str | None,
-        Doc("With --follow: this scenario's simulated cameras watch --robot, in place of --left and --right."),
-        Flag(metavar="SCENARIO", panel=SIMULATED),
-    ] = None
-    follow: Annotated[
-        bool,
-        Doc("The arm in --cell's pictures moves as the robot's controller tells its joints."),
-        Flag(panel=SIMULATED),
-    ] = False
-
-    def made(self, tell: Callable[[str], None]) -> str | None:
-        """Return the scenario, None where none is named. Raises UsageError for one flag without the other."""
-        if (self.cell is None) == self.follow:
-            raise UsageError(
-                f"{'--follow' if self.cell is None else '--cell'} is given alone",
-                consequence="Nothing is opened",
-                cure="Give --cell SCENARIO --follow: its simulated cameras watch the joints that the robot tells",
-            )
-        return self.cell
+FollowedCell: TypeAlias = Annotated[
+    str | None,
+    Doc("Simulated cameras of this scenario, in place of --left and --right, watch the joints that the robot tells."),
+    Flag("--follow", metavar="SCENARIO", panel=SIMULATED),
+]
 
 
-FollowedCell: TypeAlias = Annotated[str | None, Flags(CellFlags)]
-"""A scenario whose cameras watch the robot that is moved; None: real cameras."""
-
-
-def refuse_cameras(cell: str, **given: object) -> None:
-    """Raise UsageError for cameras that are named beside a cell, which has its own."""
+def refuse_cameras(follow: str, **given: object) -> None:
+    """Raise UsageError for cameras that are named beside a scenario, which has its own."""
     named = ", ".join(f"--{name}" for name, value in given.items() if value is not None)
     if named:
         raise UsageError(
-            f"{named} is given beside --cell {cell}, which has its own cameras",
+            f"{named} is given beside --follow {follow}, which has its own cameras",
             consequence="Nothing is opened",
-            cure="Leave it out, or --cell and --follow",
+            cure="Leave it out, or --follow",
         )
 
 
@@ -134,7 +111,7 @@ def require_views(left: str | None, right: str | None) -> tuple[str, str]:
         raise UsageError(
             "which cameras see the robot is not said",
             consequence="Nothing is opened",
-            cure="Give --left and --right, or --cell SCENARIO --follow",
+            cure="Give --left and --right, or --follow SCENARIO for simulated ones",
         )
     return left, right
 
@@ -143,14 +120,14 @@ def require_views(left: str | None, right: str | None) -> tuple[str, str]:
 class RobotJob:
     """A robot by what people call it, and what its driver is told; see drivers.link_settings.LinkSettings.
 
-    device: the robot itself and its clock; None: the one that is named. cell: a scenario whose cameras watch it.
+    device: the robot itself and its clock; None: the one that is named. follow: a scenario whose cameras watch it.
     """
 
     robot: RobotName
     robot_settings: RobotSettings = None
     rsi_config: RsiConfig = None
     device: ClockedRobot | None = None
-    cell: str | None = None
+    follow: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -53,11 +53,8 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
 
 
 TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "egm", "rsi"), "rsi", ("egm", "rsi")
-<<<<<<< HEAD
 HAS_RANGES = ("dynamixel", "feetech")
-=======
 TELLS_RANGES = "linuxcnc"
->>>>>>> lcnc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,14 +140,11 @@ def driver_settings(
         )
     if driver in TAKES_ARM and arm is not None:
         settings["arm"] = LinkArm(arm=arm)
-<<<<<<< HEAD
     if driver in HAS_RANGES and arm is not None:
         settings["arm_range"] = (arm.lower.tolist(), arm.upper.tolist())
-=======
     if driver == TELLS_RANGES and arm is not None and not arm.couplings:
         for key, end in (("lower_rad", "lower"), ("upper_rad", "upper")):  # it refuses where its own are others
             settings.setdefault(key, [getattr(joint, end) for joint in arm.joints])
->>>>>>> lcnc
     if rsi_config is not None:
         if driver != TAKES_TAGS:
             raise UsageError(f"{robot} takes no RSI configuration", cure="Omit --rsi-config, or give rsi:UDP_PORT")

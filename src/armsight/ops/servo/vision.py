@@ -333,8 +333,8 @@ def open_servo(
     """
     if isinstance(job.device, ServoDevices):
         return job.device
-    if job.cell is not None:
-        return _following(job, job.cell, arm, cameras, hand, hand_speed_m_s)
+    if job.follow is not None:
+        return _following(job, job.follow, arm, cameras, hand, hand_speed_m_s)
     if job.device is None and job.robot.startswith(SIM):
         refuse_settings(job)
         return _simulated(job.robot, cameras, hand, hand_speed_m_s)

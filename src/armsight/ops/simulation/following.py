@@ -48,6 +48,8 @@ def followed_cell(scenario: str, robot: Robot, clock: Clock, **asked: Any) -> An
     """
     cell = live_cell(scenario, clock, **asked)
     require_joints(cell.robot.n_joints, robot.name, robot.n_joints)
+    with cell.pairs:
+        cell.pairs.pair(0)  # what draws is compiled before a controller waits for answers
     track = JointTrack(robot.n_joints, slots=KEPT)
     listen(robot, track.write)
     cell.robot.follow(when_heard(track, clock))

@@ -153,11 +153,11 @@ def open_supervised(
     """
     if play and not link.robot.startswith(SIM):
         raise UsageError(f"--play is of simulated robots, and {link.robot} is none", cure="Leave --play away")
-    if link.cell is not None:
-        refuse_cameras(link.cell, left=views[0], right=views[1])
-        camera_settings.require_none(f"the simulated cell {link.cell}")
+    if link.follow is not None:
+        refuse_cameras(link.follow, left=views[0], right=views[1])
+        camera_settings.require_none(f"the simulated cell {link.follow}")
         robot = robot_of(link, clock, arm)
-        cell = followed_cell(link.cell, robot, clock)
+        cell = followed_cell(link.follow, robot, clock)
         return Supervised(robot=robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))
     left, right = require_views(*views)
     if link.robot.startswith(SIM):
