@@ -103,7 +103,6 @@ def test_left_out_errors_are_what_the_cramer_rao_bound_predicts() -> None:
     assert 0.91 < np.mean(inside) < 0.985  # 95 %; rows of one calibration hang together
 
 
-
 def test_an_elbow_whose_reading_is_absolute_is_found() -> None:
     rng = np.random.default_rng(3)
     made = cell(rng)
