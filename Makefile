@@ -10,7 +10,7 @@ VERSIONS := 3.11 3.12 3.13
 # one more than two cores: a quarter of the time, tests wait for robots, cameras and browsers
 WORKERS ?= 3
 
-.PHONY: demo test check guides docs install lock packages test-all $(VERSIONS:%=test-%) clean
+.PHONY: demo test check types style guides docs install lock packages test-all $(VERSIONS:%=test-%) clean
 
 demo: $(RUNS)
 	$(BIN)/armsight demo -o demo
@@ -31,10 +31,14 @@ $(VERSIONS:%=test-%): test-%: install
 	.venv-$*/bin/pytest -n $(WORKERS) --dist worksteal -m "not alone"
 	.venv-$*/bin/pytest -m alone
 
-check: install
+check: types style
+
+types: install
+	$(BIN)/mypy
+
+style: install
 	$(BIN)/ruff format --check src sim plant lab tests benchmarks tools examples
 	$(BIN)/ruff check src sim plant lab tests benchmarks tools examples
-	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python tools/structure.py
 	$(BIN)/python tools/ratchet.py

@@ -22,6 +22,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+import lit_rooms
 import warm_python
 
 warm_python.begin()
@@ -43,6 +44,11 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection_finish() -> None:
     """Leave what is there for good out of every collection of garbage from here on."""
     gc.freeze()
+
+
+def pytest_runtest_setup() -> None:
+    """Share the rooms of simulated cells with all other processes, as soon as there may be some."""
+    lit_rooms.share(warm_python.rooms())
 
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 320, 240, 400.0, 0.1

@@ -25,6 +25,8 @@ import traceback
 from pathlib import Path
 from typing import NoReturn
 
+import lit_rooms
+
 FOLDER = "ARMSIGHT_WARM_FOLDER"
 TESTS = "ARMSIGHT_TESTS_PID"
 DARK = "ARMSIGHT_WARM_DARK"
@@ -52,6 +54,11 @@ def begin() -> None:
     if FOLDER not in os.environ:
         os.environ[TESTS], os.environ[FOLDER] = str(os.getpid()), tempfile.mkdtemp(prefix="warm")
         atexit.register(shutil.rmtree, os.environ[FOLDER], ignore_errors=True)
+
+
+def rooms() -> Path:
+    """Return the folder of the rooms that all processes of this run of tests share."""
+    return Path(os.environ[FOLDER]) / "rooms"
 
 
 def commands() -> Path:
@@ -105,6 +112,7 @@ def load_all() -> None:
         if name not in ("kinematics", "room", "simulator", "measure"):  # the first begins threads, others take long
             run()
     warm_up()
+    lit_rooms.share(rooms())
     with tempfile.TemporaryDirectory() as folder:
         for cell in () if DARK in os.environ else ("webcam-cell", "hand-cell"):
             simulate(cell, Path(folder) / cell, frames=1)

@@ -144,34 +144,6 @@ def test_nothing_comes_from_elsewhere(browser: Any, lights: str) -> None:
     page.close()
 
 
-def test_cameras_are_calibrated_by_showing_a_board(browser: Any, console: Any, boards: Any, tmp_path: Path) -> None:
-    """From bare cameras to a rig that is measured with, step by step as the page asks."""
-    address, process = serve(console, tmp_path / "cell", boards.folder / "left", boards.folder / "right")
-    try:
-        page = console.opened(browser, f"{address}/settings")
-        page.fill("[data-testid=field-board]", boards.board)
-        page.click("[data-testid=apply]")
-        page.wait_for_selector("text=In use")
-        page.goto(f"{address}/calibrate")
-        page.wait_for_selector("[data-testid=hint]")
-        assert "Hold the board" in page.inner_text("[data-testid=hint]")
-        page.wait_for_selector("canvas[data-shown]")
-        for _ in range(60):  # a board that stands where one was taken is refused: the pictures come round again
-            page.click("[data-testid=accept]:not([disabled])")
-            page.wait_for_selector("[data-testid=accept]:not([disabled])")
-            if page.locator("td button").count() >= 6:
-                break
-        assert page.locator("td button").count() >= 6, page.inner_text("p[role=alert]")
-        page.click("[data-testid=calibrate]")
-        page.wait_for_selector("[data-testid=verdict]")
-        assert (tmp_path / "cell" / "rig.yaml").exists()
-        page.click("[data-testid=use]")
-        page.wait_for_function("document.querySelector('[data-testid=state]').textContent.length > 3")
-        page.close()
-    finally:
-        console.end(process)
-
-
 def test_wrong_settings_are_told_and_not_used(browser: Any, console: Any, lights: str) -> None:
     page = console.opened(browser, f"{lights}/settings")
     page.fill("[data-testid=field-rig]", "nosuch.yaml")

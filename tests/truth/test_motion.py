@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -95,11 +96,11 @@ def told(states: Sequence[MotionState | None]) -> list[MotionState]:
     return [state for state in states if state is not None]
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize("speed", [0.0, 0.5, 1.0])
 def test_smoothed_poses_are_as_good_as_claimed_at_any_speed(speed: float) -> None:
-    """Three runs of 6 s; poses share views, so that the share inside has a standard deviation of some 2 %."""
+    """Two runs of 6 s; poses share views, so that the share inside has a standard deviation of some 3 %."""
     inside, off = [], []
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng([seed, int(10 * speed)])
         way = path(rng, speed)
         at = np.arange(0.5, 5.5, 1.0 / 30.0)
@@ -113,7 +114,7 @@ def test_smoothed_poses_are_as_good_as_claimed_at_any_speed(speed: float) -> Non
 
 def test_the_onset_of_a_motion_is_covered() -> None:
     inside = []
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         way = path(rng, 0.5, begins_s=2.0)
         states = told(
@@ -222,6 +223,7 @@ def believed(seen: list[View], off: Array) -> list[View]:
     return [replace(view, tau_s=view.tau_s - late[a:b]) for view, a, b in zip(seen, ends, ends[1:], strict=False)]
 
 
+@cache
 def found(seed: int, speed: float) -> tuple[Array, TimingEstimate, Array, Array]:
     """What was off, the estimate, and the squares of the poses' errors over claims with and without the timing's."""
     rng = np.random.default_rng([seed, 14])
@@ -238,14 +240,14 @@ def found(seed: int, speed: float) -> tuple[Array, TimingEstimate, Array, Array]
 
 
 def test_a_moving_target_tells_the_timing_as_well_as_claimed() -> None:
-    """Twenty estimates of four unknowns: the mean of chi-square 4 over 20 has a standard deviation of 0.63."""
+    """Seven estimates of four unknowns: the mean of chi-square 4 over 7 has a standard deviation of 1.1."""
     mahalanobis2, gain = [], []
-    for seed in range(20):
+    for seed in range(7):
         off, timing, _, _ = found(seed, 0.5)
         error = timing.change - off
         mahalanobis2.append(error @ np.linalg.solve(timing.covariance, error))
         gain.append(np.sqrt(timing.covariance[0, 0]) / PRIOR_S)
-    assert 4.0 - 4 * 0.63 < np.mean(mahalanobis2) < 4.0 + 4 * 0.63
+    assert 4.0 - 3 * 1.1 < np.mean(mahalanobis2) < 4.0 + 3 * 1.1
     assert np.median(gain) < 0.2
 
 

@@ -79,9 +79,8 @@ def calibrated(
     return calibrate_arm(nominal or dh_arm("humanoid", LINKS.tolist()), points.take(first), holdout=points.take(rest))
 
 
-@pytest.mark.parametrize("compliance", [3e-4, 6e-4])
-def test_joints_that_sag_are_no_other_arm(compliance: float) -> None:
-    result = calibrated(0, compliance)  # each was refused, for joints that 'move 1.0 and 1.8 % more than they read'
+def test_joints_that_sag_are_no_other_arm() -> None:
+    result = calibrated(0, 6e-4)  # was refused, for joints that 'move 1.8 % more than they read'
     assert result.other_arm is None
     assert result.gain
     assert result.left_after.mean_m < 0.5 * result.left_before.mean_m
@@ -119,9 +118,8 @@ def test_values_and_readings_of_soft_joints_are_inverse() -> None:
     assert soft.readings(rest) == pytest.approx(q, abs=1e-11)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_compliance_is_recovered_within_its_claims(seed: int) -> None:
-    result = calibrated(seed, 4e-4, nominal=with_masses(), zero_rad=2e-3)
+def test_compliance_is_recovered_within_its_claims() -> None:
+    result = calibrated(0, 4e-4, nominal=with_masses(), zero_rad=2e-3)
     arm, std = result.arm, result.std()
     found = [k for k, joint in enumerate(arm.joints) if f"{joint.name}.sag" in result.free]
     assert len(found) >= 3
@@ -139,23 +137,22 @@ def test_deviations_hold_what_the_links_that_are_held_are_off_by(built: float) -
     sags = tuple(f"j{k}.sag" for k in range(2, 7))
     true = compliance * SOFT[1:6] * model.carried[1:6]
     off: tuple[list[float], list[float]] = ([], [])
-    for seed in range(100, 132):
+    for seed in range(100, 114):
         points = measured(seed, compliance, zero_rad=2e-3, built=built).take(np.arange(ROWS))
         zeros = tuple(f"{joint.name}.theta_rad" for joint in arm.joints)
         exact = fit_arm(model, points, start(model, points), (*zeros, *sags), tolerance)
         for found, fitted in zip(off, (exact, with_held_geometry(model, points, exact, tolerance)), strict=True):
             std = fitted.fit.std()
             found += [(fitted.p[model.names.index(name)] - x) / std[name] for name, x in zip(sags, true, strict=True)]
-    assert 0.75 < np.sqrt(np.mean(np.square(off[1]))) < 1.2  # 160 errors: 1 +- 0.06, somewhat alike
+    assert 0.75 < np.sqrt(np.mean(np.square(off[1]))) < 1.2  # 70 errors: 1 +- 0.09, somewhat alike
     assert np.abs(off[1]).max() < 3.5
     if built:
         assert np.sqrt(np.mean(np.square(off[0]))) > 1.4  # links counted as exact
         assert np.abs(off[0]).max() > 4.0
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_stiff_arm_gains_no_compliance(seed: int) -> None:
-    result = calibrated(seed, 0.0, nominal=with_masses())
+def test_a_stiff_arm_gains_no_compliance() -> None:
+    result = calibrated(0, 0.0, nominal=with_masses())
     assert not result.arm.compliant
     assert not [name for name in result.free if name.endswith(".sag")]
 
@@ -170,7 +167,7 @@ def test_file_says_which_way_is_down_only_of_an_arm_with_weights(tmp_path: Path,
         assert (key in content) == result.arm.compliant
 
 
-@pytest.mark.parametrize(("off_m", "told"), [(4e-3, False), (12e-3, True), (25e-3, True)])
+@pytest.mark.parametrize(("off_m", "told"), [(4e-3, False), (12e-3, True)])
 def test_another_length_of_a_soft_arm_is_told(off_m: float, told: bool) -> None:
     arm = with_masses()
     wrong = tuple(replace(joint, d_m=joint.d_m + off_m * (k == 4)) for k, joint in enumerate(arm.joints))

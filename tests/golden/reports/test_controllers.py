@@ -77,14 +77,13 @@ def test_corrections_that_add_up_are_noticed_by_the_probe(tmp_path):
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("turned", ["180", "90"])
-def test_a_hand_eye_turned_round_stops_the_servo(turned, tmp_path):
-    cell = tmp_path / "servo-cell"
+def test_a_hand_eye_turned_round_stops_the_servo(tmp_path):
+    turned, cell = "180", tmp_path / "servo-cell"
 
     def armsight_(*words: object) -> subprocess.CompletedProcess[str]:
         return subprocess.run([ARMSIGHT, *map(str, words)], capture_output=True, text=True, cwd=tmp_path, check=False)
 
-    assert armsight_("simulate", "pachidis2005-static", "-o", cell).returncode == 0
+    assert armsight_("simulate", "pachidis2005-static", "--frames", 1, "-o", cell).returncode == 0
     subprocess.run([sys.executable, case("arms-23") / "turn.py", turned], cwd=tmp_path, check=True)
     given = ("--rig", cell / "rig.yaml", "--target", cell / "target.yaml", "--handeye", f"he-{turned}.yaml")
     motion = ("--hand", "still", "--seconds", "6", "--yes", "-o", "out", "--json")

@@ -964,7 +964,7 @@ def test_a_cut_keeps_its_source_and_tells_that_nothing_was_recorded_then(tmp_pat
     assert armsight.cut_recording(run, tmp_path / "part.mcap", 0.05, 0.25).duration_s == pytest.approx(0.1)
 
 
-COMPILED = ("Camera.project", "Camera.rays", "Rig.project", "triangulate", "Arm.fk", "Arm.jacobian", "Arm.ik")
+COMPILED = ("Camera.project", "Camera.rays", "triangulate", "Arm.fk")
 """What hands arrays to compiled code at once, and compiles in seconds."""
 
 

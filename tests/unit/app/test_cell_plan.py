@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -75,6 +76,13 @@ def scene(cell: Path, limits: Limits = ROOM, **more: object) -> Scene:
     return made
 
 
+@cache
+def quick(cell: Path) -> CellPlan:
+    """Return the motion where nothing stands in the way."""
+    tool = load_arm(str(cell / "arm.yaml")).T_flange_tool
+    return plan_motion(scene(cell), read_target(cell / "target.yaml"), tool, QUICK, start=Q)
+
+
 def tool_and_flange(arm: Arm, q: NDArray[np.float64]) -> NDArray[np.float64]:
     T = arm.fk(arm.values(q))
     flange = T @ arm.T_flange_tool.inv().as_matrix()
@@ -125,7 +133,7 @@ def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard
 
 def test_a_box_in_the_way_is_gone_round(cell: Path, tmp_path: Path) -> None:
     target, arm = read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
-    open_ = plan_motion(scene(cell), target, arm.T_flange_tool, QUICK, start=Q)
+    open_ = quick(cell)
     at = tool_and_flange(arm, open_.motion.q)
     free_start = np.linalg.norm(at - at[0], axis=1) > 0.15
     middle = at[free_start][len(at[free_start]) // 3]
@@ -168,7 +176,7 @@ def test_a_box_that_only_an_elbow_would_hit_is_gone_round_and_one_at_the_start_i
 
 def test_it_tells_more_than_a_motion_through_places_at_random_and_is_the_same_again(cell: Path) -> None:
     made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
-    plan = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+    plan = quick(cell)
     again = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
     assert np.array_equal(plan.motion.q, again.motion.q)
     rng = np.random.default_rng(7)
@@ -212,7 +220,7 @@ def test_places_are_moved_to_where_they_tell_more_within_limits_and_view(
 
 def test_a_second_motion_knows_what_a_first_one_told(cell: Path) -> None:
     made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
-    first = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
+    first = quick(cell)
     model = CellModel(
         recording=SimpleNamespace(
             arm=made.model.recording.arm,

@@ -51,7 +51,7 @@ def test_calibrations_scatter_as_foretold() -> None:
     flange = X * B * Z.inv()
     known = planned_handeye(X, Z, flange, (np.tile(CAMERA, (20, 1, 1)), np.zeros((20, 6, 1))), NOISE)
     errors = []
-    for _ in range(60):
+    for _ in range(30):
         said = [
             moved(flange[k], np.concatenate([rng.normal(0.0, 1e-4, 3), rng.normal(0.0, 2e-4, 3)])) for k in range(20)
         ]
@@ -61,10 +61,10 @@ def test_calibrations_scatter_as_foretold() -> None:
             errors.append(
                 np.concatenate([pose.translation - true.translation, (pose.rotation * true.rotation.inv()).as_rotvec()])
             )
-    rms = np.sqrt(np.mean(np.array(errors).reshape(60, 12) ** 2, axis=0))
+    rms = np.sqrt(np.mean(np.array(errors).reshape(30, 12) ** 2, axis=0))
     ratio = rms / np.sqrt(np.diag(known.covariance))
-    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.15)  # 60 draws of 12 numbers, hanging together
-    assert (np.abs(ratio - 1.0) < 0.35).all()  # each 9 %
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.2)  # 30 draws of 12 numbers, hanging together
+    assert (np.abs(ratio - 1.0) < 0.45).all()  # each 13 %
 
 
 def test_what_all_camera_poses_share_is_taken_up_by_the_rig_s_place() -> None:

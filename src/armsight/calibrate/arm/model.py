@@ -266,9 +266,8 @@ class ArmModel:
     def retract(self, p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
         """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
         out = p + step
-        for k in range(len(self.labels) + 1):
-            at = slice(self.n_geometry + 6 * k + 3, self.n_geometry + 6 * k + 6)
-            out[at] = (Rotation.from_rotvec(step[at]) * Rotation.from_rotvec(np.array(p[at]))).as_rotvec()
+        by, old, new = (v[self.n_geometry :].reshape(-1, 6)[:, 3:] for v in (step, p, out))
+        new[:] = (Rotation.from_rotvec(np.array(by)) * Rotation.from_rotvec(np.array(old))).as_rotvec()
         return out, local + step_local
 
 
