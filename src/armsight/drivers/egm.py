@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.arrays import Array
 from armsight.clock import Clock
 from armsight.drivers.goals import GivenGoals
-from armsight.drivers.link_settings import Positive, UdpSettings
+from armsight.drivers.link_settings import USUAL_JOINTS, Positive, UdpSettings
 from armsight.drivers.pace import LARGEST_M, LARGEST_RAD, ControllerClock
 from armsight.drivers.udp import Sender, UdpRobot
 from armsight.errors import Inconsistent
@@ -235,7 +235,7 @@ class EgmSettings(UdpSettings):
 
     link: ClassVar[str] = "the EGM link"
 
-    joints: Annotated[int, Field(ge=1, le=12)] = 6
+    joints: Annotated[int, Field(ge=1, le=12)] = USUAL_JOINTS
     guidance: Literal["joint", "pose"] = "joint"
     silent_s: Positive = 1.0
 

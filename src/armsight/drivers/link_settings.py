@@ -15,6 +15,8 @@ from armsight.defaults import OPEN_S, STALE_S, TOOL_SPEED_M_S, TOOL_SPEED_RAD_S,
 from armsight.drivers.goals import JointLimits
 from armsight.errors import UsageError
 
+USUAL_JOINTS = 6
+"""Of an arm whose controller is asked for no number of them."""
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 

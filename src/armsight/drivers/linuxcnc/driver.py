@@ -21,7 +21,7 @@ from pydantic import Field
 
 from armsight.arrays import Array
 from armsight.clock import Clock, monotonic_s
-from armsight.drivers.link_settings import Positive, UdpSettings
+from armsight.drivers.link_settings import USUAL_JOINTS, Positive, UdpSettings
 from armsight.drivers.linuxcnc.machine import Machine, check_machine, check_ranges, parse
 from armsight.drivers.pace import LARGEST_RAD, ControllerClock
 from armsight.drivers.udp import Sender, UdpRobot, udp_port
@@ -41,6 +41,8 @@ WHY = {
     3: "LinuxCNC did not take what it was sent (a limit, a hold), and stands elsewhere",
 }
 STOPPED = 2
+SILENT_S = 0.075
+"""Within the ten cycles of 8 ms after which a link has to be lost."""
 MOVING = "LinuxCNC's joints have not come to rest yet"
 
 
@@ -91,8 +93,8 @@ class LinuxcncSettings(UdpSettings):
 
     cycle_s: Positive = 0.008
     stale_s: Positive = 0.04
-    silent_s: Positive = 0.075
-    joints: Annotated[int, Field(ge=1, le=9)] = 6
+    silent_s: Positive = SILENT_S
+    joints: Annotated[int, Field(ge=1, le=9)] = USUAL_JOINTS
     linear: list[int] = Field(default_factory=list)
     units: Literal["mm", "inch"] = "mm"
     kinematics: str = ""

@@ -12,6 +12,8 @@ from armsight.drivers.link_settings import LinkSettings
 from armsight.drivers.servo_bus.calibration import JointOfServo, given_joints, read_lerobot
 from armsight.drivers.servo_bus.tables import Family
 
+BAUD = 1_000_000
+"""As these servos are sold and as their usual programs set them."""
 IDS = [1, 2, 3, 4, 5, 6]
 
 
@@ -25,7 +27,7 @@ class ServoSettings(LinkSettings):
 
     link: ClassVar[str] = "the servo bus"
 
-    baud: Annotated[int, Field(ge=9600)] = 1_000_000
+    baud: Annotated[int, Field(ge=9600)] = BAUD
     cycle_s: Annotated[float, Field(ge=0.005, le=0.1)] = SERVO_CYCLE_S
     calibration: Path | None = None
     ids: Annotated[list[Annotated[int, Field(ge=0, le=252)]], Field(min_length=1)] | None = None
