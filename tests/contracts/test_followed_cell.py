@@ -22,6 +22,7 @@ from armsight.ops.identification.live import open_devices
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.following import followed_cell
 from armsight.ops.simulation.scenarios import load_scenario, with_arm
+from armsight.records import JointReading
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.yamls import dump_yaml
@@ -41,7 +42,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scenario")
     mapping = small_arm().mapping(small_arm().T_world_base)
     write_arm(folder / "arm.yaml", arm_from_mapping({"format": "armsight/arm", "version": 1, **mapping}, "small"))
-    model, _ = with_arm("webcam-cell", load_scenario("webcam-cell")[0], str(folder / "arm.yaml"), None)
+    model, _ = with_arm("webcam-cell", str(folder / "arm.yaml"), None)
     keys = model.model_dump() | {"room": "dark"}
     keys["cameras"] |= {"width": 640, "height": 360}
     for side in ("left", "right"):
@@ -148,8 +149,8 @@ def test_packets_that_come_late_are_taken_for_when_they_were_sent() -> None:
     for k in range(2000):
         sent_s = 500.0 + 0.004 * k * (1.0 + 5e-5)
         late_s = 2e-4 + 1e-4 * rng.random() + (0.03 * rng.random() if rng.random() < 0.5 else 0.0)
-        clock.hear(0.004 * k, k, sent_s + late_s)
-        off.append(0.004 * k + (clock.ahead_s or 0.0) - sent_s)
+        clock.heard = lambda t_s, q, sent_s=sent_s: off.append(t_s - sent_s)
+        clock.hear(0.004 * k, k, sent_s + late_s, JointReading(q=np.zeros(2), t_s=0.0, sequence=k, source="link"))
     assert max(np.abs(off[200:])) < 6e-4
 
 
@@ -188,7 +189,7 @@ joints:
 def test_an_arm_of_another_convention_is_seen_as_it_is(tmp_path: Path) -> None:
     """Its flange in the scenario is where Craig's own factors put it, but for one turn and way at its end."""
     (tmp_path / "arm.yaml").write_text(CRAIG)
-    model, text = with_arm("webcam-cell", load_scenario("webcam-cell")[0], str(tmp_path / "arm.yaml"), None)
+    model, text = with_arm("webcam-cell", str(tmp_path / "arm.yaml"), None)
     keys = yaml.safe_load(CRAIG)
     arm = robotics(model, 1).true
     ends = []
@@ -209,11 +210,10 @@ def test_an_arm_of_another_convention_is_seen_as_it_is(tmp_path: Path) -> None:
 
 def test_an_arm_that_no_camera_would_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """In its own way on every side, with its home beyond a range, or under cameras that it carries itself."""
-    webcam = load_scenario("webcam-cell")[0]
     with refuses(UsageError, "home position"):
-        with_arm("webcam-cell", webcam, "irb120", "0,2.5,0,0,0,0")
+        with_arm("webcam-cell", "irb120", "0,2.5,0,0,0,0")
     with refuses(UsageError, "on the arm"):
-        with_arm("pachidis2005-static", load_scenario("pachidis2005-static")[0], "irb120", None)
+        with_arm("pachidis2005-static", "irb120", None)
     monkeypatch.setattr("armsight_sim.refit.covered", lambda *_: True)
     with refuses(Inconsistent, "hides its flange"):
-        with_arm("webcam-cell", webcam, "irb120", None)
+        with_arm("webcam-cell", "irb120", None)
