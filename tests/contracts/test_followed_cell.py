@@ -8,17 +8,30 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.app.operator.robot_cell import scenario_of
+from armsight.clock import ManualClock
+from armsight.drivers import AUTOMATIC
+from armsight.drivers.pace import ControllerClock
+from armsight.errors import DeviceLost, Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Setup, measure_pair
+from armsight.ops.identification.live import open_devices
+from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.following import followed_cell
 from armsight.ops.simulation.scenarios import load_scenario, with_arm
+from armsight.records import JointReading
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.yamls import dump_yaml
+from armsight_sim.devices import sim_robot
+from armsight_sim.scenario_builder import robotics
 from armsight_sim.twins.base import small_arm
+from refusals import refuses
 
+LIGHT = target_from_mapping({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}}, "light")
 SPEED_RAD_S = np.deg2rad(15.0)
 PAIRS = 24
 
@@ -29,7 +42,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scenario")
     mapping = small_arm().mapping(small_arm().T_world_base)
     write_arm(folder / "arm.yaml", arm_from_mapping({"format": "armsight/arm", "version": 1, **mapping}, "small"))
-    model, _ = with_arm("webcam-cell", load_scenario("webcam-cell")[0], str(folder / "arm.yaml"), None)
+    model, _ = with_arm("webcam-cell", str(folder / "arm.yaml"), None)
     keys = model.model_dump() | {"room": "dark"}
     keys["cameras"] |= {"width": 640, "height": 360}
     for side in ("left", "right"):
@@ -114,3 +127,93 @@ def test_readings_as_they_come_would_not_do(make_egm: Any, scenario: Path, how: 
     with pair.robot:
         rms = np.sqrt(np.mean(errors(pair, scenario, NOT_BETWEEN[how]) ** 2))
     assert rms > 2.0, f"{rms:.2f} of the cameras' own deviations"
+
+
+def test_nothing_is_guessed_beyond_what_was_heard(make_egm: Any, scenario: Path) -> None:
+    """A picture waits for the joints of its exposure; where none come it is told."""
+    pair = make_egm()
+    with pair.robot:
+        cell = followed_cell(str(scenario), pair.robot, pair.clock)
+        pair.advance(0.1)
+        with cell.pairs as pairs:
+            pair.advance(0.1)
+            assert len(pairs.pair(2)) == 2
+            pair.twin.fault("silent")
+            with refuses(DeviceLost, "told no joints"):
+                pairs.pair(60)
+
+
+def test_packets_that_come_late_are_taken_for_when_they_were_sent() -> None:
+    """By the controller's stamps: delays of up to 30 ms do not move the arm in the pictures, and clocks may drift."""
+    clock, rng, off = ControllerClock(0.004, numbered=True), np.random.default_rng(3), []
+    for k in range(2000):
+        sent_s = 500.0 + 0.004 * k * (1.0 + 5e-5)
+        late_s = 2e-4 + 1e-4 * rng.random() + (0.03 * rng.random() if rng.random() < 0.5 else 0.0)
+        clock.heard = lambda t_s, q, sent_s=sent_s: off.append(t_s - sent_s)
+        clock.hear(0.004 * k, k, sent_s + late_s, JointReading(q=np.zeros(2), t_s=0.0, sequence=k, source="link"))
+    assert max(np.abs(off[200:])) < 6e-4
+
+
+def test_who_cannot_be_followed_is_refused(make_egm: Any, scenario: Path) -> None:
+    robot = make_egm().robot
+    clock = ManualClock()
+    with refuses(UsageError, "brings its own cameras"):
+        followed_cell(
+            str(scenario), sim_robot("", settings=load_scenario("webcam-cell")[0].model_dump(), clock=clock), clock
+        )
+    with refuses(Inconsistent, "has 3 joints", "has 6", "armsight simulate"):
+        followed_cell("kapucu2005-rrp", robot, clock)
+    job = RobotJob(robot="egm:6510", follow=str(scenario))
+    with refuses(UsageError, "--left", "its own cameras"):
+        open_devices(job, ("camera:0", None), AUTOMATIC, LIGHT, clock)
+    with refuses(UsageError, "--follow SCENARIO"):
+        open_devices(RobotJob(robot="egm:6510"), (None, None), AUTOMATIC, LIGHT, clock)
+    with refuses(UsageError, "brings its own cameras"):
+        scenario_of(RobotJob(robot="sim:webcam-cell", follow=str(scenario)))
+
+
+CRAIG = """
+format: armsight/arm
+version: 1
+name: craig
+convention: craig
+T_world_base: {xyz_m: [0.3, -0.2, 0.1], quat_xyzw: [0.0, 0.0, 0.3826834, 0.9238795]}
+joints:
+- {name: j1, type: revolute, a_m: 0.0, alpha_rad: 0.0, d_m: 0.67, theta_rad: 0.1, lower: -2.0, upper: 2.0}
+- {name: j2, type: revolute, a_m: 0.02, alpha_rad: -1.5707963, d_m: 0.0, theta_rad: 0.0, lower: -2.0, upper: 2.0}
+- {name: j3, type: revolute, a_m: 0.43, alpha_rad: 0.01, d_m: -0.14, theta_rad: -0.2, lower: -2.0, upper: 2.0}
+- {name: j4, type: prismatic, a_m: 0.05, alpha_rad: 1.2, d_m: 0.1, theta_rad: 0.0, lower: 0.0, upper: 0.4}
+"""
+
+
+def test_an_arm_of_another_convention_is_seen_as_it_is(tmp_path: Path) -> None:
+    """Its flange in the scenario is where Craig's own factors put it, but for one turn and way at its end."""
+    (tmp_path / "arm.yaml").write_text(CRAIG)
+    model, text = with_arm("webcam-cell", str(tmp_path / "arm.yaml"), None)
+    keys = yaml.safe_load(CRAIG)
+    arm = robotics(model, 1).true
+    ends = []
+    for q in np.random.default_rng(4).uniform([-1, -1, -1, 0], [1, 1, 1, 0.4], (5, 4)):
+        T = np.eye(4)
+        for joint, value in zip(keys["joints"], q, strict=True):
+            slides = joint["type"] == "prismatic"
+            turn, way = (joint["theta_rad"] + (0 if slides else value)), joint["d_m"] + (value if slides else 0)
+            for turned, along in (((joint["alpha_rad"], 0, 0), (joint["a_m"], 0, 0)), ((0, 0, turn), (0, 0, way))):
+                step = np.eye(4)
+                step[:3, :3], step[:3, 3] = Rotation.from_rotvec(turned).as_matrix(), along
+                T = T @ step
+        ends.append(np.linalg.inv(T) @ arm.flange(q).as_matrix())
+    assert np.ptp(ends, axis=0) == pytest.approx(0.0, abs=1e-9), "the same at every posture"
+    assert np.asarray(arm.T_world_base.translation) == pytest.approx([0.3, -0.2, 0.1])
+    assert "T_base_frame0" in text
+
+
+def test_an_arm_that_no_camera_would_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In its own way on every side, with its home beyond a range, or under cameras that it carries itself."""
+    with refuses(UsageError, "home position"):
+        with_arm("webcam-cell", "irb120", "0,2.5,0,0,0,0")
+    with refuses(UsageError, "on the arm"):
+        with_arm("pachidis2005-static", "irb120", None)
+    monkeypatch.setattr("armsight_sim.refit.covered", lambda *_: True)
+    with refuses(Inconsistent, "hides its flange"):
+        with_arm("webcam-cell", "irb120", None)

@@ -194,8 +194,7 @@ def console(
         check_options(options)
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
         changed = {name: value for name, value in given.items() if value is not None}
-        job = _of_robot(robot, robot_settings, rsi_config, follow)
-        if job is None:
+        if (job := _of_robot(robot, robot_settings, rsi_config, follow)) is None:
             _without_robot(face, folder, changed, options, page)
         else:
             serve_cell(face, job, folder, changed, options, page)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
 from typing import Self
@@ -21,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.clock import Clock, StandStill
 from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals, between
-from armsight.drivers.pace import ControllerClock, LinkTimes, Pace
+from armsight.drivers.pace import ControllerClock, Heard, LinkTimes, Pace
 from armsight.drivers.proof import Probe, Proof, ProofState, Standing, joint_probe
 from armsight.drivers.protocols import PROVING, RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
@@ -74,7 +73,6 @@ class CyclicRobot(ABC):
         self._proof, self._standing = Proof(times.cycle_s), Standing(times.cycle_s)
         self._base_q, self._wrong = self._goals.sent, False
         self._controller_clock = ControllerClock(times.cycle_s, numbered=False)
-        self._listener: Callable[[float, Array], object] | None = None
 
     @property
     def n_joints(self) -> int:
@@ -181,13 +179,9 @@ class CyclicRobot(ABC):
             self._ticked.wait_for(lambda: self._pace.steps > max(after, self._pace.asked), wait_s)
             return self._pace
 
-    def listen(self, heard: Callable[[float, Array], object]) -> None:
-        """Tell `heard` of each reading q (n,), in the link's thread, with when it was sent.
-
-        That is on this computer's clock by the controller's own stamps: packets that a network or a busy computer
-        delayed are not late.
-        """
-        self._listener = heard
+    def listen(self, heard: Heard) -> None:
+        """Tell `heard`, in the link's thread, of each reading q (n,) and when the controller's stamps say it was sent."""
+        self._controller_clock.heard = heard
 
     def slow_down(self, max_speed: Array) -> None:
         """Let no joint go faster than max_speed (n,) in rad/s or m/s, whoever asks; it is never faster than before."""
@@ -269,13 +263,10 @@ class CyclicRobot(ABC):
 
     def _hear_clock(self, stamp_s: float, number: int) -> None:
         """Note the controller's clock; stop where it jumps or its cycle is not what the link is set to."""
-        jump = self._controller_clock.hear(stamp_s, number, self._clock.now_s())
+        jump = self._controller_clock.hear(stamp_s, number, self._clock.now_s(), self._reading)
         wrong = self._controller_clock.wrong if self._controller_clock.sure else ""
         if self._open and not self._wrong and (jump or wrong):
             self._refuse(jump or f"{wrong}: {self._controller_clock.cure}")
-        ahead_s, reading = self._controller_clock.ahead_s, self._reading
-        if self._listener is not None and ahead_s is not None and reading is not None:
-            self._listener(stamp_s + ahead_s, reading.q)
 
     def _measured(self) -> bool:
         return self._controller_clock.measured_s is not None

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
+from armsight.records import JointReading
 from armsight.units import MS
 
 
@@ -111,6 +113,10 @@ NEARLY = 0.9
 """A step is allowed where so much of a cycle has passed; stamps in whole ms are rounded."""
 
 
+Heard: TypeAlias = Callable[[float, Array], object]
+"""Is told of a reading: when it was sent, on this computer's clock, and its joints (n,)."""
+
+
 class ControllerClock:
     """What is known of a controller's time from the stamps of its packets. numbered: packets tell their cycle's number.
 
@@ -120,6 +126,7 @@ class ControllerClock:
 
     def __init__(self, cycle_s: float, *, numbered: bool, own: bool = False) -> None:
         self._cycle_s, self._numbered, self._own = cycle_s, numbered, own
+        self.heard: Heard | None = None
         self.start()
 
     def start(self) -> None:
@@ -167,8 +174,12 @@ class ControllerClock:
         """Whether what is wrong with the cycle is no chance of few packets."""
         return len(self._packets) == SEEN
 
-    def hear(self, stamp_s: float, number: int, now_s: float) -> str:
-        """Take a packet's stamp in s and number, come at now_s; return how its clock jumped, empty where it did not."""
+    def hear(self, stamp_s: float, number: int, now_s: float, reading: JointReading | None = None) -> str:
+        """Take a packet's stamp in s and number, come at now_s; return how its clock jumped, empty where it did not.
+
+        Its reading is told to `heard` as of when it was sent: by its stamp, and by how much this computer's clock is
+        ahead of the stamps of packets that came soonest. What a network or a busy computer held back is not late.
+        """
         jump = ""
         if self._packets:
             last_s, last_number = self._packets[-1]
@@ -183,12 +194,9 @@ class ControllerClock:
             leak_s = DRIFT * (passed_s if self._packets else 0.0)
             self._least_s = age_s if self._least_s is None else min(self._least_s + leak_s, age_s)
         self._packets.append((stamp_s, number))
+        if self.heard is not None and reading is not None and self._least_s is not None:
+            self.heard(stamp_s + self._least_s, reading.q)
         return jump
-
-    @property
-    def ahead_s(self) -> float | None:
-        """This computer's clock minus the controller's, by the packet that came soonest; None before the first."""
-        return self._least_s
 
     def take_step(self) -> bool:
         """Tell whether its time allows one more step, and count that."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from armsight.control.guard.limits import JointBounds
-from armsight.control.paths.linuxcnc import MARGIN, STOP_S, Axes, LinuxcncPlan
+from armsight.control.paths.linuxcnc import MARGINS, STOP_S, Axes, LinuxcncPlan
 from armsight.control.paths.program import ascii_only, decimals, weld_state
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
@@ -90,8 +90,11 @@ def _guards(plan: LinuxcncPlan, axes: Axes) -> list[str]:
         quick = [f"#<_ini[AXIS_{one}]MAX_ACCELERATION>{scale} GT {1.0001 * most:.6g}" for one in letters]
         told = f"MAX_ACCELERATION of {' '.join(letters)} is more than the planned {most:.6g} {unit}"
         lines += _ended(number, quick, told)
-    for number, key, values in ((5, "MAX_VELOCITY", plan.speed), (6, "MAX_ACCELERATION", plan.acceleration)):
-        planned = enumerate((MARGIN * np.rad2deg(values)).tolist())
+    for number, key, values, margin in (
+        (5, "MAX_VELOCITY", plan.speed, MARGINS[0]),
+        (6, "MAX_ACCELERATION", plan.acceleration, MARGINS[1]),
+    ):
+        planned = enumerate((margin * np.rad2deg(values)).tolist())
         less = [f"#<_ini[JOINT_{j}]{key}> LT {value:.6g}" for j, value in planned]
         lines += _ended(number, less, f"a joint will need more than its {key}: see the head of this program")
     return lines

@@ -35,8 +35,8 @@ all of the acceleration while the one before slows down with half of it (seen: 3
 TURNED = 3.0
 """A B C together may turn so many times as far as the tool: near B = 90 degrees A and C turn against each other."""
 NEVER = 1e-9
-MARGIN = 1.06
-"""What LinuxCNC does beyond what is worked out: seen up to 1.01 times the speed and 1.05 times the acceleration."""
+MARGINS = 1.03, 1.2
+"""What LinuxCNC may do beyond what is worked out: seen up to 1.01 times the speed and 1.10 times the acceleration."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,10 +137,10 @@ def require_kept(plan: LinuxcncPlan, arm: Arm, bounds: JointBounds, nearest: flo
                 f"{bounds.lower[j] / DEG:.1f} to {bounds.upper[j] / DEG:.1f}"
             )
         for what, value, most, unit in (
-            ("run at", plan.speed[j], bounds.speed[j], "deg/s"),
-            ("accelerate at", plan.acceleration[j], bounds.acceleration[j], "deg/s^2"),
+            ("run at", MARGINS[0] * plan.speed[j], bounds.speed[j], "deg/s"),
+            ("accelerate at", MARGINS[1] * plan.acceleration[j], bounds.acceleration[j], "deg/s^2"),
         ):
-            if MARGIN * value > most:
+            if value > most:
                 said.append(f"{joint.name} would {what} {value / DEG:.1f} {unit}, {most / DEG:.1f} are allowed")
     if plan.singular < nearest:
         said.append(f"it would pass {plan.singular:.3g} from a singularity, {nearest:.3g} is kept")

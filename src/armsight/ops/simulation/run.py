@@ -78,41 +78,24 @@ def simulate(
     the disk refuses, Cancelled.
     """
     progress = progress or Silent()
-    own = scenario not in scenario_names() and (scenario in known(CELLS) or scenario in known(SETS))
-    if (home is not None and arm is None) or (own and arm is not None):
-        raise UsageError(
-            f"{scenario} has no arm that could be another" if own else "a home position is given, and no arm",
-            consequence="Nothing is simulated",
-            cure="Give --arm with a scenario whose cameras stand beside an arm, such as webcam-cell",
-        )
+    require_arm(scenario, arm, home)
     if scenario in known(CELLS) and scenario not in scenario_names():
         return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, room, zoom, progress)
     if scenario in known(SETS):
         require_own(scenario, room, zoom)
         return simulate_set(scenario, out, seed=1 if seed is None else seed, size=frames, progress=progress)
-    model, text = load_scenario(scenario)
-    if arm is not None:
-        model, text = with_arm(scenario, model, arm, home)
+    model, text = load_scenario(scenario) if arm is None else with_arm(scenario, arm, home)
     chosen = None if room is None else room_choice(room)
     world = build_world(scenario, model, seed=seed, frames=frames, room=chosen, zoom=zoom)
     settled = settled_text(text, seed=world.seed, frames=world.n_frames, room=chosen, zoom=zoom)
     write_text(out / "scenario.yaml", settled)
     write_world_files(world, out)
-    for view in world.views:
-        (out / view).mkdir(parents=True, exist_ok=True)
-    done, total = 0, len(world.kept)
-    for done, seen in enumerate(world.frames(), start=1):
-        for view, frame in zip(world.views, seen, strict=True):
-            write_png(out / view / f"{frame.sequence:06d}.png", frame)
-        progress.update(done, total)
-        if progress.cancelled():
-            write_world_files(world, out, frames=done)
-            raise Cancelled(f"stopped after {done} frames", consequence=f"They and their tables are in {out}")
+    done = _write_frames(world, out, progress)
     return SimulateOutput(
         scenario=model.name,
         seed=world.seed,
         n_frames=done,
-        n_dropped=world.n_frames - total,
+        n_dropped=world.n_frames - len(world.kept),
         views=list(world.views),
         out=str(out),
     )
@@ -234,6 +217,32 @@ def simulate_set(name: str, out: Path, *, seed: int, size: int | None, progress:
         out=str(out),
         commands=list(made.commands),
     )
+
+
+def _write_frames(world: Any, out: Path, progress: Progress) -> int:
+    """Write the frames of a world and return how many. Raises Cancelled, with the tables of those until then."""
+    for view in world.views:
+        (out / view).mkdir(parents=True, exist_ok=True)
+    done, total = 0, len(world.kept)
+    for done, seen in enumerate(world.frames(), start=1):
+        for view, frame in zip(world.views, seen, strict=True):
+            write_png(out / view / f"{frame.sequence:06d}.png", frame)
+        progress.update(done, total)
+        if progress.cancelled():
+            write_world_files(world, out, frames=done)
+            raise Cancelled(f"stopped after {done} frames", consequence=f"They and their tables are in {out}")
+    return done
+
+
+def require_arm(scenario: str, arm: str | None, home: str | None) -> None:
+    """Raise UsageError for another arm in what has none, and for a home position without an arm."""
+    alone = scenario not in scenario_names() and (scenario in known(CELLS) or scenario in known(SETS))
+    if (home is not None and arm is None) or (alone and arm is not None):
+        raise UsageError(
+            f"{scenario} has no arm that could be another" if alone else "a home position is given, and no arm",
+            consequence="Nothing is simulated",
+            cure="Give --arm with a scenario whose cameras stand beside an arm, such as webcam-cell",
+        )
 
 
 def require_own(name: str, room: str | None, zoom: float | None) -> None:

@@ -72,16 +72,16 @@ def scenario_model(content: Mapping[str, Any], where: str) -> Any:
     return validated(load(SCENARIOS, MODEL), content, where)
 
 
-def with_arm(name: str, model: Any, arm: str, home: str | None) -> tuple[Any, str]:
+def with_arm(name: str, arm: str, home: str | None) -> tuple[Any, str]:
     """Return a scenario with another arm, of load_arm, before its cameras, and its text.
 
     home: readings at which the cameras see it, as text or in a file; None: where a twin of it stands first. Raises
     UsageError for an arm that cannot be simulated, Inconsistent where its lights cannot be seen.
     """
+    model, _ = load_scenario(name)
     known = in_convention(load_arm(arm), "standard")
     stand = None if home is None else reading_values(known, home).tolist()
-    with named(f"the scenario {name}"):
-        keys = load(SCENARIOS, WITH_ARM)(model, arm_mapping(known), stand)
+    keys = load(SCENARIOS, WITH_ARM)(model, arm_mapping(known), stand)
     made = scenario_model(keys, f"the scenario {name} with {arm}")
     return made, dump_yaml(keys)
 
