@@ -88,6 +88,7 @@ NOT_HERE: Mapping[str, str] = {
     "--white-balance": "a camera that takes exposure, gain, focus and white balance; simulated ones take none",
     "--with gamepad": "a gamepad",
     "broker.example": "a broker of the plant",
+    "/dev/ttyACM0": "an arm of bus servos",
 }
 """Part of a command -> what it needs that is not here."""
 

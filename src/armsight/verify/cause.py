@@ -125,31 +125,8 @@ def find_cause(case: Case, aligned: ModelFit, speed: Array | None, acceleration:
     offered = [e for e in effects(case.bare, case.q, speed, acceleration) if able[e.joint] or e.kind is not Kind.ZERO]
     trial = _best_effect(case, aligned, offered)
     cause = _decide(case, aligned, trial, judged, share)
-    return replace(cause, joints=_with_backlash(cause.joints, trial.before, offered, np.flatnonzero(able)))
-
-
-def _with_backlash(
-    judged: tuple[JointVerdict, ...], evidence: Evidence, offered: list[Effect], able: NDArray[np.intp]
-) -> tuple[JointVerdict, ...]:
-    """Return the joints with the backlash of each that came from both sides, whatever the cause is.
-
-    All are fitted at once, beside base, tool, the zeros that can be told, the geometry within its tolerances, and what
-    else joints may have wrong: the side that a joint came from goes with its reading, as sag and gears do. The
-    deviations are those of the scatter that this leaves, of rows that hang together.
-    """
-    played = [effect for effect in offered if effect.kind is Kind.BACKLASH]
-    if not played:
-        return judged
-    beside = [effect for effect in offered if effect.kind in (Kind.LOAD, Kind.ECCENTRICITY, Kind.SCALE)]
-    columns = np.concatenate([evidence.columns(effect) for effect in (*played, *beside)], axis=2)
-    fit = evidence.with_geometry(columns, evidence.joints[:, :, able])
-    freedom = max(evidence.linear.residual.size - fit.rank, 1)
-    scatter = fit.squares / freedom * evidence.linear.inflation
-    out = list(judged)
-    for k, effect in enumerate(played):
-        std = float(np.sqrt(scatter * fit.covariance[k, k]))
-        out[effect.joint] = replace(out[effect.joint], backlash=(float(fit.values[k]), std))
-    return tuple(out)
+    played = trial.before.backlash(offered, np.flatnonzero(able))
+    return replace(cause, joints=tuple(replace(v, backlash=played.get(i)) for i, v in enumerate(cause.joints)))
 
 
 def _too_little(case: Case, able: NDArray[np.bool_]) -> str:

@@ -3,6 +3,7 @@ compared on rows left out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from armsight.fitting.groups import inflation, without
 from armsight.fitting.quantiles import chi2_sf, t_sf
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
-from armsight.verify.effects import Effect
+from armsight.verify.effects import Effect, Kind
 from armsight.verify.model import Expected, Model, ModelFit, Mounts, Noise, fit_model
 from armsight.verify.records import Measured
 
@@ -113,6 +114,23 @@ class Evidence:
         added = np.concatenate([*more, self.geometry], axis=2)
         free = np.full(added.shape[2] - len(self.tolerance), np.inf)
         return fit_linear(self.linear, added, np.concatenate([free, self.tolerance]))
+
+    def backlash(self, offered: Sequence[Effect], able: NDArray[np.intp]) -> dict[int, tuple[float, float]]:
+        """Return the backlash of each joint (from 0) that came from both sides: rad or m, and its deviation.
+
+        All are fitted at once, beside base, tool, the zeros that can be told, the geometry within its tolerances, and
+        what else joints may have wrong: the side that a joint came from goes with its reading, as sag and gears do. The
+        deviations are those of the scatter that this leaves, of rows that hang together.
+        """
+        played = [effect for effect in offered if effect.kind is Kind.BACKLASH]
+        if not played:
+            return {}
+        beside = [effect for effect in offered if effect.kind in (Kind.LOAD, Kind.ECCENTRICITY, Kind.SCALE)]
+        columns = np.concatenate([self.columns(effect) for effect in (*played, *beside)], axis=2)
+        fit = self.with_geometry(columns, self.joints[:, :, able])
+        scatter = fit.squares / max(self.linear.residual.size - fit.rank, 1) * self.linear.inflation
+        std = np.sqrt(scatter * np.diag(fit.covariance))
+        return {effect.joint: (float(fit.values[k]), float(std[k])) for k, effect in enumerate(played)}
 
 
 def _columns(case: Case, q: Array, mounts: Mounts) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
