@@ -88,6 +88,8 @@ NOT_HERE: Mapping[str, str] = {
     "--white-balance": "a camera that takes exposure, gain, focus and white balance; simulated ones take none",
     "--with gamepad": "a gamepad",
     "broker.example": "a broker of the plant",
+    "--touch touch.csv": "an arm whose tip is put on spikes; simulated ones touch in tests/truth/touch_world.py",
+    "--target-height": "an arm that cannot tilt its hand",
 }
 """Part of a command -> what it needs that is not here."""
 
