@@ -400,6 +400,13 @@ def test_what_may_drift_has_one_name_whatever_found_it():
     assert [(one.name, one.std) for one in parameters_of(stereo, None).quantities] == [("baseline_m", 1e-5)]
     tip = {"tip_m": [0.0, 0.0, 0.1], "std": {"x_m": 1e-4, "y_m": 1e-4, "z_m": 1e-4}}
     assert [one.name for one in parameters_of(tip, None).quantities] == ["tip.x_m", "tip.y_m", "tip.z_m"]
+    drifting = {"value": 4e-4, "std": None, "note": "the visits drift by 0.45 mm"}
+    norm = {
+        "iso9283": {"AP_m": {"value": 3e-4, "std": 2e-5}, "RP_m": drifting, "AP_m P1": {"value": 3e-4, "std": 2e-5}}
+    }
+    assert [(one.name, one.value, one.std, one.unit) for one in parameters_of(norm, None).quantities] == [
+        ("AP_m", 3e-4, 2e-5, "m")
+    ]
     joint = {"type": "revolute", "theta_rad": 0.1, "std": {"theta_rad": 1e-4}}
     assert parameters_of({"joints": [joint, {**joint, "type": "prismatic"}]}, None).joints == "RP"
 

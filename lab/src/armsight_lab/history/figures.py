@@ -127,7 +127,7 @@ class Parameters:
 
 def parameters_of(result: Content, arm: Arm | None) -> Parameters:
     """Return what a result says, as its JSON object holds it; arm: the one that was calibrated, where one was."""
-    found = [*_scalars(result), *_tip(result)]
+    found = [*_scalars(result), *_tip(result), *_of_the_norm(result)]
     poses = tuple(_poses(result))
     if arm is not None:
         own = of_arm(arm)
@@ -184,6 +184,15 @@ def _tip(result: Content) -> Iterator[Quantity]:
     tip, stds = result.get("tip_m"), result.get("std")
     if isinstance(tip, list) and len(tip) == len(POSITION) and isinstance(stds, Mapping):
         yield from point_named("tip", tip, stds).quantities
+
+
+def _of_the_norm(result: Content) -> Iterator[Quantity]:
+    """Yield accuracy and repeatability of pose (ISO 9283), worst place; none whose visits drift, as it has no std."""
+    figures = result.get("iso9283")
+    for key in ("AP_m", "RP_m") if isinstance(figures, Mapping) else ():
+        one = figures.get(key)
+        if isinstance(one, Mapping) and number(one.get("value")) is not None and number(one.get("std")) is not None:
+            yield _quantity(key, one["value"], one["std"])
 
 
 def _poses(result: Content) -> Iterator[StoredPose]:
