@@ -308,7 +308,7 @@ def test_a_scheduler_that_is_not_there_or_of_other_software_is_told(monkeypatch:
 
 
 def test_a_job_files_its_result_in_the_history(armsight: Any, tmp_path: Path) -> None:
-    assert armsight("simulate", "handeye", "-o", str(tmp_path / "set")).code == 0
+    assert armsight("simulate", "handeye", "--frames", 8, "-o", tmp_path / "set").code == 0
     history = str(tmp_path / "cells.sqlite")
     words = ["--pairs", str(tmp_path / "set" / "pairs.csv"), "--cell", "weld-3", "--history", history]
     (folder := tmp_path / "job").mkdir()
@@ -341,7 +341,7 @@ def test_results_that_could_not_be_filed_are_told(
     armsight: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert armsight("simulate", "handeye", "-o", "set").code == 0
+    assert armsight("simulate", "handeye", "--frames", 8, "-o", "set").code == 0
     (tmp_path / "bad.sqlite").write_text("no database")
     written(tmp_path, "name,command,pairs,cell,history\na,calibrate handeye,set/pairs.csv,weld-3,bad.sqlite\n")
     done = armsight("batch", "jobs.csv", "-o", "out")
