@@ -88,12 +88,9 @@ NOT_HERE: Mapping[str, str] = {
     "--white-balance": "a camera that takes exposure, gain, focus and white balance; simulated ones take none",
     "--with gamepad": "a gamepad",
     "broker.example": "a broker of the plant",
-<<<<<<< HEAD
     "/dev/ttyACM0": "an arm of bus servos",
-=======
     "--touch touch.csv": "an arm whose tip is put on spikes; simulated ones touch in tests/truth/touch_world.py",
     "--target-height": "an arm that cannot tilt its hand",
->>>>>>> touch
 }
 """Part of a command -> what it needs that is not here."""
 

@@ -283,13 +283,8 @@ def _result(
     widen = float(t_ppf(0.975, dof) / t_ppf(0.975, np.inf))
     open_m, open_rad = (Part(size=size, deviation=float("inf")) for size in found.noise)
     rejected = tuple(
-<<<<<<< HEAD
-        RejectedPair(row=int(i) + 1, name=pairs.names[i], why=f"off by {_off(left_out[i])}")
-        for i in np.flatnonzero(~keep)
-=======
         RejectedPair(row=i + 1, name=pairs.names[i], why=f"off by {_off(left_out[i])}")
         for i in np.flatnonzero(~keep).tolist()
->>>>>>> touch
     )
     given = "" if height is None else f"{height.z_m / MM:.5g} +- {height.sigma_m / MM:.2g} mm"
     advice = (
