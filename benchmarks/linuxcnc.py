@@ -85,6 +85,7 @@ class Recorded(LinuxcncTwin):
     def record(self) -> Iterator[list[Any]]:
         """Record while the block runs; the list then has sample numbers (n,), joints (n, 6) in degrees, enable (n,)."""
         found: list[Any] = []
+        waiting = int(self.hal("getp", "sampler.1.curr-depth"))  # of an earlier time
         with (self.folder / "samples").open("wb") as file:
             command = ["halsampler", "-t", "-c", "1"]
             sampler = subprocess.Popen(command, stdout=file, **self._as_user())
@@ -98,10 +99,7 @@ class Recorded(LinuxcncTwin):
         rows = [row.split() for row in (self.folder / "samples").read_text().splitlines() if row.count(" ") >= 7]
         rows = [row for row in rows if "overrun" not in row]
         values = np.array([[float(v) for v in row[:8]] for row in rows])
-        gaps = np.flatnonzero(
-            np.diff(values[:, 0]) != 1
-        )  # before the last one is what had waited since an earlier time
-        values = values[gaps[-1] + 1 if len(gaps) else 0 :]
+        values = values[waiting:]
         found += [values[:, 0], values[:, 1:7], values[:, 7]]
 
 
@@ -343,8 +341,8 @@ def run_bridge(twin: Recorded) -> None:
         time.sleep(1.0)
         why = robot.why
     since = sample_now(robot, killed_s)
-    off = found[0][np.flatnonzero(found[2] < 0.5)[:1]] - since
-    said(f"bridge killed (machine off after {off.tolist()} ms; driver: {why})", found, since)
+    off = found[0][np.flatnonzero((found[2] < 0.5) & (found[0] > since))[:1]] - since
+    said(f"bridge killed (machine off after {off.round().tolist()} ms; driver: {why})", found, since)
 
 
 def busy() -> None:

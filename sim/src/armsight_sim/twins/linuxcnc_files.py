@@ -93,24 +93,18 @@ def _or(value: Any, otherwise: float) -> float:
     return otherwise if value is None else float(value)
 
 
-def ini(rows: tuple[Row, ...], *, servo_ns: int, display: str, hal_files: tuple[str, ...]) -> str:
-    """Return the INI file; display: the program that stands in the screen's place."""
-    fastest = max(row.speed_deg_s for row in rows)
-    hardest = max(row.acceleration_deg_s2 for row in rows)
-    halfiles = "\n".join(f"HALFILE = {name}" for name in hal_files)
-    parts = [
-        f"""\
+HEAD = """\
 [EMC]
 VERSION = 1.1
 MACHINE = armsight-twin
 DEBUG = 0
 NML_FILE = linuxcnc.nml
 [KINS]
-JOINTS = {len(rows)}
+JOINTS = {joints}
 KINEMATICS = genserkins
 [HAL]
 HALUI = halui
-{halfiles}
+{hal_files}
 [RS274NGC]
 PARAMETER_FILE = linuxcnc.var
 [DISPLAY]
@@ -129,24 +123,25 @@ LINEAR_UNITS = mm
 ANGULAR_UNITS = deg
 DEFAULT_LINEAR_VELOCITY = 20.0
 MAX_LINEAR_VELOCITY = 250.0
-DEFAULT_LINEAR_ACCELERATION = {max(1000.0, hardest):.9g}
-MAX_LINEAR_ACCELERATION = {max(1000.0, hardest):.9g}
+DEFAULT_LINEAR_ACCELERATION = {linear:.9g}
+MAX_LINEAR_ACCELERATION = {linear:.9g}
 MAX_ANGULAR_VELOCITY = {fastest:.9g}
 [EMCIO]
 EMCIO = io
 CYCLE_TIME = 0.100
 TOOL_TABLE = linuxcnc.tbl
 """
-    ]
-    turning = (fastest, hardest, 3600)
-    for letter, (speed, acceleration, most) in zip("XYZABC", [(250, 1000, 10000)] * 3 + [turning] * 3, strict=True):
-        parts.append(
-            f"[AXIS_{letter}]\nMAX_VELOCITY = {speed:.9g}\nMAX_ACCELERATION = {acceleration:.9g}\n"
-            f"MIN_LIMIT = -{most}\nMAX_LIMIT = {most}\n"
-        )
-    for i, row in enumerate(rows):
-        parts.append(f"""\
-[JOINT_{i}]
+
+AXIS = """\
+[AXIS_{letter}]
+MAX_VELOCITY = {speed:.9g}
+MAX_ACCELERATION = {acceleration:.9g}
+MIN_LIMIT = -{most}
+MAX_LIMIT = {most}
+"""
+
+JOINT = """\
+[JOINT_{number}]
 TYPE = ANGULAR
 MAX_VELOCITY = {row.speed_deg_s:.9g}
 MAX_ACCELERATION = {row.acceleration_deg_s2:.9g}
@@ -157,8 +152,27 @@ HOME_OFFSET = {row.home_deg:.9g}
 HOME_SEARCH_VEL = 0
 HOME_LATCH_VEL = 0
 HOME_SEQUENCE = 0
-""")
-    return "".join(parts)
+"""
+
+
+def ini(rows: tuple[Row, ...], *, servo_ns: int, display: str, hal_files: tuple[str, ...]) -> str:
+    """Return the INI file; display: the program that stands in the screen's place."""
+    fastest = max(row.speed_deg_s for row in rows)
+    hardest = max(row.acceleration_deg_s2 for row in rows)
+    head = HEAD.format(
+        joints=len(rows),
+        hal_files="\n".join(f"HALFILE = {name}" for name in hal_files),
+        display=display,
+        servo_ns=servo_ns,
+        linear=max(1000.0, hardest),  # it limits the jogs of turning joints, too
+        fastest=fastest,
+    )
+    kinds = [(250.0, 1000.0, 10000)] * 3 + [(fastest, hardest, 3600)] * 3
+    axes = [
+        AXIS.format(letter=letter, speed=speed, acceleration=acceleration, most=most)
+        for letter, (speed, acceleration, most) in zip("XYZABC", kinds, strict=True)
+    ]
+    return "".join([head, *axes, *(JOINT.format(number=i, row=row) for i, row in enumerate(rows))])
 
 
 def machine_hal(rows: tuple[Row, ...]) -> str:

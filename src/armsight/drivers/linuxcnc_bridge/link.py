@@ -228,7 +228,13 @@ def run(ini: Path, bind: str, port: int) -> None:
     link.bind((bind, port))
     with contextlib.suppress(OSError):  # where the system allows it, before other work of this computer
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-    bridge = Bridge(machine, Pins(len(machine["joints"])), link)
+    try:
+        pins = Pins(len(machine["joints"]))
+    except Exception as error:  # HAL has types of its own
+        raise SystemExit(
+            f"the bridge finds not what it needs in HAL ({error}): load the lines of `hal {ini}`"
+        ) from error
+    bridge = Bridge(machine, pins, link)
     with contextlib.suppress(KeyboardInterrupt):
         while True:
             bridge.turn(time.monotonic())
