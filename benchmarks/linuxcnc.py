@@ -87,8 +87,7 @@ class Recorded(LinuxcncTwin):
         found: list[Any] = []
         waiting = int(self.hal("getp", "sampler.1.curr-depth"))  # of an earlier time
         with (self.folder / "samples").open("wb") as file:
-            command = ["halsampler", "-t", "-c", "1"]
-            sampler = subprocess.Popen(command, stdout=file, **self._as_user())
+            sampler = self.begin("halsampler", "-t", "-c", "1", stdout=file)
             time.sleep(0.5)
             try:
                 yield found
@@ -307,9 +306,7 @@ def agreed(what: str, twin: Recorded, robot: Told) -> None:
 
 
 def run_agree(twin: Recorded) -> None:
-    modes = lambda *what: subprocess.run(  # noqa: E731
-        ["/usr/bin/python3", "-c", MODES, *what], check=True, **twin._as_user()
-    )
+    modes = lambda *what: twin.begin("/usr/bin/python3", "-c", MODES, *what).wait()  # noqa: E731
     with opened(twin) as robot:
         homed(twin, robot)
         upper = twin.hal("getp", "ini.0.max_limit").strip()

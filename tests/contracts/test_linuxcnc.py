@@ -116,10 +116,8 @@ print(*stat.position[:6])
 
 
 def test_the_twins_kinematics_are_the_arms(twin: LinuxcncTwin) -> None:
-    told = subprocess.run(
-        ["/usr/bin/python3", "-c", WHERE], capture_output=True, text=True, check=True, **twin._as_user()
-    )
-    x, y, z, a, b, c = map(float, told.stdout.split())
+    told, _ = twin.begin("/usr/bin/python3", "-c", WHERE, stdout=subprocess.PIPE, text=True).communicate()
+    x, y, z, a, b, c = map(float, told.split())
     pose = np.eye(4)
     for joint, q in zip(small_arm_mapping()["joints"], np.radians(twin.joints_deg()), strict=True):
         twist, turn = Rotation.from_euler("x", joint["alpha_rad"]), Rotation.from_euler("z", q)

@@ -33,7 +33,7 @@ SERVO_S = 0.001
 SYSTEM_PATH = "/usr/bin:/bin:/usr/sbin:/sbin"
 """Debian's programs: LinuxCNC's are scripts for Debian's Python."""
 
-ORDINARY = "nobody"
+ORDINARY, GROUP = "nobody", "nogroup"
 """As whom it runs where this program is root's."""
 
 BRIDGE_FIRST = 20
@@ -158,36 +158,38 @@ class LinuxcncTwin:
             for path in (folder, *folder.rglob("*")):
                 os.chown(path, owner.pw_uid, owner.pw_gid)
 
-    def hal(self, *words: str) -> str:
-        """Return what LinuxCNC's halcmd answers, asked as the user it runs as. Raises DeviceFailed where it refuses."""
-        done = subprocess.run(["halcmd", *words], capture_output=True, text=True, check=False, **self._as_user())
-        if done.returncode:
-            raise DeviceFailed(f"halcmd {' '.join(words)}: {done.stderr.strip() or done.stdout.strip()}")
-        return str(done.stdout)
-
-    def joints_deg(self) -> list[float]:
-        """Return where its joints are commanded to be, in degrees."""
-        return [float(self.hal("getp", f"joint.{j}.pos-cmd")) for j in range(len(self._rows))]
-
-    def _as_user(self) -> dict[str, Any]:
-        """Return how a program of LinuxCNC's is begun: environment, folder, and user where this program is root's."""
+    def begin(self, *words: str, **more: Any) -> subprocess.Popen[Any]:
+        """Begin a program of LinuxCNC's as the user it runs as, in its folder and environment."""
         away = {"DISPLAY", "WAYLAND_DISPLAY", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"}
         env = {key: value for key, value in os.environ.items() if key not in away}
         env |= {"HOME": f"{self.folder}", "RTAPI_FIFO_PATH": f"{self.folder}/rtapi_fifo", "PATH": SYSTEM_PATH}
-        if os.geteuid() != 0:
-            return {"env": env, "cwd": self.folder}
-        owner = pwd.getpwnam(ORDINARY)
-        return {"env": env, "cwd": self.folder, "user": owner.pw_uid, "group": owner.pw_gid, "extra_groups": []}
+        # Popen's own user= forks this process as a whole, which keeps its other threads waiting
+        as_user = ["setpriv", "--reuid", ORDINARY, "--regid", GROUP, "--clear-groups"] if os.geteuid() == 0 else []
+        return subprocess.Popen([*as_user, *words], cwd=self.folder, env=env, **more)
+
+    def hal(self, *words: str) -> str:
+        """Return what LinuxCNC's halcmd answers. Raises DeviceFailed where it refuses."""
+        process = self.begin("halcmd", *words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        out, error = process.communicate()
+        if process.returncode:
+            raise DeviceFailed(f"halcmd {' '.join(words)}: {error.strip() or out.strip()}")
+        return str(out)
+
+    def joints_deg(self) -> list[float]:
+        """Return where its joints are commanded to be, in degrees."""
+        rows = (row.split() for row in self.hal("-s", "show", "pin", "joint.*.pos-cmd").splitlines())
+        found = {row[4]: float(row[3]) for row in rows if len(row) > 4}
+        return [found[f"joint.{j}.pos-cmd"] for j in range(len(self._rows))]
 
     def _begin(self) -> None:
         with (self.folder / "linuxcnc.log").open("wb") as log:
-            self._process = subprocess.Popen(
-                ["linuxcnc", f"{self.folder}/twin.ini"],
+            self._process = self.begin(
+                "linuxcnc",
+                f"{self.folder}/twin.ini",
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C is for this process, which ends the other
-                **self._as_user(),
             )
 
     def _wait_up(self) -> None:
