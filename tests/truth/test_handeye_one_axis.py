@@ -1,5 +1,7 @@
 """Hand-eye of arms that cannot tilt, in a world of rotation matrices alone: what is told; what a height closes."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -59,10 +61,16 @@ def test_one_height_gives_all_of_it_and_the_deviations_hold(setup):
 
 def test_without_a_height_what_is_known_is_told_and_what_is_open_named():
     poses = scara(np.random.default_rng(3))
-    with refuses(Degenerate, "camera z", "target z", "x 50", "y 2", "target_height", "SCARA") as caught:
+    with refuses(Degenerate, "camera z", "target z", "SCARA") as caught:
         calibrate_hand_eye(*poses)
-    assert "camera in the flange" in caught.value.cause
-    assert "z 80" not in caught.value.cause
+    assert "target_height" in caught.value.cure
+    camera = re.search(r"of the camera in the flange (.*?); of the target", caught.value.cause)[1]
+    told = {name: (float(value), float(std)) for name, value, std in re.findall(r"(\w+) (\S+) \+- (\S+)", camera)}
+    assert set(told) == {"x", "y", "rx", "ry", "rz"}
+    for name, true_mm in (("x", 50.0), ("y", 20.0)):
+        value, std = told[name]
+        assert 0.05 < std < 0.3
+        assert abs(value - true_mm) < 4.0 * std
 
 
 def test_a_hand_that_never_turns_tells_the_orientation_alone():
