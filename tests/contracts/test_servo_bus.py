@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.contracts.servo_pairs import KINDS, ServoPair
 
-from armsight.drivers import RobotState
+from armsight.drivers import RobotState, RobotTraits
 from armsight.drivers.servo_bus import robot as robot_module
 from armsight.drivers.servo_bus.packets import DynamixelPackets, StsPackets
 from armsight.errors import BadFile, DeviceFailed, UsageError
@@ -338,3 +338,9 @@ def test_no_bytes_upset_the_readers(pieces: list[bytes]) -> None:
     for packets in (StsPackets(), DynamixelPackets()):
         answers, foreign = packets.answers(line)
         assert sum(len(one.data) + packets.extra for one in answers) + foreign <= len(line)
+
+
+def test_a_reading_is_told_to_be_a_step_of_twelve_bits(make: Any) -> None:
+    traits = RobotTraits.of(make().robot)
+    assert traits.reading_step == pytest.approx(math.radians(0.0879), rel=1e-3)
+    assert traits.reading_std == pytest.approx(math.radians(0.0254), rel=2e-3)
