@@ -180,7 +180,7 @@ class CyclicRobot(ABC):
             return self._pace
 
     def listen(self, heard: Heard) -> None:
-        """Tell `heard`, in the link's thread, of each reading q (n,) and when its stamps say it was sent."""
+        """Tell `heard`, in the link's thread, of each reading q (n,) and when it was sent by the controller's clock."""
         self._controller_clock.heard = heard
 
     def slow_down(self, max_speed: Array) -> None:
