@@ -359,7 +359,7 @@ def main() -> None:
     print(f"load {os.getloadavg()[0]:.1f} of {os.cpu_count()} processors")
     if not args.contract:
         with Recorded(clock=SystemClock()) as twin:
-            for part in args.parts:
+            for part in sorted(args.parts, key=PARTS.index):  # behind the last one no bridge is left
                 {"sine": run_sine, "lossy": run_lossy, "stops": run_stops, "agree": run_agree, "bridge": run_bridge}[
                     part
                 ](twin)

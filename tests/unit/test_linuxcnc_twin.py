@@ -39,7 +39,7 @@ def of_joint(number: int, **values: object) -> Callable[[dict[str, Any]], None]:
 def test_an_arm_that_genserkins_cannot_hold_is_refused(wrong: Callable[[dict[str, Any]], None], named: str) -> None:
     arm = small_arm_mapping()
     wrong(arm)
-    with refuses(UsageError, named, "There is no twin"):
+    with refuses(UsageError, named, "LinuxCNC"):
         LinuxcncTwin(arm=arm)
 
 

@@ -200,7 +200,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             raise DeviceFailed(
                 f"{self.name} is driven by another program, at {machine.driver}",
                 consequence="The robot is not opened: one program at a time may drive it",
-                cure="End the other one; one that was killed is forgotten after a second",
+                cure="End the other one; one that was killed is forgotten soon",
             )
         check_machine(
             machine,
