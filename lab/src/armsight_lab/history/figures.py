@@ -189,7 +189,9 @@ def _tip(result: Content) -> Iterator[Quantity]:
 def _of_the_norm(result: Content) -> Iterator[Quantity]:
     """Yield accuracy and repeatability of pose (ISO 9283), worst place; none whose visits drift, as it has no std."""
     figures = result.get("iso9283")
-    for key in ("AP_m", "RP_m") if isinstance(figures, Mapping) else ():
+    if not isinstance(figures, Mapping):
+        return
+    for key in ("AP_m", "RP_m"):
         one = figures.get(key)
         if isinstance(one, Mapping) and number(one.get("value")) is not None and number(one.get("std")) is not None:
             yield _quantity(key, one["value"], one["std"])
