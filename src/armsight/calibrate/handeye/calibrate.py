@@ -101,24 +101,14 @@ def _places(T_base_flange: RigidTransform) -> NDArray[np.intp]:
     return repeats(np.column_stack([R / np.sqrt(2.0), t]), SAME_PLACE)
 
 
-def _calibrate(
-    pairs: PosePairs, setup: Setup, target_pitch_m: float | None, target_height: TargetHeight | None
-) -> HandEyeResult:
+def _calibrate(pairs: PosePairs, setup: Setup, pitch_m: float | None, height: TargetHeight | None) -> HandEyeResult:
     require_metres(pairs)
     place = np.arange(len(pairs)) if pairs.t_s is not None else _places(pairs.T_base_flange)
     repeated = {row: why for row, _, why in pairs.duplicates()}
     rows = np.array([i for i in range(len(pairs)) if i not in repeated], dtype=np.intp)
     chosen = pairs.take(rows) if repeated else pairs
-    try:
-        require_turning(chosen)
-    except Degenerate as why:
-        return calibrate_about_one_axis(chosen, setup, why, target_height)
-    if target_height is not None:
-        raise Inconsistent(
-            "a target's height is given, and the hand turned about two axes",
-            consequence="The poses tell it, and the height would not be used",
-            cure="Leave --target-height away, and compare it with the target's z in the result",
-        )
+    if (told := _about_one_axis(chosen, setup, height)) is not None:
+        return told
     solution, left_out, keep = _solve_places(chosen, setup, np.unique(place[rows], return_inverse=True)[1])
     _require_others(chosen, np.flatnonzero(keep & ~np.isfinite(left_out).all(axis=1)))
     used = np.zeros(len(pairs), bool)
@@ -150,7 +140,25 @@ def _calibrate(
     if pairs.t_s is not None:
         finished = _of_a_recording(finished, pairs.t_s, _noise(solution, rows[chosen.canonical_order()], len(pairs)))
     require_one_mount(finished, place)
-    return advise(finished, target_pitch_m)
+    return advise(finished, pitch_m)
+
+
+def _about_one_axis(pairs: PosePairs, setup: Setup, height: TargetHeight | None) -> HandEyeResult | None:
+    """Return the calibration of a hand that turned about one axis; None of one that turned about two.
+
+    Raises Degenerate without a height, Inconsistent for one that is not needed.
+    """
+    try:
+        require_turning(pairs)
+    except Degenerate as why:
+        return calibrate_about_one_axis(pairs, setup, why, height)
+    if height is not None:
+        raise Inconsistent(
+            "a target's height is given, and the hand turned about two axes",
+            consequence="The poses tell it, and the height would not be used",
+            cure="Leave --target-height away, and compare it with the target's z in the result",
+        )
+    return None
 
 
 def _require_others(pairs: PosePairs, alone: NDArray[np.intp]) -> None:

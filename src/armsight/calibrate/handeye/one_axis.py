@@ -282,15 +282,6 @@ def _result(
     dof = 6 * int(keep.sum()) - 11
     widen = float(t_ppf(0.975, dof) / t_ppf(0.975, np.inf))
     open_m, open_rad = (Part(size=size, deviation=float("inf")) for size in found.noise)
-    rejected = tuple(
-        RejectedPair(row=i + 1, name=pairs.names[i], why=f"off by {_off(left_out[i])}")
-        for i in np.flatnonzero(~keep).tolist()
-    )
-    given = "" if height is None else f"{height.z_m / MM:.5g} +- {height.sigma_m / MM:.2g} mm"
-    advice = (
-        f"The hand turned about one axis: along it the camera's place rests on the target's measured height ({given}), "
-        "and is off as that is.",
-    )
     RX, tX, RZ, tZ = _poses(p)
     return HandEyeResult(
         setup=setup,
@@ -302,11 +293,24 @@ def _result(
         rotation_excitation=rotation_excitation(pairs.T_base_flange[np.flatnonzero(keep)].rotation),
         pairs=pairs,
         used=keep,
-        rejected_pairs=rejected,
+        rejected_pairs=_rejected(pairs, keep, left_out),
         residuals=r,
         left_out=left_out,
         concerns=(),
-        advice=advice,
+        advice=(_advice(height),),
+    )
+
+
+def _rejected(pairs: PosePairs, keep: NDArray[np.bool_], left_out: Array) -> tuple[RejectedPair, ...]:
+    rows = np.flatnonzero(~keep).tolist()
+    return tuple(RejectedPair(row=i + 1, name=pairs.names[i], why=f"off by {_off(left_out[i])}") for i in rows)
+
+
+def _advice(height: TargetHeight | None) -> str:
+    given = "" if height is None else f" ({height.z_m / MM:.5g} +- {height.sigma_m / MM:.2g} mm)"
+    return (
+        f"The hand turned about one axis: along it the camera's place rests on the target's measured height{given}, "
+        "and is off as that is."
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.covariance import STILL
+from armsight.calibrate.arm.covariance import still
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, limits_reached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import significant_gain
@@ -150,15 +150,8 @@ def _left_out(
 def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
     model, best, touches = judged.model, judged.best, judged.model.touches
     arm_model, n = model.arm_model, model.n_arm
-    covariance, ours = _covariance(judged), tuple(x for x in best.free if x in arm_model.names)
-    fitted = ArmFit(
-        p=best.p[:n],
-        fit=best.fit,
-        sigma_m=best.noise.touch_m[touches.kind[0]],
-        sigma_rad=1.0,
-        free=ours,
-        prior_weight=np.array([tolerance.of(x) ** -2 if x in arm_model.geometry else 0.0 for x in ours]),
-    )
+    covariance = _covariance(judged)
+    fitted = _fitted(arm_model, best, touches, tolerance)
     at_limit = limits_reached(arm_model, best.p[:n], judged.free, tolerance)
     before_m = judged.first.misses_m(model, judged.given)
     after_m = best.misses_m(model, judged.given)
@@ -166,7 +159,6 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
     gross = gross_rows(judged.every, best)
     T, _ = arm_model.predict(best.p[:n], judged.given.as_points())
     fixed = judged.told.fixed if judged.gain else ((x, UNPROVED) for x in judged.told.known)
-    moved = np.ptp(touches.q, axis=0) > STILL * np.where(arm_model.arm.revolute, 1.0, arm_model.arm.length_m)
     return ArmResult(
         arm=_arm(arm_model, best, covariance),
         points=replace(judged.given.as_points(), xyz_m=T[:, :3, 3]),
@@ -188,7 +180,7 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
         covariance=covariance,
         outlier_rows=tuple((int(judged.every.touches.row[one.row]), one.miss_m) for one in gross),
         couplings=(),
-        still=tuple(joint.name for joint, m in zip(arm_model.arm.joints, moved, strict=True) if not m),
+        still=still(arm_model, touches.as_points()),
         at_limit=at_limit,
         notes=(*(x.sentence for x in at_limit), *_notes(judged, gross)),
         verdict=" ".join([_verdict(judged), *(f"{x.sentence}." for x in at_limit)]),
@@ -199,6 +191,19 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
         other_arm=None,
         urdf=None,
         features=tuple(_feature(model, best, name) for name in touches.kinds),
+    )
+
+
+def _fitted(arm_model: ArmModel, best: TouchFit, touches: Touches, tolerance: Tolerance) -> ArmFit:
+    """Return the arm's part of a fit."""
+    ours = tuple(x for x in best.free if x in arm_model.names)
+    return ArmFit(
+        p=best.p[: len(arm_model.names)],
+        fit=best.fit,
+        sigma_m=best.noise.touch_m[touches.kind[0]],
+        sigma_rad=1.0,
+        free=ours,
+        prior_weight=np.array([tolerance.of(x) ** -2 if x in arm_model.geometry else 0.0 for x in ours]),
     )
 
 

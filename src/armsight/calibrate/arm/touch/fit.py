@@ -109,16 +109,8 @@ def estimate_noise(
     """Return the noises by restricted maximum likelihood (Patterson, Thompson 1971, Biometrika 58, 545), gross rows
     left out; the priors of what is freed count, as what they let the fit take up."""
     touches = model.touches
-    e, by, by_q = model.misses(p, touches)
-    index = [i for i, name in enumerate(model.names) if name in free or name in model.mounts]
-    weight = np.array([tolerance.of(name) ** -2 if name in free else 0.0 for name in np.array(model.names)[index]])
-    A = by[:, :, index]
-    y = e - A @ np.where(weight > 0.0, p[index], 0.0)  # what the rows say of changes from the nominal
+    e, A, y, by_q, prior, pull = _linear(model, p, free, tolerance)
     rows = _not_gross(e, touches)
-    off, by_off = model.lengths(p)
-    prior, gain = np.diag(weight), by_off[:, index]
-    prior = prior + gain.T @ gain
-    pull = gain.T @ (off - gain @ np.where(weight > 0.0, p[index], 0.0))
     kept = touches.take(rows)
     kinds = sorted(set(kept.kind))
     A, y, by_q = A[rows], y[rows], by_q[rows]
@@ -153,6 +145,21 @@ def estimate_noise(
         minimize(neg2_log_likelihood, np.clip(x, low, high), bounds=list(zip(low, high, strict=True))) for x in starts
     ]
     return noise_of(min(tries, key=lambda found: float(found.fun)).x)
+
+
+def _linear(model: TouchModel, p: Array, free: Collection[str], tolerance: Tolerance) -> tuple[Array, ...]:
+    """Return misses e (m, 3), their slopes A (m, 3, k) by what is fitted, what they say of changes from the nominal y,
+    their slopes by joint values, and information (k, k) and gradient (k,) of priors and known lengths."""
+    e, by, by_q = model.misses(p, model.touches)
+    index = [i for i, name in enumerate(model.names) if name in free or name in model.mounts]
+    weight = np.array([tolerance.of(name) ** -2 if name in free else 0.0 for name in np.array(model.names)[index]])
+    A = by[:, :, index]
+    y = e - A @ np.where(weight > 0.0, p[index], 0.0)  # what the rows say of changes from the nominal
+    off, by_off = model.lengths(p)
+    prior, gain = np.diag(weight), by_off[:, index]
+    prior = prior + gain.T @ gain
+    pull = gain.T @ (off - gain @ np.where(weight > 0.0, p[index], 0.0))
+    return e, A, y, by_q, prior, pull
 
 
 def _scatter(e: Array, touches: Touches, kind: Kind) -> float:
