@@ -157,7 +157,7 @@ def test_packets_that_come_late_are_taken_for_when_they_were_sent() -> None:
 def test_who_cannot_be_followed_is_refused(make_egm: Any, scenario: Path) -> None:
     robot = make_egm().robot
     clock = ManualClock()
-    with refuses(UsageError, "brings its own cameras"):
+    with refuses(UsageError, "own cameras"):
         followed_cell(
             str(scenario), sim_robot("", settings=load_scenario("webcam-cell")[0].model_dump(), clock=clock), clock
         )
@@ -168,7 +168,7 @@ def test_who_cannot_be_followed_is_refused(make_egm: Any, scenario: Path) -> Non
         open_devices(job, ("camera:0", None), AUTOMATIC, LIGHT, clock)
     with refuses(UsageError, "--follow SCENARIO"):
         open_devices(RobotJob(robot="egm:6510"), (None, None), AUTOMATIC, LIGHT, clock)
-    with refuses(UsageError, "brings its own cameras"):
+    with refuses(UsageError, "own cameras"):
         scenario_of(RobotJob(robot="sim:webcam-cell", follow=str(scenario)))
 
 

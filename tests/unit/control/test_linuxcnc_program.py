@@ -179,7 +179,7 @@ def test_what_would_pass_a_limit_is_not_written(tmp_path: Path, seam: LinuxcncPl
 
 def test_what_linuxcnc_cannot_be_told_is_not_written(tmp_path: Path) -> None:
     arm = puma()
-    with refuses(UsageError, "no arm is given"):
+    with refuses(UsageError, "no arm"):
         export(None, replace(bow(arm), parent="base"), tmp_path, frame="base", start=None)
     with refuses(UsageError, "genserkins"):
         export(arm, bow(arm), tmp_path, controller=armsight.presets.stanford_rrp())
