@@ -149,6 +149,7 @@ def _fitted(arrays: Arrays, keep: NDArray[np.bool_], start: Array, height: Targe
 
 def _noise(r: Array, hat: Array) -> tuple[float, float]:
     """Return the noises of positions and of orientations of residuals (n, 6); hat: what the fit took of each."""
+    # each residual has lost the share that the fit took of it
     left = 1.0 - hat
     parts = [float(np.sqrt((r[:, s] ** 2).sum() / max(left[:, s].sum(), 1.0))) for s in (slice(3), slice(3, 6))]
     return max(parts[0], LEAST_M), max(parts[1], LEAST_RAD)
@@ -166,6 +167,7 @@ def _inverse(information: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the covariance of what is told, and the names of what is not."""
     values, vectors = np.linalg.eigh(information)
     there = values > OPEN * values[-1]
+    # what moves along these shows in no pair
     open_ = vectors[:, ~there]
     inside = np.linalg.norm(open_, axis=1) > PART
     C = (vectors[:, there] / values[there]) @ vectors[:, there].T

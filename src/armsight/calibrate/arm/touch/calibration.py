@@ -14,6 +14,7 @@ from armsight.calibrate.arm.fit import ArmFit, Tolerance, limits_reached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import significant_gain
 from armsight.calibrate.arm.plausibility import ranges
+from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.arm.result import ArmResult, Errors, FixedParameter, TouchedFeature
 from armsight.calibrate.arm.touch.faults import Gross, check_lengths, check_moved, gross_rows
 from armsight.calibrate.arm.touch.fit import TouchFit, fit_touches
@@ -148,20 +149,16 @@ def _left_out(
 
 
 def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
-    model, best, touches = judged.model, judged.best, judged.model.touches
-    arm_model, n = model.arm_model, model.n_arm
-    covariance = _covariance(judged)
-    fitted = _fitted(arm_model, best, touches, tolerance)
-    at_limit = limits_reached(arm_model, best.p[:n], judged.free, tolerance)
-    before_m = judged.first.misses_m(model, judged.given)
-    after_m = best.misses_m(model, judged.given)
+    model, best, touches, arm_model = judged.model, judged.best, judged.model.touches, judged.model.arm_model
+    covariance, fitted = _covariance(judged), _fitted(arm_model, best, touches, tolerance)
+    at_limit = limits_reached(arm_model, fitted.p, judged.free, tolerance)
+    before_m, after_m = (fit.misses_m(model, judged.given) for fit in (judged.first, best))
+    # without a gain the nominal arm is kept, and its errors with it
     cross = Errors.of(judged.left[0]), Errors.of(judged.left[1] if judged.gain else judged.left[0])
     gross = gross_rows(judged.every, best)
-    T, _ = arm_model.predict(best.p[:n], judged.given.as_points())
-    fixed = judged.told.fixed if judged.gain else ((x, UNPROVED) for x in judged.told.known)
     return ArmResult(
         arm=_arm(arm_model, best, covariance),
-        points=replace(judged.given.as_points(), xyz_m=T[:, :3, 3]),
+        points=_points(judged, fitted.p),
         tolerance=tolerance,
         model=arm_model,
         fitted=fitted,
@@ -175,7 +172,7 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
         left_after=cross[1],
         held=False,
         free=judged.free,
-        fixed=tuple(FixedParameter(*one) for one in fixed),
+        fixed=_fixed(judged),
         condition=judged.told.condition if judged.gain else 1.0,
         covariance=covariance,
         outlier_rows=tuple((int(judged.every.touches.row[one.row]), one.miss_m) for one in gross),
@@ -192,6 +189,18 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
         urdf=None,
         features=tuple(_feature(model, best, name) for name in touches.kinds),
     )
+
+
+def _points(judged: _Judged, p: Array) -> ArmPoints:
+    """Return the touches with the places where the arm's tip was."""
+    touched = judged.given.as_points()
+    return replace(touched, xyz_m=judged.model.arm_model.predict(p, touched)[0][:, :3, 3])
+
+
+def _fixed(judged: _Judged) -> tuple[FixedParameter, ...]:
+    # of a nominal arm that is kept nothing is told but that
+    found = judged.told.fixed if judged.gain else ((name, UNPROVED) for name in judged.told.known)
+    return tuple(FixedParameter(*one) for one in found)
 
 
 def _fitted(arm_model: ArmModel, best: TouchFit, touches: Touches, tolerance: Tolerance) -> ArmFit:

@@ -101,12 +101,14 @@ class TouchModel:
                 by_q[rows] = by_arm[rows][:, :, drive]
                 continue
             if kind is Kind.SPHERE:
+                # along the line from the ball's centre alone
                 from_centre = tip[rows] - p[at]
                 away = np.linalg.norm(from_centre, axis=1)
                 along = from_centre / away[:, None]
                 e[rows, 0] = away - p[at.stop]
                 by[rows, 0, at], by[rows, 0, at.stop] = -along, -1.0
             else:
+                # a flat is a gauge that always reads zero
                 direction, by_tilt = self.normal(p, name)
                 off = tip[rows] - self.place[name]
                 along = np.tile(direction, (len(rows), 1))
