@@ -77,6 +77,7 @@ def _left(arm: Arm, turning: NDArray[np.intp], touches: Touches, read: Array, x:
     there, by_x = tool_points(arm, turning, read, x)
     c, m, width = len(x), len(touches), x.shape[1]
     which = np.unique(touches.which, return_inverse=True)[1]
+    # where a spike is goes with every choice: the mean of its touches
     share = np.equal.outer(np.arange(which.max() + 1), which) / np.bincount(which)[:, None]
     middle, by_middle = share @ there, (share @ by_x.reshape(c, m, -1)).reshape(c, -1, 3, width)
     off, by_off = there - middle[:, which], by_x - by_middle[:, which]
