@@ -141,7 +141,6 @@ def estimate_noise(
     high = np.log([MOST_TOUCH_M] * len(kinds) + [MOST_JOINT])
     first = [np.log(_scatter(e[rows], kept, kind)) for kind in kinds]
     starts = [np.array([*first, np.log(joint)]) for joint in (LEAST_JOINT * 3.0, 1e-4)]
-    # the likelihood of two noises may have two tops
     tries = [
         minimize(neg2_log_likelihood, np.clip(x, low, high), bounds=list(zip(low, high, strict=True))) for x in starts
     ]

@@ -62,6 +62,7 @@ def told(model: TouchModel, fitted: TouchFit, candidates: Sequence[str], toleran
     open_ = Vt[s < max(OPEN, SCATTERS * scatter)] / size  # (k, c) in tolerances
     open_ = np.linalg.qr(open_.T)[0].T if len(open_) else open_
     inside = np.linalg.norm(open_, axis=0) > PART
+    # posterior deviations hold the priors of all
     std = fitted.fit.std()
     known, fixed, hidden = [], [], set()
     for k, name in enumerate(candidates):

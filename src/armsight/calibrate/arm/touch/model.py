@@ -191,6 +191,7 @@ def _tip(flange: Array, touches: Touches, nominal: Array) -> Array:
     rows = np.flatnonzero(~touches.scalar)
     if not len(rows):
         return nominal
+    # touches of a wrong spike would shift the first guess by centimetres
     tip = nominal
     for _ in range(TRIMS):
         number = np.unique(touches.which[rows], return_inverse=True)[1]

@@ -53,6 +53,7 @@ def other_senses(arm: Arm, touches: Touches) -> Senses | None:
     used = replace(used, lengths=tuple(one for one in used.lengths if one.b and {one.a, one.b} <= there))
     flange = fk(arm, used.q)[:, :3, 3]
     spread = float(np.sqrt(((flange - flange.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    # zeros and tip are free beside every choice
     left_of = partial(_left, arm, turning, used)
     choices = all_choices(len(turning))
     left, found = fit_choices(arm, turning, choices, used.q, left_of)
