@@ -73,6 +73,7 @@ def calibrate_touched(nominal: Arm, touches: Touches, *, tolerance: Tolerance | 
     check_moved(model, full, tolerance)
     check_lengths(model, full, tolerance)
     left = _left_out(model, first, full, candidates, tolerance)
+    # as of measured positions: only what predicts touches left out is taken
     gain = significant_gain(*left, np.arange(len(model.touches)))
     found = told(model, full, candidates, tolerance)
     judged = _Judged(given=given, every=every, model=model, first=first, full=full, left=left, gain=gain, told=found)

@@ -77,6 +77,7 @@ class TouchModel:
         """Return the direction (3,) of a flat or gauge, and its derivative (3, 2) by the two tilts."""
         n, u, v = self.axes[name]
         tilt = p[self.first(name)][1:]
+        # two tilts from the first guess: no singular direction near it
         raw = n + tilt[0] * u + tilt[1] * v
         size = float(np.linalg.norm(raw))
         by = np.stack([u, v], axis=1) / size
