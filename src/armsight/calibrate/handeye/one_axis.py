@@ -191,6 +191,7 @@ def _linear(arrays: Arrays, p: Array) -> tuple[Array, Array]:
     """Return residuals (n, 6) and their derivative (n, 6, 12) by steps (dt, dw) of camera and target."""
     RF, tF, RB, _ = arrays
     RX, tX, RZ, tZ = _poses(p)
+    # steps are Exp(dw) R, t + dt in the parent's axes; a small turn's own curvature is left out
     J = np.zeros((len(RF), 6, 12))
     y = np.einsum("nji,nj->ni", RF, tZ - tF) - tX  # the target from the camera, in axes of what carries this
     J[:, :3, :3] = RX.T
@@ -233,6 +234,7 @@ def _start(arrays: Arrays) -> Array:
         A = np.concatenate([RF, np.tile(-np.eye(3), (n, 1, 1))], axis=2).reshape(-1, 6)
         y = -(np.einsum("nij,jk,nk->ni", RF, RX, tB) + tF).ravel()
         x = np.linalg.lstsq(A, y, rcond=1e-6)[0]
+        # single wrong pairs must not decide the turn: lengths, not squares
         miss = float(np.abs(A @ x - y).sum())
         if miss < best[0]:
             RZ = Rotation.from_matrix(RF @ RX @ RB).mean().as_rotvec()

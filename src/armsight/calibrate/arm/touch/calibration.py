@@ -73,6 +73,7 @@ def calibrate_touched(nominal: Arm, touches: Touches, *, tolerance: Tolerance | 
     check_moved(model, full, tolerance)
     check_lengths(model, full, tolerance)
     left = _left_out(model, first, full, candidates, tolerance)
+    # as of measured positions: only what predicts touches left out is taken
     gain = significant_gain(*left, np.arange(len(model.touches)))
     found = told(model, full, candidates, tolerance)
     judged = _Judged(given=given, every=every, model=model, first=first, full=full, left=left, gain=gain, told=found)
@@ -140,6 +141,7 @@ def _left_out(
     before, after = np.empty(len(touches)), np.empty(len(touches))
     for k in range(FOLDS):
         held, rows = np.flatnonzero(fold == k), np.flatnonzero(fold != k)
+        # the noises are those of all: a fold has too few rows for its own
         part = replace(model, touches=touches.take(rows))
         held_touches = touches.take(held)
         for fitted, free, errors in ((first, (), before), (full, candidates, after)):
@@ -153,7 +155,6 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
     covariance, fitted = _covariance(judged), _fitted(arm_model, best, touches, tolerance)
     at_limit = limits_reached(arm_model, fitted.p, judged.free, tolerance)
     before_m, after_m = (fit.misses_m(model, judged.given) for fit in (judged.first, best))
-    # without a gain the nominal arm is kept, and its errors with it
     cross = Errors.of(judged.left[0]), Errors.of(judged.left[1] if judged.gain else judged.left[0])
     gross = gross_rows(judged.every, best)
     return ArmResult(
@@ -218,6 +219,7 @@ def _fitted(arm_model: ArmModel, best: TouchFit, touches: Touches, tolerance: To
 
 def _covariance(judged: _Judged) -> NamedCovariance | None:
     """Return that of the arm's parameters and its tip; of none that no touch tells anything of."""
+    # a prior alone is no knowledge: what no touch tells is left out
     found = judged.best.fit.covariance
     if found is None:
         return None

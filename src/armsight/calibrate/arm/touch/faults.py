@@ -73,6 +73,7 @@ def check_moved(model: TouchModel, fitted: TouchFit, tolerance: Tolerance) -> No
             continue
         for first in range(FEWEST_SIDE, len(rows) - FEWEST_SIDE + 1):
             tries += 1
+            # a place of its own for the rows behind, beside what was fitted
             behind = np.zeros((m, 3, 3))
             behind[rows[first:]] = -fitted.whiten[rows[first:]]
             S = np.zeros((len(r), 3))
@@ -113,6 +114,7 @@ def check_lengths(model: TouchModel, fitted: TouchFit, tolerance: Tolerance) -> 
     """Raise Inconsistent where a length that was measured is not what the touches say of it without it."""
     for one in model.touches.lengths:
         others = tuple(known for known in model.touches.lengths if known is not one)
+        # what the touches say of it must not rest on it
         alone = replace(model, touches=replace(model.touches, lengths=others))
         candidates = [name for name in fitted.free if name not in model.mounts]
         found = fit_touches(alone, fitted.p, candidates, tolerance, fitted.noise)

@@ -53,6 +53,7 @@ def told(model: TouchModel, fitted: TouchFit, candidates: Sequence[str], toleran
     Q = orthonormal_basis(J[:, [names.index(name) for name in model.mounts]])
     sigma = np.array([tolerance.of(name) for name in candidates])
     C = J[:, [names.index(name) for name in candidates]] * sigma
+    # what tip and features can follow is no sign of the arm
     own = C - Q @ (Q.T @ C)
     size = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
     _, s, Vt = np.linalg.svd(own / size, full_matrices=True)
@@ -61,6 +62,7 @@ def told(model: TouchModel, fitted: TouchFit, candidates: Sequence[str], toleran
     open_ = Vt[s < max(OPEN, SCATTERS * scatter)] / size  # (k, c) in tolerances
     open_ = np.linalg.qr(open_.T)[0].T if len(open_) else open_
     inside = np.linalg.norm(open_, axis=0) > PART
+    # posterior deviations hold the priors of all
     std = fitted.fit.std()
     known, fixed, hidden = [], [], set()
     for k, name in enumerate(candidates):
@@ -91,6 +93,7 @@ def _why(model: TouchModel, name: str, k: int, open_: Array, candidates: Sequenc
         return BASE
     if joint == arm.joints[-1].name:
         return TIP
+    # all lengths by one factor, tip and features too, miss nothing
     scale = np.array([_length(model, one) for one in candidates]) / sigma
     along = open_ @ (scale / max(float(np.linalg.norm(scale)), 1e-300))
     if name.endswith("_m") and np.linalg.norm(along) > SCALE:

@@ -77,6 +77,7 @@ class TouchModel:
         """Return the direction (3,) of a flat or gauge, and its derivative (3, 2) by the two tilts."""
         n, u, v = self.axes[name]
         tilt = p[self.first(name)][1:]
+        # two tilts from the first guess: no singular direction near it
         raw = n + tilt[0] * u + tilt[1] * v
         size = float(np.linalg.norm(raw))
         by = np.stack([u, v], axis=1) / size
@@ -191,6 +192,7 @@ def _tip(flange: Array, touches: Touches, nominal: Array) -> Array:
     rows = np.flatnonzero(~touches.scalar)
     if not len(rows):
         return nominal
+    # touches of a wrong spike would shift the first guess by centimetres
     tip = nominal
     for _ in range(TRIMS):
         number = np.unique(touches.which[rows], return_inverse=True)[1]

@@ -53,6 +53,7 @@ def other_senses(arm: Arm, touches: Touches) -> Senses | None:
     used = replace(used, lengths=tuple(one for one in used.lengths if one.b and {one.a, one.b} <= there))
     flange = fk(arm, used.q)[:, :3, 3]
     spread = float(np.sqrt(((flange - flange.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    # zeros and tip are free beside every choice
     left_of = partial(_left, arm, turning, used)
     choices = all_choices(len(turning))
     left, found = fit_choices(arm, turning, choices, used.q, left_of)
@@ -77,6 +78,7 @@ def _left(arm: Arm, turning: NDArray[np.intp], touches: Touches, read: Array, x:
     there, by_x = tool_points(arm, turning, read, x)
     c, m, width = len(x), len(touches), x.shape[1]
     which = np.unique(touches.which, return_inverse=True)[1]
+    # where a spike is goes with every choice: the mean of its touches
     share = np.equal.outer(np.arange(which.max() + 1), which) / np.bincount(which)[:, None]
     middle, by_middle = share @ there, (share @ by_x.reshape(c, m, -1)).reshape(c, -1, 3, width)
     off, by_off = there - middle[:, which], by_x - by_middle[:, which]

@@ -170,6 +170,7 @@ def _check_lengths(touches: Touches) -> None:
 
 def of_postures(touches: Touches) -> Touches:
     """Return one row, their mean, for touches of a feature in one posture: they share what the arm has wrong there."""
+    # features are apart in this space: never one place
     of = repeats(np.column_stack([touches.q, 1e3 * touches.which]), SAME_PLACE)
     if of.max() + 1 == len(touches):
         return touches
