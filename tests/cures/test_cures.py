@@ -29,7 +29,7 @@ IN_TESTS = {
         "perhaps --board",
     ): f"{REPORTS}test_old_charuco.py::test_the_old_layout_is_read",
     ("calibrate/arm/points.py", "armsight measure"): (
-        f"{REPORTS}test_touched.py::test_touched_points_are_named_and_measured_ones_are_the_cure"
+        f"{REPORTS}test_touched.py::test_touched_points_are_named_and_touching_is_the_cure"
     ),
     ("calibrate/arm/senses.py", "sign: -1"): (
         f"{REPORTS}test_senses.py::test_a_joint_that_counts_the_other_way_is_named_and_the_cure_works"

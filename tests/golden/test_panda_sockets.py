@@ -56,5 +56,5 @@ def test_deviations_hold_that_the_nominal_arm_errs_alike_where_poses_are_alike()
 def test_two_points_are_no_places_to_calibrate_an_arm_by() -> None:
     q = np.concatenate([joints("front", "0"), joints("front", "1")])
     xyz_m = np.where(np.arange(len(q))[:, None] < 31, [0.0, 0.0, 0.0], [0.0, 0.05, 0.0])
-    with refuses(Inconsistent, "2 positions", "touched", "calibrate tooltip"):
+    with refuses(Inconsistent, "2 positions", "touched", "--touch"):
         calibrate_arm(preset("panda"), ArmPoints(q=q, xyz_m=xyz_m))

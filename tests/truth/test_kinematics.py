@@ -51,7 +51,7 @@ def shift(x: float, y: float, z: float) -> np.ndarray:
 
 def chain_by_hand(arm: Arm, q: np.ndarray) -> np.ndarray:
     """The product of elementary motions, in the convention the arm is written in."""
-    T = arm.T_world_base.as_matrix()
+    T = arm.T_world_base.as_matrix() @ arm.T_base_frame0.as_matrix()
     for joint, value in zip(arm.joints, q, strict=True):
         turns = joint.type is JointType.REVOLUTE
         theta = joint.theta_rad + (joint.sign * value if turns else 0.0)

@@ -44,7 +44,8 @@ def variants(name: str) -> list[Arm]:
         joints=tuple(dataclasses.replace(j, sign=-1.0 if k == 1 else 1.0) for k, j in enumerate(arm.joints)),
     )
     off = moved(arm, {key: rng.normal() * 1e-2 for key in parameter_names(arm)})
-    hayati = moved(arm, {"j2.alpha_rad": 1e-3, "j2.beta_rad": -2e-3, "tool.x_m": 0.1})
+    second = arm.joints[1].name
+    hayati = moved(arm, {f"{second}.alpha_rad": 1e-3, f"{second}.beta_rad": -2e-3, "tool.x_m": 0.1})
     return [arm, mounted, off, hayati, in_convention(off, "craig")]
 
 

@@ -67,7 +67,7 @@ class Links:
     def chain(self, q: Array) -> Array:
         """Return the points (m, 2 n + 1, 3) of the chain at readings (m, n), in base axes."""
         values = self.arm.values(q)
-        T = [np.tile(np.eye(4), (len(q), 1, 1))]
+        T = [np.tile(self.prefixes[0].T_base_frame0.as_matrix(), (len(q), 1, 1))]
         T += [fk(prefix, values[:, : i + 1]) for i, prefix in enumerate(self.prefixes)]
         out = [T[0][:, :3, 3]]
         for before, after in pairwise(T):

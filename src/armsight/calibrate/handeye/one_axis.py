@@ -83,6 +83,9 @@ def calibrate_about_one_axis(
     found = _robust(arrays, height)
     if found.open_names:
         raise _told(found, setup, why)
+    # a hand that turned too little, about whichever axes: noise would decide what the rows seem to tell
+    if height is None or rotation_excitation(pairs.T_base_flange.rotation).rms_rad[0] < LEAST_TURN_RAD:
+        raise why
     return _result(pairs, setup, arrays, found, height)
 
 
