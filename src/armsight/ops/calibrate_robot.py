@@ -281,7 +281,10 @@ def calibrate_arm(
         raise UsageError("for proposals in view give both --rig and --world: where the rig stands to the measurements")
     tolerance = Tolerance(length_m=tolerance_m, angle_rad=tolerance_rad)
     if (q is None) == (touch is None):
-        raise UsageError("give the measured positions (--points), or what was touched (--touch)")
+        raise UsageError(
+            "measured positions (--points) and what was touched (--touch) are both given, or neither",
+            cure="Give one of them",
+        )
     if touch is not None:
         from armsight.calibrate.arm.touch import calibrate_touched
 

@@ -599,6 +599,20 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "xyz_m": array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
             "rotation": array(np.tile(np.eye(3), (9, 1, 1)), more={"scaled": np.tile(2.0 * np.eye(3), (9, 1, 1))}),
             "point": POINT_NAMES,
+            "touch": Arg(
+                good=(SPREAD, ["spike"] * len(SPREAD)),
+                wrong={
+                    "a number": 3,
+                    "nowhere": "no-such-file.csv",
+                    "a list": [1, 2],
+                    "5 joints": (SPREAD[:, :5], ["a"] * len(SPREAD)),
+                    "names": (SPREAD, ["a"]),
+                },
+            ),
+            "length": Arg(
+                good=(("a", "b", 0.27),),
+                wrong={"a text": "a,b,0.27", "two": (("a", "b"),), "nan": (("a", "b", np.nan),)},
+            ),
             "holdout": Arg(
                 good=None, wrong={"a list": [1, 2], "one": (np.zeros((9, 6)),), "5 joints": (np.zeros((9, 5)), 1)}
             ),
@@ -789,6 +803,7 @@ NEEDED_TOGETHER = {
     "T_base_rig": ("rig", "uv_px"),
     "point_std_m": ("point_m",),
     "point_m": ("point_std_m",),
+    "length": ("touch",),
 }
 """Parameters that mean something only with another."""
 
@@ -843,7 +858,7 @@ def _called(name: str, parameter: str, value: Any) -> Any:
         if key == parameter:
             given[key] = value
         elif plain is inspect.Parameter.empty or key in (
-            "xyz_m",
+            *(() if parameter in ("touch", "length") else ("q", "xyz_m")),
             *NEEDED_TOGETHER.get(parameter, ()),
             *JOBS.get(name, (None, ()))[1],
         ):

@@ -69,6 +69,8 @@ def test_urdf_and_back_gives_the_same_poses(name: str) -> None:
 def test_urdf_and_back_gives_the_same_rows_where_they_are_unique(name: str) -> None:
     for arm in (in_convention(arm, "standard") for arm in variants(name)[:2]):
         back = arm_from_urdf(urdf_text(arm))
+        if not np.allclose(arm.T_base_frame0.as_matrix(), np.eye(4)):
+            continue  # the place of the first frame along and about the first axis is anyone's choice
         for joint, other in zip(arm.joints, back.joints, strict=True):
             for key in KEYS:
                 assert getattr(other, key) == pytest.approx(getattr(joint, key), abs=1e-12), (joint.name, key)

@@ -72,6 +72,9 @@ READERS = {
         blank=(*ERROR_COLUMNS, "decision_ms"),
     ),
     "q1,q2": lambda data: standard(data, "points"),
+    "feature": lambda data: parse_table(
+        data, "x", ("feature", "kind", "reading_m"), text=("feature", "kind"), blank=("reading_m",), series="q"
+    ),
     "base_flange_x_m,base_flange_y_m": lambda data: standard(data, "pairs"),
     "file,x_m": lambda data: standard(data, "robot_poses"),
     "pose,q1": lambda data: parse_table(data, "x", ("pose", "decides"), text=("decides",), series="q"),
@@ -84,8 +87,8 @@ def reader_of(kind, text):
     if kind == "yaml":
         content = parse_yaml(text.encode(), "x")
         return READERS["zoom" if is_zoom_camera(content) else content["format"]], content
-    header = ",".join(text.splitlines()[0].split(",")[:2])
-    return READERS[header], text.encode()
+    columns = text.splitlines()[0].split(",")
+    return READERS["feature" if "feature" in columns else ",".join(columns[:2])], text.encode()
 
 
 def test_every_kind_is_shown():
