@@ -31,7 +31,7 @@ IN_TESTS = {
     ("calibrate/arm/points.py", "armsight measure"): (
         f"{REPORTS}test_touched.py::test_touched_points_are_named_and_touching_is_the_cure"
     ),
-    ("calibrate/arm/senses.py", "sign: -1"): (
+    ("calibrate/arm/senses.py", "Change the sign of {} in the arm"): (
         f"{REPORTS}test_senses.py::test_a_joint_that_counts_the_other_way_is_named_and_the_cure_works"
     ),
     ("calibrate/cameras/lens_choice.py", "Use --lens"): (
