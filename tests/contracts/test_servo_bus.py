@@ -18,7 +18,7 @@ from tests.contracts.servo_pairs import KINDS, ServoPair
 from armsight.drivers import RobotState, RobotTraits
 from armsight.drivers.servo_bus import robot as robot_module
 from armsight.drivers.servo_bus.packets import DynamixelPackets, StsPackets
-from armsight.errors import BadFile, DeviceFailed, UsageError
+from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
 from armsight_sim.twins.servo_bus import BusFault
 from refusals import refuses
@@ -172,6 +172,25 @@ def test_what_is_not_right_is_told_and_nothing_is_written(make: Any, what: str) 
     assert np.array_equal(pair.twin.q, pair.home)
 
 
+def test_the_ids_that_are_there_and_the_speed_that_is_told_open_it(make: Any) -> None:
+    pairs = [make(), make(ids=[1, 2, 4, 5, 6])]
+    for pair in pairs:
+        pair.twin.servos[2].there = False
+    with refuses(DeviceNotFound, "servo 3", "--robot-set ids="), pairs[0].robot:
+        pass
+    with pairs[1].robot as robot:
+        assert robot.n_joints == 5
+    speed = 500_000 if pairs[0].kind == "feetech" else 2_000_000
+    pairs = [make(), make(baud=speed)]
+    for pair in pairs:
+        pair.twin.baud = speed
+    pairs[1].port.baudrate = pairs[1].robot.settings.baud  # as its port is opened
+    with refuses(DeviceNotFound, f"--robot-set baud={speed}"), pairs[0].robot:
+        pass
+    with pairs[1].robot as robot:
+        assert robot.n_joints == 6
+
+
 def brown_out(pair: ServoPair) -> None:
     pair.twin.servos[1].put(VOLTS[pair.kind], 1, 55)
 
@@ -301,6 +320,21 @@ def test_ranges_of_the_servos_hold_and_those_of_another_zero_are_refused(make: A
     short = make(arm_range=[[1.0] * 5, [4.0] * 5])
     with refuses(UsageError, "5 joints", "gripper"), short.robot:
         pass
+    with make(arm_range=[[-1.0] * 5, [1.0] * 5], ids=[1, 2, 3, 4, 5]).robot as robot:
+        assert robot.n_joints == 5
+
+
+@pytest.mark.parametrize("signs", [[1] * 6, [1, 1, -1, 1, 1, 1]])
+def test_a_direction_that_is_not_the_files_is_refused_and_signs_are_the_cure(make: Any, signs: list[int]) -> None:
+    pair = make(arm_range=[[-0.1] * 6, [3.0] * 6], signs=signs)
+    at, size = (11, 2) if pair.kind == "feetech" else (48, 4)
+    pair.twin.servos[2].put(at, size, 2100)
+    if signs[2] > 0:
+        with refuses(DeviceFailed, "servo 3", "signs and zero_steps"), pair.robot:
+            pass
+    else:
+        with pair.robot as robot:
+            assert robot.state is RobotState.READY
 
 
 @pytest.mark.parametrize(

@@ -254,7 +254,7 @@ TRIED = {
         f"{DESIGN} {CAMERAS} {BOARD} --relative --cells 1",
         f"{DESIGN} {CAMERAS} {BOARD} --relative --cells 3",
     ),
-    ("cli/serve.py", "Give --robot DRIVER:DEVICE"): ("serve --", lambda: _of_robot(SIM, None, None)),
+    ("cli/serve.py", "Give --robot DRIVER:DEVICE"): ("serve --", lambda: _of_robot(SIM, None, None, None)),
     ("cli/serve.py", "Give --tokens FILE"): (
         "serve --add-token you:watch --",
         "serve --add-token you:watch --tokens tokens.yaml --",

@@ -31,7 +31,7 @@ IN_TESTS = {
     ("calibrate/arm/points.py", "armsight measure"): (
         f"{REPORTS}test_touched.py::test_touched_points_are_named_and_touching_is_the_cure"
     ),
-    ("calibrate/arm/senses.py", "sign: -1"): (
+    ("calibrate/arm/senses.py", "Change the sign of {} in the arm"): (
         f"{REPORTS}test_senses.py::test_a_joint_that_counts_the_other_way_is_named_and_the_cure_works"
     ),
     ("calibrate/cameras/lens_choice.py", "Use --lens"): (
@@ -147,6 +147,48 @@ IN_TESTS = {
     ("measure/poses/beacon.py", "or give diameter_m in target.yaml"): (
         "tests/unit/spots/test_coloured_rivals.py::"
         "test_the_diameter_tells_the_beacon_from_other_lights_where_lamps_are_masked"
+    ),
+    ("calibrate/arm/touch/faults.py", "Measure it again, and look whether the names"): (
+        "tests/truth/test_touch.py::test_a_length_typed_wrong_is_refused"
+    ),
+    ("calibrate/handeye/calibrate.py", "Leave --target-height away"): (
+        "tests/truth/test_handeye_one_axis.py::test_a_height_that_is_not_needed_is_refused"
+    ),
+    ("ops/calibrate_hand_eye.py", "Give the poses as --pairs, or no height"): (
+        "tests/truth/test_handeye_one_axis.py::test_a_height_that_is_not_needed_is_refused"
+    ),
+    ("calibrate/handeye/one_axis.py", "give it with --target-height"): (
+        "tests/truth/test_handeye_one_axis.py::test_without_a_height_what_is_known_is_told_and_what_is_open_named"
+    ),
+    ("calibrate/handeye/one_axis.py", "Check --setup"): (
+        "tests/truth/test_handeye_one_axis.py::test_gross_pairs_are_left_out_and_a_wrong_setup_is_refused"
+    ),
+    ("ops/calibrate_robot.py", "Leave them away with --touch"): (
+        f"{REPORTS}test_touched.py::test_touched_points_are_named_and_touching_is_the_cure"
+    ),
+    ("store/urdf_tree.py", "Name the last link of the chain you mean with --tip: {}"): (
+        "tests/unit/store/test_urdf_chains.py::test_a_finger_beside_a_fixed_tool_is_no_joint_of_the_arm_unasked"
+    ),
+    **dict.fromkeys(
+        (
+            ("control/paths/linuxcnc.py", "with --controller"),
+            ("control/paths/linuxcnc.py", "Lower the path's speed"),
+            ("control/paths/linuxcnc.py", "begin from another posture (--start)"),
+            ("ops/path/export.py", "Give the arm (--arm), and what its joints may"),
+        ),
+        "tests/unit/control/test_linuxcnc_program.py::test_what_is_refused_is_written_once_its_cure_is_followed",
+    ),
+    **{
+        ("drivers/servo_bus/found.py", words): (
+            "tests/contracts/test_servo_bus.py::test_the_ids_that_are_there_and_the_speed_that_is_told_open_it"
+        )
+        for words in ("(--robot-set ids=)", "Give --robot-set baud={}")
+    },
+    ("drivers/servo_bus/robot.py", "Name the arm's servos alone"): (
+        "tests/contracts/test_servo_bus.py::test_ranges_of_the_servos_hold_and_those_of_another_zero_are_refused"
+    ),
+    ("drivers/servo_bus/robot.py", "or signs and zero_steps"): (
+        "tests/contracts/test_servo_bus.py::test_a_direction_that_is_not_the_files_is_refused_and_signs_are_the_cure"
     ),
 }
 """By module and words of the cure: the test that follows it, or shows the new data that it asks for."""

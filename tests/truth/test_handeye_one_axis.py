@@ -64,6 +64,8 @@ def test_without_a_height_what_is_known_is_told_and_what_is_open_named():
     with refuses(Degenerate, "camera z", "target z", "SCARA") as caught:
         calibrate_hand_eye(*poses)
     assert "target_height" in caught.value.cure
+    done = calibrate_hand_eye(*poses, target_height_m=0.012)
+    assert np.abs(done.T_parent_camera.translation - CAMERA.translation).max() < 2e-3
     camera = re.search(r"of the camera in the flange (.*?); of the target", caught.value.cause)[1]
     told = {name: (float(value), float(std)) for name, value, std in re.findall(r"(\w+) (\S+) \+- (\S+)", camera)}
     assert set(told) == {"x", "y", "rx", "ry", "rz"}
@@ -104,3 +106,5 @@ def test_a_height_that_is_not_needed_is_refused():
         calibrate_hand_eye(flange, seen, target_height_m=0.012)
     with refuses(UsageError, "propose"):
         calibrate_hand_eye(flange, seen, target_height_m=0.012, propose=2)
+    done = calibrate_hand_eye(flange, seen, propose=2)
+    assert done.T_parent_target.translation[2] == pytest.approx(0.012, abs=1e-6)

@@ -159,6 +159,9 @@ def test_a_length_typed_wrong_is_refused():
     wrong = (replace(KNOWN[0], length_m=0.275),)
     with refuses(Inconsistent, "distance of a and b", "275 mm", "--tolerance-mm"):
         calibrate_touched(arm, replace(touches, lengths=wrong), tolerance=TOLERANCE)
+    assert calibrate_touched(arm, touches, tolerance=TOLERANCE).gain
+    wide = Tolerance(length_m=5.0 * LENGTH_M, angle_rad=ANGLE_RAD)
+    assert calibrate_touched(arm, replace(touches, lengths=wrong), tolerance=wide).gain
 
 
 def test_a_joint_that_runs_the_other_way_is_named_and_the_cure_works():

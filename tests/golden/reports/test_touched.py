@@ -2,7 +2,7 @@
 
 import pytest
 
-from armsight.errors import Inconsistent
+from armsight.errors import Inconsistent, UsageError
 from armsight.ops.calibrate_robot import calibrate_arm
 from refusals import refuses
 from reports import case
@@ -14,6 +14,8 @@ def test_touched_points_are_named_and_touching_is_the_cure(file, places, tmp_pat
     with refuses(Inconsistent, places, "touched", "touch") as caught:
         calibrate_arm("irb120", path, out=tmp_path / "a.yaml")
     assert "touch" in caught.value.cure
+    with refuses(UsageError, "holdout", "touch"):
+        calibrate_arm("irb120", touch=path, propose=2)
     done = calibrate_arm("irb120", touch=path, out=tmp_path / "a.yaml")
     assert done.gain
     # the nominal arm scatters by 2 mm about a spike
