@@ -135,7 +135,9 @@ class TwinJob:
     """An emulated controller."""
 
     name: Annotated[
-        str, Doc("alter, rsi, egm, rtde, feetech, dynamixel, or linuxcnc (the real one)."), Flag(positional=True, metavar="DRIVER")
+        str,
+        Doc("alter, rsi, egm, rtde, feetech, dynamixel, or linuxcnc (the real one)."),
+        Flag(positional=True, metavar="DRIVER"),
     ]
     port: Annotated[
         str | None, Doc("Where it listens; for alter a name for its serial line."), Flag(metavar="PORT")
