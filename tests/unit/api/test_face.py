@@ -78,6 +78,8 @@ def test_a_pose_from_arrays_is_the_true_one_and_shows_itself() -> None:
     error = result.xyz_m - (0.05, 0.0, 0.5)
     assert (np.abs(error) < 5.0 * np.array([result.std[k] for k in ("x_m", "y_m", "z_m")])).all()
     assert "+-" in repr(result) and "<table>" in result._repr_html_()
+    shown_mm = [float(text.split()[0]) for _, text in result.rows()[:3]]
+    np.testing.assert_allclose(shown_mm, 1e3 * result.xyz_m, atol=0.1)
     assert result.to_dict()["T_rig_target"][0][3] == result.T_rig_target[0, 3]
     left[:] = 0  # the caller's arrays stay his own: nothing froze them
 
