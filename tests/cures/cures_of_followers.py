@@ -72,7 +72,6 @@ TRIED = {
         f"{SIMULATE} --home {','.join(['0.1'] * 6)}",
         f"{SIMULATE} --arm irb120",
     ),
-    ("calibrate/arm/touch/touches.py", "Give radians"): (touching(np.degrees(Q)), touching()),
     ("calibrate/arm/touch/touches.py", "Give metres, or the unit"): (
         touching(length_m=270.0),
         lambda: [touching()(), touching(length_m=lengths_of(["a,b,270mm"])[0][2])()],

@@ -12,9 +12,7 @@ import tty
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
 from armsight.clock import Clock
-from armsight.errors import DeviceFailed, Inconsistent, UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight_sim.arms import Drive, Servo, SimArm
-from armsight_sim.twins.base import RIGHT, Wrong, note_silence, twin_arm, twin_drive, twin_home
+from armsight_sim.twins.base import RIGHT, SerialTwin, Wrong, note_silence, twin_arm, twin_drive, twin_home
 
 CYCLE_S = 0.028
 BYTE_S = 10 / 38400
@@ -239,8 +237,10 @@ class AlterController:
         return b"".join((b"\xa5", body, _low_high(_crc(body))))
 
 
-class AlterTwin:
+class AlterTwin(SerialTwin[AlterController]):
     """`armsight twin alter`: a pseudo terminal, under the name in port where one is given."""
+
+    kind = "alter"
 
     def __init__(
         self,
@@ -253,7 +253,7 @@ class AlterTwin:
     ) -> None:
         if connect is not None:
             raise UsageError("alter's twin is a serial line and connects to nothing", cure="Leave --connect out")
-        self._name = None if port is None else Path(port)
+        super().__init__(port)
         self._arm = twin_arm(arm)
         self._drive = twin_drive(self._arm, cycle_s or CYCLE_S)
         if self._drive.cycle_s <= (STATE_BYTES + ANSWER_BYTES) * BYTE_S:
@@ -261,39 +261,14 @@ class AlterTwin:
                 f"a cycle of {self._drive.cycle_s} s is too short for the line", cure="Give 0.028, as controllers have"
             )
         self._clock = clock
-        self.controller: AlterController | None = None
-
-    @property
-    def address(self) -> str:
-        """What opens its driver."""
-        return f"alter:{self._name or (self.controller.path if self.controller else '')}"
 
     @property
     def messages(self) -> list[str]:
         """Why it ended path control or fell silent."""
         return [] if self.controller is None else self.controller.messages
 
-    def __enter__(self) -> Self:
-        self.controller = AlterController(arm=self._arm, drive=self._drive, home=twin_home(self._arm))
-        if self._name is not None:
-            try:
-                self._name.symlink_to(self.controller.path)
-            except OSError as error:
-                self.controller.close()
-                raise DeviceFailed(
-                    f"{self._name} cannot be made: {error.strerror}",
-                    consequence="There is no twin",
-                    cure="Give a name that is free, in a folder that can be written",
-                ) from error
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self.controller is not None:
-            self.controller.close()
-            if self._name is not None:
-                self._name.unlink(missing_ok=True)
+    def _begin(self) -> AlterController:
+        return AlterController(arm=self._arm, drive=self._drive, home=twin_home(self._arm))
 
     def run(self, on: Callable[[], bool]) -> None:
         """Work in real time as long as on() holds."""

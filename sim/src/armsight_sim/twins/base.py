@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight_sim.arms import Drive, SimArm, SimJoint
 
 BEHIND_S = 0.1
@@ -113,6 +114,61 @@ class Twin(Protocol):
     def run(self, on: Callable[[], bool]) -> None:
         """Work in real time as long as on() holds; it is asked once a cycle."""
         ...
+
+
+class SerialController(Protocol):
+    """A controller at the end of a pseudo terminal, whose other end is a device at path."""
+
+    path: str
+
+    def close(self) -> None:
+        """Close both ends."""
+        ...
+
+
+Controller = TypeVar("Controller", bound=SerialController)
+
+
+class SerialTwin(Generic[Controller]):
+    """A twin on a serial line: a pseudo terminal, under the name in port where one is given."""
+
+    kind: str
+    """The driver that opens it."""
+
+    def __init__(self, port: str | None) -> None:
+        self._name = None if port is None else Path(port)
+        self.controller: Controller | None = None
+
+    def _begin(self) -> Controller:
+        """Return the controller, its line open."""
+        raise NotImplementedError
+
+    @property
+    def address(self) -> str:
+        """What opens its driver."""
+        return f"{self.kind}:{self._name or (self.controller.path if self.controller else '')}"
+
+    def __enter__(self) -> Self:
+        self.controller = self._begin()
+        if self._name is not None:
+            try:
+                self._name.symlink_to(self.controller.path)
+            except OSError as error:
+                self.controller.close()
+                raise DeviceFailed(
+                    f"{self._name} cannot be made: {error.strerror}",
+                    consequence="There is no twin",
+                    cure="Give a name that is free, in a folder that can be written",
+                ) from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.controller is not None:
+            self.controller.close()
+            if self._name is not None:
+                self._name.unlink(missing_ok=True)
 
 
 def note_silence(messages: list[str], late_s: float) -> None:

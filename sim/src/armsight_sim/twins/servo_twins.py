@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from types import TracebackType
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 from armsight.clock import Clock
-from armsight.errors import DeviceFailed, UsageError
+from armsight.errors import UsageError
 from armsight_sim.arms import Drive, SimArm
-from armsight_sim.twins.base import twin_arm, twin_drive, twin_home
+from armsight_sim.twins.base import SerialTwin, twin_arm, twin_drive, twin_home
 from armsight_sim.twins.servo_bus import OneServo, ServoBus
 
 CYCLE_S = 0.005
@@ -158,7 +156,7 @@ def _remainder(data: bytes) -> int:
     return value
 
 
-class BusTwin:
+class BusTwin(SerialTwin[ServoBus]):
     """`armsight twin feetech` or `dynamixel`: a pseudo terminal, under the name in port where one is given."""
 
     bus: ClassVar[type[ServoBus]]
@@ -176,43 +174,18 @@ class BusTwin:
             raise UsageError("a bus of servos is a serial line and connects to nothing", cure="Leave --connect out")
         if cycle_s is not None:
             raise UsageError("a bus of servos has no cycle: it answers when it is asked", cure="Leave --cycle out")
-        self._name = None if port is None else Path(port)
+        super().__init__(port)
+        self.kind = self.bus.kind
         self._arm, self._clock = twin_arm(arm), clock
-        self.controller: ServoBus | None = None
-
-    @property
-    def address(self) -> str:
-        """What opens its driver."""
-        return f"{self.bus.kind}:{self._name or (self.controller.path if self.controller else '')}"
 
     @property
     def messages(self) -> list[str]:
         """Nothing: servos say nothing by themselves."""
         return []
 
-    def __enter__(self) -> Self:
-        self.controller = self.bus(
-            arm=self._arm, drive=bus_drive(self._arm), home=twin_home(self._arm), clock=self._clock, sag=SAG_RAD
-        )
-        if self._name is not None:
-            try:
-                self._name.symlink_to(self.controller.path)
-            except OSError as error:
-                self.controller.close()
-                raise DeviceFailed(
-                    f"{self._name} cannot be made: {error.strerror}",
-                    consequence="There is no twin",
-                    cure="Give a name that is free, in a folder that can be written",
-                ) from error
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self.controller is not None:
-            self.controller.close()
-            if self._name is not None:
-                self._name.unlink(missing_ok=True)
+    def _begin(self) -> ServoBus:
+        arm = self._arm
+        return self.bus(arm=arm, drive=bus_drive(arm), home=twin_home(arm), clock=self._clock, sag=SAG_RAD)
 
     def run(self, on: Callable[[], bool]) -> None:
         """Answer as long as on() holds."""

@@ -153,14 +153,30 @@ class ArmPoints:
         return float(np.sqrt(sigma_m**2 + own))
 
 
-def check_points(arm: Arm, points: ArmPoints) -> None:
-    """Raise NotEnoughData or Inconsistent for measurements that cannot be of this arm: count, units, other joints."""
-    if points.q.shape[1] != arm.n:
+def require_joints(arm: Arm, q: Array) -> None:
+    """Raise Inconsistent for joint readings (m, n) of an arm with another number of joints."""
+    if q.shape[1] != arm.n:
         raise Inconsistent(
-            f"the rows have {points.q.shape[1]} joint readings, {arm.name} has {arm.n} joints",
+            f"the rows have {q.shape[1]} joint readings, {arm.name} has {arm.n} joints",
             consequence="They cannot be of this arm",
             cure="Give the file of this arm, with q1 .. qn in the order of its joints",
         )
+
+
+def require_radians(arm: Arm, q: Array) -> None:
+    """Raise Inconsistent for joint readings (m, n) that would be many turns."""
+    turns = np.abs(q[:, arm.revolute])
+    if turns.size and turns.max() > MOST_TURNS_RAD:
+        raise Inconsistent(
+            f"a joint reading of {turns.max():.4g} rad is {turns.max() / (2 * np.pi):.0f} turns",
+            consequence="The arm is not calibrated",
+            cure="Give radians; the numbers look like degrees",
+        )
+
+
+def check_points(arm: Arm, points: ArmPoints) -> None:
+    """Raise NotEnoughData or Inconsistent for measurements that cannot be of this arm: count, units, other joints."""
+    require_joints(arm, points.q)
     if len(points) < FEWEST_ROWS:
         raise NotEnoughData(
             f"{len(points)} measurements; {FEWEST_ROWS} is the least",
@@ -168,13 +184,7 @@ def check_points(arm: Arm, points: ArmPoints) -> None:
             cure="Measure more joint positions",
         )
     check_moves(arm, points)
-    turns = np.abs(points.q[:, arm.revolute])
-    if turns.size and turns.max() > MOST_TURNS_RAD:
-        raise Inconsistent(
-            f"a joint reading of {turns.max():.4g} rad is {turns.max() / (2 * np.pi):.0f} turns",
-            consequence="The arm is not calibrated",
-            cure="Give radians; the numbers look like degrees",
-        )
+    require_radians(arm, points.q)
     _check_far(points)
     _check_touched(points)
     check_units(arm, points.q, points.xyz_m)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.points import MOST_TURNS_RAD, SAME_PLACE, ArmPoints, check_moves
+from armsight.calibrate.arm.points import SAME_PLACE, ArmPoints, check_moves, require_joints, require_radians
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting.groups import means, repeats
 from armsight.kinematics import Arm
@@ -109,19 +109,8 @@ class Touches:
 
 def check_touches(arm: Arm, touches: Touches) -> None:
     """Raise NotEnoughData or Inconsistent for touches that cannot tell anything of this arm."""
-    if touches.q.shape[1] != arm.n:
-        raise Inconsistent(
-            f"the rows have {touches.q.shape[1]} joint readings, {arm.name} has {arm.n} joints",
-            consequence="They cannot be of this arm",
-            cure="Give the file of this arm, with q1 .. qn in the order of its joints",
-        )
-    turns = np.abs(touches.q[:, arm.revolute])
-    if turns.size and turns.max() > MOST_TURNS_RAD:
-        raise Inconsistent(
-            f"a joint reading of {turns.max():.4g} rad is {turns.max() / (2 * np.pi):.0f} turns",
-            consequence="The arm is not calibrated",
-            cure="Give radians; the numbers look like degrees",
-        )
+    require_joints(arm, touches.q)
+    require_radians(arm, touches.q)
     if len(touches) < FEWEST_TOUCHES:
         raise NotEnoughData(
             f"{len(touches)} touches; {FEWEST_TOUCHES} is the least",
