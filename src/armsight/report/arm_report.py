@@ -33,6 +33,9 @@ def arm_report(result: ArmResult, *, inputs: Sequence[tuple[str, str]] = (), cre
     )
     if result.free:
         page.add("Corrections", "Changes to the nominal arm, with standard deviations.", _corrections(result))
+    if result.features is not None:
+        rows = [[one.name, one.kind, one.n, figure_of(one.rms_m / MM)] for one in result.features]
+        page.add("Touched", "", table(["feature", "kind", "touches", "RMS, mm"], rows, numbers=(2, 3)))
     page.add(
         "Where the tool's place is how certain",
         "Standard deviation that the arm's parameters leave at the tool, at random positions between those measured.",

@@ -59,7 +59,7 @@ def arm(result: ArmResult, files: Sequence[Path], given: Given) -> str:
     from armsight.report.arm_report import arm_report
 
     texts = {name: str(value) for name, value in given.items() if isinstance(value, str | PathLike)}
-    inputs = [("measurements", Path(texts[name]).name) for name in ("q", "holdout") if name in texts]
+    inputs = [("measurements", Path(texts[name]).name) for name in ("q", "touch", "holdout") if name in texts]
     if "nominal" in texts:
         inputs = [("model", arm_source(texts["nominal"], tip=texts.get("tip"), base=texts.get("base"))), *inputs]
     return arm_report(result, inputs=inputs)

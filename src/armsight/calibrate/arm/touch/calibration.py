@@ -218,12 +218,14 @@ def _fitted(arm_model: ArmModel, best: TouchFit, touches: Touches, tolerance: To
 
 
 def _covariance(judged: _Judged) -> NamedCovariance | None:
-    """Return that of the arm's parameters and its tip; of none that no touch tells anything of."""
-    # a prior alone is no knowledge: what no touch tells is left out
+    """Return that of the arm's own parameters; of none that no touch tells anything of."""
     found = judged.best.fit.covariance
     if found is None:
         return None
-    ours = set(judged.model.arm_model.names) - judged.told.hidden
+    # a prior alone is no knowledge: what no touch tells is left out; and so is the tip, which takes up what is open
+    # behind the last joint: alone it looks uncertain by all of that
+    model = judged.model.arm_model
+    ours = set(model.names[: 5 * model.arm.n]) - judged.told.hidden
     names = tuple(name for name in found.names if name in ours)
     return NamedCovariance(names=names, matrix=found.block(names)) if names else None
 
@@ -233,11 +235,13 @@ def _arm(arm_model: ArmModel, best: TouchFit, covariance: NamedCovariance | None
     p = best.p[: len(arm_model.names)]
     arm, nominal = arm_model.arm_at(p), arm_model.arm
     tip = RigidTransform.from_components(arm.T_flange_tool.translation, nominal.T_flange_tool.rotation)
-    arm = replace(arm, T_flange_tool=tip, T_world_base=nominal.T_world_base, down_in_base=nominal.down_in_base)
-    links = () if covariance is None else tuple(x for x in covariance.names if x in arm_model.names[: 5 * nominal.n])
-    if covariance is None or not links:
-        return arm
-    return replace(arm, covariance=NamedCovariance(names=links, matrix=covariance.block(links)))
+    return replace(
+        arm,
+        T_flange_tool=tip,
+        T_world_base=nominal.T_world_base,
+        down_in_base=nominal.down_in_base,
+        covariance=covariance,
+    )
 
 
 def _feature(model: TouchModel, best: TouchFit, name: str) -> TouchedFeature:
