@@ -120,9 +120,8 @@ def driver_settings(
     """Return the settings of the driver that DRIVER:DEVICE names: those given, and what it needs beside them.
 
     arm: alter sends poses and needs it for joints; where others send poses it says how their probe moves every joint;
-    linuxcnc compares its ranges. rsi_config: the RSI Ethernet XML file with the tags of the user's own configuration.
-    Raises UsageError for what the driver has no use for; of `given` the driver itself
-    says that, and what it knows.
+    linuxcnc and buses of servos compare their ranges. rsi_config: the RSI Ethernet XML file with the tags of the user's
+    own configuration. Raises UsageError for what the driver has no use for; of `given` the driver itself says that.
     """
     driver = robot.partition(":")[0]
     settings = dict(given or {})
