@@ -80,6 +80,11 @@ class CyclicRobot(ABC):
         return self._goals.n
 
     @property
+    def joint_range(self) -> tuple[Array, Array]:
+        """Ends of its joints' ranges, (n,) each: its own, once it is open, where the controller tells them."""
+        return self._goals.limits.lower, self._goals.limits.upper
+
+    @property
     def state(self) -> RobotState:
         """What it can do just now."""
         reading = self._reading

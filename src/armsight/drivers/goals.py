@@ -68,6 +68,11 @@ class JointGoals:
         """Where the controller was last told to go, (n,)."""
         return self._sent
 
+    @property
+    def limits(self) -> JointLimits:
+        """Range and speed of the joints."""
+        return self._limits
+
     def room(self) -> tuple[Array, Array]:
         """Return how far it is to the lower (negative) and to the upper end of the range, each (n,)."""
         return self._limits.lower - self._sent, self._limits.upper - self._sent

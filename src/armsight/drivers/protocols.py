@@ -194,7 +194,8 @@ class RobotTraits:
     arm_mapping: returns the arm that its controller computes with, as arm.yaml has it. true_joints: returns where its
     joints (n,) really were at a time of the clock, as only a simulated robot knows. listen: has a function told of each
     reading: when it was sent, on the clock, and its joints (n,). reading_step: of its encoders, in rad or m, where that
-    is more than a reading's noise: readings are whole steps.
+    is more than a reading's noise: readings are whole steps. joint_range: lower and upper (n,) ends beyond which its
+    link takes it nowhere, in rad or m.
     """
 
     takes_joints: bool = True
@@ -203,6 +204,7 @@ class RobotTraits:
     true_joints: Callable[[float], NDArray[np.float64]] | None = None
     listen: Callable[[Callable[[float, NDArray[np.float64]], object]], None] | None = None
     reading_step: float = 0.0
+    joint_range: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     @property
     def reading_std(self) -> float:

@@ -25,7 +25,7 @@ from armsight.errors import (
     UsageError,
 )
 from armsight.ops.arm_files import given_arm
-from armsight.ops.identification.left_out import read_limits
+from armsight.ops.identification.left_out import FirstJoints, read_limits
 from armsight.ops.identification.live import (
     Known,
     LiveSweeps,
@@ -287,6 +287,17 @@ def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
     with refuses(DeviceFailed, "joint 3", "range", "j3"):
         cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9,0.3:1.6"), model=nearly_right(tmp_path))
     assert np.max(np.array(cell.asked)[:, 2]) <= 1.2
+
+
+def test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_moves(tmp_path: Path) -> None:
+    cell = Cell(tmp_path)
+    told = (np.array([-1.0, -1.0, 0.2]), np.array([6.0, 2.0, 1.2]))
+    cell.robot.joint_range = told  # type: ignore[attr-defined]
+    with refuses(UsageError, "joint 3", "1.6", "1.2", "0.3000:1.2000"):
+        cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9,0.3:1.6"))
+    assert not cell.asked
+    first = FirstJoints(robot=cell.robot, m=2)
+    assert np.array_equal(first.joint_range, np.array(told)[:, :2])  # type: ignore[arg-type]
 
 
 def test_nothing_moves_unless_confirmed_or_where_it_cannot(tmp_path: Path) -> None:

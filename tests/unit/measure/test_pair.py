@@ -327,3 +327,19 @@ def test_the_gain_of_a_camera_s_known_noise_is_used_unless_one_is_asked_for() ->
     setup = Setup(known, spot_target(TRIANGLE))
     assert setup.sides[0].gain == 0.1 and setup.sides[1].gain is None
     assert Setup(known, spot_target(TRIANGLE), SpotSettings(gain=0.3)).sides[0].gain == 0.3
+
+
+def test_a_hot_pixel_on_the_epipolar_line_of_a_single_light_is_told_by_the_light_s_size() -> None:
+    where = np.array([[0.01, 0.02, 0.6]])
+    left, right = frames(where, 1)
+    eye = RIG.T_rig_right.translation
+    u, v = pixels(eye + 1.2 * (where - eye))[0][0]  # on the right image's ray of the light
+    y, x = np.mgrid[0:480, 0:640]
+    dot = 150.0 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2.0 * 0.55**2))
+    left = replace(left, image=np.clip(left.image + dot, 0, 255).astype(np.uint8))
+    for diameter_m, seen in ((None, False), (0.0055, True)):
+        target = replace(spot_target({"A": (0.0, 0.0, 0.0)}), diameter_m=diameter_m)
+        measured = measure_pair(Setup(RIG, target), left, right)
+        assert (len(measured.points) == 1) is seen
+        if seen:
+            assert np.abs(measured.points.xyz_m[0] - where[0]).max() < 0.002

@@ -26,6 +26,9 @@ GAUSSIAN_RADIUS = 1.18
 """Radius at half of its height of a Gaussian light over its standard deviation."""
 SMALLER, LESS_PX, LARGER, MORE_PX = 1.25, 0.25, 1.5, 0.5
 """Ratios and px by which a beacon may look smaller (tilt) or larger (bloom, blur) than its diameter says."""
+OBLIQUE = 3.0
+"""By how much a flat light looks smaller to a camera 70 degrees aside: what is smaller still is none."""
+
 MIN_RADIUS_PX = 2.5
 """From this radius a beacon's size tells it from a lamp; smaller, blur makes all lights look alike."""
 
@@ -43,11 +46,10 @@ def match_beacon(
     if not len(pairs.index):
         return Match(best=None, why=_nothing(left, right), cause=Unseen.UNPAIRED)
     chosen = alone or setup.settings.mask is not None or setup.settings.threshold is not None
-    sizes = np.array([_radius_px(spots, pairs.index[:, side]) for side, spots in enumerate((left, right))])
     known = setup.model.radius_m > 0.0
     kept = np.arange(len(pairs.index))
     if known:
-        wanted = _wanted_px(setup, pairs)
+        sizes, wanted = _radii_px(setup, left, right, pairs)
         fits = np.all((sizes >= wanted / SMALLER - LESS_PX) & (sizes <= LARGER * wanted + MORE_PX), axis=0)
         if not fits.any():
             why = f"{_lights(pairs)} seen, not of the size that diameter_m in target.yaml says"
@@ -118,11 +120,12 @@ def _radius_px(spots: Spots, index: Index) -> NDArray[np.float64]:
     return np.asarray((spots.size_px * np.where(flat, 1.0, GAUSSIAN_RADIUS))[index])
 
 
-def _wanted_px(setup: Setup, pairs: Pairs) -> NDArray[np.float64]:
-    """Return the radius (2, c) in px that the beacon would have in both images where the pairs meet."""
+def _radii_px(setup: Setup, left: Spots, right: Spots, pairs: Pairs) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the radius (2, c) in px of each pair's spots, and that which the light would have where they meet."""
+    sizes = np.array([_radius_px(spots, pairs.index[:, side]) for side, spots in enumerate((left, right))])
     depth_m = [pairs.xyz_m @ setup.packed.R[side][2] + setup.packed.t[side][2] for side in range(2)]
     focal_px = [setup.packed.k[side][0] for side in range(2)]
-    return np.array([f * setup.model.radius_m / depth for f, depth in zip(focal_px, depth_m, strict=True)])
+    return sizes, np.array([f * setup.model.radius_m / depth for f, depth in zip(focal_px, depth_m, strict=True)])
 
 
 def _only(pairs: Pairs, kept: Mask) -> Pairs:
@@ -195,6 +198,24 @@ def _overlaid_by_position(spots: Spots, pairs: Pairs) -> Match:
     if order is None:
         return _ambiguous("the lights have no clear order left to right in the left view")
     return Match(best=Assignment(names=("A", "B", "C"), pair=rows[order], chi2=0.0))
+
+
+def match_few_of_size(setup: Setup, left: Spots, right: Spots, pairs: Pairs, prediction: Prediction | None) -> Match:
+    """Return match_few's answer; where it has none and the lights' diameter is known, that of the pairs of their size.
+
+    A hot pixel on the epipolar line of a light would else leave it without a partner for as long as the light rests.
+    """
+    match = match_few(setup.model, pairs, known=setup.target.model_known, prediction=prediction)
+    if match.best is not None or setup.model.radius_m == 0.0:
+        return match
+    sizes, wanted = _radii_px(setup, left, right, pairs)
+    fits = np.all((OBLIQUE * sizes >= wanted) & (sizes <= LARGER * wanted + MORE_PX), axis=0)
+    if fits.all() or not fits.any():
+        return match
+    sized = match_few(setup.model, _only(pairs, fits), known=setup.target.model_known, prediction=prediction)
+    if sized.best is None:
+        return match
+    return replace(sized, best=replace(sized.best, pair=np.flatnonzero(fits)[sized.best.pair]))
 
 
 def match_few(model: TargetModel, pairs: Pairs, *, known: bool, prediction: Prediction | None = None) -> Match:

@@ -11,7 +11,7 @@ from math import inf
 import numpy as np
 
 from armsight.errors import Unseen
-from armsight.measure.poses.beacon import by_chance_in_order, match_beacon, match_by_position, match_few
+from armsight.measure.poses.beacon import by_chance_in_order, match_beacon, match_by_position, match_few_of_size
 from armsight.measure.poses.board_pose import swapped
 from armsight.measure.poses.correspondence import AS_FOUND, match_known
 from armsight.measure.poses.outcome import Assignment, Match, Measured, Prediction, Track
@@ -129,7 +129,7 @@ def _match(
         chance = 0.0 if among is None or among.arrangements == AS_FOUND else by_chance_in_order(among.pairs_by_chance)
         match = replace(match_by_position(left, right, pairs), chance=chance)
     if match.best is None and not match.alternatives and (len(model) < 3 or pairs.few):
-        few = match_few(model, pairs, known=known, prediction=prediction)
+        few = match_few_of_size(setup, left, right, pairs, prediction)
         if (
             among is None
             or among.few_are_lights

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.identify.sweeps import HELD
-from armsight.drivers import Robot, RobotState, Sent
+from armsight.drivers import Robot, RobotState, RobotTraits, Sent
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, Inconsistent, UsageError
 from armsight.kinematics import Arm, Convention, in_convention, link_frames
 from armsight.ops.action import Given
@@ -171,6 +171,17 @@ class FirstJoints:
         return self.robot.state
 
     @property
+    def reading_step(self) -> float:
+        """The robot's."""
+        return RobotTraits.of(self.robot).reading_step
+
+    @property
+    def joint_range(self) -> tuple[Array, Array] | None:
+        """The first joints'."""
+        told = RobotTraits.of(self.robot).joint_range
+        return None if told is None else (told[0][: self.m], told[1][: self.m])
+
+    @property
     def held(self) -> Array:
         """Where the others stand (n - m,), rad or m."""
         if self._held is None:
@@ -192,7 +203,7 @@ class FirstJoints:
         """Return the first joints' reading. Raises as the robot does, and DeviceFailed where a held joint has moved."""
         reading = self.robot.read()
         off = np.abs(reading.q[self.m :] - self.held)
-        if off.max(initial=0.0) > HELD:
+        if off.max(initial=0.0) > HELD + 1.5 * self.reading_step:
             joint = self.m + 1 + int(np.argmax(off))
             raise DeviceFailed(
                 f"joint {joint} is left out and has moved by {off.max():.3g} rad or m",

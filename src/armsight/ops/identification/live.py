@@ -17,7 +17,7 @@ from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
 from armsight.defaults import SWEEP_READINGS
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Robot, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Robot, RobotTraits, is_live
 from armsight.errors import ArmsightError, Cancelled, DataRefused, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
@@ -38,6 +38,8 @@ from armsight.store.arm_points import write_sweeps
 from armsight.units import DEG, MM, displayed
 
 SIM = "sim:"
+RANGE_SPARE = 1e-6
+"""Rounding that a limit may be beyond the robot's own, in rad or m."""
 LARGEST_SHARE = 0.4
 """Probes grow no further than this share of the travel; what is not told by then, the plan says."""
 SIGMA_PX = 0.2
@@ -140,6 +142,7 @@ def identify_observed(
         held = first.held
     base = None if known.world is None else known.world.T_parent_rig.inv().as_matrix()
     low_high, start = checked_limits(limits, robot.read().q)
+    _check_range(robot, low_high)
     sweeper = Sweeper(robot, observer, low_high, clock, progress, job.pace)
     if known.model is not None:
         arm, notes = _modelled(known, held, job.sigma or SIGMA_PX), list[str]()
@@ -185,6 +188,22 @@ def _check_joints(robot: Robot, limits: Array) -> None:
             consequence="Nothing is moved",
             cure="Write lo:hi for every joint, also for those that are left out",
         )
+
+
+def _check_range(robot: Robot, limits: Array) -> None:
+    """Refuse limits beyond the range that the robot's link tells: the sweeps would end there, minutes later."""
+    told = RobotTraits.of(robot).joint_range
+    if told is None:
+        return
+    for j, (low, high) in enumerate(limits):
+        lower, upper = told[0][j], told[1][j]
+        if low < lower - RANGE_SPARE or high > upper + RANGE_SPARE:
+            raise UsageError(
+                f"joint {j + 1} is to go from {low:.4g} to {high:.4g}, and {robot.name} takes it from {lower:.4g} to "
+                f"{upper:.4g}",
+                consequence="Nothing is moved",
+                cure=f"Write {max(low, lower):.4f}:{min(high, upper):.4f} for it in --limits, or less",
+            )
 
 
 def _sweeps_question(robot: Robot, plan: Plan, revolute: Sequence[bool], pace: Pace) -> str:
