@@ -351,8 +351,9 @@ def _check_going(robot: Robot, progress: Progress, when: str, stopped: str, unfi
     state = robot.state
     if state not in (RobotState.READY, RobotState.MOVING):
         kind = DeviceLost if state is RobotState.LOST else DeviceFailed
+        why = getattr(robot, "why", "")  # a driver says it, a simulated robot need not
         raise kind(
-            f"{robot.name} is {state} {when}",
+            f"{robot.name} is {state} {when}" + (f": {why}" if why else ""),
             consequence=unfinished,
             cure="Look at the robot and its controller, then begin anew",
         )

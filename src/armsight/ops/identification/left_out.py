@@ -171,6 +171,11 @@ class FirstJoints:
         return self.robot.state
 
     @property
+    def why(self) -> str:
+        """The robot's."""
+        return str(getattr(self.robot, "why", ""))
+
+    @property
     def reading_step(self) -> float:
         """The robot's."""
         return RobotTraits.of(self.robot).reading_step
