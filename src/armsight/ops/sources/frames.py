@@ -128,11 +128,11 @@ def open_source(
 ) -> FrameSource:
     """Return the source that a text names as drivers.open_source does, or one camera of a recording."""
     if is_recording(text):
-        _require_as_recorded(text, fps, times_s, settings)
+        require_as_recorded(text, fps, times_s, settings)
         reading.require_none(text)
         return RecordedFrames(text, colour=colour)
     if is_bag(text):
-        _require_as_recorded(text, fps, times_s, settings)
+        require_as_recorded(text, fps, times_s, settings)
         reading.require_none(text)
         return BagFrames(text, colour=colour)
     return drivers.open_source(
@@ -187,7 +187,7 @@ def open_pairs(
     for text in (*recorded, *bags, *((left,) if left is not None and is_video(left) else ())):
         reading.require_none(text)
     if recorded and (left is None or right is None or len(recorded) == 2):
-        _require_as_recorded(recorded[0], fps, times_s, settings)
+        require_as_recorded(recorded[0], fps, times_s, settings)
         ends = RecordedFrames(recorded[0], "left", colour=colour), RecordedFrames(recorded[-1], "right", colour=colour)
         return cast(PairSource, RecordedMoments(*ends, max_skew_s=max_skew_s))
     if left is None or right is None:
@@ -196,7 +196,7 @@ def open_pairs(
         kind = "a recording" if recorded else "of a bag"
         raise UsageError(f"{left} and {right} cannot be paired: one is {kind}, the other is not")
     if bags and left != right:
-        _require_as_recorded(left, fps, times_s, settings)
+        require_as_recorded(left, fps, times_s, settings)
         sides = BagFrames(left, colour=colour), BagFrames(right, colour=colour, origin_of=left)
         return cast(PairSource, RecordedMoments(*sides, max_skew_s=max_skew_s))
     if fps is None and times_s is None and is_video(left) and is_video(right) and left != right:
@@ -222,7 +222,7 @@ def _video_pairs(left: str, right: str, colour: bool, max_skew_s: float, setting
     return cast(PairSource, RecordedMoments(*sides, max_skew_s=skew_s, end_together=True))
 
 
-def _require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:
+def require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:
     """Raise UsageError where times are given for a recording or a bag, or settings for the cameras in it."""
     for asked in by_side(settings):
         asked.require_none(text)
