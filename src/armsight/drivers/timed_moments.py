@@ -120,8 +120,8 @@ class TimedMoments(Moments):
             elif self._missed[k] >= UNPAIRED_LIMIT:
                 self._heads[k] = None
                 self._lose(k, self._apart(k, frame.t_s - since))
-        for k, frame in enumerate(self._heads):
-            self._ended[k] += frame is None
+        for k, head in enumerate(self._heads):
+            self._ended[k] += head is None
             if self._ended[k] == AFTER and self.names[k] not in self.lost:
                 self._leave(k, f"{self.sources[k].name} ends at {self._periods[k].until_s:g} s")
 
