@@ -189,13 +189,13 @@ class Rig(Saveable):
         """The settings of each camera's lens, where it zooms."""
         return tuple(one.zoom for one in self.cameras)
 
-    def camera(self, name: str) -> Camera:
-        """Return the camera of a name. Raises UsageError where there is none."""
-        return self.cameras[place_of(self.cameras, name)].camera
+    def camera(self, side: str) -> Camera:
+        """Return the camera of a name, such as 'left'. Raises UsageError where there is none."""
+        return self.cameras[place_of(self.cameras, side)].camera
 
-    def T_rig_camera(self, name: str) -> RigidTransform:
-        """Return the pose of the camera of a name in rig axes. Raises UsageError where there is none."""
-        return self.cameras[place_of(self.cameras, name)].T_rig_camera
+    def T_rig_camera(self, side: str) -> RigidTransform:
+        """Return the pose in rig axes of the camera of a name. Raises UsageError where there is none."""
+        return self.cameras[place_of(self.cameras, side)].T_rig_camera
 
     def with_each(self, **values: Sequence[Any]) -> Rig:
         """Return the rig with other values of its cameras: fields of MountedCamera, by camera in the rig's order."""
@@ -223,6 +223,7 @@ class Rig(Saveable):
 
     def require_pair(self, what: str) -> Rig:
         """Return itself; raise UsageError, beginning with `what`, where its cameras are not left and right alone."""
+        require_kind("what", what, str)
         if self.is_pair:
             return self
         raise UsageError(
