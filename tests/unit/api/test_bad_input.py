@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -492,9 +492,10 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {"left": image(LEFT), "right": image(RIGHT), "t_s": number(0.0)},
     ),
     "Rig": (
-        armsight.Rig,
+        partial(armsight.Rig, left=CAMERA, right=CAMERA, T_rig_left=RIG.T_rig_left, T_rig_right=RIG.T_rig_right),
         {
-            "kind": choice("stereo"),
+            "kind": Arg(good="stereo", wrong={"another": "nonsense", "a number": 3, "a list": ["stereo"]}),
+            "cameras": Arg(good=RIG.cameras, wrong={"a number": 3, "a text": "ab", "none": (), "plain": (CAMERA,)}),
             "left": record(CAMERA),
             "right": record(CAMERA),
             "T_rig_left": record(RIG.T_rig_left),
@@ -508,6 +509,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "Rig.camera": (RIG.camera, {"side": SIDE}),
     "Rig.T_rig_camera": (RIG.T_rig_camera, {"side": SIDE}),
+    "Rig.require_pair": (RIG.require_pair, {"what": text("rig.yaml")}),
     "Rig.project": (RIG.project, {"points_m": array(POINTS, nan=True, more={"empty": []})}),
     "SpotSettings": (
         armsight.SpotSettings,
@@ -814,7 +816,9 @@ def _arm_result() -> armsight.ArmResult:
 
 
 def _parameters(call: Callable[..., Any]) -> list[str]:
-    return [name for name in inspect.signature(call).parameters if name not in ("self", "cls")]
+    several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    held = inspect.signature(call).parameters.items()
+    return [name for name, one in held if name not in ("self", "cls") and one.kind not in several]
 
 
 def _face() -> Iterator[tuple[str, list[str]]]:
