@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, unused_image
 from armsight.measure.boards.checkerboard import LOW_CONTRAST
-from armsight.measure.boards.gridmap import fit_map
+from armsight.measure.boards.gridmap import fit_map, levels_at
 from armsight.measure.boards.kernels.subpixel import ALONE, EVERYTHING, LAST_STEP_PX, TRIALS, fit_corners
 from armsight.records import BoardView, Target, TargetKind
 from armsight.records.target import board_target
@@ -203,16 +203,9 @@ def _refined(image: NDArray[np.uint8], board: Target, index: Index, uv: Array, s
 def _signs(image: NDArray[np.uint8], uv: Array, E: Array, grid: Array) -> Array:
     """Return for each corner +1 where the square beyond it is white, by a vote over all corners."""
     parity = np.where(np.rint(grid.sum(axis=1)).astype(int) % 2 == 0, 1.0, -1.0)
-    vote = 0.0
-    near = 0.12  # of a square: inside the margin around the marker
-    for corner, direction, step in zip(uv, parity, E, strict=True):
-        levels = []
-        for s, t in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
-            u, v = corner + step @ np.array([s * near, t * near])
-            col = int(np.clip(np.rint(u), 0, image.shape[1] - 1))
-            row = int(np.clip(np.rint(v), 0, image.shape[0] - 1))
-            levels.append(float(image[row, col]))
-        vote += direction * (levels[0] + levels[1] - levels[2] - levels[3])
+    near = 0.12 * np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])  # of a square: before the marker
+    levels = levels_at(image, (uv[:, None] + near @ E.transpose(0, 2, 1)).reshape(-1, 2)).reshape(-1, 4)
+    vote = float(parity @ (levels @ [1.0, 1.0, -1.0, -1.0]))
     return np.asarray(parity if vote >= 0.0 else -parity)
 
 
