@@ -1,4 +1,4 @@
-"""Calibration from real pictures of boards, beside OpenCV: detection, left-out errors, intrinsics.
+"""Calibration from real pictures of boards, beside OpenCV: detection, left-out errors, intrinsics; far boards, drawn.
 
 Reads ../shared/data (opencv_stereo, dots_10x10_handeye) and says so where it is not there. One evaluator, built on
 OpenCV's undistortPoints and triangulatePoints, judges every method on the pair that its fit has not seen.
@@ -16,9 +16,9 @@ import numpy as np
 
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.errors import BadImage
-from armsight.measure.boards import find_board
+from armsight.measure.boards import find_board, warm_up
 from armsight.records import BoardView, TargetKind, board_target
-from bench import DATA, machine, table
+from bench import DATA, machine, table, test_scene
 
 PAIRS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14)
 SIZE = (640, 480)
@@ -281,12 +281,64 @@ def dots() -> None:
     print("\n".join(refused))
 
 
+FAR_PX = (16, 20, 24, 28, 34, 45, 60)
+RIGHT_PX = 0.15
+"""OpenCV's corners are right where they are off by no more than this, RMS per axis."""
+FALSE = 5.0
+
+
+def far(n: int) -> None:
+    """Print what is found of ChArUco boards whose squares have few pixels, before even and textured ground."""
+    scene, rows = test_scene("far_boards"), []
+    for square_px, textured in ((px, textured) for px in FAR_PX for textured in (False, True)):
+        right = found = both = 0
+        off, peers, seconds = [np.empty((0, 2))], [np.empty((0, 2))], []
+        scaled = [np.empty((0, 2))]
+        for seed in range(n):
+            made = scene.far_board(seed, square_px, textured=textured)
+            words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, made.board.dictionary))
+            size = made.board.columns, made.board.rows
+            peer = cv2.aruco.CharucoDetector(
+                cv2.aruco.CharucoBoard(size, made.board.pitch_m, made.board.marker_m, words)
+            )
+            begin = time.thread_time()
+            corners, ids, *_ = peer.detectBoard(made.image)
+            middle = time.thread_time()
+            error = np.empty((0, 2)) if ids is None else corners.reshape(-1, 2) - made.uv_px[ids.ravel()]
+            fair = len(error) >= 6 and np.sqrt(np.mean(error**2)) < RIGHT_PX
+            try:
+                view = find_board(made.image, made.board)
+            except BadImage:
+                view = None
+            seconds.append((middle - begin, time.thread_time() - middle))
+            right, found, both = right + fair, found + (view is not None), both + (fair and view is not None)
+            peers.append(error)
+            if view is not None:
+                off.append(view.uv_px - made.uv_px[view.index])
+                scaled.append(off[-1] / view.sigma_px)
+        ours, theirs, units = (np.concatenate(one) for one in (off, peers, scaled))
+        false = int(np.count_nonzero(np.linalg.norm(units, axis=1) > FALSE))
+        rms = [float(np.sqrt(np.mean(one**2))) if len(one) else np.nan for one in (ours, units, theirs)]
+        ms = 1e3 * np.median(seconds, axis=0)
+        row = [square_px, "textured" if textured else "even", n, right, both, found, f"{rms[0]:.4f}", f"{rms[1]:.2f}"]
+        rows.append([*row, f"{false} of {len(ours)}", f"{rms[2]:.3f}", f"{ms[1]:.1f}", f"{ms[0]:.1f}"])
+    columns = ["px a square", "ground", "boards", "right of OpenCV's", "of these found", "found", "off px RMS"]
+    columns += ["over claimed", f"beyond {FALSE:g}", "OpenCV px", "ms", "OpenCV ms"]
+    table("ChArUco boards far away, drawn, 1280 x 720, one thread", columns, rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="only OpenCV's window 5 as the peer")
     parser.add_argument("--speed", action="store_true", help="only finds and times of checkerboards")
+    parser.add_argument("--far", type=int, default=0, metavar="N", help="only N far ChArUco boards of each kind")
     asked = parser.parse_args()
     print(machine(), f"OpenCV {cv2.__version__}", sep=", ")
+    if asked.far:
+        cv2.setNumThreads(1)
+        warm_up()
+        far(asked.far)
+        return
     if (DATA / "opencv_stereo").exists():
         cv2.setNumThreads(1)
         speed(list(images().values()))

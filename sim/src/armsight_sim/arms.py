@@ -303,13 +303,13 @@ SAME = 1e-12
 """Segments whose directions' sine squared is less are parallel."""
 
 
-def covered(frames: Array, radii_m: Sequence[float], eye_m: Array, light_m: Array) -> bool:
-    """Tell whether the arm stands between eye (3,) and light (3,), all in base axes.
+def covering(frames: Array, radii_m: Sequence[float], eye_m: Array, light_m: Array) -> int | None:
+    """Return the link, from 0, that stands between eye (3,) and light (3,), all in base axes; None where none does.
 
     Its links are capsules of radii_m (n,) between its frames (n + 1, 4, 4). A capsule that holds the light itself
     carries it and covers nothing.
     """
-    for start, end, radius in zip(frames[:-1, :3, 3], frames[1:, :3, 3], radii_m, strict=True):
+    for link, (start, end, radius) in enumerate(zip(frames[:-1, :3, 3], frames[1:, :3, 3], radii_m, strict=True)):
         half = 0.5 * float(np.linalg.norm(end - start))
         middle = 0.5 * (start + end)
         if radius <= 0.0 or _distance(eye_m, light_m, middle, middle) > half + radius:
@@ -317,8 +317,8 @@ def covered(frames: Array, radii_m: Sequence[float], eye_m: Array, light_m: Arra
         if _distance(start, end, light_m, light_m) <= radius:
             continue
         if _distance(start, end, eye_m, light_m) <= radius:
-            return True
-    return False
+            return link
+    return None
 
 
 def _distance(a: Array, b: Array, c: Array, d: Array) -> float:

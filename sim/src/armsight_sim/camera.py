@@ -186,7 +186,9 @@ class SimCamera:
         in_camera = places @ R.transpose(0, 2, 1) + t[:, None, :]  # (poses, lights, 3)
         uv = self.lens.project(in_camera)
         towards = np.einsum("pli,pli->pl", facing @ R.transpose(0, 2, 1), in_camera)
-        uv[(towards >= 0.0) & facing.any(axis=1)] = np.nan
+        wide = np.array([0.0 if light.wide_deg >= 90.0 else np.cos(np.deg2rad(light.wide_deg)) for light in lights])
+        least = wide * np.linalg.norm(facing, axis=1) * np.linalg.norm(in_camera, axis=2)
+        uv[(towards >= -least) & facing.any(axis=1)] = np.nan
         return uv
 
     def _exposed(self, lights: Sequence[Light], path: Path, t_s: float) -> tuple[tuple[Array, Array], Array, Array]:

@@ -284,7 +284,7 @@ class LiveView:
         if self._covered:
             return frozenset(light.name for light in self._world.lights)
         frames = self._robot.true.frames(self._robot.true_joints(self.origin_s + t_s))
-        return behind_arm(self._world, side, frames, path(np.array([t_s]))[0])
+        return frozenset(behind_arm(self._world, side, frames, path(np.array([t_s]))[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
-from armsight_sim.arms import SimArm, covered
+from armsight_sim.arms import SimArm, covering
 from armsight_sim.scenario_builder import robotics
 from armsight_sim.scenario_schema import RobotMotion, Scenario, SwingKeys, WayKeys
 from armsight_sim.twins.base import clipped, twin_arm, twin_home
@@ -102,7 +102,7 @@ def _placed(
         T_base_rig = T_base_target * T_target_rig
         lights = [np.asarray(T_base_target.apply(xyz)) for xyz in scenario.target.spots_m.values()]
         stand = [np.asarray(T_base_rig.apply(eye)) for eye in eyes]
-        if not any(covered(frames, radii, eye, xyz) for eye in stand for xyz in lights):
+        if not any(covering(frames, radii, eye, xyz) is not None for eye in stand for xyz in lights):
             if min(eye[2] for eye in stand) >= 0.0:
                 return face, T_base_rig
             below = below or (face, T_base_rig)  # an arm that hangs, or works below its base

@@ -71,11 +71,13 @@ def parallel_pair(width: int, height: int, *, focal_px: float, baseline_m: float
 
 
 def rig_mapping(pair: Mapping[str, tuple[Lens, RigidTransform]]) -> dict[str, Any]:
-    """Return the pair as rig.yaml has it under kind and cameras."""
+    """Return the cameras as rig.yaml has them under kind and cameras, and other than a pair under its version."""
     cameras = {}
     for side, (lens, T_world_camera) in pair.items():
         xyz, quat = xyz_quat(T_world_camera)
         cameras[side] = lens.mapping() | {"T_rig_camera": {"xyz_m": xyz.tolist(), "quat_xyzw": quat.tolist()}}
+    if tuple(cameras) != SIDES:
+        return {"version": 2, "kind": "cameras", "cameras": cameras}
     return {"kind": "stereo", "cameras": cameras}
 
 

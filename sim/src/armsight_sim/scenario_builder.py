@@ -25,6 +25,7 @@ from armsight_sim.scenario_schema import (
     Scenario,
     SweepsKeys,
     SwingKeys,
+    TargetKeys,
     WayKeys,
 )
 from armsight_sim.scene import Light, Path, Rest
@@ -132,7 +133,7 @@ def build_world(
         seed=seed,
         n_frames=frames,
         timing=_timing(scenario),
-        views=("image",) if scenario.cameras.mirrors else SIDES,
+        views=("image",) if scenario.cameras.mirrors else tuple(scenario.cameras.lenses),
         cameras=cameras,
         lights=lights,
         moving=None,
@@ -340,6 +341,11 @@ def _carried_target(motion: RestKeys | ArcKeys | EdgeKeys, seed: int) -> Path:
     return path
 
 
+def _facing(keys: TargetKeys, name: str) -> tuple[float, float, float]:
+    x, y, z = (0.0, 0.0, -1.0) if keys.facing is None else keys.facing[name]
+    return x, y, z
+
+
 def _lights(scenario: Scenario) -> tuple[Light, ...]:
     keys = scenario.target
     bgr = BGR[keys.colour] if keys.colour else (1.0, 1.0, 1.0)
@@ -351,7 +357,8 @@ def _lights(scenario: Scenario) -> tuple[Light, ...]:
             sigma_px=keys.sigma_px,
             diameter_m=keys.diameter_m,
             bgr=bgr,
-            facing=(0.0, 0.0, 0.0) if keys.everywhere else (0.0, 0.0, -1.0),
+            facing=(0.0, 0.0, 0.0) if keys.everywhere else _facing(keys, name),
+            wide_deg=keys.wide_deg,
         )
         for name, (x, y, z) in keys.spots_m.items()
     )
@@ -377,11 +384,13 @@ def _sweep_rows(scenario: Scenario, frames: int) -> tuple[tuple[int, int], ...]:
 
 
 def _seen(world: World) -> World:
-    """Return the world; Inconsistent where no light of the target is in a view at the beginning."""
+    """Return the world; Inconsistent where no light of the target is in a view, or in any of many, at the beginning."""
+    blind: list[str] = []
     for side, camera in world.cameras.items():
         uv = camera.centres_px(world.lights, world.path, 0.0)
         inside = ((uv >= 0.0) & (uv <= [camera.lens.width - 1, camera.lens.height - 1])).all(axis=1)
-        if not inside.any():
+        blind += () if inside.any() else (side,)
+        if not inside.any() and (len(world.cameras) <= len(SIDES) or len(blind) == len(world.cameras)):
             raise Inconsistent(
                 f"cameras.T_mount_rig, target or motion: the {side} view sees no light at the beginning "
                 f"(the first would be at {np.round(uv[0], 1).tolist()} px)",

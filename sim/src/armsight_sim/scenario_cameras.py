@@ -66,14 +66,15 @@ def _placed(keys: LensKeys, cameras: CameraKeys, pose: RigidTransform) -> tuple[
 
 def with_zoom(keys: CameraKeys, zoom: float) -> CameraKeys:
     """Return the cameras with every zoom lens at a value. Raises Inconsistent where there is none."""
-    changed = {}
-    for side in SIDES:
-        lens = getattr(keys, side)
-        if lens is not None and lens.zoom is not None:
+    changed: dict[str, Any] = {}
+    for side, lens in keys.lenses.items():
+        if lens.zoom is not None:
             changed[side] = lens.model_copy(update={"zoom": lens.zoom.model_copy(update={"at": zoom})})
     if not changed:
         raise Inconsistent("the cameras have no zoom lens", cure="Give cameras.left.zoom, or leave the zoom away")
-    return keys.model_copy(update=changed)
+    pair = {side: changed.pop(side) for side in SIDES if side in changed}
+    others = {"others": {**(keys.others or {}), **changed}} if changed else {}
+    return keys.model_copy(update=pair | others)
 
 
 def make_cameras(keys: CameraKeys, seed: int, *, ambient_level: float) -> tuple[dict[str, SimCamera], dict[str, Any]]:
@@ -84,22 +85,17 @@ def make_cameras(keys: CameraKeys, seed: int, *, ambient_level: float) -> tuple[
         places: dict[str, tuple[Lens | MirrorLens, RigidTransform]] = {side: (views[side], here) for side in SIDES}
         rig = mirror_rig(views)
     else:
-        right = keys.right
-        if right is None:
-            raise Inconsistent("cameras: neither right nor mirrors is given")
-        pair = {
-            "left": _placed(keys.left, keys, here),
-            "right": _placed(right, keys, right.T_rig_camera.pose()),
-        }
-        places, rig = dict(pair), rig_mapping(pair)
+        placed = {name: _placed(lens, keys, lens.T_rig_camera.pose()) for name, lens in keys.placed.items()}
+        placed = {"left": _placed(keys.left, keys, here)} | placed
+        places, rig = dict(placed), rig_mapping(placed)
     sensor = Sensor(electrons_per_level=keys.sensor.electrons_per_level, read_noise_level=keys.sensor.read_noise_level)
     pipeline = pipeline_of(keys.pipeline)
     cameras = {}
-    for side, (lens, T_rig_camera) in places.items():
+    for number, (side, (lens, T_rig_camera)) in enumerate(places.items()):
         bgr = (1.0, 1.0, 1.0) if keys.colour or pipeline.bayer else (1.0,)
         room = ambient(keys.width, keys.height, ambient_level, bgr=bgr)
         if keys.sensor.hot_pixels:
-            rng = np.random.default_rng([seed, SEED_BACKDROP, SIDES.index(side)])
+            rng = np.random.default_rng([seed, SEED_BACKDROP, number])
             room = with_hot_pixels(room, keys.sensor.hot_pixels, (20.0, 120.0), rng)
         cameras[side] = SimCamera(
             lens=lens,

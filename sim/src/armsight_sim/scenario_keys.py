@@ -205,12 +205,15 @@ Vector2 = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 
 
 class EventKeys(Keys):
-    """Something that goes wrong from at_s for for_s seconds; by: of an encoder's joint, degrees or m."""
+    """Something that goes wrong from at_s for for_s seconds; by: of an encoder's joint, degrees or m.
+
+    side: a camera's name, or both or all, which mean every one.
+    """
 
     kind: Literal["occluded", "reflection", "frozen", "dropped", "jump", "link_lost", "late_cycle", "encoder_jump"]
     at_s: NotNegative
     for_s: Positive
-    side: Literal["left", "right", "both"] = "both"
+    side: str = "both"
     lights: list[str] = Field(default=[])
     uv_px: Vector2 | None = None
     level: Positive = REFLECTION_LEVEL

@@ -7,6 +7,7 @@ read elsewhere, this takes the mapping. `sim.scenario_builder` makes the world.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -29,6 +30,8 @@ from armsight_sim.scenario_keys import (
 )
 from armsight_sim.sensor import Sensor
 
+MOST_CAMERAS = 8
+TAKEN = frozenset({"rig", "image", "complex", "all", "both", "left", "right"})
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
 Vector5 = Annotated[list[Finite], Field(min_length=5, max_length=5)]
@@ -134,7 +137,7 @@ class LensKeys(Keys):
 
 
 class RightKeys(LensKeys):
-    """The right camera, and where it stands in the axes of the left one, which are the rig's."""
+    """The right camera or another, and where it stands in the axes of the left one, which are the rig's."""
 
     T_rig_camera: PoseKeys
 
@@ -159,14 +162,21 @@ class SensorKeys(Keys):
     hot_pixels: Annotated[int, Field(ge=0, le=10_000)] = 0
 
 
+CameraName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,15}$")]
+
+
 class CameraKeys(Keys):
-    """The rig: two cameras (left, right) or one behind mirrors (left, mirrors); on the world's ground or the flange."""
+    """The rig: two cameras (left, right), or left with others by name, right among them or not; or one behind mirrors.
+
+    On the world's ground or the flange. `others: {}` and no right is the left camera alone.
+    """
 
     width: Annotated[int, Field(ge=16, le=8192)]
     height: Annotated[int, Field(ge=16, le=8192)]
     colour: bool = False
     left: LensKeys
     right: RightKeys | None = None
+    others: Annotated[dict[CameraName, RightKeys], Field(max_length=7)] | None = None
     mirrors: MirrorKeys | None = None
     mount: Literal["base", "flange"]
     T_mount_rig: PoseKeys
@@ -180,19 +190,41 @@ class CameraKeys(Keys):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
-        if (self.right is None) == (self.mirrors is None):
+        if (self.right is None and self.others is None) == (self.mirrors is None):
             raise ValueError("give either right (two cameras) or mirrors (one camera)")
-        if self.right is not None and not np.linalg.norm(self.right.T_rig_camera.xyz_m) > 1e-6:
+        taken = TAKEN & (self.others or {}).keys()
+        if taken:
+            raise ValueError(f"others: {', '.join(sorted(taken))} is no name of another camera")
+        if len(self.lenses) > MOST_CAMERAS:
+            raise ValueError(f"others: a rig has {MOST_CAMERAS} cameras at most, not {len(self.lenses)}")
+        placed = {name: np.array(keys.T_rig_camera.xyz_m) for name, keys in self.placed.items()}
+        if self.right is not None and not np.linalg.norm(placed["right"]) > 1e-6:
             raise ValueError("right.T_rig_camera.xyz_m puts both cameras in one place: there is no depth")
+        for (one, at), (other, there) in combinations({"left": np.zeros(3), **placed}.items(), 2):
+            if not np.linalg.norm(at - there) > 1e-6:
+                raise ValueError(f"T_rig_camera.xyz_m puts the cameras {one} and {other} in one place")
         if self.mirrors is not None and self.left.zoom is not None:
             raise ValueError("left.zoom: a lens behind mirrors does not zoom here")
         if self.mirrors is not None and self.mirrors.gap_m <= 2.0 * self.mirrors.plate_m:
             raise ValueError("mirrors.gap_m leaves no room for the plate of mirrors.plate_m")
         return self
 
+    @property
+    def placed(self) -> dict[str, RightKeys]:
+        """All cameras but the left one, by name, in the rig's order."""
+        return ({} if self.right is None else {"right": self.right}) | (self.others or {})
+
+    @property
+    def lenses(self) -> dict[str, LensKeys]:
+        """All cameras by name, in the rig's order."""
+        return {"left": self.left, **self.placed}
+
 
 class TargetKeys(Keys):
-    """The lights; in target axes, z pointing away from the cameras. carried by the flange or not by the robot."""
+    """The lights; in target axes, z pointing away from the cameras. carried by the flange or not by the robot.
+
+    facing: where each shines, in target axes, up to wide_deg from there; -z, and all before it, where not given.
+    """
 
     spots_m: Annotated[dict[str, Vector3], Field(min_length=1, max_length=64)]
     level: Annotated[float, Field(gt=0.0, le=5000.0)]
@@ -200,10 +232,16 @@ class TargetKeys(Keys):
     diameter_m: Positive | None = None
     colour: Literal["red", "green", "blue"] | None = None
     everywhere: bool = False
+    facing: dict[str, Vector3] | None = None
+    wide_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 90.0
     T_flange_target: PoseKeys | None = None
 
     @model_validator(mode="after")
     def _apart(self) -> Self:
+        if self.facing is not None and (self.everywhere or self.facing.keys() != self.spots_m.keys()):
+            raise ValueError("facing needs a direction of every light, and contradicts everywhere")
+        if self.facing is not None and not all(any(way) for way in self.facing.values()):
+            raise ValueError("facing: a direction of no length is none")
         places = np.array(list(self.spots_m.values()))
         gaps = np.linalg.norm(places[:, None] - places[None], axis=2) + np.eye(len(places))
         if gaps.min() < 1e-4:
@@ -334,7 +372,10 @@ class Scenario(Keys):
         self._check_who_moves()
         for key, values in _joint_rows(self.motion):
             self._check_row(key, values)
+        cameras = [*self.cameras.lenses, *(("right",) if self.cameras.mirrors else ()), "both", "all"]
         for event in self.events:
+            if event.side not in cameras:
+                raise ValueError(f"events: {event.side} is no camera; there are {', '.join(cameras)}")
             unknown = [name for name in event.lights if name not in self.target.spots_m]
             if unknown:
                 raise ValueError(f"events: lights {', '.join(unknown)} are not among target.spots_m")

@@ -80,7 +80,7 @@ class Light:
     facing is zero: then it shines everywhere. level:
     peak of the spread function above the background in grey levels (of a disc: its plateau). sigma_px: spread of
     a point light, or the lens blur at the edge of a disc. diameter_m: None for a point, else of a flat disc
-    normal to facing. bgr: share of each channel in a colour camera.
+    normal to facing. bgr: share of each channel in a colour camera. wide_deg: how far from facing it is seen.
     """
 
     name: str
@@ -90,6 +90,7 @@ class Light:
     diameter_m: float | None = None
     facing: tuple[float, float, float] = (0.0, 0.0, -1.0)
     bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    wide_deg: float = 90.0
 
     def __post_init__(self) -> None:
         if not (self.level >= 0.0 and self.sigma_px >= LEAST_SIGMA_PX):
@@ -124,7 +125,8 @@ class Ghost:
 class Event:
     """Something that goes wrong in the frames first <= k < last of one camera, or of both.
 
-    side: 'left', 'right' or 'both'. hidden: lights that are covered. ghosts: reflections that appear.
+    side: a camera's name, or 'both' or 'all', which mean every one. hidden: lights that are covered. ghosts:
+    reflections that appear.
     """
 
     first: int
@@ -136,7 +138,7 @@ class Event:
 
     def applies(self, index: int, side: str) -> bool:
         """Tell whether the event is on in frame index of camera side."""
-        return self.first <= index < self.last and self.side in (side, "both")
+        return self.first <= index < self.last and self.side in (side, "both", "all")
 
 
 def hidden_lights(events: Sequence[Event], index: int, side: str) -> frozenset[str]:

@@ -16,13 +16,12 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.records import Frame
-from armsight_sim.arms import Servo, SimArm, covered
+from armsight_sim.arms import Servo, SimArm, covering
 from armsight_sim.backdrops import MovingBackdrops
 from armsight_sim.camera import SimCamera
 from armsight_sim.cell import SEED_NOISE, Truth
 from armsight_sim.motions import Vibration
 from armsight_sim.render import LightImage
-from armsight_sim.rigs import SIDES
 from armsight_sim.scene import Event, Light, Path, ghosts_seen, hidden_lights
 
 SEED_JITTER, SEED_DROP = 10, 11
@@ -61,7 +60,7 @@ class Between:
 class Timing:
     """When frames are taken and how they come.
 
-    fps: frames a second; jitter_s: standard deviation of the right camera's moment from the left one's, of which its
+    fps: frames a second; jitter_s: standard deviation of another camera's moment from the left one's, of which its
     stamp knows nothing; latency_s: from the exposure's middle to the frame's arrival; drop: share of frames that are
     lost.
     """
@@ -73,10 +72,24 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sight:
+    """A light before a camera: its pixel (2,), NaN where it shines elsewhere.
+
+    hidden_by: empty where it is seen, else the joint whose link is before it, turned away, outside, event or occluder.
+    """
+
+    t_s: float
+    camera: str
+    light: str
+    uv_px: Array
+    hidden_by: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class World:
     """A simulated cell with a robot, with the face of sim.cell.Cell.
 
-    views: ('left', 'right'), or ('image',) for the complex images of a mirror rig. servo: the arm's motion, worked out
+    views: the cameras' names, or ('image',) for the complex images of a mirror rig. servo: the arm's motion, worked out
     to the end; vibration: of its flange. frozen, dropped, cut_off: events (frames, views) in which the image stands
     still, none comes, no joints are read. radii_m: of the arm's links as obstacles. moving: the room as cameras that
     move see it; None for those that stand, or in the dark.
@@ -159,11 +172,33 @@ class World:
 
     def hidden(self, index: int, side: str) -> frozenset[str]:
         """Return the names of the lights that a camera cannot see in a frame: covered on command, or by the arm."""
-        names = hidden_lights(self.events, index, side)
+        return hidden_lights(self.events, index, side).union(self._links(index, side))
+
+    def _links(self, index: int, side: str) -> dict[str, int]:
+        """Return the lights that the arm hides from a camera in a frame, and by which link."""
         if not any(self.radii_m) or self.T_base_rig is None:
-            return names
+            return {}
         t_s = np.array([index / self.fps])
-        return names | behind_arm(self, side, self.true.frames(self.servo.at(t_s)[0]), self.path(t_s)[0])
+        return behind_arm(self, side, self.true.frames(self.servo.at(t_s)[0]), self.path(t_s)[0])
+
+    def sights(self, index: int) -> Iterator[Sight]:
+        """Yield every light before every camera in a frame, and what hides it there, if anything does."""
+        for side, camera in self.cameras.items():
+            t_s = self._moment(index, side)
+            told, passing = hidden_lights(self.events, index, side), camera.covered(self.lights, self.path, t_s)
+            links = self._links(index, side)
+            inside = np.array([camera.lens.width, camera.lens.height]) - 0.5
+            for light, uv in zip(self.lights, camera.centres_px(self.lights, self.path, t_s), strict=True):
+                hidden = "" if light.name not in links else self.true.joints[links[light.name]].name
+                if not np.isfinite(uv).all():
+                    hidden = "turned away"
+                elif light.name in told:
+                    hidden = "event"
+                elif light.name in passing:
+                    hidden = "occluder"
+                elif not ((uv >= -0.5) & (uv < inside)).all():
+                    hidden = "outside"
+                yield Sight(t_s=index / self.fps, camera=side, light=light.name, uv_px=uv, hidden_by=hidden)
 
     def _single(self, index: int, side: str) -> NDArray[np.uint8]:
         camera, t_s = self.cameras[side], self._moment(index, side)
@@ -182,7 +217,7 @@ class World:
         left = self.cameras["left"]
         sources = [
             source
-            for side in SIDES
+            for side in self.cameras
             for source in self.cameras[side].sources(
                 self.lights, self.path, t_s, self.hidden(index, side), ghosts_seen(self.events, index, side)
             )
@@ -190,17 +225,22 @@ class World:
         return left.develop(sources, self._noise(index, "left"), self._backdrop("image", t_s))
 
     def _noise(self, index: int, side: str) -> np.random.Generator:
-        return np.random.default_rng([self.seed, SEED_NOISE, SIDES.index(side), index])
+        return np.random.default_rng([self.seed, SEED_NOISE, [*self.cameras].index(side), index])
 
     def _moment(self, index: int, side: str) -> float:
         """Return when a frame is really exposed."""
-        late = 0.0
-        if side == "right" and self.timing.jitter_s > 0.0:
-            late = self.timing.jitter_s * float(np.random.default_rng([self.seed, SEED_JITTER, index]).normal())
+        late, number = 0.0, [*self.cameras].index(side)
+        if number > 0 and self.timing.jitter_s > 0.0:
+            stream = [self.seed, SEED_JITTER, index, *((number,) if number > 1 else ())]
+            late = self.timing.jitter_s * float(np.random.default_rng(stream).normal())
         return index / self.fps + late
 
     def _lost(self, index: int) -> bool:
-        if any(event.applies(index, "both") or event.applies(index, view) for event in self.dropped for view in SIDES):
+        if any(
+            event.applies(index, "both") or event.applies(index, view)
+            for event in self.dropped
+            for view in self.cameras
+        ):
             return True
         if self.timing.drop <= 0.0:
             return False
@@ -208,17 +248,17 @@ class World:
         return bool((lots < self.timing.drop).any())
 
 
-def behind_arm(world: World, side: str, frames: Array, T_rig_target: RigidTransform) -> frozenset[str]:
-    """Return the names of the lights that an arm with frames (n + 1, 4, 4) in base axes hides from a fixed camera."""
+def behind_arm(world: World, side: str, frames: Array, T_rig_target: RigidTransform) -> dict[str, int]:
+    """Return which link, from 0, of an arm with frames (n + 1, 4, 4) in base axes hides a light from a fixed camera."""
     if not any(world.radii_m) or world.T_base_rig is None:
-        return frozenset()
+        return {}
     eye = (world.T_base_rig * world.cameras[side].T_world_camera).translation
     T_base_target = world.T_base_rig * T_rig_target
-    return frozenset(
-        light.name
+    links = {
+        light.name: covering(frames, world.radii_m, np.asarray(eye), np.asarray(T_base_target.apply(light.xyz_m)))
         for light in world.lights
-        if covered(frames, world.radii_m, np.asarray(eye), np.asarray(T_base_target.apply(light.xyz_m)))
-    )
+    }
+    return {name: link for name, link in links.items() if link is not None}
 
 
 def _truth(path: Path, t_s: Array) -> tuple[Truth, ...]:

@@ -28,6 +28,7 @@ from armsight_sim.world import World
 from refusals import refuses
 
 NAMES = (
+    "arm-cell",
     "kapucu2005-rrp",
     "korayem2018-circle",
     "pachidis2005-circle",

@@ -10,7 +10,7 @@ from armsight.errors import Cancelled, UsageError
 from armsight.ops.action import action_of
 from armsight.ops.measure import measure
 from armsight.ops.simulation.run import simulate
-from armsight.ops.simulation.scenarios import VIEWS, load_scenario
+from armsight.ops.simulation.scenarios import load_scenario
 from armsight.records import Progress
 
 SOURCED = re.compile(r"^\s*(?:- )?(?P<text>[^#]*\S)\s*#\s*(?P<source>(?:paper|derived|chosen)[:;].*)$")
@@ -50,7 +50,7 @@ class Stage:
                 cure=f"Give --frames {least} or more, or leave it away",
             )
         folder = self.out / scenario
-        for earlier in [path for view in VIEWS for path in (folder / view).glob(FRAME)]:
+        for earlier in list(folder.glob(f"*/{FRAME}")):
             earlier.unlink()
         simulate(scenario, folder, seed=self.seed, frames=wanted, room=room, progress=self.progress)
         self.scenarios.append(scenario)

@@ -20,7 +20,7 @@ from armsight.measure.boards.checkerboard import (
 from armsight.measure.boards.corner_detector import Grid
 from armsight.measure.boards.gridmap import GridMap, fit_map, monomials
 from armsight.measure.boards.kernels.gridmap import render_pattern
-from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
+from armsight.measure.boards.kernels.subpixel import ALONE, EVERYTHING, LAST_STEP_PX, TRIALS, fit_corners
 from armsight.records import Target
 
 PART_SHARE = 0.25
@@ -149,7 +149,9 @@ def measure_layer(light: Array, layer: Layer, other: Layer | None, board: Target
     reach = np.minimum(REACH, LAST_HALF_PX / size.max(axis=1))
     n = len(grid)
     rest = without_layer(light, other, board)
-    uv, covariance, quality, _ = fit_corners(rest, smooth(grid), E, Q, reach, layer.sign, ALONE, LAST_STEP_PX, TRIALS)
+    uv, covariance, quality, _ = fit_corners(
+        rest, smooth(grid), E, Q, reach, layer.sign, ALONE, LAST_STEP_PX, TRIALS, EVERYTHING
+    )
     if other is None:  # half of the corners are disturbed: the others tell light and blur, the map stays
         clear = quality[:, 0] >= np.median(quality[:, 0])
         contrast, blur = np.median(quality[clear, 1:3], axis=0)

@@ -18,7 +18,7 @@ from armsight.measure.boards.gridmap import (
     too_few,
 )
 from armsight.measure.boards.kernels.gridmap import median
-from armsight.measure.boards.kernels.subpixel import ALONE, LAST_STEP_PX, TRIALS, fit_corners
+from armsight.measure.boards.kernels.subpixel import ALONE, EVERYTHING, LAST_STEP_PX, TRIALS, fit_corners
 from armsight.measure.boards.saddle_grid import grid_at_a_glance, shrunk
 from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target
@@ -219,7 +219,9 @@ def _fit(
     E, Q = smooth.derivatives(grid)
     half_px, last_px, most = effort
     reach = np.minimum(REACH, half_px / np.linalg.norm(E, axis=1).max(axis=1))
-    fitted: tuple[Array, Array, Array, Array] = fit_corners(image, guess, E, Q, reach, sign, like, last_px, most)
+    fitted: tuple[Array, Array, Array, Array] = fit_corners(
+        image, guess, E, Q, reach, sign, like, last_px, most, EVERYTHING
+    )
     return fitted
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array, Image
-from armsight.errors import Inconsistent, Unseen, UsageError, unused_image
+from armsight.errors import BadImage, Inconsistent, Unseen, UsageError, unused_image
 from armsight.measure.boards.board_layers import (
     PART_SHARE,
     Layer,
@@ -30,7 +30,7 @@ from armsight.measure.boards.checkerboard import (
 from armsight.measure.boards.circles import find_circles
 from armsight.measure.boards.corner_detector import ENOUGH, Grid, Saddles, find_grids, find_saddles
 from armsight.measure.boards.gridmap import fit_map, same_way_up
-from armsight.measure.boards.kernels.subpixel import ALONE, fit_corners, fit_dots
+from armsight.measure.boards.kernels.subpixel import ALONE, EVERYTHING, fit_corners, fit_dots
 from armsight.measure.boards.marker_corners import find_aprilgrid, find_charuco
 from armsight.records import BoardView, Target, TargetKind
 
@@ -41,7 +41,9 @@ of Pachidis et al. 2005. The corners are fitted the same way afterwards."""
 DARK_LEVEL = 40.0
 WHITE_LEVEL = 215.0
 LEAST_CONTRAST = 15.0
-"""Grey levels between the image's darkest and brightest percent: below this no print can be told from noise."""
+"""Grey levels between the image's darkest and brightest percent, or, as the board may be small before an even ground,
+between those thousandths of its blocks' means: below this no print can be told from noise."""
+BLOCK_PX = 4
 SMALLEST_PX = 32
 
 
@@ -58,7 +60,17 @@ def find_board(image: NDArray[np.uint8], board: Target, *, source: str = "", det
         raise UsageError(f"no detector is called {detector!r}; there are {', '.join(DETECTORS)}")
     source = source or "the image"
     grey = grey_image(image, source)
-    check_exposure(grey, source)
+    poor = check_exposure(grey, source)
+    try:
+        return _find(grey, board, source, detector)
+    except BadImage as error:
+        if poor is None or error.unseen is not Unseen.OTHER or error.size is not None:
+            raise
+        raise poor from None
+
+
+def _find(grey: Image, board: Target, source: str, detector: str) -> BoardView:
+    """Return the board as the detector of its kind finds it."""
     if board.kind is TargetKind.CHECKERBOARD:
         return find_checkerboard(grey, board, source, detector)
     if board.kind is TargetKind.CHARUCO:
@@ -74,7 +86,7 @@ def warm_up() -> None:
     """Compile the fits, or load them from the cache, so that the first image does not wait for it."""
     image = grey_image(np.zeros((SMALLEST_PX, SMALLEST_PX), np.uint8), "")
     middle, axes, one = np.full((1, 2), 16.0), np.eye(2)[None] * 4.0, np.ones(1)
-    fit_corners(image, middle, axes, np.zeros((1, 2, 3)), one, one, ALONE, 1.0, 1)
+    fit_corners(image, middle, axes, np.zeros((1, 2, 3)), one, one, ALONE, 1.0, 1, EVERYTHING)
     fit_dots(image, middle, axes, one, 0.0, 1)
 
 
@@ -91,19 +103,23 @@ def grey_image(image: NDArray[np.uint8], source: str) -> NDArray[np.uint8]:
     return contiguous
 
 
-def check_exposure(grey: NDArray[np.uint8], source: str) -> None:
-    """Raise BadImage for an image that is black, white or grey all over."""
+def check_exposure(grey: NDArray[np.uint8], source: str) -> BadImage | None:
+    """Raise BadImage for an image that is black, white or grey all over; return it where all but a small part is."""
     count = cv2.calcHist([grey[::2, ::2]], [0], None, [256], [0, 256]).cumsum()
     low, middle, high = (int(np.searchsorted(count, share * count[-1])) for share in (0.01, 0.5, 0.99))
     if high - low >= LEAST_CONTRAST:
-        return
+        return None
     if middle < DARK_LEVEL:
         what, cure = "is dark all over", "Light the board, lengthen the exposure or take the lens cap off"
     elif middle > WHITE_LEVEL:
         what, cure = "is white all over", "Shorten the exposure"
     else:
         what, cure = "has no contrast", "Light the board and focus the lens"
-    raise unused_image(f"{source}: {what} (grey levels {low:.0f} to {high:.0f})", cure=cure)
+    poor = unused_image(f"{source}: {what} (grey levels {low:.0f} to {high:.0f})", cure=cure)
+    small = cv2.resize(grey, None, fx=1 / BLOCK_PX, fy=1 / BLOCK_PX, interpolation=cv2.INTER_AREA)
+    if np.ptp(np.percentile(small, (0.1, 99.9))) < LEAST_CONTRAST:
+        raise poor
+    return poor
 
 
 SEEN_SHARE = 0.5

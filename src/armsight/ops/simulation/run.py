@@ -12,7 +12,7 @@ from armsight.calibrate.handeye import Setup
 from armsight.drivers import CELLS, SETS, known, load
 from armsight.errors import Cancelled, UsageError
 from armsight.fields import Doc
-from armsight.ops.simulation.cells import CellPairs, load_cell, room_choice, write_cell_files, write_png
+from armsight.ops.simulation.cells import SIDES, CellPairs, load_cell, room_choice, write_cell_files, write_png
 from armsight.ops.simulation.scenarios import build_world, load_scenario, scenario_names, settled_text, with_arm
 from armsight.records import Frame, Motion, Progress, Silent
 from armsight.records.output import Output, output
@@ -40,7 +40,7 @@ class SimulateOutput(Output):
     seed: Annotated[int, Doc("The seed, which gives the same run again.")]
     n_frames: Annotated[int, Doc("Frames of each view written.")]
     n_dropped: Annotated[int | None, Doc("Frames left out by the scenario's faults.")] = None
-    views: Annotated[list[str] | None, Doc("The views: left, right or image.")] = None
+    views: Annotated[list[str] | None, Doc("The views: the cameras' names, or image.")] = None
     out: Annotated[str, Doc("The folder.")]
     commands: Annotated[list[str] | None, Doc("What reads the set, run in its folder.")] = None
 
@@ -71,7 +71,8 @@ def simulate(
     Writes left/*.png and right/*.png (image/*.png for a mirror rig), rig.yaml, target.yaml, times.csv, truth.csv and
     scenario.yaml; of a scenario with a robot also arm.yaml (nominal, the target or rig as its tool), arm_true.yaml,
     joints.csv (encoders), truth_world.csv, handeye.yaml and world.yaml (of a fixed rig), true both, and
-    sweep_joints.csv (of sweeps). seed, frames
+    sweep_joints.csv (of sweeps); of other cameras than left and right a folder each, and truth_lights.csv, which light
+    each sees, or what hides it. seed, frames
     and room (a name, or a picture's path) default to the scenario's own. Raises DeviceNotFound for an unknown scenario,
     UsageError for an unknown room; zoom: of the zoom lenses of the scenario, or of those that a cell's cameras then
     get. arm, home: as with_arm takes them; UsageError for a cell or set. BadFile for what cannot be, DeviceFailed where
@@ -116,6 +117,8 @@ def write_world_files(world: Any, out: Path, *, frames: int | None = None) -> No
     if world.T_base_rig is not None:
         T_world_rig = world.true.T_world_base * world.T_base_rig
         write_world(out / "world.yaml", World(parent="world", T_parent_rig=T_world_rig))
+    if world.views != SIDES and "image" not in world.views:
+        _write_sights(out / "truth_lights.csv", world, kept)
     if world.sweeps:
         n = world.nominal.n
         row_of = {index: row for row, index in enumerate(kept)}
@@ -126,6 +129,16 @@ def write_world_files(world: Any, out: Path, *, frames: int | None = None) -> No
         ]
         header = ",".join(["frame", "joint", *(f"q{i + 1}" for i in range(n))])
         write_text(out / "sweep_joints.csv", "\n".join([header, *rows]) + "\n")
+
+
+def _write_sights(path: Path, world: Any, kept: Sequence[int]) -> None:
+    """Write where every light is before every camera, and what hides it; of a pair no such table is written."""
+    rows = ["t_s,camera,light,u_px,v_px,hidden_by"]
+    for index in kept:
+        for one in world.sights(index):
+            place = cells(one.uv_px) if np.isfinite(one.uv_px).all() else ","
+            rows.append(f"{number(one.t_s)},{one.camera},{one.light},{place},{one.hidden_by}")
+    write_text(path, "\n".join(rows) + "\n")
 
 
 def write_set_up(world: Any, out: Path) -> None:

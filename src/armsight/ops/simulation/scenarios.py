@@ -21,7 +21,6 @@ from armsight.store.yamls import MAX_BYTES, dump_yaml, parse_yaml
 
 MODEL = "scenario"
 FILES, WORLD, LIVE, VIEW, WITH_ARM = "files", "world", "live", "view", "with-arm"
-VIEWS = ("left", "right", "image")
 
 ROOM_BLOCK = re.compile(r"^room:.*\n(?:[ \t]+.*\n|#.*\n(?=[ \t]))*", re.MULTILINE)
 """The key `room` of a scenario's text, with the lines that belong to it."""
@@ -113,17 +112,17 @@ def sim_camera(
     origin_s: float | None,
     settings: CameraSettings = AUTOMATIC,
 ) -> FrameSource:
-    """Return one camera of a scenario, live; device: SCENARIO:left, SCENARIO:right, or of a mirror rig SCENARIO:image.
+    """Return one camera of a scenario, live; device: SCENARIO:left (or its name), of a mirror rig SCENARIO:image.
 
     Its stamps are the scenario's own, so that left and right agree. Of settings it takes the zoom. Raises
     UsageError for others, DeviceNotFound, BadFile as load_scenario.
     """
     name, _, view = device.rpartition(":")
-    if view not in VIEWS or not name:
+    if not (view and name):
         raise DeviceNotFound(
             f"the simulated camera {device!r} has no view",
             consequence="There is no frame to read",
-            cure=f"Write camera:sim:SCENARIO:VIEW, with one of {', '.join(VIEWS)}",
+            cure="Write camera:sim:SCENARIO:VIEW, with left, right or another camera's name, or image",
         )
     settings.require_only(("zoom",), f"camera:sim:{device}")
     world = build_world(name, load_scenario(name)[0], seed=None, frames=None, zoom=settings.zoom)

@@ -18,6 +18,8 @@ from armsight.measure.boards.kernels.edge_models import CHUNK, LARGEST, N_CORNER
 
 ALONE = np.empty((0, N_CORNER))
 """No earlier fit to start from."""
+EVERYTHING = np.inf
+"""Share of a white square to look at where no marker stands in it."""
 TRIALS = 40
 """Evaluations of the model after which a fit ends where it is; a true corner takes two to eight."""
 LAST_STEP_PX = 3e-3
@@ -154,6 +156,22 @@ def _sample(image, u, v, E, Q, reach, hole, window):
 
 
 @inner_kernel
+def _unmarked(window, n, E, sign, clear):
+    """Keep those of n pixels that are not in a marker, further than clear from both edges of a white field."""
+    by_det = 1.0 / (E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0])
+    sx, sy, tx, ty = E[1, 1] * by_det, -E[0, 1] * by_det, -E[1, 0] * by_det, E[0, 0] * by_det
+    kept = 0
+    for k in range(n):
+        x, y = window[k], window[LARGEST + k]
+        s, t = sx * x + sy * y, tx * x + ty * y
+        if sign * s * t < 0.0 or abs(s) < clear or abs(t) < clear:
+            for row in range(3):
+                window[row * LARGEST + kept] = window[row * LARGEST + k]
+            kept += 1
+    return kept
+
+
+@inner_kernel
 def _start_corner(E, sign, mean, spread, p):
     """Fill p with a corner in the middle of a window whose edges run along the grid."""
     size = min(sqrt(E[0, 0] ** 2 + E[1, 0] ** 2), sqrt(E[0, 1] ** 2 + E[1, 1] ** 2))
@@ -168,14 +186,15 @@ def _start_corner(E, sign, mean, spread, p):
 
 
 @kernel
-def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most):
+def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most, clear):
     """Fit each corner of a checkerboard; return uv (n, 2), covariance (n, 2, 2) px^2, quality and parameters (n, 10).
 
     image (h, w) uint8. guess (n, 2) px. basis (n, 2, 2): image step of one square along the board's columns and rows.
     bend (n, 2, 3): second derivatives of that map. reach (n,): half window in squares. sign (n,): +1 where
     the squares at (+,+) and (-,-) are white, -1 where black. like (n, 10): an earlier fit's parameters to start
     from, NaN for none, or (0, 10). last_px: a step so short is a fit's last. most: how often the model is evaluated for
-    a corner. quality (n, 4): share of the grey levels' variance explained, contrast with the expected sign, blur px,
+    a corner. clear: what of a white square is further than this from both edges, in squares, is not looked at: a marker
+    is there. quality (n, 4): share of the grey levels' variance explained, contrast with the expected sign, blur px,
     noise in grey levels; explained is 0 where the fit is impossible.
     """
     N = guess.shape[0]
@@ -186,6 +205,8 @@ def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most):
     C = np.empty((N_CORNER, N_CORNER))
     for i in range(N):
         n = _sample(image, guess[i, 0], guess[i, 1], basis[i], bend[i], reach[i], -1.0, window)
+        if clear < reach[i]:
+            n = _unmarked(window, n, basis[i], sign[i], clear)
         if n < 3 * N_CORNER:
             continue
         mean, spread = _levels(window[2 * LARGEST :], n)
