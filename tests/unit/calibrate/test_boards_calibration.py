@@ -310,7 +310,7 @@ def test_normal_equations_are_those_of_the_finite_differences(n_cameras: int) ->
     k = np.array([np.r_[truth[:4], 1.5, truth[4:]] for truth in (LEFT, RIGHT)[:n_cameras]])
     truth_poses = poses(3, np.random.default_rng(19))
     local = np.array([np.r_[t + cv2.Rodrigues(w)[0] @ observations.middle, w] for w, t in truth_poses])
-    start = Bundle(k=k, side_pose=np.r_[T_M, W_RAD] if n_cameras == 2 else np.zeros(6), poses=local)
+    start = Bundle(k=k, sides=np.r_[T_M, W_RAD].reshape(1, 6)[: n_cameras - 1], poses=local)
     problem = problem_of(observations, start, frozenset())
     S, (G, L) = len(problem.names), local.shape
     here = problem.evaluate(problem.guess, local)
@@ -361,7 +361,7 @@ def test_point_behind_a_camera_is_impossible_not_a_number() -> None:
     left, _ = pairs(3, 22)
     observations = pack([left], BOARD)
     local = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (3, 1))
-    start = Bundle(k=np.r_[LEFT[:4], 0.0, LEFT[4:]][None], side_pose=np.zeros(6), poses=local)
+    start = Bundle(k=np.r_[LEFT[:4], 0.0, LEFT[4:]][None], poses=local)
     problem = problem_of(observations, start, frozenset())
     assert np.isnan(problem.evaluate(problem.guess, local).residuals).all()
 

@@ -1,0 +1,391 @@
+"""Up to eight cameras from views of a printed board that never all of them see, each with the delay of its clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from armsight.arrays import Array
+from armsight.calibrate.cameras.board_shape import board_shape
+from armsight.calibrate.cameras.bundle_adjustment import (
+    Bundle,
+    adjust,
+    bundle_of,
+    delays_of,
+    names_of,
+    residuals_px,
+    start_at,
+)
+from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
+from armsight.calibrate.cameras.cross_validation import left_out
+from armsight.calibrate.cameras.graph import placed, tilts_of
+from armsight.calibrate.cameras.initial_guess import poses_by_rays
+from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of
+from armsight.calibrate.cameras.moving_board import alone
+from armsight.calibrate.cameras.observations import BoardOptions, Known, Observations, pack
+from armsight.calibrate.cameras.outlier_rejection import (
+    RobustFit,
+    fit_tilted,
+    fit_without_outliers,
+    fixed_names,
+    named,
+)
+from armsight.calibrate.cameras.pairing import camera_of
+from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
+from armsight.errors import DataRefused, Inconsistent, NotConverged, NotEnoughData, Undetermined
+from armsight.fitting import Fit
+from armsight.optics import INTRINSICS, Camera
+from armsight.records import BoardView, NamedCovariance, Progress, Target
+
+MOST_CAMERAS = 8
+LOOSE_S = 0.02
+"""A delay less sure than this is held at zero: boards were still, or times are none."""
+BY_CHANCE = 1e-3
+"""Delays are taken where chi-square would fall as much without any this often."""
+OTHER_LENS = 1e-6
+"""A lens known beforehand is another one where its own doubt would move it so far this often."""
+APART_S = 1.0
+"""Images of one moment are never further apart than this by clocks that agree."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KnownLens:
+    """A lens calibrated before: its covariance is how far it may move, None holds it."""
+
+    camera: Camera
+    covariance: NamedCovariance | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ManySolved:
+    """What the bundle of some cameras found.
+
+    covariance: of the free numbers of the 16 C - 6 and of the delays; delays_s (C,): by how much each clock is late
+    behind the first one's, 0 where held; rejected: (source, why); advice: what would make it surer; timed: whether
+    delays were estimated. known: cameras whose lens was given.
+    """
+
+    robust: RobustFit
+    covariance: NamedCovariance
+    holdout_rms_px: float | None
+    rejected: tuple[tuple[str, str], ...]
+    advice: tuple[str, ...]
+    known: frozenset[str] = field(default_factory=frozenset)
+
+    @property
+    def observations(self) -> Observations:
+        """What went into the last fit."""
+        return self.robust.observations
+
+    @property
+    def state(self) -> Bundle:
+        """What it found."""
+        return bundle_of(self.robust.fit, self.observations.n_cameras)
+
+    @property
+    def delays_s(self) -> Array:
+        """By how much each clock is late behind the first one's (C,), 0 where held."""
+        delays = self.state.delays_s
+        return np.concatenate([[0.0], delays if len(delays) else np.zeros(self.observations.n_cameras - 1)])
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """The cameras by name."""
+        seen = self.observations
+        each = zip(seen.cameras, self.state.k, seen.sizes, seen.lenses, strict=True)
+        return {name: camera_of(k, size, lens) for name, k, size, lens in each}
+
+
+def solve_cameras(
+    views: Mapping[str, Sequence[BoardView | None]],
+    board: Target,
+    options: BoardOptions | None = None,
+    *,
+    lenses: Mapping[str, KnownLens] | None = None,
+    times_s: Mapping[str, Sequence[float]] | None = None,
+    progress: Progress | None = None,
+) -> ManySolved:
+    """Return cameras and where they stand, from what each saw of the board at the same moments, None where nothing.
+
+    lenses: those known beforehand, by the camera's name. times_s: of each camera's images, by its own clock: the
+    board's motion then tells the delays. Raises NotEnoughData (too few views, cameras that no moment connects),
+    Inconsistent (lists out of step, mirrored images, a lens of another camera), Degenerate, Undetermined, NotConverged.
+    """
+    options, lenses = options or BoardOptions(), dict(lenses or {})
+    observations, rejected = _moments(views, board, options, lenses, times_s)
+    poses, k, advice = _each_alone(observations, options, lenses)
+    observations, start, dropped = placed(observations, poses, k, board)
+    rejected += dropped
+    times, held = observations.t_s, observations.held
+    known, observations = observations.known, replace(observations, t_s=None, known=None)
+    if known is not None:  # how good the points are is asked with the lenses as given: a prior counts in units of it
+        observations = replace(observations, held=held | set(known.names))
+    observations, start, told, lost, scale = _timed(observations, start, options, times, progress)
+    if known is not None:
+        own_held = observations.held - (set(known.names) - held)
+        observations = replace(observations, held=own_held, known=known, weight=observations.weight / scale)
+    robust = fit_without_outliers(observations, start, options, progress)
+    _require_lenses(robust, known, lenses)
+    out = left_out(robust, options)
+    covariance = required(robust)
+    if robust.observations.t_s is None:
+        shape = board_shape(robust.observations, robust.fit, covariance)
+        covariance, advice = shape.covariance, [*advice, *shape.advice]
+    return ManySolved(
+        robust=robust,
+        covariance=covariance,
+        holdout_rms_px=None if out is None else out.rms_px,
+        rejected=(*rejected, *lost, *robust.rejected),
+        advice=(*advice, *told, *caveats(covariance, robust), *robust.notes),
+        known=frozenset(lenses),
+    )
+
+
+def _moments(
+    views: Mapping[str, Sequence[BoardView | None]],
+    board: Target,
+    options: BoardOptions,
+    lenses: Mapping[str, KnownLens],
+    times_s: Mapping[str, Sequence[float]] | None,
+) -> tuple[Observations, list[tuple[str, str]]]:
+    """Return what the cameras saw at each moment, and (source, why) of views with too little of the board."""
+    names = tuple(views)
+    _require_lists(views, lenses, times_s)
+    require_views([one for each in views.values() for one in each if one is not None], board)
+    for name, each in views.items():
+        if all(one is None for one in each):
+            raise NotEnoughData(
+                f"the board was found in no image of {name}",
+                consequence="Nothing was calibrated",
+                cure="Focus that camera and light the board; show the board to it",
+            )
+    kinds = tuple(lenses[name].camera.lens if name in lenses else options.lens for name in names)
+    for kind in set(kinds):
+        require_points(board, kind)
+    observations = pack(list(views.values()), board, kinds, names)
+    _require_sizes(observations, lenses)
+    count = (observations.weight > 0.0).sum(axis=2)
+    few = (count > 0) & (count < LEAST_POINTS)
+    rejected = [
+        (observations.sources[g][c], f"only {count[g, c]} points of the board are seen, {LEAST_POINTS} are needed")
+        for g, c in zip(*np.nonzero(few), strict=True)
+    ]
+    observations = replace(observations, weight=observations.weight * ~few[:, :, None])
+    if times_s is not None:
+        t_s = np.array([times_s[name] for name in names], float).T
+        seen = count >= LEAST_POINTS
+        if np.isfinite(t_s[seen]).all():
+            _require_one_clock(t_s, seen, names)
+            observations = replace(observations, t_s=t_s)
+    kept = np.flatnonzero((count >= LEAST_POINTS).any(axis=1))
+    if len(kept) < LEAST_VIEWS:
+        raise NotEnoughData(
+            f"{len(kept)} moments show enough of the board, {LEAST_VIEWS} are needed",
+            consequence="Nothing was calibrated",
+            cure="Take ten to sixty, the board turned to all cameras",
+        )
+    return replace(observations.take(kept), **_beforehand(lenses)), rejected
+
+
+def _require_lists(
+    views: Mapping[str, Sequence[BoardView | None]],
+    lenses: Mapping[str, KnownLens],
+    times_s: Mapping[str, Sequence[float]] | None,
+) -> None:
+    """Raise Inconsistent where lists of images, lenses and times are not of the same cameras and moments."""
+    if not 1 < len(views) <= MOST_CAMERAS:
+        raise Inconsistent(
+            f"{len(views)} cameras are given", consequence="A rig of them has 2 to 8", cure="Give so many"
+        )
+    counts = {name: len(each) for name, each in views.items()}
+    if len(set(counts.values())) > 1:
+        told = ", ".join(f"{name} {n}" for name, n in counts.items())
+        raise Inconsistent(
+            f"the cameras have different numbers of images: {told}",
+            consequence="Nobody knows which belong together",
+            cure="Give one image of every camera for each moment, in the same order",
+        )
+    unknown = (set(lenses) | set(times_s or {})) - set(views)
+    if unknown:
+        raise Inconsistent(
+            f"no camera is called {', '.join(sorted(unknown))}; there are {', '.join(views)}",
+            consequence="Nothing was calibrated",
+            cure="Use the names of --camera",
+        )
+    found = list(views.items())
+    for i, (name, one) in enumerate(found):
+        for other, two in found[i + 1 :]:
+            both = [(a, b) for a, b in zip(one, two, strict=True) if a is not None and b is not None]
+            if both and all(a.uv_px.shape == b.uv_px.shape and (a.uv_px == b.uv_px).all() for a, b in both):
+                raise Inconsistent(
+                    f"{name} and {other} show the board at the very same pixels in all {len(both)} common images",
+                    consequence="They are one source by two names, and nothing was calibrated",
+                    cure=f"Give {other} its own images",
+                )
+
+
+def _require_sizes(observations: Observations, lenses: Mapping[str, KnownLens]) -> None:
+    """Raise Inconsistent where a lens is of images of another size."""
+    for name, size in zip(observations.cameras, observations.sizes, strict=True):
+        if name in lenses and (lenses[name].camera.width, lenses[name].camera.height) != size:
+            given = lenses[name].camera
+            raise Inconsistent(
+                f"the images of {name} are {size[0]}x{size[1]} px, the lens given for it {given.width}x{given.height}",
+                consequence="The lens is another camera's, or was calibrated at another resolution",
+                cure=f"Give the camera.yaml of {name} at {size[0]}x{size[1]} px, or leave it away",
+            )
+
+
+def _require_one_clock(t_s: Array, seen: Array, names: tuple[str, ...]) -> None:
+    """Raise Inconsistent where images of one moment are seconds apart."""
+    for c, name in enumerate(names[1:], 1):
+        both = seen[:, 0] & seen[:, c]
+        apart = t_s[:, c] - (t_s[:, 0] if both.any() else np.nanmedian(np.where(seen, t_s, np.nan), axis=1))
+        off = float(np.median(apart[both if both.any() else seen[:, c]]))
+        if abs(off) > APART_S:
+            raise Inconsistent(
+                f"by its clock the images of {name} are {off:+.1f} s from those of {names[0]} at the same moment",
+                consequence="Either the clocks differ by seconds or the lists do not belong together",
+                cure="Record all cameras on one computer, or give times on one clock; without times the board must be "
+                "held still for every picture",
+            )
+
+
+def _beforehand(lenses: Mapping[str, KnownLens]) -> dict[str, frozenset[str] | Known | None]:
+    """Return which numbers of lenses known beforehand are held, and what is known of the others."""
+    held, names, means, blocks = set[str](), list[str](), list[float](), list[Array]()
+    for name, lens in lenses.items():
+        every = lens.camera.names
+        free = () if lens.covariance is None else tuple(one for one in every if one in lens.covariance.names)
+        held |= {f"{name}.{one}" for one in every if one not in free}
+        if free and lens.covariance is not None:
+            names += [f"{name}.{one}" for one in free]
+            means += [float(lens.camera.intrinsics[every.index(one)]) for one in free]
+            std = np.sqrt(np.diag(lens.covariance.block(free)))
+            blocks.append(np.linalg.inv(lens.covariance.block(free) / np.outer(std, std)) / np.outer(std, std))
+    if not names:
+        return {"held": frozenset(held), "known": None}
+    information, at = np.zeros((len(names), len(names))), 0
+    for block in blocks:
+        information[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return {
+        "held": frozenset(held),
+        "known": Known(names=tuple(names), mean=np.array(means), information=information),
+    }
+
+
+def _each_alone(
+    observations: Observations, options: BoardOptions, lenses: Mapping[str, KnownLens]
+) -> tuple[Array, Array, list[str]]:
+    """Return T_camera_board (G, C, 2, 6) by the two tilts of each view, the likelier first, the lenses k (C, 10), and
+    advice."""
+    G, C = observations.n_views, observations.n_cameras
+    poses, k, advice = np.full((G, C, 2, 6), np.nan), np.zeros((C, len(INTRINSICS))), []
+    for c, name in enumerate(observations.cameras):
+        g = np.flatnonzero((observations.weight[:, c] > 0.0).any(axis=1))
+        part, of = observations.camera(c).take(g), f"the camera {name}"
+        if name in lenses:
+            camera = lenses[name].camera
+            found = poses_by_rays(part, camera)
+            if found is None:
+                raise Inconsistent(
+                    f"points of the board in the images of {name} lie where the lens given for it sees nothing",
+                    consequence="The lens is another camera's, and nothing was calibrated",
+                    cure=f"Check which camera.yaml is that of {name}",
+                )
+            k[c] = camera.intrinsics
+        else:
+            single = replace(options, lens=observations.lenses[c], right_lens=None)
+            advice += check_count(len(g)) + check_spread(part, 0, of)
+            robust, on_tilt = fit_tilted(part, start_of(part), single, of)
+            advice += on_tilt + refuse_other_lens(part, robust, single, 0, of)
+            k[c] = bundle_of(robust.fit, 1).k[0]
+            found = poses_by_rays(part, camera_of(k[c], part.sizes[0], part.lenses[0]))
+            if found is None:
+                found = start_of(part).poses
+        poses[g, c] = _two_tilts(part, k[c], found, options)
+    return poses, k, advice
+
+
+def _two_tilts(part: Observations, k: Array, poses: Array, options: BoardOptions) -> Array:
+    """Return T_camera_board (G, 2, 6) by the two tilts that fit each view, the better one first."""
+    everything, found = frozenset(names_of(part)), []
+    for start in (poses, tilts_of(poses)):
+        try:
+            fit = adjust(part, Bundle(k=k[None], poses=start), everything, max_iterations=options.max_iterations)
+        except NotConverged:
+            found.append((start, np.full(len(poses), np.inf)))
+        else:
+            found.append((fit.local, (fit.residuals**2).sum(axis=1)))
+    both = np.stack([one for one, _ in found], axis=1)
+    order = np.argsort(np.stack([cost for _, cost in found], axis=1), axis=1, kind="stable")
+    return np.asarray(np.take_along_axis(both, order[:, :, None], axis=1))
+
+
+def _timed(
+    observations: Observations, start: Bundle, options: BoardOptions, times: Array | None, progress: Progress | None
+) -> tuple[Observations, Bundle, list[str], list[tuple[str, str]], float]:
+    """Return observations with their times where the board's motion tells the delays, the state, advice, (source, why)
+    of moments left out, and by how much the points scatter over what the detector claims."""
+
+    def fitted(seen: Observations, state: Bundle) -> Fit:
+        most = options.max_iterations
+        return adjust(seen, state, fixed_names(options, seen), max_iterations=most, progress=progress)
+
+    C, lost = observations.n_cameras, list[tuple[str, str]]()
+    if times is None:
+        still = fit_without_outliers(observations, start, options, progress)
+        told = ["the delays of the clocks are held at zero: the images have no times; hold the board still for each"]
+        return observations, start, told, lost, still.fit.scale
+    still_fit = fitted(observations, start)
+    state = replace(bundle_of(still_fit, C), delays_s=np.zeros(C - 1))
+    timed = replace(observations, t_s=times)
+    lonely = alone(timed, state.delays_s) & ((observations.weight > 0.0).any(axis=2).sum(axis=1) > 1)
+    stay = np.flatnonzero(~lonely)
+    why = "no other moment is near enough in time to tell how the board moved"
+    if len(stay) >= LEAST_VIEWS:
+        try:
+            timed, state = timed.take(stay), start_at(state, stay)
+            fit = fitted(timed, state)
+            loose = {name for name, std in fit.std().items() if name in delays_of(timed.cameras) and std > LOOSE_S}
+            if loose:
+                timed = replace(timed, held=timed.held | loose)
+                fit = fitted(timed, state)
+            compared = fitted(observations.take(stay), start_at(bundle_of(still_fit, C), stay))
+            gain = 2.0 * (compared.cost - fit.cost) / fit.scale**2
+        except (DataRefused, Undetermined):
+            gain = 0.0
+        else:
+            asked = [name for name in delays_of(timed.cameras) if name not in timed.held]
+            if asked and gain > chdtri(len(asked), BY_CHANCE):
+                lost += [(named(observations, g), why) for g in np.flatnonzero(lonely)]
+                held = ", ".join(name.split(".")[0] for name in sorted(loose))
+                told = [f"the delay of {held} is held at zero: the board's motion does not tell it"] if held else []
+                robust = fit_without_outliers(timed, bundle_of(fit, C), options, progress)
+                return timed, bundle_of(fit, C), told, lost, robust.fit.scale
+    still = fit_without_outliers(observations, start, options, progress)
+    told = ["the delays of the clocks are held at zero: the board's motion does not tell them"]
+    return observations, start, told, lost, still.fit.scale
+
+
+def _require_lenses(robust: RobustFit, known: Known | None, lenses: Mapping[str, KnownLens]) -> None:
+    """Raise Inconsistent where a lens known beforehand had to move further than its own doubt allows."""
+    if known is None:
+        return
+    for name in lenses:
+        own = [i for i, one in enumerate(known.names) if one.startswith(f"{name}.")]
+        if not own:
+            continue
+        off = np.array([robust.fit.value(known.names[i]) - known.mean[i] for i in own])
+        chi2 = float(off @ known.information[np.ix_(own, own)] @ off)
+        if chi2 > chdtri(len(own), OTHER_LENS):
+            raise Inconsistent(
+                f"the lens given for {name} does not fit its images: it would have to move by {np.sqrt(chi2):.0f} of its "
+                "own standard deviations",
+                consequence="It is another camera's, or focus or zoom have changed; nothing was calibrated",
+                cure=f"Check which camera.yaml is that of {name}, or calibrate the lens again",
+            )
