@@ -13,7 +13,7 @@ from scipy.special import chdtri
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.kernels import move_poses, view_normal_equations
-from armsight.calibrate.cameras.moving_board import Motion, motion_of
+from armsight.calibrate.cameras.moving_board import motion_of
 from armsight.calibrate.cameras.observations import Known, Observations
 from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
 from armsight.optics import INTRINSICS, LensKind
@@ -63,6 +63,9 @@ def names_of(observations: Observations) -> tuple[str, ...]:
 def delays_of(cameras: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of the cameras' delays behind the first one."""
     return tuple(f"{camera}.{DELAY}" for camera in cameras[1:])
+
+
+RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
 
 
 def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str]) -> Problem:

@@ -33,7 +33,7 @@ from armsight.records import Target
 from armsight.records.views import symmetries
 
 LEAST_SHARED = 4
-"""With fewer moments in common two cameras that do not agree are no news: boards far off may seem to tilt either way."""
+"""With fewer common moments cameras that do not agree are no news: boards far off may seem to tilt either way."""
 CLOSES = 2.0
 """An edge closes within so many times what moments that agree may differ by."""
 
@@ -155,7 +155,10 @@ def _require_closed(
             continue
         off = (T[edge.a].inv() * T[edge.b]).inv() * as_pose(edge.paired.side_pose)
         reach = float(np.nanmean(np.linalg.norm(poses[:, [edge.a, edge.b], 0, :3], axis=2)))
-        if max(off.rotation.magnitude() / SAME_ANGLE_RAD, np.linalg.norm(off.translation) / reach / SAME_SHARE) > CLOSES:
+        if (
+            max(off.rotation.magnitude() / SAME_ANGLE_RAD, np.linalg.norm(off.translation) / reach / SAME_SHARE)
+            > CLOSES
+        ):
             bad.append(edge)
     if not bad:
         return
@@ -246,7 +249,7 @@ def _boards(
 
 
 def tilts_of(poses: Array) -> Array:
-    """Return T_camera_board (G, 6) with the board's other tilt, that looks almost alike from afar (Schweighofer 2006)."""
+    """Return T_camera_board (G, 6) with the other tilt, which looks almost alike from afar (Schweighofer 2006)."""
     R = Rotation.from_rotvec(poses[:, 3:])
     sight = poses[:, :3] / np.linalg.norm(poses[:, :3], axis=1)[:, None]
     normal = R.as_matrix()[:, :, 2]

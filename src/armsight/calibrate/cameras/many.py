@@ -11,16 +11,17 @@ from scipy.special import chdtri
 from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import (
+    DELAY,
     Bundle,
     adjust,
     bundle_of,
     delays_of,
     names_of,
-    residuals_px,
     start_at,
 )
 from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
 from armsight.calibrate.cameras.cross_validation import left_out
+from armsight.calibrate.cameras.extended import StandingRig, considered, with_standing
 from armsight.calibrate.cameras.graph import placed, tilts_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of
@@ -33,7 +34,7 @@ from armsight.calibrate.cameras.outlier_rejection import (
     fixed_names,
     named,
 )
-from armsight.calibrate.cameras.pairing import camera_of
+from armsight.calibrate.cameras.pairing import as_pose, camera_of
 from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
 from armsight.errors import DataRefused, Inconsistent, NotConverged, NotEnoughData, Undetermined
 from armsight.fitting import Fit
@@ -106,32 +107,42 @@ def solve_cameras(
     *,
     lenses: Mapping[str, KnownLens] | None = None,
     times_s: Mapping[str, Sequence[float]] | None = None,
+    rig: StandingRig | None = None,
     progress: Progress | None = None,
 ) -> ManySolved:
     """Return cameras and where they stand, from what each saw of the board at the same moments, None where nothing.
 
     lenses: those known beforehand, by the camera's name. times_s: of each camera's images, by its own clock: the
-    board's motion then tells the delays. Raises NotEnoughData (too few views, cameras that no moment connects),
+    board's motion then tells the delays. rig: cameras that stay as they are, the first of `views`.
+
+    Raises NotEnoughData (too few views, cameras that no moment connects),
     Inconsistent (lists out of step, mirrored images, a lens of another camera), Degenerate, Undetermined, NotConverged.
     """
     options, lenses = options or BoardOptions(), dict(lenses or {})
+    if rig is not None:
+        lenses |= {name: KnownLens(camera=rig.cameras[name]) for name in views if name in rig.cameras}
     observations, rejected = _moments(views, board, options, lenses, times_s)
     poses, k, advice = _each_alone(observations, options, lenses)
     observations, start, dropped = placed(observations, poses, k, board)
     rejected += dropped
+    if rig is not None:
+        held = observations.held | (rig.held & set(names_of(observations)))
+        observations, start = replace(observations, held=held), with_standing(observations.cameras, start, rig)
     times, held = observations.t_s, observations.held
     known, observations = observations.known, replace(observations, t_s=None, known=None)
-    if known is not None:  # how good the points are is asked with the lenses as given: a prior counts in units of it
-        observations = replace(observations, held=held | set(known.names))
-    observations, start, told, lost, scale = _timed(observations, start, options, times, progress)
-    if known is not None:
-        own_held = observations.held - (set(known.names) - held)
-        observations = replace(observations, held=own_held, known=known, weight=observations.weight / scale)
+    lens = frozenset[str]() if known is None else frozenset(known.names) - held
+    observations = replace(observations, held=held | lens)
+    observations, start, told, lost = _timed(observations, start, options, times, progress)
+    if known is not None:  # what is known beforehand counts in units of the points' noise, asked with lenses as given
+        scale = fit_without_outliers(observations, start, options, progress).fit.scale
+        observations = replace(
+            observations, held=observations.held - lens, known=known, weight=observations.weight / scale
+        )
     robust = fit_without_outliers(observations, start, options, progress)
     _require_lenses(robust, known, lenses)
     out = left_out(robust, options)
-    covariance = required(robust)
-    if robust.observations.t_s is None:
+    covariance = required(robust) if rig is None else considered(robust, rig)
+    if robust.observations.t_s is None and rig is None:
         shape = board_shape(robust.observations, robust.fit, covariance)
         covariance, advice = shape.covariance, [*advice, *shape.advice]
     return ManySolved(
@@ -142,6 +153,46 @@ def solve_cameras(
         advice=(*advice, *told, *caveats(covariance, robust), *robust.notes),
         known=frozenset(lenses),
     )
+
+
+def extend_rig(
+    rig: StandingRig,
+    name: str,
+    views: Mapping[str, Sequence[BoardView | None]],
+    board: Target,
+    options: BoardOptions | None = None,
+    *,
+    lens: KnownLens | None = None,
+    times_s: Mapping[str, Sequence[float]] | None = None,
+    progress: Progress | None = None,
+) -> tuple[ManySolved, StandingRig]:
+    """Return what was found of one more camera, and the rig with it as its last; the rig's own stay as they are.
+
+    views: of the new camera and of some or all of the rig's. Raises as solve_cameras, and Inconsistent where the rig's
+    cameras do not stand as the rig says.
+    """
+    seen = [g for g, one in enumerate(views[name]) if one is not None]
+    olds = [old for old in rig.cameras if old in views and any(views[old][g] is not None for g in seen)]
+    if not olds:
+        raise NotEnoughData(
+            f"no moment shows the board to {name} and to a camera of the rig",
+            consequence=f"Where {name} stands is open, and nothing was calibrated",
+            cure=f"Take pictures in which {name} and one of {', '.join(rig.cameras)} see the board at one moment",
+        )
+    standing = rig.regauged(olds[0])
+    used = {one: [views[one][g] for g in seen] for one in (*olds, name)}
+    times = None if times_s is None else {one: [times_s[one][g] for g in seen] for one in used}
+    lenses = {} if lens is None else {name: lens}
+    done = solve_cameras(used, board, options, lenses=lenses, times_s=times, rig=standing, progress=progress)
+    side = done.state.sides[-1]
+    poses = dict(zip(standing.cameras, standing.T_first_camera, strict=True))
+    numbers = tuple(one for one in done.covariance.names if not one.endswith(f".{DELAY}"))
+    whole = StandingRig(
+        cameras={**standing.cameras, name: done.cameras[name]},
+        T_first_camera=[*poses.values(), as_pose(side)],
+        covariance=NamedCovariance(names=numbers, matrix=done.covariance.block(numbers)),
+    )
+    return done, whole.regauged(next(iter(rig.cameras)))
 
 
 def _moments(
@@ -328,9 +379,9 @@ def _two_tilts(part: Observations, k: Array, poses: Array, options: BoardOptions
 
 def _timed(
     observations: Observations, start: Bundle, options: BoardOptions, times: Array | None, progress: Progress | None
-) -> tuple[Observations, Bundle, list[str], list[tuple[str, str]], float]:
-    """Return observations with their times where the board's motion tells the delays, the state, advice, (source, why)
-    of moments left out, and by how much the points scatter over what the detector claims."""
+) -> tuple[Observations, Bundle, list[str], list[tuple[str, str]]]:
+    """Return observations with their times where the board's motion tells the delays, the state, advice, and (source,
+    why) of moments left out."""
 
     def fitted(seen: Observations, state: Bundle) -> Fit:
         most = options.max_iterations
@@ -338,9 +389,8 @@ def _timed(
 
     C, lost = observations.n_cameras, list[tuple[str, str]]()
     if times is None:
-        still = fit_without_outliers(observations, start, options, progress)
         told = ["the delays of the clocks are held at zero: the images have no times; hold the board still for each"]
-        return observations, start, told, lost, still.fit.scale
+        return observations, start, told, lost
     still_fit = fitted(observations, start)
     state = replace(bundle_of(still_fit, C), delays_s=np.zeros(C - 1))
     timed = replace(observations, t_s=times)
@@ -365,11 +415,9 @@ def _timed(
                 lost += [(named(observations, g), why) for g in np.flatnonzero(lonely)]
                 held = ", ".join(name.split(".")[0] for name in sorted(loose))
                 told = [f"the delay of {held} is held at zero: the board's motion does not tell it"] if held else []
-                robust = fit_without_outliers(timed, bundle_of(fit, C), options, progress)
-                return timed, bundle_of(fit, C), told, lost, robust.fit.scale
-    still = fit_without_outliers(observations, start, options, progress)
+                return timed, bundle_of(fit, C), told, lost
     told = ["the delays of the clocks are held at zero: the board's motion does not tell them"]
-    return observations, start, told, lost, still.fit.scale
+    return observations, start, told, lost
 
 
 def _require_lenses(robust: RobustFit, known: Known | None, lenses: Mapping[str, KnownLens]) -> None:
@@ -384,8 +432,8 @@ def _require_lenses(robust: RobustFit, known: Known | None, lenses: Mapping[str,
         chi2 = float(off @ known.information[np.ix_(own, own)] @ off)
         if chi2 > chdtri(len(own), OTHER_LENS):
             raise Inconsistent(
-                f"the lens given for {name} does not fit its images: it would have to move by {np.sqrt(chi2):.0f} of its "
-                "own standard deviations",
+                f"the lens given for {name} does not fit its images: it would have to move by {np.sqrt(chi2):.0f} of "
+                "its own standard deviations",
                 consequence="It is another camera's, or focus or zoom have changed; nothing was calibrated",
                 cure=f"Check which camera.yaml is that of {name}, or calibrate the lens again",
             )

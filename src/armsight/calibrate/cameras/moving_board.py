@@ -32,8 +32,8 @@ SMALL = 1e-4
 class Motion:
     """Which nodes of the motion V views, each of one camera, follow.
 
-    views: each view as a group of its own. moment, camera, segment, t_s (V,); at_s (V,): where the polynomials
-    coef (V, P, P) by nodes and powers of (time - at_s) count from; window (V, P): their nodes in the segment; base (V,):
+    views: each view as a group of its own. moment, camera, segment, t_s (V,); at_s (V,): where the polynomials coef
+    (V, P, P) by nodes and powers of (time - at_s) count from; window (V, P): their nodes in the segment; base (V,):
     position of the nearest in the window. place (G, 2): segment and node of each moment. shape: segments, nodes.
     """
 

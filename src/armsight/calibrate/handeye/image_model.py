@@ -94,9 +94,7 @@ class ImageModel:
         whiten = whitener(V)  # (n, 6, 6)
         G = len(used)
         poses = self.seen.centred[used]
-        boards = problem_of(
-            sightings, Bundle(k=camera.intrinsics[None], poses=poses), frozenset()
-        )
+        boards = problem_of(sightings, Bundle(k=camera.intrinsics[None], poses=poses), frozenset())
 
         def evaluate(shared: Array, local: Array) -> Evaluation:
             corners = boards.evaluate(shared[12:], local)
