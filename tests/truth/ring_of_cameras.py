@@ -136,17 +136,43 @@ def ring(rng: np.random.Generator, n_cameras: int = 4, n_moments: int = 60, apar
         pose[:3, :3] = front[:3, :3] @ board[:3, :3]
         pose[:3, 3] = rng.uniform(-0.45, 0.45, 3) * [1.0, 0.6, 1.0] - pose[:3, :3] @ BOARD.xyz_m.mean(axis=0)
         pose = np.linalg.inv(world[0]) @ pose
-        own = [np.linalg.inv(one) @ pose for one in T]
-        here = []
-        for c in range(n_cameras):
-            middle = own[c][:3, :3] @ BOARD.xyz_m.mean(axis=0) + own[c][:3, 3]
-            slant = own[c][:3, 2] @ middle / np.linalg.norm(middle)
-            uv = pixels(k[c], own[c]) if middle[2] > 0.4 else np.full((1, 2), -1.0)
-            here.append(bool(slant > MOST_SLANT and (uv > 2).all() and (uv < np.array(SIZE) - 3).all()))
+        here = visible(k, T, pose)
         if 1 < sum(here) < max(n_cameras, 3):
             boards.append(pose)
             seen.append(here)
     return Ring(k=k, T=T, boards=np.array(boards), seen=np.array(seen))
+
+
+def visible(k: np.ndarray, T: np.ndarray, board: np.ndarray) -> list[bool]:
+    """Whether each camera sees the whole board at T_first_board from its front, not too slanted."""
+    out = []
+    for intrinsics, camera in zip(k, T, strict=True):
+        own = np.linalg.inv(camera) @ board
+        middle = own[:3, :3] @ BOARD.xyz_m.mean(axis=0) + own[:3, 3]
+        slant = own[:3, 2] @ middle / np.linalg.norm(middle)
+        uv = pixels(intrinsics, own) if middle[2] > 0.4 else np.full((1, 2), -1.0)
+        out.append(bool(slant > MOST_SLANT and (uv > 2).all() and (uv < np.array(SIZE) - 3).all()))
+    return out
+
+
+def waved(still: Ring, n_moments: int = 60, interval_s: float = 0.1) -> tuple[Ring, Callable[[float, int], np.ndarray]]:
+    """The same cameras before a board that a hand waves, and T_first_board by (seconds after, moment)."""
+    world = looking(-55.0 * 0.5 * (len(still.k) - 1))
+    middle = BOARD.xyz_m.mean(axis=0)
+
+    def at(late_s: float, g: int) -> np.ndarray:
+        t = interval_s * g + late_s
+        front = looking(70.0 * np.sin(0.9 * t), 1e-9)
+        pose = np.eye(4)
+        tilt = 0.4 * np.array([np.sin(1.7 * t), np.cos(1.3 * t), np.sin(1.1 * t + 1.0)])
+        pose[:3, :3] = front[:3, :3] @ cv2.Rodrigues(tilt)[0]
+        place = 0.25 * np.array([np.sin(1.5 * t), 0.5 * np.cos(2.1 * t), np.cos(1.2 * t)])
+        pose[:3, 3] = place - pose[:3, :3] @ middle
+        return np.linalg.inv(world) @ pose
+
+    boards = np.array([at(0.0, g) for g in range(n_moments)])
+    seen = np.array([visible(still.k, still.T, one) for one in boards])
+    return Ring(k=still.k, T=still.T, boards=boards, seen=seen), at
 
 
 def views(

@@ -244,7 +244,7 @@ def residuals_px(observations: Observations, fit: Fit) -> Array:
 
 
 def poses_of_boards(observations: Observations, fit: Fit) -> Array:
-    """Return T_camera_board (G, 4, 4) of each view, of the first camera where there are more, in the board's own axes."""
+    """Return T_camera_board (G, 4, 4) of each view, of the first camera of some, in the board's own axes."""
     local = bundle_of(fit, observations.n_cameras).poses
     T_camera_middle = RigidTransform.from_components(local[:, :3], Rotation.from_rotvec(local[:, 3:]))
     return np.asarray((T_camera_middle * RigidTransform.from_translation(-observations.middle)).as_matrix())

@@ -73,7 +73,7 @@ def placed(
     _require_connected(observations, poses, edges)
     tree, T = _tree(edges, observations.n_cameras)
     _require_closed(observations, poses, spins, edges, tree, T)
-    kept, turn, boards = _boards(poses, spins, T)
+    kept, turn, boards = boards_of(poses, spins, T)
     uv, weight = observations.uv.copy(), observations.weight * kept[:, :, None]
     for g, c in zip(*np.nonzero(turn), strict=True):
         uv[g, c], weight[g, c] = uv[g, c, turns[turn[g, c]]], weight[g, c, turns[turn[g, c]]]
@@ -212,7 +212,7 @@ def _say_why(observations: Observations, poses: Array, spins: Array, worst: int,
     )
 
 
-def _boards(
+def boards_of(
     poses: Array, spins: Array, T: Sequence[RigidTransform]
 ) -> tuple[NDArray[np.bool_], NDArray[np.intp], Array]:
     """Return which views agree (G, C), the symmetry of each, and T_first_board (G, 6) by the cameras' poses.
@@ -241,10 +241,9 @@ def _boards(
         total[:, np.arange(tilts * S) % S > 0] = np.inf
         c, h = np.unravel_index(int(np.argmin(total)), total.shape)
         agree = best[c, h] < 1.0
-        if len(seen) > 1 and agree.sum() < 2:
-            continue
-        kept[g, seen], turn[g, seen] = agree, np.where(agree, which[c, h] % S, 0)
         out[g] = np.concatenate([t[c, h], Rotation.from_matrix(R[c, h]).as_rotvec()])
+        if len(seen) == 1 or agree.sum() > 1:
+            kept[g, seen], turn[g, seen] = agree, np.where(agree, which[c, h] % S, 0)
     return kept, turn, out
 
 

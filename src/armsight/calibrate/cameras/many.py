@@ -121,8 +121,8 @@ def solve_cameras(
     options, lenses = options or BoardOptions(), dict(lenses or {})
     if rig is not None:
         lenses |= {name: KnownLens(camera=rig.cameras[name]) for name in views if name in rig.cameras}
-    observations, rejected = _moments(views, board, options, lenses, times_s)
-    poses, k, advice = _each_alone(observations, options, lenses)
+    observations, rejected = moments_of(views, board, options, lenses, times_s)
+    poses, k, advice = each_alone(observations, options, lenses)
     observations, start, dropped = placed(observations, poses, k, board)
     rejected += dropped
     if rig is not None:
@@ -195,7 +195,7 @@ def extend_rig(
     return done, whole.regauged(next(iter(rig.cameras)))
 
 
-def _moments(
+def moments_of(
     views: Mapping[str, Sequence[BoardView | None]],
     board: Target,
     options: BoardOptions,
@@ -329,7 +329,7 @@ def _beforehand(lenses: Mapping[str, KnownLens]) -> dict[str, frozenset[str] | K
     }
 
 
-def _each_alone(
+def each_alone(
     observations: Observations, options: BoardOptions, lenses: Mapping[str, KnownLens]
 ) -> tuple[Array, Array, list[str]]:
     """Return T_camera_board (G, C, 2, 6) by the two tilts of each view, the likelier first, the lenses k (C, 10), and

@@ -1,0 +1,157 @@
+"""A board in the images of some cameras, each by its name, and what they are calibrated beside."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from typing import Any, NamedTuple
+
+from armsight.calibrate.cameras.many import MOST_CAMERAS
+from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
+from armsight.ops.calibration.board_pictures import BoardPictures
+from armsight.ops.sources.frames import is_bag, is_recording, open_source
+from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
+from armsight.store.targets import board_text
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,15}")
+RESERVED = frozenset({"rig", "image", "complex", "all"})
+
+
+class Reading(NamedTuple):
+    """How images are read: frames a second of numbered images of a film, every n-th, so many, on so many threads."""
+
+    fps: float | None
+    every: int
+    limit: int | None
+    workers: int | None
+    bits: int | None
+    strict: bool
+    detector: str
+
+
+class SeenByAll(NamedTuple):
+    """What each camera saw at each moment, None where nothing; its times, None where there are none; n: moments."""
+
+    views: dict[str, list[BoardView | None]]
+    times_s: dict[str, list[float]] | None
+    n: int
+
+
+def require_names(given: Mapping[str, Any], known: Sequence[str] = ()) -> None:
+    """Raise UsageError for names that are none, one source by two names, and too many or too few cameras.
+
+    known: names that a rig has already.
+    """
+    for name in given:
+        if not NAME.fullmatch(name) or name in RESERVED:
+            raise UsageError(
+                f"{name[:40]!r} is no camera's name",
+                consequence=_kept(name),
+                cure="Use a letter, then letters, digits, - or _, 16 at most: --camera left=SRC",
+            )
+    n = len(set(given) | set(known))
+    if not 1 < n <= MOST_CAMERAS:
+        raise UsageError(
+            f"{n} camera{'s are' if n != 1 else ' is'} given",
+            consequence=f"A rig is of 2 to {MOST_CAMERAS} cameras",
+            cure="Repeat --camera NAME=SRC for each; one alone is for armsight calibrate camera"
+            if n < 2
+            else "Leave some away; further ones make a second rig",
+        )
+    by_source: dict[str, str] = {}
+    for name, source in given.items():
+        if isinstance(source, str) and (other := by_source.setdefault(source, name)) != name:
+            raise UsageError(
+                f"{other} and {name} are two names for one source, {source}",
+                consequence="One camera would be placed twice",
+                cure=f"Give {name} its own images",
+            )
+
+
+def _kept(name: str) -> str:
+    """Return what comes of a name that is none."""
+    return "The name is kept for something else" if name in RESERVED else "It could not be told from other words"
+
+
+def see_all(
+    sources: Mapping[str, str | Sequence[Frame]],
+    board: Target,
+    reading: Reading,
+    pictures: BoardPictures,
+    progress: Progress | None,
+) -> SeenByAll:
+    """Return the board in every camera's images, moment by moment.
+
+    Raises NotEnoughData, naming the camera, where none of its images shows it; Inconsistent for lists of different
+    length; UsageError for live cameras; Cancelled.
+    """
+    progress, views, times = progress or Silent(), dict[str, list[BoardView | None]](), dict[str, list[float]]()
+    for name, source in sources.items():
+        seen, times[name] = _see(name, source, board, reading, pictures, progress)
+        require_counts(seen, board, board_text(board))
+        if seen and all(isinstance(one, NotSeen) for one in seen):
+            why = next(one.why for one in seen if isinstance(one, NotSeen))
+            raise NotEnoughData(
+                f"the board {board_text(board)} is in none of the {len(seen)} images of {name}; in the first: {why}",
+                consequence=f"Where {name} stands is open, and nothing was calibrated",
+                cure=f"{count_again(board)} of {name}; or leave that camera away",
+            )
+        views[name] = [one if isinstance(one, BoardView) else None for one in seen]
+    counts = {name: len(each) for name, each in views.items()}
+    if len(set(counts.values())) > 1:
+        raise Inconsistent(
+            f"the cameras have different numbers of images: {', '.join(f'{name} {n}' for name, n in counts.items())}",
+            consequence="Nobody knows which belong together",
+            cure="Give one image of every camera for each moment, in the same order",
+        )
+    timed = all(_has_times(source, reading) for source in sources.values())
+    return SeenByAll(views=views, times_s=times if timed else None, n=next(iter(counts.values())))
+
+
+def _has_times(source: str | Sequence[Frame], reading: Reading) -> bool:
+    """Tell whether images of a source say when they were taken: films do, and numbered images of one."""
+    if not isinstance(source, str):
+        return False
+    return reading.fps is not None or is_video(source) or is_recording(source) or is_bag(source)
+
+
+def _see(
+    name: str,
+    source: str | Sequence[Frame],
+    board: Target,
+    reading: Reading,
+    pictures: BoardPictures,
+    progress: Progress,
+) -> tuple[list[Seen], list[float]]:
+    """Return what one camera saw in each image, and the images' times."""
+    if isinstance(source, str) and is_live(source):
+        raise UsageError(
+            f"{name} is a live camera, {source}",
+            consequence="Several are not read in step",
+            cure="Record them first (armsight record, or a program of theirs), and give the films or folders",
+        )
+    stop = None if reading.limit is None else reading.limit * reading.every
+    seen, times = list[Seen](), list[float]()
+
+    def see(frame: Frame) -> tuple[float, Seen]:
+        return frame.t_s, see_board(frame, board, reading.detector, pictures)
+
+    def read(frames: Any) -> None:
+        for t_s, one in in_parallel(see, islice(frames, 0, stop, reading.every), workers=reading.workers):
+            seen.append(one)
+            times.append(t_s)
+            progress.update(len(seen), 0, f"finding the board, {name}")
+            if progress.cancelled():
+                raise Cancelled(f"stopped after {len(seen)} images of {name}", consequence="Nothing was written")
+
+    if not isinstance(source, str):
+        read(source)
+        return seen, times
+    files = ImageReading(bits=reading.bits, strict=reading.strict)
+    fps = None if is_video(source) or is_recording(source) or is_bag(source) else reading.fps
+    with open_source(source, fps=fps, settings=AUTOMATIC, reading=files) as frames:
+        read(frames)
+    return seen, times
