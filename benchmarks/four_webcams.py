@@ -27,7 +27,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, names_of, residuals_px
 from armsight.calibrate.cameras.graph import boards_of
-from armsight.calibrate.cameras.many import KnownLens, each_alone, moments_of, solve_cameras
+from armsight.calibrate.cameras.many import KnownLens, each_alone, solve_cameras
+from armsight.calibrate.cameras.observations import pack
 from armsight.calibrate.cameras.pairing import as_pose
 from armsight.optics import Camera
 from armsight.records import BoardView
@@ -92,7 +93,8 @@ def judged(views: dict, lenses: dict, times: dict, sides: np.ndarray, delays_s: 
     delays_s: None takes the board as still for each moment.
     """
     options = BoardOptions()
-    seen, _ = moments_of(views, BOARD, options, lenses, times)
+    kinds = tuple(lens.camera.lens for lens in lenses.values())
+    seen = replace(pack(list(views.values()), BOARD, kinds, tuple(views)), t_s=np.array(list(times.values())).T)
     poses, k, _ = each_alone(seen, options, lenses)
     T = [RigidTransform.identity(), *map(as_pose, sides)]
     _, _, boards = boards_of(poses, np.eye(3)[None], T)  # what does not agree stays in: it is to be judged

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import sys
+from itertools import pairwise
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def opencv() -> list[np.ndarray]:
         list(d.copy()),
         flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_INTRINSIC,
     )
-    R, t = next((a, b) for a, b in zip(found[1:], found[2:], strict=False) if np.shape(a[0]) in ((3, 3), (3, 1)))
+    R, t = next((a, b) for a, b in pairwise(found[1:]) if np.shape(a[0]) in ((3, 3), (3, 1)))
     out = []
     for r, shift in zip(R, t, strict=True):
         T = np.eye(4)

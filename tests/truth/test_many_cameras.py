@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from ring_of_cameras import BOARD, NAMES, SIZE, Ring, matrix, moved, off, ring, views, waved
 
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, problem_of
@@ -18,6 +19,9 @@ from armsight.errors import Inconsistent, NotEnoughData
 from armsight.optics import Camera
 from armsight.records import NamedCovariance
 from refusals import refuses
+
+sys.path.insert(0, str(Path(__file__).parent))
+from ring_of_cameras import BOARD, NAMES, SIZE, Ring, matrix, moved, off, ring, views, visible, waved
 
 C = ("a", "b", "c", "d")
 SIGMA_PX = 0.1
@@ -191,8 +195,6 @@ def test_a_camera_beside_a_rig_is_placed_within_its_claim_and_the_others_stay(
         own = NamedCovariance(names=NAMES, matrix=standing.covariance.block(free))
         lens = KnownLens(camera=standing.cameras[name], covariance=own)
     names = (*C, "e")[: len(true.k)]
-    from ring_of_cameras import visible
-
     seen = np.array([visible(true.k, true.T, board) for board in true.boards])
     true = replace(true, seen=seen)
     uv = true.uv() + np.random.default_rng(17).normal(0.0, SIGMA_PX, (*seen.shape, 54, 2))

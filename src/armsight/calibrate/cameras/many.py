@@ -338,6 +338,10 @@ def each_alone(
     poses, k, advice = np.full((G, C, 2, 6), np.nan), np.zeros((C, len(INTRINSICS))), []
     for c, name in enumerate(observations.cameras):
         g = np.flatnonzero((observations.weight[:, c] > 0.0).any(axis=1))
+        if name in lenses:
+            k[c] = lenses[name].camera.intrinsics
+        if not len(g):
+            continue
         part, of = observations.camera(c).take(g), f"the camera {name}"
         if name in lenses:
             camera = lenses[name].camera
@@ -348,7 +352,6 @@ def each_alone(
                     consequence="The lens is another camera's, and nothing was calibrated",
                     cure=f"Check which camera.yaml is that of {name}",
                 )
-            k[c] = camera.intrinsics
         else:
             single = replace(options, lens=observations.lenses[c], right_lens=None)
             advice += check_count(len(g)) + check_spread(part, 0, of)

@@ -128,7 +128,7 @@ def pack(
         middle=middle,
         uv=uv,
         weight=weight,
-        sizes=tuple(next((v.width, v.height) for v in camera if v is not None) for camera in views),
+        sizes=tuple(next(((v.width, v.height) for v in camera if v is not None), (1, 1)) for camera in views),
         sources=tuple(tuple("" if v is None else v.source for v in moment) for moment in zip(*views, strict=True)),
         radius_m=0.5 * board.diameter_m if board.diameter_m else 0.0,
         lenses=tuple(lenses[:C]),

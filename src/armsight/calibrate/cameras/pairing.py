@@ -74,8 +74,11 @@ def _spin(X: Array, turn: Index) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def consensus(left: Array, right: Array, spins: Array) -> Paired:
-    """Return the relative pose that most pairs agree on, each with the symmetry that suits it best."""
+def consensus(left: Array, right: Array, spins: Array, slack: float = 1.0) -> Paired:
+    """Return the relative pose that most pairs agree on, each with the symmetry that suits it best.
+
+    slack: how many times further apart they may be, where the board moved between the two images.
+    """
     G, S = len(left), len(spins)
     R_left, R_right = np.empty((G, 3, 3)), np.empty((G, 3, 3))
     matrices_of(np.ascontiguousarray(left[:, 3:]), R_left)
@@ -88,7 +91,7 @@ def consensus(left: Array, right: Array, spins: Array) -> Paired:
     angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
     reach = 0.5 * (np.linalg.norm(left[:, :3], axis=1) + np.linalg.norm(right[:, :3], axis=1))
     share = np.linalg.norm(flat_t[:, None] - flat_t[None], axis=2) / np.repeat(reach, S)[None]
-    score = np.maximum(angle / SAME_ANGLE_RAD, share / SAME_SHARE).reshape(G * S, G, S)
+    score = np.maximum(angle / SAME_ANGLE_RAD, share / SAME_SHARE).reshape(G * S, G, S) / slack
     best = score.min(axis=2)  # (hypothesis, pair)
     hypothesis = int(np.argmin(np.minimum(best, 1.0).sum(axis=1) + 1e-9 * (np.arange(G * S) % S)))
     agreeing = best[hypothesis] < 1.0

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
 
-from armsight.calibrate.cameras.many import MOST_CAMERAS
+from armsight.calibrate.cameras import BoardOptions, CamerasCalibration
+from armsight.calibrate.cameras.many import MOST_CAMERAS, KnownLens, extend_rig, solve_cameras
+from armsight.calibrate.cameras.many_result import extended_rig, lens_of, result_of, rig_of, standing_of
 from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.ops.calibration.board_pictures import BoardPictures
 from armsight.ops.sources.frames import is_bag, is_recording, open_source
+from armsight.optics import Rig
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
+from armsight.store import CameraFile
 from armsight.store.targets import board_text
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,15}")
@@ -30,6 +35,65 @@ class Reading(NamedTuple):
     bits: int | None
     strict: bool
     detector: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Wanted:
+    """What is asked for: images by the cameras' names, lenses known before, and a rig that is extended or mended."""
+
+    rig: Rig | None
+    cameras: Mapping[str, str | Sequence[Frame]]
+    add: Mapping[str, str | Sequence[Frame]] | None
+    again: str | None
+    lenses: Mapping[str, CameraFile]
+    hold_lenses: bool
+
+    @property
+    def new(self) -> str | None:
+        """The camera that joins the rig, or is placed anew."""
+        return next(iter(self.add)) if self.add else self.again
+
+    @property
+    def sources(self) -> dict[str, str | Sequence[Frame]]:
+        """The images of all cameras by name."""
+        return {**self.cameras, **(self.add or {})}
+
+    def require(self) -> None:
+        """Raise UsageError where this cannot be what is meant."""
+        known = () if self.rig is None else self.rig.names
+        require_names(self.sources, known)
+        if self.rig is None:
+            if self.add or self.again:
+                raise UsageError("--add and --again change a rig, and none is given", cure="Give --rig rig.yaml")
+            return
+        if (self.again is None) == (not self.add) or len(self.add or {"": ""}) > 1:
+            raise UsageError(
+                "with --rig one camera is added or placed anew",
+                cure="Give --add NAME=SRC for one that joins it, or --again NAME for one that was knocked; one at a time",
+            )
+        if self.again is not None and self.again not in self.cameras:
+            raise UsageError(
+                f"the images of {self.again} are not given", cure=f"Give --camera {self.again}=SRC beside the others"
+            )
+        twice = set(self.add or {}) & set(known)
+        if twice:
+            raise UsageError(
+                f"the rig has a camera {next(iter(twice))} already",
+                cure=f"Use --again {next(iter(twice))} with its images as --camera, or another name",
+            )
+        strangers = [name for name in self.cameras if name not in known]
+        if strangers:
+            raise UsageError(
+                f"the rig has no camera {strangers[0]}; it has {', '.join(known)}",
+                cure=f"Use the rig's names, or --add {strangers[0]}=SRC for one that joins it",
+            )
+
+    def lens(self, name: str) -> KnownLens | None:
+        """Return the lens given for a camera."""
+        if name not in self.lenses:
+            return None
+        file = self.lenses[name]
+        return KnownLens(camera=file.camera, covariance=None if self.hold_lenses else file.covariance)
 
 
 class SeenByAll(NamedTuple):
@@ -155,3 +219,22 @@ def _see(
     with open_source(source, fps=fps, settings=AUTOMATIC, reading=files) as frames:
         read(frames)
     return seen, times
+
+
+def solved(
+    wanted: Wanted, seen: SeenByAll, board: Target, options: BoardOptions, progress: Progress | None
+) -> CamerasCalibration:
+    """Return the rig that is wanted; raises as solve_cameras and extend_rig."""
+    if progress is not None:
+        progress.update(0, 0, "solving")
+    lenses = {name: lens for name in seen.views if (lens := wanted.lens(name)) is not None}
+    name, rig = wanted.new, wanted.rig
+    if rig is None or name is None:
+        done = solve_cameras(seen.views, board, options, lenses=lenses, times_s=seen.times_s, progress=progress)
+        return result_of(done, rig_of(done), seen.n)
+    standing = standing_of(rig, without=name)
+    lens = lenses.get(name) or (lens_of(rig, name) if wanted.again else None)
+    done, whole = extend_rig(
+        standing, name, seen.views, board, options, lens=lens, times_s=seen.times_s, progress=progress
+    )
+    return result_of(done, extended_rig(rig, whole, name, done), seen.n, fixed=frozenset(standing.cameras))
