@@ -34,6 +34,8 @@ from armsight.records.views import symmetries
 
 LEAST_SHARED = 4
 """With fewer common moments cameras that do not agree are no news: boards far off may seem to tilt either way."""
+MOVING = 2.5
+"""So many times further apart may views of one moment be where the board moved between them, and times tell how."""
 CLOSES = 2.0
 """An edge closes within so many times what moments that agree may differ by."""
 
@@ -69,11 +71,12 @@ def placed(
     """
     turns = symmetries(board)
     spins = spins_of(observations.X, turns)
-    edges = _edges(poses[:, :, 0], spins)
+    slack = 1.0 if observations.t_s is None else MOVING
+    edges = _edges(poses[:, :, 0], spins, slack)
     _require_connected(observations, poses, edges)
     tree, T = _tree(edges, observations.n_cameras)
-    _require_closed(observations, poses, spins, edges, tree, T)
-    kept, turn, boards = boards_of(poses, spins, T)
+    _require_closed(observations, poses, spins, edges, tree, T, slack)
+    kept, turn, boards = boards_of(poses, spins, T, slack)
     uv, weight = observations.uv.copy(), observations.weight * kept[:, :, None]
     for g, c in zip(*np.nonzero(turn), strict=True):
         uv[g, c], weight[g, c] = uv[g, c, turns[turn[g, c]]], weight[g, c, turns[turn[g, c]]]
@@ -90,7 +93,7 @@ def placed(
     return replace(observations, uv=uv, weight=weight).take(stay), start, rejected
 
 
-def _edges(poses: Array, spins: Array) -> list[Edge]:
+def _edges(poses: Array, spins: Array, slack: float) -> list[Edge]:
     """Return the edges of all cameras that have seen the board at one moment; poses (G, C, 6)."""
     seen = np.isfinite(poses[:, :, 0])
     out = []
@@ -101,7 +104,7 @@ def _edges(poses: Array, spins: Array) -> list[Edge]:
                 continue
             normals = Rotation.from_rotvec(poses[g, a, 3:]).as_matrix()[:, :, 2]
             spread = float(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max())
-            out.append(Edge(a=a, b=b, paired=consensus(poses[g, a], poses[g, b], spins), spread_rad=spread))
+            out.append(Edge(a=a, b=b, paired=consensus(poses[g, a], poses[g, b], spins, slack), spread_rad=spread))
     return out
 
 
@@ -147,6 +150,7 @@ def _require_closed(
     edges: list[Edge],
     tree: list[Edge],
     T: list[RigidTransform],
+    slack: float,
 ) -> None:
     """Raise Inconsistent, naming the camera, where moments of an edge do not agree or it does not close on the tree."""
     bad = [one for one in edges if one.doubted]
@@ -157,7 +161,7 @@ def _require_closed(
         reach = float(np.nanmean(np.linalg.norm(poses[:, [edge.a, edge.b], 0, :3], axis=2)))
         if (
             max(off.rotation.magnitude() / SAME_ANGLE_RAD, np.linalg.norm(off.translation) / reach / SAME_SHARE)
-            > CLOSES
+            > CLOSES * slack
         ):
             bad.append(edge)
     if not bad:
@@ -213,7 +217,7 @@ def _say_why(observations: Observations, poses: Array, spins: Array, worst: int,
 
 
 def boards_of(
-    poses: Array, spins: Array, T: Sequence[RigidTransform]
+    poses: Array, spins: Array, T: Sequence[RigidTransform], slack: float = 1.0
 ) -> tuple[NDArray[np.bool_], NDArray[np.intp], Array]:
     """Return which views agree (G, C), the symmetry of each, and T_first_board (G, 6) by the cameras' poses.
 
@@ -234,7 +238,7 @@ def boards_of(
         angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
         reach = np.linalg.norm(poses[g, seen, 0, :3], axis=1).mean()
         apart = np.linalg.norm(t[:, :, None, None] - t[None, None], axis=4) / reach
-        score = np.maximum(angle / SAME_ANGLE_RAD, apart / SAME_SHARE)
+        score = np.maximum(angle / SAME_ANGLE_RAD, apart / SAME_SHARE) / slack
         # of equal doubt the likelier tilt, the first, wins
         best, which = score.min(axis=3), score.argmin(axis=3)
         total = np.minimum(best, 1.0).sum(axis=2) + 1e-3 * (np.arange(tilts * S) // S)

@@ -69,7 +69,7 @@ class Wanted:
         if (self.again is None) == (not self.add) or len(self.add or {"": ""}) > 1:
             raise UsageError(
                 "with --rig one camera is added or placed anew",
-                cure="Give --add NAME=SRC for one that joins it, or --again NAME for one that was knocked; one at a time",
+                cure="Give one --add NAME=SRC for one that joins it, or --again NAME for one that was knocked",
             )
         if self.again is not None and self.again not in self.cameras:
             raise UsageError(
