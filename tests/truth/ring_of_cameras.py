@@ -161,7 +161,7 @@ def waved(still: Ring, n_moments: int = 60, interval_s: float = 0.1) -> tuple[Ri
     middle = BOARD.xyz_m.mean(axis=0)
 
     def at(late_s: float, g: int) -> np.ndarray:
-        t = interval_s * g + late_s
+        t = 0.6 * (interval_s * g + late_s)
         front = looking(70.0 * np.sin(0.9 * t), 1e-9)
         pose = np.eye(4)
         tilt = 0.4 * np.array([np.sin(1.7 * t), np.cos(1.3 * t), np.sin(1.1 * t + 1.0)])

@@ -138,8 +138,8 @@ def pack(
 
 def _same_size(views: Sequence[BoardView]) -> None:
     """Raise Inconsistent, naming the image, where the images of one camera differ in size."""
-    first = views[0]
     for view in views:
+        first = views[0]
         if (view.width, view.height) != (first.width, first.height):
             raise Inconsistent(
                 f"{view.source} is {view.width}x{view.height} px, {first.source} is {first.width}x{first.height} px",
