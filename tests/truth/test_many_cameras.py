@@ -12,11 +12,11 @@ import pytest
 
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, problem_of
-from armsight.calibrate.cameras.extended import StandingRig
 from armsight.calibrate.cameras.many import KnownLens, ManySolved, extend_rig, moments_of, solve_cameras
-from armsight.calibrate.cameras.pairing import as_pose
+from armsight.calibrate.cameras.many_result import rig_of
+from armsight.calibrate.cameras.pairing import as_pose, in_frame
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.optics import Camera
+from armsight.optics import Camera, Rig
 from armsight.records import NamedCovariance
 from refusals import refuses
 
@@ -25,6 +25,7 @@ from ring_of_cameras import BOARD, NAMES, SIZE, Ring, matrix, moved, off, ring, 
 
 C = ("a", "b", "c", "d")
 SIGMA_PX = 0.1
+AXES = np.array([0.3, -0.2, 0.5, 0.4, 0.1, -0.3])
 FREE = BoardOptions(folds=0, fixed=frozenset(), automatic_k3=False)
 PLAIN = BoardOptions(folds=0)
 
@@ -162,74 +163,53 @@ def test_normal_equations_of_a_moving_board_are_those_of_the_finite_differences(
 
 
 @pytest.fixture(scope="module")
-def standing(four: Ring) -> StandingRig:
-    return standing_of(solve_cameras(views(noisy(four, 11), C, SIGMA_PX), BOARD, FREE))
-
-
-def standing_of(done: ManySolved) -> StandingRig:
-    return StandingRig(
-        cameras=done.cameras,
-        T_first_camera=[as_pose(np.zeros(6)), *map(as_pose, done.state.sides)],
-        covariance=done.covariance,
-    )
+def standing(four: Ring) -> Rig:
+    """The four as a rig whose axes are no camera's."""
+    done = solve_cameras(views(noisy(four, 11), C, SIGMA_PX), BOARD, FREE)
+    return in_frame(rig_of(done, 0.1), as_pose(AXES))
 
 
 @pytest.mark.parametrize("name", ["e", "c", "a"])
 def test_a_camera_beside_a_rig_is_placed_within_its_claim_and_the_others_stay(
-    four: Ring, standing: StandingRig, name: str
+    four: Ring, standing: Rig, name: str
 ) -> None:
     """e: a fifth one. c, a: knocked ones, placed anew with the lens that they had; a is the first."""
-    five = ring(np.random.default_rng(13), 5, 40)
     if name == "e":
-        # the fifth stands beside the four, whose lenses and places are the rig's own
+        five = ring(np.random.default_rng(13), 5, 40)
         fifth = four.T[3] @ np.linalg.inv(five.T[3]) @ five.T[4]
         true = replace(five, k=np.r_[four.k, five.k[4:]], T=np.r_[four.T, fifth[None]])
-        old, lens = standing, None
     else:
-        c = C.index(name)
-        knocked = moved(four.T[c], np.r_[0.05, -0.02, 0.03, 0.05, -0.04, 0.02])
-        true = replace(four, T=np.array([knocked if one == c else T for one, T in enumerate(four.T)]))
-        old = standing if name != "a" else standing.regauged("b")
-        old = without(old, name)
-        free = tuple(f"{name}.{one}" for one in NAMES)
-        own = NamedCovariance(names=NAMES, matrix=standing.covariance.block(free))
-        lens = KnownLens(camera=standing.cameras[name], covariance=own)
+        knocked = moved(four.T[C.index(name)], np.r_[0.05, -0.02, 0.03, 0.05, -0.04, 0.02])
+        true = replace(four, T=np.array([knocked if one == name else T for one, T in zip(C, four.T, strict=True)]))
     names = (*C, "e")[: len(true.k)]
-    seen = np.array([visible(true.k, true.T, board) for board in true.boards])
-    true = replace(true, seen=seen)
-    uv = true.uv() + np.random.default_rng(17).normal(0.0, SIGMA_PX, (*seen.shape, 54, 2))
-    done, whole = extend_rig(old, name, views(uv, names, SIGMA_PX), BOARD, FREE, lens=lens)
-    for one, camera in old.cameras.items():
-        assert whole.cameras[one] is camera
-    order = list(whole.cameras)
-    first = names.index(order[0])
-    T = {one: np.linalg.inv(true.T[first]) @ true.T[names.index(one)] for one in order}
-    at = order.index(name)
-    found = whole.T_first_camera[at].as_matrix()
-    e = np.r_[whole.cameras[name].intrinsics - true.k[names.index(name)], off(found, T[name])]
-    block = tuple(f"{name}.{one}" for one in (*NAMES, "tx", "ty", "tz", "rx", "ry", "rz"))
-    chi2 = e @ np.linalg.solve(whole.covariance.block(block), e)
-    assert 4.0 < chi2 < 36.0  # 16 degrees of freedom, 99.8 %
+    true = replace(true, seen=np.array([visible(true.k, true.T, board) for board in true.boards]))
+    uv = true.uv() + np.random.default_rng(17).normal(0.0, SIGMA_PX, (*true.seen.shape, 54, 2))
+    done, whole = extend_rig(standing, name, views(uv, names, SIGMA_PX), BOARD, FREE)
     assert done.rejected == ()
+    assert whole.names == names
+    for one in standing.cameras:
+        assert one.name == name or whole.cameras[names.index(one.name)] is one
+    # what the whole rig claims of all its cameras, each in axes of the first one as it is now
+    first = true.T[0]
+    poses = [(whole.T_rig_camera("a").inv() * one.T_rig_camera).as_matrix() for one in whole.cameras]
+    turned = in_frame(whole, whole.T_rig_camera("a").inv())
+    e = np.r_[
+        np.ravel([one.camera.intrinsics - k for one, k in zip(whole.cameras, true.k, strict=True)]),
+        np.ravel([off(pose, np.linalg.inv(first) @ T) for pose, T in zip(poses[1:], true.T[1:], strict=True)]),
+    ]
+    assert turned.covariance is not None
+    block = tuple(true.names(names))
+    at = [i for i, one in enumerate(block) if one.startswith(f"{name}.")]
+    for used in (np.arange(len(block)), np.array(at)):
+        chi2 = e[used] @ np.linalg.solve(turned.covariance.block(tuple(block[i] for i in used)), e[used])
+        assert abs(chi2 - len(used)) < 3.3 * np.sqrt(2.0 * len(used))
 
 
-def without(rig: StandingRig, name: str) -> StandingRig:
-    kept = [i for i, one in enumerate(rig.cameras) if one != name]
-    names = tuple(one for one in rig.covariance.names if not one.startswith(f"{name}."))
-    return StandingRig(
-        cameras={one: camera for one, camera in rig.cameras.items() if one != name},
-        T_first_camera=[rig.T_first_camera[i] for i in kept],
-        covariance=NamedCovariance(names=names, matrix=rig.covariance.block(names)),
-    )
-
-
-def test_a_rig_that_is_no_longer_so_is_not_built_on(four: Ring, standing: StandingRig) -> None:
-    knocked = replace(
-        four, T=np.array([moved(T, np.r_[0, 0, 0, 0, 0.02, 0]) if c == 1 else T for c, T in enumerate(four.T)])
-    )
-    old = without(standing, "d")
+def test_a_rig_that_is_no_longer_so_is_not_built_on(four: Ring, standing: Rig) -> None:
+    b = moved(four.T[1], np.r_[0, 0, 0, 0, 0.02, 0])
+    knocked = replace(four, T=np.array([b if c == 1 else T for c, T in enumerate(four.T)]))
     with refuses(Inconsistent, "b"):
-        extend_rig(old, "d", views(noisy(knocked, 19), C, SIGMA_PX), BOARD, FREE, lens=known(four, 3))
+        extend_rig(standing, "d", views(noisy(knocked, 19), C, SIGMA_PX), BOARD, FREE)
 
 
 # what is refused

@@ -15,6 +15,7 @@ from armsight.ops.kinds import (
     FRAMES,
     NAMED_IMAGES,
     NAMED_LENSES,
+    AnyRigLike,
     BoardLike,
     BothViews,
     Left,
@@ -73,7 +74,7 @@ def calibrate_cameras(
     *,
     lenses: Lenses = None,
     hold_lenses: Annotated[bool, Doc("Hold the lenses of --lens as they are.")] = False,
-    rig: Annotated[RigLike, Doc("rig.yaml that is extended or mended; its other cameras and its axes stay.")] = None,
+    rig: Annotated[AnyRigLike, Doc("rig.yaml that is extended or mended; its other cameras and its axes stay.")] = None,
     add: Added = None,
     again: Annotated[
         str | None, Doc("With --rig: the camera that was knocked and is placed anew."), Flag(metavar="NAME")

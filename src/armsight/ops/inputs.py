@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,11 @@ def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> Array | N
 def rig(name: str, value: Any, given: Given, undo: ExitStack) -> Rig:
     """Return a pair of cameras, or that of a rig.yaml. Raises BadFile; UsageError for another rig."""
     return record_of(name, value, Rig, read_rig).require_pair(name)
+
+
+def any_rig(name: str, value: Any, given: Given, undo: ExitStack) -> Rig:
+    """Return a rig of any cameras, or that of a rig.yaml. Raises BadFile."""
+    return record_of(name, value, Rig, partial(read_rig, any_cameras=True))
 
 
 def camera(name: str, value: Any, given: Given, undo: ExitStack) -> Camera:

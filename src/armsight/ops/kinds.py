@@ -35,6 +35,8 @@ ZOOM_LENS = Input(f"{READERS}:zoom_lens", hashed=True)
 
 RigLike: TypeAlias = Annotated[Any, Input(f"{READERS}:rig", hashed=True)]
 """A Rig, or the path of a rig.yaml."""
+AnyRigLike: TypeAlias = Annotated[Any, Input(f"{READERS}:any_rig", hashed=True)]
+"""A Rig of one to eight cameras, or the path of a rig.yaml."""
 TargetLike: TypeAlias = Annotated[Any, Input(f"{READERS}:target")]
 """A Target, the path of a target.yaml, or a board's text."""
 PointsLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:points", hashed=True)]

@@ -7,18 +7,18 @@ covariance is that of its own images and Hxx^-1 Hxo cov(o) Hox Hxx^-1 (a conside
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras.bundle_adjustment import POSE, Bundle, bundle_of, names_of, problem_of
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of, names_of, problem_of
 from armsight.calibrate.cameras.outlier_rejection import RobustFit
+from armsight.calibrate.cameras.pairing import in_frame
 from armsight.errors import Inconsistent
-from armsight.geometry.poses import skew
-from armsight.optics import Camera
+from armsight.optics import Rig
+from armsight.optics.mounted import MountedCamera
 from armsight.records import NamedCovariance
 
 MOVED = 1e-6
@@ -27,78 +27,43 @@ FELT = 1e-9
 """Share of the largest by which boards must tell something of the rig's cameras to be asked about it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StandingRig:
-    """Cameras that stay: by name, with T_first_camera and the covariance of what of the 16 C - 6 numbers is known, in
-    axes of the first; zero of the others."""
-
-    cameras: dict[str, Camera]
-    T_first_camera: Sequence[RigidTransform]
-    covariance: NamedCovariance
-
-    @property
-    def held(self) -> frozenset[str]:
-        """Names of the numbers that a fit beside it holds."""
-        first = next(iter(self.cameras))
-        lenses = {f"{name}.{one}" for name, camera in self.cameras.items() for one in camera.names}
-        return frozenset(lenses | {f"{name}.{one}" for name in self.cameras if name != first for one in POSE})
-
-    def regauged(self, first: str) -> StandingRig:
-        """Return it in axes of another of its cameras, which comes first."""
-        names = list(self.cameras)
-        b = names.index(first)
-        if b == 0:
-            return self
-        T, order = self.T_first_camera, [b, *(c for c in range(len(names)) if c != b)]
-        R = T[b].rotation.as_matrix().T
-        old = [one for one in self.covariance.names if one.split(".")[1] in POSE]
-        lens = [one for one in self.covariance.names if one not in old]
-        new = [f"{names[c]}.{one}" for c in order[1:] for one in POSE]
-        J = np.zeros((len(lens) + len(new), len(lens) + len(old)))
-        J[: len(lens), : len(lens)] = np.eye(len(lens))
-
-        def put(c: int, of: int, block: Array) -> None:
-            """Set how the pose of c moves with that of another, where that is known."""
-            at = [old.index(f"{names[of]}.{one}") if f"{names[of]}.{one}" in old else -1 for one in POSE]
-            row = len(lens) + new.index(f"{names[c]}.tx")
-            for k, column in enumerate(at):
-                if column >= 0:
-                    J[row : row + 6, len(lens) + column] += block[:, k]
-
-        for c in order[1:]:
-            # T_b_c = T_b^-1 T_c: R_b' (t_c - t_b) and R_b' R_c, each moved as t + dt, Exp(dw) R
-            own = np.zeros((6, 6))
-            own[:3, :3] = own[3:, 3:] = R
-            by_b = -own.copy()
-            by_b[:3, 3:] = R @ skew(T[c].translation - T[b].translation)
-            put(c, b, by_b)
-            put(c, c, own)
-        matrix = J @ self.covariance.block((*lens, *old)) @ J.T
-        return StandingRig(
-            cameras={names[c]: self.cameras[names[c]] for c in order},
-            T_first_camera=[T[b].inv() * T[c] for c in order],
-            covariance=NamedCovariance(names=(*lens, *new), matrix=0.5 * (matrix + matrix.T)),
-        )
+def held_beside(rig: Rig) -> frozenset[str]:
+    """Return the names of the numbers that a fit beside a rig holds: all of it."""
+    return frozenset(rig.parameters)
 
 
-def with_standing(names: Sequence[str], start: Bundle, rig: StandingRig) -> Bundle:
-    """Return the start of cameras of these names, the rig's own first, where the rig has them."""
-    k, sides, own = start.k.copy(), start.sides.copy(), list(rig.cameras)
+def with_standing(names: Sequence[str], start: Bundle, rig: Rig) -> Bundle:
+    """Return the start of cameras of these names where the rig, in axes of the first of them, has them."""
+    k, sides = start.k.copy(), start.sides.copy()
     for c, name in enumerate(names):
-        if name in own:
-            T = rig.T_first_camera[own.index(name)]
-            k[c] = rig.cameras[name].intrinsics
-            sides[c - 1] = sides[c - 1] if c == 0 else np.concatenate([T.translation, T.rotation.as_rotvec()])
+        if name in rig.names:
+            k[c], T = rig.camera(name).intrinsics, rig.T_rig_camera(name)
+            if c:
+                sides[c - 1] = np.concatenate([T.translation, T.rotation.as_rotvec()])
     return replace(start, k=k, sides=sides)
 
 
-def considered(robust: RobustFit, rig: StandingRig) -> NamedCovariance:
+def placed_beside(rig: Rig, standing: Rig, new: MountedCamera, covariance: NamedCovariance) -> Rig:
+    """Return the rig with one more camera as its last, or one of its own anew; its axes and the others stay.
+
+    standing: the rig's others in axes of the first of them; new and covariance: in these axes too.
+    """
+    beside = Rig(cameras=(*standing.cameras, new), covariance=covariance)
+    order = rig.names if new.name in rig.names else (*rig.names, new.name)
+    back = in_frame(beside, rig.T_rig_camera(standing.names[0])).only(*order)
+    own = {one.name: one for one in rig.cameras if one.name != new.name}
+    return replace(back, cameras=tuple(own.get(one.name, one) for one in back.cameras))
+
+
+def considered(robust: RobustFit, rig: Rig) -> NamedCovariance:
     """Return the covariance of the rig's numbers and of the new camera's together.
 
     Raises Inconsistent where the rig's cameras do not see the board where the rig has it.
     """
     seen, fit = robust.observations, robust.fit
     (own,) = [one for one in (fit.covariance,) if one is not None]
+    if rig.covariance is None:
+        return own
     every_known = rig.covariance.names
     known = tuple(name for name in every_known if name in fit.names)
     fixed = frozenset(names_of(seen)) - {*own.names, *known}

@@ -21,7 +21,7 @@ from armsight.calibrate.cameras.bundle_adjustment import (
 )
 from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
 from armsight.calibrate.cameras.cross_validation import left_out
-from armsight.calibrate.cameras.extended import StandingRig, considered, with_standing
+from armsight.calibrate.cameras.extended import considered, held_beside, placed_beside, with_standing
 from armsight.calibrate.cameras.graph import placed, tilts_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of
@@ -34,14 +34,14 @@ from armsight.calibrate.cameras.outlier_rejection import (
     fixed_names,
     named,
 )
-from armsight.calibrate.cameras.pairing import as_pose, camera_of
+from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
 from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
 from armsight.errors import DataRefused, Inconsistent, NotConverged, NotEnoughData, Undetermined
 from armsight.fitting import Fit
-from armsight.optics import INTRINSICS, Camera
+from armsight.optics import INTRINSICS, Camera, Rig
+from armsight.optics.mounted import MOST_CAMERAS, MountedCamera
 from armsight.records import BoardView, NamedCovariance, Progress, Target
 
-MOST_CAMERAS = 8
 LOOSE_S = 0.02
 """A delay less sure than this is held at zero: boards were still, or times are none."""
 BY_CHANCE = 1e-3
@@ -107,7 +107,7 @@ def solve_cameras(
     *,
     lenses: Mapping[str, KnownLens] | None = None,
     times_s: Mapping[str, Sequence[float]] | None = None,
-    rig: StandingRig | None = None,
+    rig: Rig | None = None,
     progress: Progress | None = None,
 ) -> ManySolved:
     """Return cameras and where they stand, from what each saw of the board at the same moments, None where nothing.
@@ -120,13 +120,13 @@ def solve_cameras(
     """
     options, lenses = options or BoardOptions(), dict(lenses or {})
     if rig is not None:
-        lenses |= {name: KnownLens(camera=rig.cameras[name]) for name in views if name in rig.cameras}
+        lenses |= {name: KnownLens(camera=rig.camera(name)) for name in views if name in rig.names}
     observations, rejected = moments_of(views, board, options, lenses, times_s)
     poses, k, advice = each_alone(observations, options, lenses)
     observations, start, dropped = placed(observations, poses, k, board)
     rejected += dropped
     if rig is not None:
-        held = observations.held | (rig.held & set(names_of(observations)))
+        held = observations.held | (held_beside(rig) & set(names_of(observations)))
         observations, start = replace(observations, held=held), with_standing(observations.cameras, start, rig)
     times, held = observations.t_s, observations.held
     known, observations = observations.known, replace(observations, t_s=None, known=None)
@@ -156,7 +156,7 @@ def solve_cameras(
 
 
 def extend_rig(
-    rig: StandingRig,
+    rig: Rig,
     name: str,
     views: Mapping[str, Sequence[BoardView | None]],
     board: Target,
@@ -165,34 +165,45 @@ def extend_rig(
     lens: KnownLens | None = None,
     times_s: Mapping[str, Sequence[float]] | None = None,
     progress: Progress | None = None,
-) -> tuple[ManySolved, StandingRig]:
-    """Return what was found of one more camera, and the rig with it as its last; the rig's own stay as they are.
+) -> tuple[ManySolved, Rig]:
+    """Return what was found of one more camera, or of one of the rig's anew, and the rig with it.
 
-    views: of the new camera and of some or all of the rig's. Raises as solve_cameras, and Inconsistent where the rig's
-    cameras do not stand as the rig says.
+    The rig's axes and its other cameras stay as they are. views: of the camera and of some or all of the rig's. lens:
+    its own, known before; of a camera of the rig the one that it has. Raises as solve_cameras, and Inconsistent where
+    the rig's cameras do not stand as the rig says.
     """
+    others = [one for one in rig.names if one != name]
     seen = [g for g, one in enumerate(views[name]) if one is not None]
-    olds = [old for old in rig.cameras if old in views and any(views[old][g] is not None for g in seen)]
+    olds = [old for old in others if old in views and any(views[old][g] is not None for g in seen)]
     if not olds:
         raise NotEnoughData(
-            f"no moment shows the board to {name} and to a camera of the rig",
+            f"no moment shows the board to {name} and to another camera of the rig",
             consequence=f"Where {name} stands is open, and nothing was calibrated",
-            cure=f"Take pictures in which {name} and one of {', '.join(rig.cameras)} see the board at one moment",
+            cure=f"Take pictures in which {name} and one of {', '.join(others)} see the board at one moment",
         )
-    standing = rig.regauged(olds[0])
+    first = rig.T_rig_camera(olds[0])
+    standing = in_frame(rig.only(olds[0], *(one for one in others if one != olds[0])), first.inv())
     used = {one: [views[one][g] for g in seen] for one in (*olds, name)}
     times = None if times_s is None else {one: [times_s[one][g] for g in seen] for one in used}
+    own = next((one for one in rig.cameras if one.name == name), None)
+    if lens is None and own is not None:
+        lens = KnownLens(camera=own.camera, covariance=_lens_doubt(rig, name))
     lenses = {} if lens is None else {name: lens}
     done = solve_cameras(used, board, options, lenses=lenses, times_s=times, rig=standing, progress=progress)
-    side = done.state.sides[-1]
-    poses = dict(zip(standing.cameras, standing.T_first_camera, strict=True))
+    found = {"camera": done.cameras[name], "T_rig_camera": as_pose(done.state.sides[-1])}
+    new = MountedCamera(name=name, **found) if own is None else replace(own, **found)
     numbers = tuple(one for one in done.covariance.names if not one.endswith(f".{DELAY}"))
-    whole = StandingRig(
-        cameras={**standing.cameras, name: done.cameras[name]},
-        T_first_camera=[*poses.values(), as_pose(side)],
-        covariance=NamedCovariance(names=numbers, matrix=done.covariance.block(numbers)),
-    )
-    return done, whole.regauged(next(iter(rig.cameras)))
+    covariance = NamedCovariance(names=numbers, matrix=done.covariance.block(numbers))
+    return done, placed_beside(rig, standing, new, covariance)
+
+
+def _lens_doubt(rig: Rig, name: str) -> NamedCovariance | None:
+    """Return the covariance of the lens of one of a rig's cameras; None where nothing is known of it."""
+    known = () if rig.covariance is None else rig.covariance.names
+    lens = tuple(one for one in rig.camera(name).names if f"{name}.{one}" in known)
+    if rig.covariance is None or not lens:
+        return None
+    return NamedCovariance(names=lens, matrix=rig.covariance.block(tuple(f"{name}.{one}" for one in lens)))
 
 
 def moments_of(

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import DELAY, poses_of_boards, residuals_px
@@ -13,10 +14,13 @@ from armsight.calibrate.cameras.calibrate import rms, view_rms
 from armsight.calibrate.cameras.many import ManySolved
 from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.cameras.outlier_rejection import named
+from armsight.calibrate.cameras.pairing import as_pose
 from armsight.calibrate.cameras.preconditions import images_doubted, images_verdict
 from armsight.calibrate.cameras.result import FromBoards, left_out_words, std_by_key
 from armsight.fields import Doc
 from armsight.optics import Camera, Rig
+from armsight.optics.mounted import MountedCamera
+from armsight.records import NamedCovariance
 from armsight.records.output import Row, figure, output, with_std
 from armsight.records.result_parts import MEANING, RejectedFile, Verdict
 from armsight.shown import WRITTEN, Shown, Table, digits, rejected_lines
@@ -148,3 +152,33 @@ class CamerasCalibration(FromBoards):
         yield from rejected_lines(self.rejected)
         yield WRITTEN
         yield from (f"- {text}" for text in self.advice)
+
+
+def result_of(
+    done: ManySolved, n_moments: int, rig: Rig | None = None, fixed: frozenset[str] = frozenset()
+) -> CamerasCalibration:
+    """Return the result of a fit to so many moments. rig: that it extended, in place of its own cameras alone."""
+    overall = rms(residuals_px(done.observations, done.robust.fit), done.observations.weight > 0.0)
+    return CamerasCalibration(
+        rms_px=overall,
+        n_moments=n_moments,
+        n_used=done.observations.n_views,
+        rejected=tuple(map(RejectedFile._make, done.rejected)),
+        holdout_rms_px=done.holdout_rms_px,
+        advice=done.advice,
+        rig=rig_of(done, overall) if rig is None else rig,
+        solved=done,
+        fixed=fixed,
+    )
+
+
+def rig_of(done: ManySolved, rms_px: float) -> Rig:
+    """Return the rig in axes of its first camera."""
+    poses = [RigidTransform.identity(), *map(as_pose, done.state.sides)]
+    mounted = [
+        MountedCamera(name=name, camera=camera, T_rig_camera=T)
+        for (name, camera), T in zip(done.cameras.items(), poses, strict=True)
+    ]
+    names = tuple(one for one in done.covariance.names if not one.endswith(f".{DELAY}"))
+    covariance = NamedCovariance(names=names, matrix=done.covariance.block(names))
+    return Rig(cameras=mounted, covariance=covariance, rms_px=rms_px)

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
 
 from armsight.calibrate.cameras import BoardOptions, CamerasCalibration
-from armsight.calibrate.cameras.many import MOST_CAMERAS, KnownLens, extend_rig, solve_cameras
-from armsight.calibrate.cameras.many_result import extended_rig, lens_of, result_of, rig_of, standing_of
+from armsight.calibrate.cameras.many import KnownLens, extend_rig, solve_cameras
+from armsight.calibrate.cameras.many_result import result_of
 from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.ops.calibration.board_pictures import BoardPictures
 from armsight.ops.sources.frames import is_bag, is_recording, open_source
 from armsight.optics import Rig
+from armsight.optics.mounted import MOST_CAMERAS, require_camera_name
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.store import CameraFile
 from armsight.store.targets import board_text
-
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,15}")
-RESERVED = frozenset({"rig", "image", "complex", "all"})
 
 
 class Reading(NamedTuple):
@@ -110,12 +107,7 @@ def require_names(given: Mapping[str, Any], known: Sequence[str] = ()) -> None:
     known: names that a rig has already.
     """
     for name in given:
-        if not NAME.fullmatch(name) or name in RESERVED:
-            raise UsageError(
-                f"{name[:40]!r} is no camera's name",
-                consequence=_kept(name),
-                cure="Use a letter, then letters, digits, - or _, 16 at most: --camera left=SRC",
-            )
+        require_camera_name(name)
     n = len(set(given) | set(known))
     if not 1 < n <= MOST_CAMERAS:
         raise UsageError(
@@ -133,11 +125,6 @@ def require_names(given: Mapping[str, Any], known: Sequence[str] = ()) -> None:
                 consequence="One camera would be placed twice",
                 cure=f"Give {name} its own images",
             )
-
-
-def _kept(name: str) -> str:
-    """Return what comes of a name that is none."""
-    return "The name is kept for something else" if name in RESERVED else "It could not be told from other words"
 
 
 def see_all(
@@ -229,12 +216,8 @@ def solved(
         progress.update(0, 0, "solving")
     lenses = {name: lens for name in seen.views if (lens := wanted.lens(name)) is not None}
     name, rig = wanted.new, wanted.rig
+    more = {"times_s": seen.times_s, "progress": progress}
     if rig is None or name is None:
-        done = solve_cameras(seen.views, board, options, lenses=lenses, times_s=seen.times_s, progress=progress)
-        return result_of(done, rig_of(done), seen.n)
-    standing = standing_of(rig, without=name)
-    lens = lenses.get(name) or (lens_of(rig, name) if wanted.again else None)
-    done, whole = extend_rig(
-        standing, name, seen.views, board, options, lens=lens, times_s=seen.times_s, progress=progress
-    )
-    return result_of(done, extended_rig(rig, whole, name, done), seen.n, fixed=frozenset(standing.cameras))
+        return result_of(solve_cameras(seen.views, board, options, lenses=lenses, **more), seen.n)
+    done, whole = extend_rig(rig, name, seen.views, board, options, lens=lenses.get(name), **more)
+    return result_of(done, seen.n, whole, frozenset(rig.names) - {name})
