@@ -162,7 +162,7 @@ def waved(still: Ring, n_moments: int = 60, interval_s: float = 0.1) -> tuple[Ri
 
     def at(late_s: float, g: int) -> np.ndarray:
         t = 0.6 * (interval_s * g + late_s)
-        front = looking(70.0 * np.sin(0.9 * t), 1e-9)
+        front = looking(75.0 * np.cos(1.4 * t), 1e-9)
         pose = np.eye(4)
         tilt = 0.4 * np.array([np.sin(1.7 * t), np.cos(1.3 * t), np.sin(1.1 * t + 1.0)])
         pose[:3, :3] = front[:3, :3] @ cv2.Rodrigues(tilt)[0]

@@ -116,9 +116,9 @@ def test_delays_of_boards_held_still_are_held_at_zero(four: Ring) -> None:
 
 
 def test_normal_equations_of_a_moving_board_are_those_of_the_finite_differences(four: Ring) -> None:
-    film, at = waved(four, 9)
+    film, at = waved(four, 9, 1.0)
     late = np.array([0.0, 0.03, -0.05, 0.02])
-    stamps = {name: [0.1 * g for g in range(9)] for name in C}
+    stamps = {name: [1.0 * g for g in range(9)] for name in C}
     seen, _ = moments_of(views(film.uv(late, at), C, 1.0), BOARD, PLAIN, {}, stamps)
     kept = film.seen.any(axis=1)
     boards = [np.r_[T[:3, 3] + T[:3, :3] @ seen.middle, cv2.Rodrigues(T[:3, :3])[0].ravel()] for T in film.boards[kept]]

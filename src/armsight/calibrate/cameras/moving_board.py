@@ -34,7 +34,8 @@ class Motion:
 
     views: each view as a group of its own. moment, camera, segment, t_s (V,); at_s (V,): where the polynomials coef
     (V, P, P) by nodes and powers of (time - at_s) count from; window (V, P): their nodes in the segment; base (V,):
-    position of the nearest in the window. place (G, 2): segment and node of each moment. shape: segments, nodes.
+    where in the window the one of most weight is. place (G, 2): segment and node of each moment. shape: segments,
+    nodes.
     """
 
     views: Observations
@@ -99,7 +100,7 @@ class Motion:
             M = by_nodes[part].reshape(-1, 6, L)
             CM, flat = one.C[part] @ M, M.reshape(-1, L)
             C[s], c[s] = flat.T @ CM.reshape(-1, L), flat.T @ one.c[part].ravel()
-            W[s, :n] = (one.W[part] @ M).sum(axis=0)
+            W[s, :n] = one.W[part].transpose(1, 0, 2).reshape(n, -1) @ flat
             W[s, n:] = own[part].T @ np.einsum("vi,vij->vj", rate[part], CM)
         empty = np.ones(self.shape)
         empty[self.place[:, 0], self.place[:, 1]] = 0.0
@@ -163,7 +164,11 @@ def motion_of(observations: Observations, delays_s: Array) -> Motion:
         known=None,
     )
     at = t_s[g, c] + late[c]
-    found = [_through(times[s], when) for s, when in zip(place[g, 0], at, strict=True)]
+    coef, window = np.zeros((len(g), NEAREST, NEAREST)), np.zeros((len(g), NEAREST), np.intp)
+    for segment, nodes_s in enumerate(times):
+        own = np.flatnonzero(place[g, 0] == segment)
+        n = min(NEAREST, len(nodes_s))
+        coef[own, :n, :n], window[own, :n] = _through(nodes_s, at[own], n)
     return Motion(
         views=views,
         moment=g,
@@ -171,9 +176,9 @@ def motion_of(observations: Observations, delays_s: Array) -> Motion:
         segment=place[g, 0],
         t_s=t_s[g, c],
         at_s=at,
-        coef=np.array([one[0] for one in found]),
-        window=np.array([one[1] for one in found], np.intp),
-        base=np.array([one[2] for one in found], np.intp),
+        coef=coef,
+        window=window,
+        base=np.argmax(coef[:, :, 0], axis=1),
         place=place,
         shape=(len(times), max(map(len, times))),
     )
@@ -197,16 +202,14 @@ def _segments(node_s: Array) -> tuple[Index, list[Array]]:
     return place, [node_s[part] for part in parts]
 
 
-def _through(times: Array, at: float) -> tuple[Array, Index, int]:
-    """Return coef (P, P), window (P,) and base of the polynomial through the nodes nearest to a time."""
-    n = min(NEAREST, len(times))
-    first = int(np.clip(np.searchsorted(times, at) - NEAREST // 2, 0, len(times) - n))
-    x = times[first : first + n] - at
-    coef, window = np.zeros((NEAREST, NEAREST)), np.zeros(NEAREST, np.intp)
+def _through(nodes_s: Array, at_s: Array, n: int) -> tuple[Array, Index]:
+    """Return coef (v, n, n) and window (v, n) of the polynomials through the n nodes nearest to each time (v,)."""
+    first = np.clip(np.searchsorted(nodes_s, at_s) - n // 2, 0, len(nodes_s) - n)
+    window = first[:, None] + np.arange(n)
+    x = nodes_s[window] - at_s[:, None]
     # weights w of the nodes meet every power: sum w_k x_k^p = x^p
-    coef[:n, :n] = np.linalg.inv(np.vander(x, n, increasing=True).T)
-    window[:n] = np.arange(first, first + n)
-    return coef, window, int(np.argmin(np.abs(x)))
+    powers = x[:, :, None] ** np.arange(n)
+    return np.linalg.inv(powers.transpose(0, 2, 1)), window
 
 
 def _left_jacobian(v: Array) -> Array:
