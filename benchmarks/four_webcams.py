@@ -27,7 +27,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, names_of, residuals_px
 from armsight.calibrate.cameras.graph import boards_of
-from armsight.calibrate.cameras.many import KnownLens, each_alone, solve_cameras
+from armsight.calibrate.cameras.many import each_alone, solve_cameras
+from armsight.calibrate.cameras.many_checks import KnownLens
 from armsight.calibrate.cameras.observations import pack
 from armsight.calibrate.cameras.pairing import as_pose
 from armsight.optics import Camera

@@ -9,7 +9,7 @@ from armsight.defaults import LIT_LIGHTS
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
-from armsight.ops.calibrate_cameras import Detector, Lens, RigOut
+from armsight.ops.calibrate_cameras import Detector, RigOut
 from armsight.ops.flags import SRC, Bits, Cameras, Every, Fps, Inverted, Limit, Strict, Threshold, Workers
 from armsight.ops.kinds import (
     FRAMES,
@@ -42,9 +42,12 @@ NamedImages: TypeAlias = Annotated[
 ]
 Lenses: TypeAlias = Annotated[
     Any,
-    Doc("camera.yaml of a lens calibrated before, which moves within its covariance; repeated."),
+    Doc(
+        "camera.yaml of a lens calibrated before, which moves within its covariance; repeated. The kind of all others, "
+        "pinhole or fisheye, without a name. [default: pinhole]"
+    ),
     NAMED_LENSES,
-    Flag("--lens", metavar="NAME=FILE", repeated=True),
+    Flag("--lens", metavar="NAME=FILE|KIND", repeated=True),
 ]
 Added: TypeAlias = Annotated[
     Any,
@@ -87,7 +90,6 @@ def calibrate_cameras(
     frames: Limit = None,
     workers: Workers = None,
     detector: Detector = "auto",
-    lens: Lens = "pinhole",
     bits: Bits = None,
     strict: Strict = False,
     out: RigOut = None,
@@ -104,7 +106,7 @@ def calibrate_cameras(
     board
         As calibrate_camera takes it.
     lenses, hold_lenses
-        By the camera's name: a camera.yaml, a Camera, or what calibrate_camera returns.
+        By the camera's name: a camera.yaml, a Camera, or what calibrate_camera returns. Or the kind of all lenses.
     rig, add, again
         A rig that gets one more camera (its images by its name), or one of whose cameras is placed anew.
     options, every, frames, detector, bits
@@ -126,9 +128,11 @@ def calibrate_cameras(
     from armsight.ops.calibration.many_cameras import Reading, Wanted, see_all, solved
     from armsight.ops.calibration.reports import write_cameras_report
 
-    wanted = Wanted(rig=rig, cameras=cameras, add=add, again=again, lenses=lenses or {}, hold_lenses=hold_lenses)
+    given = dict(lenses or {})
+    kind = given.pop("", "pinhole")
+    wanted = Wanted(rig=rig, cameras=cameras, add=add, again=again, lenses=given, hold_lenses=hold_lenses)
     wanted.require()
-    options, pictures = board_options(options, lens, most=1), BoardPictures()
+    options, pictures = board_options(options, kind, most=1), BoardPictures()
     reading = Reading(fps, every, frames, threads(workers), bits, strict, detector)
     seen = see_all(wanted.sources, board, reading, pictures, progress)
     done = solved(wanted, seen, board, options, progress)

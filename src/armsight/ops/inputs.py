@@ -173,13 +173,19 @@ def images(name: str, value: Any, given: Given, undo: ExitStack) -> str | list[F
 
 def named_images(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, str | list[Frame]]:
     """Return images by the cameras' names, of NAME=SRC texts or of a mapping. Raises UsageError, BadImage."""
-    return {camera: images(f"{camera} images", one, given, undo) for camera, one in by_name(value, name).items()}
+    return {camera: images(f"{camera} images", one, given, undo) for camera, one in by_name(value).items()}
 
 
-def named_lenses(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, CameraFile]:
-    """Return what camera.yaml files say by the cameras' names, of NAME=FILE texts or of a mapping. Raises BadFile."""
-    found = {}
-    for camera, one in by_name(value, name).items():
+def named_lenses(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, CameraFile | str]:
+    """Return what camera.yaml files say by the cameras' names, of NAME=FILE texts or of a mapping; the kind of all
+    others by '', of a text without a name. Raises BadFile, UsageError."""
+    found: dict[str, CameraFile | str] = {}
+    texts = [value] if isinstance(value, str) else value
+    kinds = [] if isinstance(texts, Mapping) else [one for one in texts if "=" not in str(one)]
+    if kinds:
+        found[""] = kinds[-1]
+        texts = [one for one in texts if one not in kinds]
+    for camera, one in by_name(texts).items():
         path = path_of(one)
         if path is not None:
             found[camera] = read_camera_file(path)
@@ -190,11 +196,11 @@ def named_lenses(name: str, value: Any, given: Given, undo: ExitStack) -> dict[s
     return found
 
 
-def by_name(value: Any, name: str) -> dict[str, Any]:
+def by_name(value: Any) -> dict[str, object]:
     """Return a mapping as it is, and NAME=VALUE texts as one. Raises UsageError for a name given twice."""
     if isinstance(value, Mapping):
         return dict(value)
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for text in value:
         camera, given, rest = str(text).partition("=")
         if not given or not rest:

@@ -82,8 +82,10 @@ def _cameras(done: Done) -> dict[str, tuple[Camera, Array, Array]]:
     clouds = done.clouds()
     if isinstance(done, CameraCalibration):
         return {name: (done.camera, uv, -left) for name, (uv, left) in clouds.items()}
-    cameras = done.cameras if isinstance(done, CamerasCalibration) else None
-    known = {name: cameras[name] if cameras else done.pair_rig().camera(name) for name in clouds}
+    if isinstance(done, CamerasCalibration):
+        known = done.cameras
+    else:
+        known = {side: done.pair_rig().camera(side) for side in clouds}
     return {name: (known[name], uv, -left) for name, (uv, left) in clouds.items()}
 
 

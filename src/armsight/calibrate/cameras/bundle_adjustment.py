@@ -119,6 +119,7 @@ def _with_known(
     A, b = here.condensed.A.copy(), here.condensed.b.copy()
     A[np.ix_(at, at)] += known.information
     b[at] += known.information @ off
+    # L' x is white where the information is L L'
     rows = np.linalg.cholesky(known.information).T @ off
     return replace(
         here,

@@ -75,6 +75,7 @@ def considered(robust: RobustFit, rig: Rig) -> NamedCovariance:
     score = normal.b - np.einsum("gfl,gl->f", normal.W, np.linalg.solve(normal.C, normal.c[..., None])[..., 0])
     x = [problem.free.index(name) for name in own.names]
     o = [problem.free.index(name) for name in known]
+    # the new numbers are where they fit best whatever the rig's are: how they follow these
     follow = -np.linalg.solve(H[np.ix_(x, x)], H[np.ix_(x, o)])
     sigma = rig.covariance.block(known)
     _require_standing(H[np.ix_(o, o)] + H[np.ix_(o, x)] @ follow, score[o] / fit.scale**2, sigma, known)
@@ -89,6 +90,7 @@ def _require_standing(H: Array, score: Array, sigma: Array, names: tuple[str, ..
 
     H, score: of the rig's numbers with all others eliminated. The pull has covariance H + H sigma H.
     """
+    # in units of the rig's doubt, along directions that are independent in it
     values, vectors = np.linalg.eigh(sigma)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     felt, axes = np.linalg.eigh(root.T @ H @ root)

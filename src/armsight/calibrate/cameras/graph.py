@@ -87,7 +87,7 @@ def placed(
         for g, c in zip(*np.nonzero(seen & ~kept), strict=True)
         if kept[g].any() or c == np.flatnonzero(seen[g])[0]
     ]
-    stay = np.flatnonzero(kept.any(axis=1))
+    stay = np.flatnonzero(kept.any(axis=1))  # others show boards on which no two cameras agree
     sides = [np.concatenate([one.translation, one.rotation.as_rotvec()]) for one in T[1:]]
     start = Bundle(k=k, sides=np.array(sides).reshape(-1, 6), poses=boards[stay])
     return replace(observations, uv=uv, weight=weight).take(stay), start, rejected
@@ -102,6 +102,7 @@ def _edges(poses: Array, spins: Array, slack: float) -> list[Edge]:
             g = np.flatnonzero(seen[:, a] & seen[:, b])
             if not len(g):
                 continue
+            # boards of one direction place two cameras by one plane alone
             normals = Rotation.from_rotvec(poses[g, a, 3:]).as_matrix()[:, :, 2]
             spread = float(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max())
             out.append(Edge(a=a, b=b, paired=consensus(poses[g, a], poses[g, b], spins, slack), spread_rad=spread))
@@ -172,6 +173,7 @@ def _require_closed(
         return float(np.mean(own)), sum(own)
 
     worst = max(reversed(range(observations.n_cameras)), key=doubt)
+    # its best known neighbour is what it is compared with
     edge = max((one for one in edges if worst in (one.a, one.b)), key=lambda one: len(one.paired.agreeing))
     partner = edge.a if edge.b == worst else edge.b
     _say_why(observations, poses, spins, worst, partner)
@@ -241,6 +243,7 @@ def boards_of(
         score = np.maximum(angle / SAME_ANGLE_RAD, apart / SAME_SHARE) / slack
         # of equal doubt the likelier tilt, the first, wins
         best, which = score.min(axis=3), score.argmin(axis=3)
+        # views that disagree count alike however far off they are
         total = np.minimum(best, 1.0).sum(axis=2) + 1e-3 * (np.arange(tilts * S) // S)
         total[:, np.arange(tilts * S) % S > 0] = np.inf
         c, h = np.unravel_index(int(np.argmin(total)), total.shape)

@@ -25,6 +25,13 @@ from armsight.calibrate.cameras.extended import considered, held_beside, placed_
 from armsight.calibrate.cameras.graph import placed, tilts_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of
+from armsight.calibrate.cameras.many_checks import (
+    KnownLens,
+    require_lenses,
+    require_lists,
+    require_one_clock,
+    require_sizes,
+)
 from armsight.calibrate.cameras.moving_board import alone
 from armsight.calibrate.cameras.observations import BoardOptions, Known, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import (
@@ -39,25 +46,13 @@ from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, 
 from armsight.errors import DataRefused, Inconsistent, NotConverged, NotEnoughData, Undetermined
 from armsight.fitting import Fit
 from armsight.optics import INTRINSICS, Camera, Rig
-from armsight.optics.mounted import MOST_CAMERAS, MountedCamera
+from armsight.optics.mounted import MountedCamera
 from armsight.records import BoardView, NamedCovariance, Progress, Target
 
 LOOSE_S = 0.02
 """A delay less sure than this is held at zero: boards were still, or times are none."""
 BY_CHANCE = 1e-3
 """Delays are taken where chi-square would fall as much without any this often."""
-OTHER_LENS = 1e-6
-"""A lens known beforehand is another one where its own doubt would move it so far this often."""
-APART_S = 1.0
-"""Images of one moment are never further apart than this by clocks that agree."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class KnownLens:
-    """A lens calibrated before: its covariance is how far it may move, None holds it."""
-
-    camera: Camera
-    covariance: NamedCovariance | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,18 +123,8 @@ def solve_cameras(
     if rig is not None:
         held = observations.held | (held_beside(rig) & set(names_of(observations)))
         observations, start = replace(observations, held=held), with_standing(observations.cameras, start, rig)
-    times, held = observations.t_s, observations.held
-    known, observations = observations.known, replace(observations, t_s=None, known=None)
-    lens = frozenset[str]() if known is None else frozenset(known.names) - held
-    observations = replace(observations, held=held | lens)
-    observations, start, told, lost = _timed(observations, start, options, times, progress)
-    if known is not None:  # what is known beforehand counts in units of the points' noise, asked with lenses as given
-        scale = fit_without_outliers(observations, start, options, progress).fit.scale
-        observations = replace(
-            observations, held=observations.held - lens, known=known, weight=observations.weight / scale
-        )
-    robust = fit_without_outliers(observations, start, options, progress)
-    _require_lenses(robust, known, lenses)
+    robust, told, lost = _fitted(observations, start, options, progress)
+    require_lenses(robust, observations.known, lenses)
     out = left_out(robust, options)
     covariance = required(robust) if rig is None else considered(robust, rig)
     if robust.observations.t_s is None and rig is None:
@@ -153,6 +138,21 @@ def solve_cameras(
         advice=(*advice, *told, *caveats(covariance, robust), *robust.notes),
         known=frozenset(lenses),
     )
+
+
+def _fitted(
+    observations: Observations, start: Bundle, options: BoardOptions, progress: Progress | None
+) -> tuple[RobustFit, list[str], list[tuple[str, str]]]:
+    """Return the fit of what agrees, advice on the clocks, and (source, why) of moments that went for them."""
+    times, known, held = observations.t_s, observations.known, observations.held
+    lens = frozenset[str]() if known is None else frozenset(known.names) - held
+    observations = replace(observations, t_s=None, known=None, held=held | lens)
+    observations, start, told, lost = _timed(observations, start, options, times, progress)
+    if known is not None:
+        # what is known beforehand counts in units of the points' noise, which is asked with the lenses as given
+        weight = observations.weight / fit_without_outliers(observations, start, options, progress).fit.scale
+        observations = replace(observations, held=observations.held - lens, known=known, weight=weight)
+    return fit_without_outliers(observations, start, options, progress), told, lost
 
 
 def extend_rig(
@@ -181,8 +181,10 @@ def extend_rig(
             consequence=f"Where {name} stands is open, and nothing was calibrated",
             cure=f"Take pictures in which {name} and one of {', '.join(others)} see the board at one moment",
         )
+    # the fit's frame is that of a camera which stays and sees something
     first = rig.T_rig_camera(olds[0])
     standing = in_frame(rig.only(olds[0], *(one for one in others if one != olds[0])), first.inv())
+    # moments without the new camera say nothing of it, since the others are held
     used = {one: [views[one][g] for g in seen] for one in (*olds, name)}
     times = None if times_s is None else {one: [times_s[one][g] for g in seen] for one in used}
     own = next((one for one in rig.cameras if one.name == name), None)
@@ -190,8 +192,10 @@ def extend_rig(
         lens = KnownLens(camera=own.camera, covariance=_lens_doubt(rig, name))
     lenses = {} if lens is None else {name: lens}
     done = solve_cameras(used, board, options, lenses=lenses, times_s=times, rig=standing, progress=progress)
-    found = {"camera": done.cameras[name], "T_rig_camera": as_pose(done.state.sides[-1])}
-    new = MountedCamera(name=name, **found) if own is None else replace(own, **found)
+    T = as_pose(done.state.sides[-1])
+    new = MountedCamera(name=name, camera=done.cameras[name], T_rig_camera=T)
+    if own is not None:
+        new = replace(own, camera=new.camera, T_rig_camera=T)
     numbers = tuple(one for one in done.covariance.names if not one.endswith(f".{DELAY}"))
     covariance = NamedCovariance(names=numbers, matrix=done.covariance.block(numbers))
     return done, placed_beside(rig, standing, new, covariance)
@@ -215,20 +219,13 @@ def moments_of(
 ) -> tuple[Observations, list[tuple[str, str]]]:
     """Return what the cameras saw at each moment, and (source, why) of views with too little of the board."""
     names = tuple(views)
-    _require_lists(views, lenses, times_s)
+    require_lists(views, lenses, times_s)
     require_views([one for each in views.values() for one in each if one is not None], board)
-    for name, each in views.items():
-        if all(one is None for one in each):
-            raise NotEnoughData(
-                f"the board was found in no image of {name}",
-                consequence="Nothing was calibrated",
-                cure="Focus that camera and light the board; show the board to it",
-            )
     kinds = tuple(lenses[name].camera.lens if name in lenses else options.lens for name in names)
     for kind in set(kinds):
         require_points(board, kind)
     observations = pack(list(views.values()), board, kinds, names)
-    _require_sizes(observations, lenses)
+    require_sizes(observations, lenses)
     count = (observations.weight > 0.0).sum(axis=2)
     few = (count > 0) & (count < LEAST_POINTS)
     rejected = [
@@ -240,7 +237,7 @@ def moments_of(
         t_s = np.array([times_s[name] for name in names], float).T
         seen = count >= LEAST_POINTS
         if np.isfinite(t_s[seen]).all():
-            _require_one_clock(t_s, seen, names)
+            require_one_clock(t_s, seen, names)
             observations = replace(observations, t_s=t_s)
     kept = np.flatnonzero((count >= LEAST_POINTS).any(axis=1))
     if len(kept) < LEAST_VIEWS:
@@ -249,74 +246,11 @@ def moments_of(
             consequence="Nothing was calibrated",
             cure="Take ten to sixty, the board turned to all cameras",
         )
-    return replace(observations.take(kept), **_beforehand(lenses)), rejected
+    held, known = _beforehand(lenses)
+    return replace(observations.take(kept), held=held, known=known), rejected
 
 
-def _require_lists(
-    views: Mapping[str, Sequence[BoardView | None]],
-    lenses: Mapping[str, KnownLens],
-    times_s: Mapping[str, Sequence[float]] | None,
-) -> None:
-    """Raise Inconsistent where lists of images, lenses and times are not of the same cameras and moments."""
-    if not 1 < len(views) <= MOST_CAMERAS:
-        raise Inconsistent(
-            f"{len(views)} cameras are given", consequence="A rig of them has 2 to 8", cure="Give so many"
-        )
-    counts = {name: len(each) for name, each in views.items()}
-    if len(set(counts.values())) > 1:
-        told = ", ".join(f"{name} {n}" for name, n in counts.items())
-        raise Inconsistent(
-            f"the cameras have different numbers of images: {told}",
-            consequence="Nobody knows which belong together",
-            cure="Give one image of every camera for each moment, in the same order",
-        )
-    unknown = (set(lenses) | set(times_s or {})) - set(views)
-    if unknown:
-        raise Inconsistent(
-            f"no camera is called {', '.join(sorted(unknown))}; there are {', '.join(views)}",
-            consequence="Nothing was calibrated",
-            cure="Use the names of --camera",
-        )
-    found = list(views.items())
-    for i, (name, one) in enumerate(found):
-        for other, two in found[i + 1 :]:
-            both = [(a, b) for a, b in zip(one, two, strict=True) if a is not None and b is not None]
-            if both and all(a.uv_px.shape == b.uv_px.shape and (a.uv_px == b.uv_px).all() for a, b in both):
-                raise Inconsistent(
-                    f"{name} and {other} show the board at the very same pixels in all {len(both)} common images",
-                    consequence="They are one source by two names, and nothing was calibrated",
-                    cure=f"Give {other} its own images",
-                )
-
-
-def _require_sizes(observations: Observations, lenses: Mapping[str, KnownLens]) -> None:
-    """Raise Inconsistent where a lens is of images of another size."""
-    for name, size in zip(observations.cameras, observations.sizes, strict=True):
-        if name in lenses and (lenses[name].camera.width, lenses[name].camera.height) != size:
-            given = lenses[name].camera
-            raise Inconsistent(
-                f"the images of {name} are {size[0]}x{size[1]} px, the lens given for it {given.width}x{given.height}",
-                consequence="The lens is another camera's, or was calibrated at another resolution",
-                cure=f"Give the camera.yaml of {name} at {size[0]}x{size[1]} px, or leave it away",
-            )
-
-
-def _require_one_clock(t_s: Array, seen: Array, names: tuple[str, ...]) -> None:
-    """Raise Inconsistent where images of one moment are seconds apart."""
-    for c, name in enumerate(names[1:], 1):
-        both = seen[:, 0] & seen[:, c]
-        apart = t_s[:, c] - (t_s[:, 0] if both.any() else np.nanmedian(np.where(seen, t_s, np.nan), axis=1))
-        off = float(np.median(apart[both if both.any() else seen[:, c]]))
-        if abs(off) > APART_S:
-            raise Inconsistent(
-                f"by its clock the images of {name} are {off:+.1f} s from those of {names[0]} at the same moment",
-                consequence="Either the clocks differ by seconds or the lists do not belong together",
-                cure="Record all cameras on one computer, or give times on one clock; without times the board must be "
-                "held still for every picture",
-            )
-
-
-def _beforehand(lenses: Mapping[str, KnownLens]) -> dict[str, frozenset[str] | Known | None]:
+def _beforehand(lenses: Mapping[str, KnownLens]) -> tuple[frozenset[str], Known | None]:
     """Return which numbers of lenses known beforehand are held, and what is known of the others."""
     held, names, means, blocks = set[str](), list[str](), list[float](), list[Array]()
     for name, lens in lenses.items():
@@ -326,18 +260,16 @@ def _beforehand(lenses: Mapping[str, KnownLens]) -> dict[str, frozenset[str] | K
         if free and lens.covariance is not None:
             names += [f"{name}.{one}" for one in free]
             means += [float(lens.camera.intrinsics[every.index(one)]) for one in free]
+            # px beside pure numbers: scaled before it is inverted
             std = np.sqrt(np.diag(lens.covariance.block(free)))
             blocks.append(np.linalg.inv(lens.covariance.block(free) / np.outer(std, std)) / np.outer(std, std))
     if not names:
-        return {"held": frozenset(held), "known": None}
+        return frozenset(held), None
     information, at = np.zeros((len(names), len(names))), 0
     for block in blocks:
         information[at : at + len(block), at : at + len(block)] = block
         at += len(block)
-    return {
-        "held": frozenset(held),
-        "known": Known(names=tuple(names), mean=np.array(means), information=information),
-    }
+    return frozenset(held), Known(names=tuple(names), mean=np.array(means), information=information)
 
 
 def each_alone(
@@ -408,6 +340,7 @@ def _timed(
     still_fit = fitted(observations, start)
     state = replace(bundle_of(still_fit, C), delays_s=np.zeros(C - 1))
     timed = replace(observations, t_s=times)
+    # a moment of one camera tells nothing of another one's clock: it may stay without neighbours
     lonely = alone(timed, state.delays_s) & ((observations.weight > 0.0).any(axis=2).sum(axis=1) > 1)
     stay = np.flatnonzero(~lonely)
     why = "no other moment is near enough in time to tell how the board moved"
@@ -420,34 +353,15 @@ def _timed(
                 timed = replace(timed, held=timed.held | loose)
                 fit = fitted(timed, state)
             compared = fitted(observations.take(stay), start_at(bundle_of(still_fit, C), stay))
+            # both on the same points: by how much chi-square falls for as many delays
             gain = 2.0 * (compared.cost - fit.cost) / fit.scale**2
         except (DataRefused, Undetermined):
             gain = 0.0
         else:
             asked = [name for name in delays_of(timed.cameras) if name not in timed.held]
             if asked and gain > chdtri(len(asked), BY_CHANCE):
-                lost += [(named(observations, g), why) for g in np.flatnonzero(lonely)]
-                held = ", ".join(name.split(".")[0] for name in sorted(loose))
-                told = [f"the delay of {held} is held at zero: the board's motion does not tell it"] if held else []
+                lost += [(named(observations, g), why) for g in np.flatnonzero(lonely).tolist()]
+                told = [f"{name} is held at zero: the board's motion does not tell it" for name in sorted(loose)]
                 return timed, bundle_of(fit, C), told, lost
     told = ["the delays of the clocks are held at zero: the board's motion does not tell them"]
     return observations, start, told, lost
-
-
-def _require_lenses(robust: RobustFit, known: Known | None, lenses: Mapping[str, KnownLens]) -> None:
-    """Raise Inconsistent where a lens known beforehand had to move further than its own doubt allows."""
-    if known is None:
-        return
-    for name in lenses:
-        own = [i for i, one in enumerate(known.names) if one.startswith(f"{name}.")]
-        if not own:
-            continue
-        off = np.array([robust.fit.value(known.names[i]) - known.mean[i] for i in own])
-        chi2 = float(off @ known.information[np.ix_(own, own)] @ off)
-        if chi2 > chdtri(len(own), OTHER_LENS):
-            raise Inconsistent(
-                f"the lens given for {name} does not fit its images: it would have to move by {np.sqrt(chi2):.0f} of "
-                "its own standard deviations",
-                consequence="It is another camera's, or focus or zoom have changed; nothing was calibrated",
-                cure=f"Check which camera.yaml is that of {name}, or calibrate the lens again",
-            )

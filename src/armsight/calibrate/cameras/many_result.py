@@ -135,7 +135,7 @@ class CamerasCalibration(FromBoards):
 
     def summary(self) -> Iterator[Shown]:
         """Yield the cameras, how well they fit, the images left out, and what would make it surer."""
-        rows = []
+        rows, timed = [], any(late is not None for late in self.delay_s.values())
         for name in self.used.cameras:
             late, doubt = self.delay_s[name], self.std.get(f"{name}.delay_s")
             place = [digits(at / MM, 5) for at in self.position_m[name]]
@@ -145,8 +145,10 @@ class CamerasCalibration(FromBoards):
             )
             lens = "stays" if name in self.fixed else "given" if name in self.solved.known else "found"
             seen = [str(self.n_views[name]), digits(self.camera_rms_px[name])]
-            rows.append([name, lens, *seen, *place, digits(spread / MM, 2) if spread else "", clock])
-        head = ["camera", "lens", "views", "px RMS", "x, mm", "y", "z", "+-", "clock late by, ms"]
+            rows.append(
+                [name, lens, *seen, *place, digits(spread / MM, 2) if spread else "", *([clock] if timed else [])]
+            )
+        head = ["camera", "lens", "views", "px RMS", "x, mm", "y", "z", "+-", *(["late by, ms"] if timed else [])]
         yield Table(f"Rig of {len(self.rig.names)}, {self.n_used} of {self.n_moments} moments", head, rows)
         yield f"Reprojection {digits(self.rms_px)} px RMS; {digits(self.holdout_rms_px)} px on left-out moments"
         yield from rejected_lines(self.rejected)

@@ -87,6 +87,7 @@ class Motion:
         own = (self.camera[:, None] == 1 + np.arange(others)).astype(float)  # (V, others): whose delay moves a view
         A, b = np.zeros((n + others, n + others)), np.zeros(n + others)
         A[:n, :n], b[:n] = one.A, one.b
+        # a delay moves its camera's views along the board's motion: the chain rule with each view's own equations
         pushed = np.einsum("vij,vj->vi", one.C, rate)
         A[:n, n:] = np.einsum("vsi,vi->vs", one.W, rate).T @ own
         A[n:, :n] = A[:n, n:].T
@@ -102,7 +103,7 @@ class Motion:
             C[s], c[s] = flat.T @ CM.reshape(-1, L), flat.T @ one.c[part].ravel()
             W[s, :n] = one.W[part].transpose(1, 0, 2).reshape(n, -1) @ flat
             W[s, n:] = own[part].T @ np.einsum("vi,vij->vj", rate[part], CM)
-        empty = np.ones(self.shape)
+        empty = np.ones(self.shape)  # nodes of no moment are held where they are
         empty[self.place[:, 0], self.place[:, 1]] = 0.0
         C[:, np.arange(L), np.arange(L)] += np.repeat(empty, 6, axis=1)
         return replace(here, residuals=residuals, condensed=NormalEquations(A=A, b=b, C=C, c=c, W=W))
@@ -151,6 +152,7 @@ def motion_of(observations: Observations, delays_s: Array) -> Motion:
     node_s = np.where(seen, t_s + late, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
     place, times = _segments(node_s)
     G, C = np.nonzero(seen)
+    # by segment, so that each one's views stand together
     order = np.lexsort((G, place[G, 1], place[G, 0]))
     g, c = G[order], C[order]
     shown = np.zeros((len(g), *observations.weight.shape[1:]))
@@ -194,6 +196,7 @@ def _segments(node_s: Array) -> tuple[Index, list[Array]]:
     """Return segment and node (G, 2) of each moment, and the times of each segment's nodes."""
     order = np.argsort(node_s, kind="stable")
     apart = np.diff(node_s[order])
+    # a pause in the film: nothing tells the motion across it
     runs = np.split(order, 1 + np.flatnonzero(apart > GAP * np.median(apart))) if len(order) > 1 else [order]
     parts = [part for run in runs for part in np.array_split(run, -(-len(run) // LONGEST))]
     place = np.empty((len(order), 2), np.intp)

@@ -14,11 +14,12 @@ from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.ops.calibration.board_pictures import BoardPictures
-from armsight.ops.sources.frames import is_bag, is_recording, open_source
+from armsight.ops.sources.frames import is_recording, open_source
 from armsight.optics import Rig
 from armsight.optics.mounted import MOST_CAMERAS, require_camera_name
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.store import CameraFile
+from armsight.store.bags import is_bag
 from armsight.store.targets import board_text
 
 
@@ -101,7 +102,7 @@ class SeenByAll(NamedTuple):
     n: int
 
 
-def require_names(given: Mapping[str, Any], known: Sequence[str] = ()) -> None:
+def require_names(given: Mapping[str, object], known: Sequence[str] = ()) -> None:
     """Raise UsageError for names that are none, one source by two names, and too many or too few cameras.
 
     known: names that a rig has already.
@@ -216,8 +217,10 @@ def solved(
         progress.update(0, 0, "solving")
     lenses = {name: lens for name in seen.views if (lens := wanted.lens(name)) is not None}
     name, rig = wanted.new, wanted.rig
-    more = {"times_s": seen.times_s, "progress": progress}
+    times = seen.times_s
     if rig is None or name is None:
-        return result_of(solve_cameras(seen.views, board, options, lenses=lenses, **more), seen.n)
-    done, whole = extend_rig(rig, name, seen.views, board, options, lens=lenses.get(name), **more)
+        done = solve_cameras(seen.views, board, options, lenses=lenses, times_s=times, progress=progress)
+        return result_of(done, seen.n)
+    own = lenses.get(name)
+    done, whole = extend_rig(rig, name, seen.views, board, options, lens=own, times_s=times, progress=progress)
     return result_of(done, seen.n, whole, frozenset(rig.names) - {name})
