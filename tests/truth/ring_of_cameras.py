@@ -143,6 +143,12 @@ def ring(rng: np.random.Generator, n_cameras: int = 4, n_moments: int = 60, apar
     return Ring(k=k, T=T, boards=np.array(boards), seen=np.array(seen))
 
 
+def seen_from(of: Ring, order: list[int]) -> Ring:
+    """The same cameras in another order, in axes of the one that is then first."""
+    back = np.linalg.inv(of.T[order[0]])
+    return Ring(k=of.k[order], T=back @ of.T[order], boards=back @ of.boards, seen=of.seen[:, order])
+
+
 def visible(k: np.ndarray, T: np.ndarray, board: np.ndarray) -> list[bool]:
     """Whether each camera sees the whole board at T_first_board from its front, not too slanted."""
     out = []
