@@ -190,7 +190,7 @@ def named_lenses(name: str, value: Any, given: Given, undo: ExitStack) -> dict[s
         if path is not None:
             found[camera] = read_camera_file(path)
             continue
-        lens = getattr(one, "camera", one)  # of what calibrate_camera returns
+        lens: Any = getattr(one, "camera", one)  # of what calibrate_camera returns
         require_kind(f"the lens of {camera}", lens, Camera, cure="Give its camera.yaml, a Camera or a CameraResult")
         found[camera] = CameraFile(camera=lens, covariance=getattr(one, "covariance", None))
     return found

@@ -8,7 +8,8 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from armsight.calibrate.cameras import BoardOptions, CamerasCalibration
-from armsight.calibrate.cameras.many import KnownLens, extend_rig, solve_cameras
+from armsight.calibrate.cameras.many import extend_rig, solve_cameras
+from armsight.calibrate.cameras.many_checks import KnownLens
 from armsight.calibrate.cameras.many_result import result_of
 from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
