@@ -178,6 +178,7 @@ def main() -> None:
             cells.append(f"{own:.2f} / {left:.2f}")
             print(f"{words}, {name}: delays {np.round(delays, 1)} ms, {took:.2f} s of processor", flush=True)
         lines.append(f"| {words} | {' | '.join(cells)} |")
+    print("\n".join(lines), flush=True)
     for python in asked.peers:
         for program in ("caliscope", "aniposelib", "multical", "opencv"):
             cells = []
