@@ -30,6 +30,8 @@ CASES = {
     "calibrate_hand_eye.calibrate_hand_eye": "calibrate handeye --pairs handeye/pairs.csv -o new.yaml",
     "calibrate_mirrors.calibrate_mirrors": f"calibrate mirrors --image complex {BOARD} -o new.yaml",
     "calibrate_mirrors.check_mirrors": f"calibrate mirrors --check --rig mirrors.yaml --image complex {BOARD}",
+    "calibrate_rig.calibrate_cameras": "calibrate cameras --camera west=boards/left --camera east=boards/right "
+    f"{BOARD} -o new.yaml",
     "calibrate_rig.calibrate_target": "calibrate target --rig webcam/rig.yaml --left webcam/left --right webcam/right "
     "--lights 3 -o new.yaml",
     "calibrate_rig.calibrate_timing": "calibrate timing --rig lit/rig.yaml --target lit/target.yaml "

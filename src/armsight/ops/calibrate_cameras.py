@@ -148,7 +148,7 @@ def calibrate_camera(
 
     _require_board(images, board, side)
     _require_zoom(zoom, pupil_m, pupil_std_m, set_zoom, out)
-    options, pictures = _options(options, lens, most=1, zoom=zoom), BoardPictures()
+    options, pictures = board_options(options, lens, most=1, zoom=zoom), BoardPictures()
     settings = camera_asked(camera_settings, zoom if set_zoom else None)
     known = app.noise_of(noise, settings, progress)
     with app.open_images(images, settings=settings, bits=bits, strict=strict) as source:
@@ -210,7 +210,7 @@ def calibrate_stereo(
     from armsight.ops.calibration.board_pictures import BoardPictures
     from armsight.ops.calibration.reports import write_stereo_report
 
-    options, settings, pictures = _options(options, lens, most=2), camera_asked(camera_settings), BoardPictures()
+    options, settings, pictures = board_options(options, lens, most=2), camera_asked(camera_settings), BoardPictures()
     with app.open_images(left_images, right_images, settings=settings, bits=bits, strict=strict) as source:
         seen = app.find_boards(source, board, pictures, progress, detector, every, frames, threads(workers))
     done = app.solved_pair(seen, board, options, progress)
@@ -298,7 +298,7 @@ def camera_asked(given: CameraSettings | None, zoom: float | None = None) -> Cam
     return settings if zoom is None else replace(settings, zoom=zoom)
 
 
-def _options(given: BoardOptions | None, lens: str, *, most: int, zoom: float | None = None) -> BoardOptions:
+def board_options(given: BoardOptions | None, lens: str, *, most: int, zoom: float | None = None) -> BoardOptions:
     """Return the options, those of one kind of lens where none are given, or of a pair with two. Raises UsageError."""
     from armsight.calibrate.cameras import BoardOptions
     from armsight.optics import LensKind

@@ -1,26 +1,144 @@
-"""What belongs to a rig beyond its cameras: noise, the lights of a target, and when two free-running cameras expose."""
+"""Rigs of some cameras, and what belongs to them beside: noise, a target's lights, when free-running cameras expose."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from armsight.defaults import LIT_LIGHTS
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
-from armsight.ops.flags import Cameras, Every, Fps, Inverted, Limit, Threshold
-from armsight.ops.kinds import FRAMES, BothViews, Left, Right, RigLike, SpotsLike, TargetLike
+from armsight.ops.calibrate_cameras import Detector, RigOut
+from armsight.ops.flags import SRC, Bits, Cameras, Every, Fps, Inverted, Limit, Strict, Threshold, Workers
+from armsight.ops.kinds import (
+    FRAMES,
+    NAMED_IMAGES,
+    NAMED_LENSES,
+    AnyRigLike,
+    BoardLike,
+    BothViews,
+    Left,
+    Right,
+    RigLike,
+    SpotsLike,
+    TargetLike,
+)
 
 if TYPE_CHECKING:
     from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
+    from armsight.calibrate.cameras import BoardOptions, CamerasCalibration
     from armsight.calibrate.light_target import TargetResult
     from armsight.calibrate.timing import TimingResult
     from armsight.records import Progress
 
-__all__ = ["calibrate_noise", "calibrate_target", "calibrate_timing"]
+__all__ = ["calibrate_cameras", "calibrate_noise", "calibrate_target", "calibrate_timing"]
+
+NamedImages: TypeAlias = Annotated[
+    Any,
+    Doc(f"A camera's name and its images of the board, moment by moment, repeated for each. SRC is {SRC}."),
+    NAMED_IMAGES,
+    Flag("--camera", metavar="NAME=SRC", repeated=True),
+]
+Lenses: TypeAlias = Annotated[
+    Any,
+    Doc(
+        "camera.yaml of a lens calibrated before, which moves within its covariance; repeated. The kind of all others, "
+        "pinhole or fisheye, without a name. [default: pinhole]"
+    ),
+    NAMED_LENSES,
+    Flag("--lens", metavar="NAME=FILE|KIND", repeated=True),
+]
+Added: TypeAlias = Annotated[
+    Any,
+    Doc("With --rig: the camera that joins it, and its images of the same moments."),
+    NAMED_IMAGES,
+    Flag("--add", metavar="NAME=SRC", repeated=True),
+]
 
 SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
+
+
+@action(
+    "calibrate cameras",
+    working="calibrating",
+    in_place="rig",
+    examples=(
+        "--camera left=left.mp4 --camera right=right.mp4 --camera top=top.mp4 --lens top=top.yaml "
+        "--board charuco:7x5:0.04:0.03:DICT_4X4_50 -o rig.yaml",
+    ),
+    filed=True,
+    judged=True,
+    writes="write_rig_of",
+)
+def calibrate_cameras(
+    cameras: NamedImages,
+    board: BoardLike,
+    *,
+    lenses: Lenses = None,
+    hold_lenses: Annotated[bool, Doc("Hold the lenses of --lens as they are.")] = False,
+    rig: Annotated[AnyRigLike, Doc("rig.yaml that is extended or mended; its other cameras and its axes stay.")] = None,
+    add: Added = None,
+    again: Annotated[
+        str | None, Doc("With --rig: the camera that was knocked and is placed anew."), Flag(metavar="NAME")
+    ] = None,
+    options: BoardOptions | None = None,
+    fps: Annotated[
+        float | None, Doc("The images in folders are of films of so many frames a second."), Bounds(least=1e-6)
+    ] = None,
+    every: Every = 1,
+    frames: Limit = None,
+    workers: Workers = None,
+    detector: Detector = "auto",
+    bits: Bits = None,
+    strict: Strict = False,
+    out: RigOut = None,
+    progress: Progress | None = None,
+) -> CamerasCalibration:
+    """Find up to eight cameras and where they stand to each other, from a board that never all of them need to see.
+
+    Films tell by the board's motion how late each camera's clock is.
+
+    Parameters
+    ----------
+    cameras
+        Images by the camera's name, each as calibrate_camera takes them: as many of each camera, in the same order.
+    board
+        As calibrate_camera takes it.
+    lenses, hold_lenses
+        By the camera's name: a camera.yaml, a Camera, or what calibrate_camera returns. Or the kind of all lenses.
+    rig, add, again
+        A rig that gets one more camera (its images by its name), or one of whose cameras is placed anew.
+    options, every, frames, detector, bits
+        As calibrate_camera takes them.
+    fps
+        Of images in folders, where they are a film's.
+    out
+        rig.yaml to write, its report beside it.
+
+    Raises
+    ------
+    NotEnoughData
+        Too few moments show the board, or no moment connects some cameras; they are named.
+    Inconsistent
+        Lists out of step, mirrored images, a lens or a rig that no longer fits; else as calibrate_camera.
+    """
+    from armsight.ops.calibrate_cameras import board_options, threads
+    from armsight.ops.calibration.board_pictures import BoardPictures
+    from armsight.ops.calibration.many_cameras import Reading, Wanted, see_all, solved
+    from armsight.ops.calibration.reports import write_cameras_report
+
+    given = dict(lenses or {})
+    kind = given.pop("", "pinhole")
+    wanted = Wanted(rig=rig, cameras=cameras, add=add, again=again, lenses=given, hold_lenses=hold_lenses)
+    wanted.require()
+    options, pictures = board_options(options, kind, most=1), BoardPictures()
+    reading = Reading(fps, every, frames, threads(workers), bits, strict, detector)
+    seen = see_all(wanted.sources, board, reading, pictures, progress)
+    done = solved(wanted, seen, board, options, progress)
+    if out is not None:
+        write_cameras_report(out, done, board, pictures)
+    return done
 
 
 @action(

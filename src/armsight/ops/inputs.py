@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -38,8 +39,10 @@ from armsight.records import (
 )
 from armsight.records.measured import covariances_of
 from armsight.store import (
+    CameraFile,
     World,
     read_camera,
+    read_camera_file,
     read_poses,
     read_rig,
     read_spot_track,
@@ -93,6 +96,11 @@ def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> Array | N
 def rig(name: str, value: Any, given: Given, undo: ExitStack) -> Rig:
     """Return a pair of cameras, or that of a rig.yaml. Raises BadFile; UsageError for another rig."""
     return record_of(name, value, Rig, read_rig).require_pair(name)
+
+
+def any_rig(name: str, value: Any, given: Given, undo: ExitStack) -> Rig:
+    """Return a rig of any cameras, or that of a rig.yaml. Raises BadFile."""
+    return record_of(name, value, Rig, partial(read_rig, any_cameras=True))
 
 
 def camera(name: str, value: Any, given: Given, undo: ExitStack) -> Camera:
@@ -167,6 +175,59 @@ def images(name: str, value: Any, given: Given, undo: ExitStack) -> str | list[F
     if isinstance(value, str | PathLike):
         return fspath(value)
     return as_images(value, name.replace("_", " ").removesuffix("s"), given.get("bits"))
+
+
+def named_images(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, str | list[Frame]]:
+    """Return images by the cameras' names, of NAME=SRC texts or of a mapping. Raises UsageError, BadImage."""
+    return {camera: images(f"{camera} images", one, given, undo) for camera, one in by_name(value).items()}
+
+
+def named_lenses(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, CameraFile | str]:
+    """Return what camera.yaml files say by the cameras' names, of NAME=FILE texts or of a mapping; the kind of all
+    others by '', of a text without a name. Raises BadFile, UsageError."""
+    found: dict[str, CameraFile | str] = {}
+    texts = [value] if isinstance(value, str) else value
+    kinds = [] if isinstance(texts, Mapping) else [one for one in texts if "=" not in str(one)]
+    if kinds:
+        found[""] = kinds[-1]
+        texts = [one for one in texts if one not in kinds]
+    for camera, one in by_name(texts).items():
+        path = path_of(one)
+        if path is not None:
+            found[camera] = read_camera_file(path)
+            continue
+        lens: Any = getattr(one, "camera", one)  # of what calibrate_camera returns
+        require_kind(f"the lens of {camera}", lens, Camera, cure="Give its camera.yaml, a Camera or a CameraResult")
+        found[camera] = CameraFile(camera=lens, covariance=getattr(one, "covariance", None))
+    return found
+
+
+def by_name(value: Any) -> dict[str, object]:
+    """Return a mapping as it is, and NAME=VALUE texts as one. Raises UsageError for a name given twice."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    found: dict[str, object] = {}
+    for text in value:
+        camera, given, rest = str(text).partition("=")
+        if not given or not rest:
+            raise UsageError(
+                f"{text!r} does not say which camera it is of", cure="Write NAME=SRC, such as left=images/left"
+            )
+        if camera in found:
+            raise UsageError(
+                f"the camera {camera} is given twice",
+                consequence="It is open which is meant",
+                cure="Give every camera a name of its own",
+            )
+        found[camera] = rest
+    return found
+
+
+def named_files(text: str) -> Sequence[Path]:
+    """Return the files behind NAME=SRC, whose hashes go into the result."""
+    from armsight.ops.calibration.camera_noise import input_files
+
+    return input_files(text.partition("=")[2])
 
 
 def noise(name: str, value: Any, given: Given, undo: ExitStack) -> NoiseModel | str:

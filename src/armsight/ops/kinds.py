@@ -22,6 +22,10 @@ IMAGES = Input(f"{READERS}:images", kind=str, hashed=True, files=FILES)
 """Images as the command line names them, or arrays and paths in order."""
 NOISE = Input(f"{READERS}:noise", kind=str, hashed=True, files=FILES)
 """Still frames, the file that holds a camera's noise, or a NoiseModel."""
+NAMED_IMAGES = Input(f"{READERS}:named_images", kind=list[str], hashed=True, files=f"{READERS}:named_files")
+"""Images by the cameras' names, as NAME=SRC or a mapping."""
+NAMED_LENSES = Input(f"{READERS}:named_lenses", kind=list[str], hashed=True, files=f"{READERS}:named_files")
+"""camera.yaml files by the cameras' names, as NAME=FILE or a mapping; or Cameras and what calibrate_camera returns."""
 CAMERA = Input(f"{READERS}:camera", hashed=True)
 """A Camera, or the path of a camera.yaml."""
 LIGHTS = Input(f"{READERS}:target", hashed=True)
@@ -31,6 +35,8 @@ ZOOM_LENS = Input(f"{READERS}:zoom_lens", hashed=True)
 
 RigLike: TypeAlias = Annotated[Any, Input(f"{READERS}:rig", hashed=True)]
 """A Rig, or the path of a rig.yaml."""
+AnyRigLike: TypeAlias = Annotated[Any, Input(f"{READERS}:any_rig", hashed=True)]
+"""A Rig of one to eight cameras, or the path of a rig.yaml."""
 TargetLike: TypeAlias = Annotated[Any, Input(f"{READERS}:target")]
 """A Target, the path of a target.yaml, or a board's text."""
 PointsLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:points", hashed=True)]

@@ -1,4 +1,4 @@
-"""report.html of a calibration of a camera or of a pair of them."""
+"""report.html of a calibration of one camera or of some."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from datetime import datetime
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
 from armsight.calibrate.cameras.preconditions import image_share
 from armsight.calibrate.mirrors.result import MirrorsOutput
 from armsight.optics import INTRINSICS, SIDES, Camera
@@ -20,7 +20,7 @@ from armsight.report.run import BoardViews
 from armsight.report.scene import add_boards
 from armsight.units import MM, figure_of, with_deviation
 
-Done = CameraCalibration | StereoCalibration
+Done = CameraCalibration | StereoCalibration | CamerasCalibration
 
 LONG_TABLE = 12
 """Rows above which a table is set in two columns."""
@@ -47,7 +47,7 @@ def calibration_report(
     )
     metric = _metric(done)
     _add_parameters(page, done, metric)
-    if not isinstance(done, CameraCalibration):
+    if isinstance(done, StereoCalibration):
         plate = done.plate_words() if isinstance(done, MirrorsOutput) else ()
         rows = [[name, value] for name, value in (*alignment_lines(done), *plate)]
         page.add("Alignment", "How the two views stand to each other.", table(["", ""], rows))
@@ -72,6 +72,8 @@ def _words(done: Done) -> tuple[str, str, int, str]:
     """Return what was calibrated, from how many images or pairs, and what they show."""
     if isinstance(done, CameraCalibration):
         return "camera", "images", done.n_images, "board"
+    if isinstance(done, CamerasCalibration):
+        return f"rig of {len(done.rig.names)} cameras", "moments", done.n_moments, "board"
     return "mirror rig" if isinstance(done, MirrorsOutput) else "pair of cameras", "pairs", done.n_pairs, done.thing
 
 
@@ -80,12 +82,16 @@ def _cameras(done: Done) -> dict[str, tuple[Camera, Array, Array]]:
     clouds = done.clouds()
     if isinstance(done, CameraCalibration):
         return {name: (done.camera, uv, -left) for name, (uv, left) in clouds.items()}
-    return {side: (done.pair_rig().camera(side), uv, -left) for side, (uv, left) in clouds.items()}
+    if isinstance(done, CamerasCalibration):
+        known = done.cameras
+    else:
+        known = {side: done.pair_rig().camera(side) for side in clouds}
+    return {name: (known[name], uv, -left) for name, (uv, left) in clouds.items()}
 
 
 def _metric(done: Done) -> dict[str, float]:
     """Return lengths on the board, as the rig measures them on pairs left out of the fit, in m by name."""
-    if isinstance(done, CameraCalibration) or not done.metric_is_left_out:
+    if not isinstance(done, StereoCalibration) or not done.metric_is_left_out:
         return {}
     return {name: m for name, m in done.metric.items() if m is not None}
 
@@ -118,7 +124,7 @@ def _cards(done: Done) -> list[Card]:
     ]
     if done.holdout_rms_px is not None:
         cards.append(Card(name="left out", value=figure_of(done.holdout_rms_px, "px"), note="RMS, k-fold"))
-    if not isinstance(done, CameraCalibration):
+    if isinstance(done, StereoCalibration):
         held = done.holdout_epipolar_rms_px
         value = done.epipolar_rms_px if held is None else held
         cards += [
@@ -144,9 +150,23 @@ def _parameters(done: Done) -> list[list[str]]:
     """Return the rows of the table: name, value, standard deviation and unit."""
     if isinstance(done, CameraCalibration):
         return _intrinsics("", done.camera, done.covariance)
+    if isinstance(done, CamerasCalibration):
+        return [row for name, camera in done.cameras.items() for row in _mounted(done, name, camera)]
     rig = done.pair_rig()
     rows = [["baseline", *with_deviation(rig.baseline_m * 1e3, done.baseline_std_m * 1e3), "mm"]]
     return rows + [row for side in SIDES for row in _intrinsics(f"{side}.", rig.camera(side), rig.covariance)]
+
+
+def _mounted(done: CamerasCalibration, name: str, camera: Camera) -> list[list[str]]:
+    """Return the rows of one camera of some: lens, place, and how late its clock is."""
+    std, late = done.std, done.delay_s[name]
+    rows = _intrinsics(f"{name}.", camera, done.solved.covariance)
+    for along, at_m in zip("xyz", done.position_m[name], strict=True):
+        doubt = std.get(f"{name}.t{along}_m")
+        rows.append([f"{name} {along}", *with_deviation(at_m / MM, None if doubt is None else doubt / MM), "mm"])
+    if late is not None and f"{name}.delay_s" in std:
+        rows.append([f"{name} late by", *with_deviation(1e3 * late, 1e3 * std[f"{name}.delay_s"]), "ms"])
+    return rows
 
 
 def _intrinsics(prefix: str, camera: Camera, covariance: NamedCovariance | None) -> list[list[str]]:

@@ -49,7 +49,7 @@ from armsight.verify.results import MasteringOutput
 
 if TYPE_CHECKING:
     from armsight.calibrate.arm import ArmResult, RobotWorldResult
-    from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+    from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
     from armsight.calibrate.cameras.zoom import ZoomRigResult
     from armsight.calibrate.cell import CellResult
     from armsight.calibrate.light_target import TargetResult
@@ -165,7 +165,10 @@ def write_calibrated_camera(path: Path, result: CameraCalibration, *, inputs: Se
 
 
 def write_rig_of(
-    path: Path, result: StereoCalibration | TimingResult | ZoomRigResult, *, inputs: Sequence[Path] = ()
+    path: Path,
+    result: StereoCalibration | CamerasCalibration | TimingResult | ZoomRigResult,
+    *,
+    inputs: Sequence[Path] = (),
 ) -> None:
     """Write rig.yaml with what the result adds to it."""
     write_rig(path, result.rig, inputs=inputs)

@@ -14,6 +14,7 @@ from armsight.calibrate.cameras.bundle_adjustment import Bundle, problem_of
 from armsight.calibrate.cameras.kernels import move_poses, poses_of
 from armsight.calibrate.cameras.observations import pack
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
+from armsight.optics import LensKind
 from armsight.records import BoardView, Target, TargetKind, board_target, spot_target
 from refusals import refuses
 
@@ -301,16 +302,17 @@ def test_pairs_that_are_none_are_refused_with_the_reason(
 # the compiled core
 
 
-@pytest.mark.parametrize("n_cameras", [1, 2])
+@pytest.mark.parametrize("n_cameras", [1, 2, 3])
 def test_normal_equations_are_those_of_the_finite_differences(n_cameras: int) -> None:
     left, right = pairs(3, 19)
-    observations = pack([left, right][:n_cameras], BOARD)
+    kinds, names = (LensKind.PINHOLE,) * 3, ("left", "right", "third")
+    observations = pack([left, right, left][:n_cameras], BOARD, kinds, names)
     weight = observations.weight * (np.random.default_rng(20).random(observations.weight.shape) > 0.2)
     observations = replace(observations, weight=weight)
-    k = np.array([np.r_[truth[:4], 1.5, truth[4:]] for truth in (LEFT, RIGHT)[:n_cameras]])
+    k = np.array([np.r_[truth[:4], 1.5, truth[4:]] for truth in (LEFT, RIGHT, LEFT)[:n_cameras]])
     truth_poses = poses(3, np.random.default_rng(19))
     local = np.array([np.r_[t + cv2.Rodrigues(w)[0] @ observations.middle, w] for w, t in truth_poses])
-    start = Bundle(k=k, side_pose=np.r_[T_M, W_RAD] if n_cameras == 2 else np.zeros(6), poses=local)
+    start = Bundle(k=k, sides=np.array([np.r_[T_M, W_RAD], np.r_[-T_M, -W_RAD]])[: n_cameras - 1], poses=local)
     problem = problem_of(observations, start, frozenset())
     S, (G, L) = len(problem.names), local.shape
     here = problem.evaluate(problem.guess, local)
@@ -361,7 +363,7 @@ def test_point_behind_a_camera_is_impossible_not_a_number() -> None:
     left, _ = pairs(3, 22)
     observations = pack([left], BOARD)
     local = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (3, 1))
-    start = Bundle(k=np.r_[LEFT[:4], 0.0, LEFT[4:]][None], side_pose=np.zeros(6), poses=local)
+    start = Bundle(k=np.r_[LEFT[:4], 0.0, LEFT[4:]][None], poses=local)
     problem = problem_of(observations, start, frozenset())
     assert np.isnan(problem.evaluate(problem.guess, local).residuals).all()
 

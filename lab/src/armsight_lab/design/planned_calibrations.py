@@ -117,8 +117,8 @@ def planned_rig(rig: Rig, views: PlannedViews, options: BoardOptions | None = No
     """
     options = options or BoardOptions(lens=rig.left.lens, right_lens=rig.right.lens)
     observations, start = _expected(rig, views)
-    fixed = fixed_names(options, 2)
-    held = fixed_names(replace(options, automatic_k3=False), 2)
+    fixed = fixed_names(options, observations)
+    held = fixed_names(replace(options, automatic_k3=False), observations)
     if options.automatic_k3 and fixed != held:
         wider = _covariance(problem_of(observations, start, held))
         last = tuple(f"{side}.{name}" for side in SIDES for name in LAST_TERMS[rig.camera(side).lens])
@@ -162,7 +162,7 @@ def _expected(rig: Rig, views: PlannedViews) -> tuple[Observations, Bundle]:
     T_left_right = rig.T_rig_left.inv() * rig.T_rig_right
     return observations, Bundle(
         k=np.stack([rig.left.intrinsics, rig.right.intrinsics]),
-        side_pose=np.concatenate([T_left_right.translation, T_left_right.rotation.as_rotvec()]),
+        sides=np.concatenate([T_left_right.translation, T_left_right.rotation.as_rotvec()])[None],
         poses=np.column_stack([T_left_middle.translation, T_left_middle.rotation.as_rotvec()]),
     )
 

@@ -1,6 +1,7 @@
 """Board observations -> cameras and rigs, by bundle adjustment."""
 
 from armsight.calibrate.cameras.calibrate import calibrate_camera, calibrate_stereo
+from armsight.calibrate.cameras.many_result import CamerasCalibration
 from armsight.calibrate.cameras.observations import BoardOptions
 from armsight.calibrate.cameras.result import CameraCalibration, StereoCalibration
 
@@ -12,6 +13,7 @@ __all__ = [
     "BoardOptions",
     "CameraCalibration",
     "CameraResult",
+    "CamerasCalibration",
     "RigResult",
     "StereoCalibration",
     "calibrate_camera",

@@ -1,8 +1,10 @@
-"""Bundle adjustment of boards seen by one camera or two, on the one least-squares engine."""
+"""Bundle adjustment of boards seen by some cameras, on the one least-squares engine."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +13,10 @@ from scipy.special import chdtri
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.kernels import move_poses, view_normal_equations
-from armsight.calibrate.cameras.observations import Observations
+from armsight.calibrate.cameras.moving_board import motion_of
+from armsight.calibrate.cameras.observations import Known, Observations
 from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
-from armsight.optics import INTRINSICS, SIDES, LensKind
+from armsight.optics import INTRINSICS, LensKind
 from armsight.optics.camera import INTRINSICS_OF
 from armsight.optics.kernels.camera import FISHEYE
 from armsight.records import Progress
@@ -21,6 +24,7 @@ from armsight.records import Progress
 EMPTY = np.empty((0, 0, 0))
 EMPTY.setflags(write=False)
 POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
+DELAY = "delay"
 EMPTY_PLACE = "none"
 """The name of a fisheye's tenth intrinsic, which stands for nothing."""
 WIDEST_FIT = float(np.tan(np.radians(89.9)))
@@ -37,21 +41,28 @@ quadratic: the next one would not be seen."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bundle:
-    """A state of the adjustment: intrinsics k (C, 10), T_left_right (6,), T_left_board (G, 6) as (t, rotvec)."""
+    """A state of the adjustment: intrinsics k (C, 10); T_first_camera of the others (C - 1, 6) and T_first_board (G, 6)
+    as (t, rotvec); by how much the others' clocks are late, delays_s (C - 1,), none where they are not asked for."""
 
     k: Array
-    side_pose: Array
     poses: Array
+    sides: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    delays_s: Array = field(default_factory=lambda: np.zeros(0))
 
 
-def names_of(lenses: tuple[LensKind, ...]) -> tuple[str, ...]:
-    """Return the names of the shared parameters: plain for one camera, by side and with the right pose for two."""
+def names_of(observations: Observations) -> tuple[str, ...]:
+    """Return the names of the shared parameters: plain for one camera, else by camera, with the others' poses."""
+    lenses, cameras = observations.lenses, observations.cameras
     if len(lenses) == 1:
         return INTRINSICS_OF[lenses[0]]
-    each = zip(SIDES, lenses, strict=True)
-    return tuple(f"{side}.{name}" for side, lens in each for name in INTRINSICS_OF[lens]) + tuple(
-        f"right.{name}" for name in POSE
-    )
+    each = [f"{camera}.{name}" for camera, lens in zip(cameras, lenses, strict=True) for name in INTRINSICS_OF[lens]]
+    each += [f"{camera}.{name}" for camera in cameras[1:] for name in POSE]
+    return tuple(each) + (() if observations.t_s is None else delays_of(cameras))
+
+
+def delays_of(cameras: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the cameras' delays behind the first one."""
+    return tuple(f"{camera}.{DELAY}" for camera in cameras[1:])
 
 
 RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
@@ -60,31 +71,66 @@ RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
 def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str]) -> Problem:
     """Return the least-squares problem; fixed: names of names_of that are held.
 
-    Views of one lens share the left one's intrinsics, and the right ones' are held at them.
+    Views of one lens share the left one's intrinsics, and the right ones' are held at them. Where times are known, the
+    boards' poses are held together by the board's motion.
     """
     equations = BoardEquations(observations)
-    tied, pair = equations.tied, observations.n_cameras == 2
-    k0 = np.tile(start.k.mean(axis=0), (2, 1)) if tied else start.k
-    names = names_of(observations.lenses)
-    if tied:
+    k0 = np.tile(start.k.mean(axis=0), (2, 1)) if equations.tied else start.k
+    names = names_of(observations)
+    if equations.tied:
         fixed = fixed | RIGHT
     if LensKind.FISHEYE in observations.lenses:
         fixed = fixed | {name for name in names if name.split(".")[-1] == EMPTY_PLACE}
+    guess = np.concatenate([k0.ravel(), start.sides.ravel()])
+    evaluate, retract, local, rows = equations.evaluate, equations.retract, start.poses, 2 * observations.n_points
+    if observations.t_s is not None:
+        motion = motion_of(observations, start.delays_s)
+        views = BoardEquations(motion.views)
+        evaluate, retract = partial(motion.evaluate, views.evaluate), partial(motion.retract, views.retract)
+        guess = np.concatenate([guess, start.delays_s])
+        local, rows = motion.nodes_of(start.poses), rows + motion.n_empty
+    if observations.known is not None:
+        at = np.array([names.index(name) for name in observations.known.names], np.intp)
+        evaluate, rows = partial(_with_known, evaluate, observations.known, at), rows + len(at)
     return Problem(
         names=names,
-        guess=np.concatenate([k0.ravel(), start.side_pose]) if pair else k0.ravel(),
-        evaluate=equations.evaluate,
-        n_residuals=2 * observations.n_points,
-        local_names=POSE,
-        local_guess=start.poses,
+        guess=guess,
+        evaluate=evaluate,
+        n_residuals=rows,
+        local_names=POSE * (local.shape[1] // len(POSE)),
+        local_guess=local,
         fixed=fixed,
-        retract=equations.retract,
+        retract=retract,
+    )
+
+
+def _with_known(
+    evaluate: Callable[[Array, Array], Evaluation],
+    known: Known,
+    at: NDArray[np.intp],
+    shared: Array,
+    local: Array,
+) -> Evaluation:
+    """Return an evaluation with what is known beforehand: as further observations of the shared parameters `at`."""
+    here = evaluate(shared, local)
+    if here.condensed is None:
+        return here
+    off = shared[at] - known.mean
+    A, b = here.condensed.A.copy(), here.condensed.b.copy()
+    A[np.ix_(at, at)] += known.information
+    b[at] += known.information @ off
+    # L' x is white where the information is L L'
+    rows = np.linalg.cholesky(known.information).T @ off
+    return replace(
+        here,
+        residuals=np.concatenate([here.residuals.ravel(), rows])[None],
+        condensed=replace(here.condensed, A=A, b=b),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardEquations:
-    """Residuals and normal equations of boards seen by one camera or two, and how its parameters move."""
+    """Residuals and normal equations of boards seen by some cameras, and how its parameters move."""
 
     observations: Observations
 
@@ -94,7 +140,7 @@ class BoardEquations:
         return self.observations.one_lens and self.observations.n_cameras == 2
 
     def evaluate(self, shared: Array, local: Array) -> Evaluation:
-        """Return the normal equations at intrinsics and pair pose (shared), and the boards' poses (local)."""
+        """Return the normal equations at intrinsics and cameras' poses (shared), and the boards' poses (local)."""
         seen, n_cameras, G = self.observations, self.observations.n_cameras, self.observations.n_views
         S, L, split = len(shared), len(POSE), len(INTRINSICS) * n_cameras
         r, A, b = np.empty((G, 2 * len(seen.X) * n_cameras)), np.empty((S, S)), np.empty(S)
@@ -102,10 +148,9 @@ class BoardEquations:
         k = shared[:split].reshape(n_cameras, -1)
         if self.tied:
             k = np.ascontiguousarray(k[[0, 0]])
-        side = shared[split:] if n_cameras == 2 else np.zeros(6)
         kinds = [[FISHEYE, WIDEST_FIT] if lens is LensKind.FISHEYE else [0.0, 1.0] for lens in seen.lenses]
         packed = np.ascontiguousarray(np.column_stack([k, kinds]))
-        sides, poses = np.array(side), np.array(local)  # writable: one compilation serves all
+        sides, poses = np.array(shared[split:].reshape(-1, L)), np.array(local)  # writable: one compilation serves all
         board, views = (seen.X, seen.radius_m), (seen.uv, seen.weight)
         fine = view_normal_equations((packed, sides, poses), board, views, r, (A, b, C, c, W))
         if self.tied:
@@ -124,8 +169,9 @@ class BoardEquations:
         move_poses(np.array(local), np.array(step_local), poses)
         if self.tied:
             moved[split // 2 : split] = moved[: split // 2]
-        if self.observations.n_cameras == 2:
-            move_poses(np.array(shared[None, split:]), np.array(step_shared[None, split:]), moved[None, split:])
+        sides, steps = (np.array(part[split:].reshape(-1, len(POSE))) for part in (shared, step_shared))
+        if len(sides):
+            move_poses(sides, steps, moved[split:].reshape(-1, len(POSE)))
         return moved, poses
 
 
@@ -157,23 +203,34 @@ def adjust(
     settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=COST_SETTLED)
     if LensKind.FISHEYE in observations.lenses:
         settings = replace(settings, max_iterations=VALLEY * max_iterations, cost_tolerance=VALLEY_SETTLED)
-    return solve(problem_of(observations, start, fixed), settings, progress)
+    fit = solve(problem_of(observations, start, fixed), settings, progress)
+    if observations.t_s is not None:
+        fit = motion_of(observations, start.delays_s).of_moments(fit)
+    if observations.known is not None:
+        own = fit.residuals.ravel()[: 2 * observations.weight.size].reshape(observations.n_views, -1)
+        fit = replace(fit, residuals=own, weights=np.ones_like(own))
+    return fit
 
 
 def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
     """Return the state that a fit has reached."""
     split = len(INTRINSICS) * n_cameras
-    side = fit.shared[split:] if n_cameras == 2 else np.zeros(6)
-    return Bundle(k=fit.shared[:split].reshape(n_cameras, -1), side_pose=side, poses=fit.local)
+    end = split + len(POSE) * (n_cameras - 1)
+    return Bundle(
+        k=fit.shared[:split].reshape(n_cameras, -1),
+        sides=fit.shared[split:end].reshape(-1, len(POSE)),
+        poses=fit.local,
+        delays_s=fit.shared[end:],
+    )
 
 
 def asks_to_be_freed(observations: Observations, fit: Fit, fixed: frozenset[str], names: frozenset[str]) -> bool:
     """Tell whether freeing some fixed parameters would lower chi-square by more than chance does (a score test)."""
     wider = fixed - names
     problem = problem_of(observations, bundle_of(fit, observations.n_cameras), wider)
-    evaluation = problem.evaluate(fit.shared, fit.local)
+    evaluation = problem.evaluate(problem.guess, problem.local_guess)
     free = np.array([i for i, n in enumerate(problem.names) if n not in problem.fixed], dtype=np.intp)
-    normal = problem.normal_equations(evaluation, fit.shared, free)
+    normal = problem.normal_equations(evaluation, problem.guess, free)
     # the score test (Rao 1948): g' H^-1 g is the fall of chi-square to first order, with no second fit
     fall = 2.0 * normal.predicted_decrease(*normal.step(0.0))
     return bool(fall > chdtri(len(names), BY_CHANCE) * fit.scale**2)
@@ -188,7 +245,7 @@ def residuals_px(observations: Observations, fit: Fit) -> Array:
 
 
 def poses_of_boards(observations: Observations, fit: Fit) -> Array:
-    """Return T_camera_board (G, 4, 4) of each view, of the left camera where there are two, in the board's own axes."""
+    """Return T_camera_board (G, 4, 4) of each view, of the first camera of some, in the board's own axes."""
     local = bundle_of(fit, observations.n_cameras).poses
     T_camera_middle = RigidTransform.from_components(local[:, :3], Rotation.from_rotvec(local[:, 3:]))
     return np.asarray((T_camera_middle * RigidTransform.from_translation(-observations.middle)).as_matrix())
@@ -201,4 +258,4 @@ def without(observations: Observations, bad: NDArray[np.bool_]) -> Observations:
 
 def start_at(bundle: Bundle, views: NDArray[np.intp]) -> Bundle:
     """Return the state of some of the views."""
-    return Bundle(k=bundle.k, side_pose=bundle.side_pose, poses=bundle.poses[views])
+    return replace(bundle, poses=bundle.poses[views])

@@ -193,7 +193,7 @@ def fit_pairs(
             consequence="Nothing was calibrated",
             cure="Expose both cameras at once, or hold the board still",
         )
-    start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
+    start = Bundle(k=np.concatenate([s.k for s in starts]), sides=paired.side_pose[None], poses=starts[0].poses[agree])
     given = observations.take(agree)
     try:
         robust_fit, on_tilt = fit_tilted(given, start, options, "the pair", progress)
@@ -232,7 +232,7 @@ def judged(
 ) -> StereoCalibration:
     """Return the result with its errors, on the pairs of the fit and on left-out ones."""
     used = robust_fit.observations
-    _refuse_swapped(bundle_of(robust_fit.fit, 2).side_pose)
+    _refuse_swapped(bundle_of(robust_fit.fit, 2).sides[0])
     fit, covariance, told = _believed(robust_fit, options)
     state = bundle_of(fit, 2)
     residual, seen = residuals_px(used, fit), used.weight > 0.0
@@ -289,9 +289,9 @@ def _paired(
         return renumbered, starts, paired
     fitted = []
     for c, start in enumerate(starts):
-        fixed = fixed_names(options.of_camera(c), 1)
+        alone = observations.camera(c)
         try:
-            fit = adjust(observations.camera(c), start, fixed, max_iterations=options.max_iterations)
+            fit = adjust(alone, start, fixed_names(options, alone), max_iterations=options.max_iterations)
         except (NotConverged, Undetermined):
             fitted.append(start)  # its start is the best there is
         else:

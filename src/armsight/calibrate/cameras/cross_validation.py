@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -50,7 +50,7 @@ def left_out(robust_fit: RobustFit, options: BoardOptions) -> LeftOut | None:
     rows: list[tuple[Observations, Rig | None]] = []
     for out, state in _folds(robust_fit, options, folds):
         part = observations.take(out)
-        everything = frozenset(names_of(observations.lenses))
+        everything = frozenset(names_of(observations))
         fit = adjust(part, start_at(state, out), everything, max_iterations=options.max_iterations)
         squares += float((residuals_px(part, fit) ** 2).sum())
         n_points += part.n_points
@@ -76,17 +76,20 @@ def _folds(robust_fit: RobustFit, options: BoardOptions, folds: int) -> Iterator
     start_k = all_views.k.copy()
     if options.automatic_k3:
         for c, lens in enumerate(robust_fit.observations.lenses):
-            start_k[c, [INTRINSICS_OF[lens].index(name) for name in LAST_TERMS[lens]]] = 0.0
+            if not robust_fit.observations.is_given(c):
+                start_k[c, [INTRINSICS_OF[lens].index(name) for name in LAST_TERMS[lens]]] = 0.0
     views = np.arange(robust_fit.observations.n_views)
+    # of a motion blocks of time are left out: a moment between two others is known from these
+    of = views % folds if robust_fit.observations.t_s is None else views * folds // len(views)
     for fold in range(folds):
-        stay, out = views[views % folds != fold], views[views % folds == fold]
-        start = Bundle(k=start_k, side_pose=all_views.side_pose, poses=all_views.poses[stay])
+        stay, out = views[of != fold], views[of == fold]
+        start = replace(start_at(all_views, stay), k=start_k)
         try:
             fit = fit_without_outliers(robust_fit.observations.take(stay), start, options).fit
         except DataRefused:
             continue  # a fold of too few or too equal views says nothing about the whole
         state = bundle_of(fit, robust_fit.observations.n_cameras)
-        yield out, Bundle(k=state.k, side_pose=state.side_pose, poses=all_views.poses)
+        yield out, replace(state, poses=all_views.poses)
 
 
 def epipolar_rms(pairs: list[tuple[Observations, Rig]]) -> float:

@@ -113,7 +113,7 @@ def start_of_fisheye(observations: Observations) -> Bundle:
         camera = Camera(width=size[0], height=size[1], intrinsics=k, lens=LensKind.FISHEYE)
         poses = poses_by_rays(observations, camera)
         if poses is not None:
-            bundle = Bundle(k=k[None], side_pose=np.zeros(6), poses=poses)
+            bundle = Bundle(k=k[None], poses=poses)
             found.append((_median_distance(observations, camera, poses), bundle))
     return min(found, key=lambda one: one[0])[1]
 

@@ -18,7 +18,7 @@ N_INTRINSICS = 10
 N_POSE = 6
 RESIDUAL = N_INTRINSICS + N_POSE
 N_COLUMNS = RESIDUAL + 1 + N_POSE
-"""Columns of one view: intrinsics, pose of the board, residual, and for the right camera its pose."""
+"""Columns of one view: intrinsics, pose of the board, residual, and for every camera but the first its pose."""
 
 
 class Lens(NamedTuple):
@@ -136,18 +136,19 @@ def view_normal_equations(state, board, seen, r, normal):
     """Fill whitened residuals and the normal equations of their squares; False where a point lies behind a camera or
     beside a fisheye.
 
-    state: k (C, 12), packed intrinsics of C = 1 or 2 cameras, without a plate; side (6,), T_left_right as (t m,
-    rotation vector rad), not looked at for one camera; poses (G, 6), T_left_board alike. board: X (n, 3), its points,
-    and the radius of printed circles in m, 0 for points. seen: uv (G, C, n, 2) px; weight (G, C, n), 1 / sigma, 0 where
-    not seen. r (G, C 2n). normal: A (S, S), b (S,) of the shared parameters, S = 10 C + 6 (C - 1), intrinsics and then
-    the step (dt, dw) of T_left_right; C (G, 6, 6), c (G, 6) of the step of each board's pose; W (G, S, 6), mixed.
+    state: k (C, 12), packed intrinsics of C cameras, without a plate; sides (C - 1, 6), T_first_camera of the others as
+    (t m, rotation vector rad); poses (G, 6), T_first_board alike. board: X (n, 3), its points, and the radius of
+    printed circles in m, 0 for points. seen: uv (G, C, n, 2) px; weight (G, C, n), 1 / sigma, 0 where not seen.
+    r (G, C 2n). normal: A (S, S), b (S,) of the shared parameters, S = 10 C + 6 (C - 1), intrinsics and then the steps
+    (dt, dw) of T_first_camera; C (G, 6, 6), c (G, 6) of the step of each board's pose; W (G, S, 6), mixed.
     """
-    k, side, poses = state
+    k, sides, poses = state
     uv, weight = seen
     n_views, n_cameras, n = weight.shape
-    R, S = np.empty((3, 3)), np.empty((3, 3))
+    R, S, first = np.empty((3, 3)), np.empty((n_cameras, 3, 3)), np.zeros(6)
     cols, H = np.empty((N_COLUMNS, 2 * n)), np.empty((N_COLUMNS, N_COLUMNS))
-    rotation_from_rotvec(side[3:], S)
+    for c in range(1, n_cameras):
+        rotation_from_rotvec(sides[c - 1, 3:], S[c])
     r[:] = 0.0
     A, b, C, c_local, W = normal
     A[:] = 0.0
@@ -158,13 +159,14 @@ def view_normal_equations(state, board, seen, r, normal):
     for g in range(n_views):
         rotation_from_rotvec(poses[g, 3:], R)
         for c in range(n_cameras):
-            right = c == 1
-            view = View(k[c], uv[g, c], weight[g, c])
-            used = _fill_columns(view, Pose(R, poses[g]), Pose(S, side), right, board, cols, r[g, 2 * c * n :])
+            other = c > 0
+            view, side = View(k[c], uv[g, c], weight[g, c]), Pose(S[c], sides[c - 1] if other else first)
+            used = _fill_columns(view, Pose(R, poses[g]), side, other, board, cols, r[g, 2 * c * n :])
             if used < 0:
                 return False
-            _inner(cols, N_COLUMNS if right else RESIDUAL + 1, used, H)
-            _scatter(H, c, g, normal)
+            if used > 0:
+                _inner(cols, N_COLUMNS if other else RESIDUAL + 1, used, H)
+                _scatter(H, c, n_cameras, g, normal)
     for m in range(A.shape[0]):
         for o in range(m):
             A[o, m] = A[m, o]
@@ -172,10 +174,11 @@ def view_normal_equations(state, board, seen, r, normal):
 
 
 @inline_sum_kernel
-def _fill_columns(view, pose, side, right, board, cols, r):
+def _fill_columns(view, pose, side, other, board, cols, r):
     """Fill cols (23, 2n) with derivatives and residuals of the points that are seen, and r (2n,) with the residuals.
 
-    Returns how many columns there are, -1 where a point is impossible. right: whether the view is of the right camera.
+    Returns how many columns there are, -1 where a point is impossible. other: whether the view is of a camera that has
+    a pose of its own, not of the first.
     Functions of one point take scalars: of an array numba would count the references, which doubles the time.
 
     A printed circle's image is an ellipse, whose middle is not the image of the circle's. It is that of the pole of the
@@ -204,7 +207,7 @@ def _fill_columns(view, pose, side, right, board, cols, r):
             q1 += s * R[1, 2] * R[2, 2]
             q2 -= s * (1.0 - R[2, 2] * R[2, 2])
         b0, b1, b2 = q0 - ts[0], q1 - ts[1], q2 - ts[2]
-        if right:
+        if other:
             q0 = S[0, 0] * b0 + S[1, 0] * b1 + S[2, 0] * b2
             q1 = S[0, 1] * b0 + S[1, 1] * b1 + S[2, 1] * b2
             q2 = S[0, 2] * b0 + S[1, 2] * b1 + S[2, 2] * b2
@@ -228,12 +231,12 @@ def _fill_columns(view, pose, side, right, board, cols, r):
             cols[5, o], cols[6, o], cols[7, o], cols[8, o], cols[9, o] = _by_coefficients(lens.fisheye, s, v, x, y)
             j0, j1 = w * jx * iz, w * jy * iz  # x = q0 / q2, y = q1 / q2
             j2 = -(j0 * x + j1 * y)
-            if right:
+            if other:
                 d0 = S[0, 0] * j0 + S[0, 1] * j1 + S[0, 2] * j2
                 d1 = S[1, 0] * j0 + S[1, 1] * j1 + S[1, 2] * j2
                 d2 = S[2, 0] * j0 + S[2, 1] * j1 + S[2, 2] * j2
                 j0, j1, j2 = d0, d1, d2
-                # q = S' b, b = p - ts: T_left_right moves against the point, j . (-dw x b) = dw . (j x b)
+                # q = S' b, b = p - ts: T_first_camera moves against the point, j . (-dw x b) = dw . (j x b)
                 cols[17, o], cols[18, o], cols[19, o] = -j0, -j1, -j2
                 cols[20, o], cols[21, o], cols[22, o] = j1 * b2 - j2 * b1, j2 * b0 - j0 * b2, j0 * b1 - j1 * b0
             # the board turns about its own middle: j . (dw x a) = dw . (a x j)
@@ -271,7 +274,7 @@ def _by_coefficients(fisheye, s, v, x, y):
 
 
 @inner_kernel
-def _scatter(H, c, g, normal):
+def _scatter(H, c, n_cameras, g, normal):
     """Add the lower half of one view's H (23, 23) where its parameters belong; A gets its lower half only."""
     A, b, C, c_local, W = normal
     k0, pose, side = c * N_INTRINSICS, N_INTRINSICS, RESIDUAL + 1
@@ -289,7 +292,7 @@ def _scatter(H, c, g, normal):
                 C[g, o, m] += H[pose + m, pose + o]
     if c == 0:
         return
-    at = 2 * N_INTRINSICS
+    at = n_cameras * N_INTRINSICS + (c - 1) * N_POSE
     for m in range(N_POSE):
         b[at + m] += H[side + m, RESIDUAL]
         for o in range(N_INTRINSICS):

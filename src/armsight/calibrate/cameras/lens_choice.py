@@ -42,7 +42,7 @@ def start_of(observations: Observations) -> Bundle:
     H = homographies(observations)
     size = observations.sizes[0]
     focal = focal_lengths(H, size[0])
-    return Bundle(k=start_intrinsics(focal, size)[None], side_pose=np.zeros(6), poses=board_poses(H, focal, size[0]))
+    return Bundle(k=start_intrinsics(focal, size)[None], poses=board_poses(H, focal, size[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +111,7 @@ def lens_alone(one: Observations, options: BoardOptions, lens: LensKind) -> Fitt
     seen = replace(one, lenses=(lens,))
     plain = BoardOptions(lens=lens, max_iterations=options.max_iterations, automatic_k3=False)
     try:
-        fit = adjust(seen, start_of(seen), fixed_names(plain, 1), max_iterations=plain.max_iterations)
+        fit = adjust(seen, start_of(seen), fixed_names(plain, seen), max_iterations=plain.max_iterations)
     except DataRefused:
         return None
     left = np.linalg.norm(residuals_px(seen, fit), axis=3)[seen.weight > 0.0]

@@ -1,4 +1,4 @@
-"""Board views of one camera or two, packed for the bundle adjustment, and what that is free to do."""
+"""Board views of some cameras, packed for the bundle adjustment, and what that is free to do."""
 
 from __future__ import annotations
 
@@ -11,12 +11,21 @@ from numpy.typing import NDArray
 from armsight.arrays import Array
 from armsight.defaults import BOARD_ITERATIONS, FOLDS
 from armsight.errors import Inconsistent, UsageError
-from armsight.optics import LensKind
+from armsight.optics import SIDES, LensKind
 from armsight.optics.camera import INTRINSICS_OF
 from armsight.records import BoardView, Target, require_count
 
 SIGMA_FLOOR_PX = 0.02
 """No view is believed to be better than this: print, paper and JPEG leave more, whatever the detector's fit says."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Known:
+    """What is known beforehand of shared parameters that move by addition: mean (m,), information (m, m) by name."""
+
+    names: tuple[str, ...]
+    mean: Array
+    information: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -26,7 +35,10 @@ class Observations:
     X (n, 3) m, centred on the board's middle (`middle`, (3,) m) so that poses and shape are told apart well.
     uv (G, C, n, 2) px, zero where not seen. weight (G, C, n): 1 / sigma, 0 where not seen. sizes: (width, height) of
     each camera's images. sources: names of the images of each view. radius_m: of printed circles, 0 for points.
-    one_lens: both views are of one camera (a mirror rig's) and share its intrinsics. lenses: of each camera.
+    one_lens: both views are of one camera (a mirror rig's) and share its intrinsics. lenses: of each camera. cameras:
+    their names. t_s (G, C): each image's time by its own camera's clock, NaN where there is none; None where the board
+    stood still or nothing is known of its times. known: beforehand, of the lenses. held: names of parameters that are
+    held besides those that the options hold.
     """
 
     X: Array
@@ -38,6 +50,10 @@ class Observations:
     radius_m: float
     one_lens: bool = False
     lenses: tuple[LensKind, ...] = (LensKind.PINHOLE, LensKind.PINHOLE)
+    cameras: tuple[str, ...] = SIDES
+    t_s: Array | None = None
+    known: Known | None = None
+    held: frozenset[str] = frozenset()
 
     @property
     def n_views(self) -> int:
@@ -54,10 +70,16 @@ class Observations:
         """Points seen, over all views and cameras."""
         return int(np.count_nonzero(self.weight))
 
+    def is_given(self, c: int) -> bool:
+        """Tell whether the lens of camera c was known beforehand."""
+        known = () if self.known is None else self.known.names
+        return f"{self.cameras[c]}.fx" in {*known, *self.held}
+
     def take(self, views: Sequence[int] | NDArray[np.intp]) -> Observations:
         """Return some of the views."""
         i = np.asarray(views, dtype=np.intp)
-        return replace(self, uv=self.uv[i], weight=self.weight[i], sources=tuple(self.sources[k] for k in i))
+        t_s = None if self.t_s is None else self.t_s[i]
+        return replace(self, uv=self.uv[i], weight=self.weight[i], sources=tuple(self.sources[k] for k in i), t_s=t_s)
 
     def camera(self, c: int) -> Observations:
         """Return what camera c alone has seen."""
@@ -67,24 +89,31 @@ class Observations:
             weight=np.ascontiguousarray(self.weight[:, c : c + 1]),
             sizes=(self.sizes[c],),
             lenses=(self.lenses[c],),
+            cameras=(self.cameras[c],),
+            t_s=None,
+            known=None,
+            held=frozenset(),
             sources=tuple((names[c],) for names in self.sources),
         )
 
 
 def pack(
-    views: Sequence[Sequence[BoardView]],
+    views: Sequence[Sequence[BoardView | None]],
     board: Target,
     lenses: tuple[LensKind, ...] = (LensKind.PINHOLE, LensKind.PINHOLE),
+    cameras: tuple[str, ...] = SIDES,
 ) -> Observations:
-    """Return the observations of C sequences of G views each, by cameras of these lenses.
+    """Return the observations of C sequences of G views each (None where a camera saw nothing) of these lenses, names.
 
     Raises Inconsistent for images of unequal size.
     """
     n, G, C = len(board.names), len(views[0]), len(views)
     uv, weight = np.zeros((G, C, n, 2)), np.zeros((G, C, n))
     for c, camera in enumerate(views):
-        _same_size(camera)
+        _same_size([view for view in camera if view is not None])
         for g, view in enumerate(camera):
+            if view is None:
+                continue
             if len(view) and int(view.index.max()) >= n:
                 raise Inconsistent(
                     f"{view.source}: point {int(view.index.max())} is named, but the board has {n}",
@@ -99,17 +128,18 @@ def pack(
         middle=middle,
         uv=uv,
         weight=weight,
-        sizes=tuple((camera[0].width, camera[0].height) for camera in views),
-        sources=tuple(tuple(camera[g].source for camera in views) for g in range(G)),
+        sizes=tuple(next(((v.width, v.height) for v in camera if v is not None), (1, 1)) for camera in views),
+        sources=tuple(tuple("" if v is None else v.source for v in moment) for moment in zip(*views, strict=True)),
         radius_m=0.5 * board.diameter_m if board.diameter_m else 0.0,
         lenses=tuple(lenses[:C]),
+        cameras=tuple(cameras[:C]),
     )
 
 
 def _same_size(views: Sequence[BoardView]) -> None:
     """Raise Inconsistent, naming the image, where the images of one camera differ in size."""
-    first = views[0]
     for view in views:
+        first = views[0]
         if (view.width, view.height) != (first.width, first.height):
             raise Inconsistent(
                 f"{view.source} is {view.width}x{view.height} px, {first.source} is {first.width}x{first.height} px",

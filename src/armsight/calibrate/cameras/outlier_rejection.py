@@ -21,7 +21,7 @@ from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.preconditions import DOUBTFUL_TILT_DEG, LEAST_POINTS, LEAST_VIEWS, check_tilt
 from armsight.errors import NotConverged, NotEnoughData, Undetermined
 from armsight.fitting import Fit
-from armsight.optics import SIDES, WIDEST_RAD, LensKind
+from armsight.optics import WIDEST_RAD, LensKind
 from armsight.records import Progress
 
 POINT_LIMIT = 6.0
@@ -50,7 +50,7 @@ def fit_without_outliers(
     observations: Observations, start: Bundle, options: BoardOptions, progress: Progress | None = None
 ) -> RobustFit:
     """Return the fit of what agrees; raises as the engine does, and NotEnoughData where too few views agree."""
-    fixed = fixed_names(options, observations.n_cameras)
+    fixed = fixed_names(options, observations)
     given, kept = observations, np.arange(observations.n_views, dtype=np.intp)
     rejected: list[tuple[str, str]] = []
     fit = adjust(observations, start, fixed, max_iterations=options.max_iterations, progress=progress)
@@ -70,7 +70,7 @@ def fit_without_outliers(
         if bad_points is not None:
             observations = without(observations, bad_points)
         if bad_views:
-            rejected += [(" / ".join(observations.sources[g]), why) for g, why in bad_views.items()]
+            rejected += [(named(observations, g), why) for g, why in bad_views.items()]
             stay = np.array([g for g in range(observations.n_views) if g not in bad_views], dtype=np.intp)
             _require_views(len(stay), observations.n_views, rejected)
             observations, kept, state = observations.take(stay), kept[stay], start_at(state, stay)
@@ -97,13 +97,19 @@ def fit_tilted(
     return robust_fit, check_tilt(robust_fit.fit.local, name)
 
 
-def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:
-    """Return the names held in the first fit."""
-    each = [options.fixed | (LAST_TERMS[lens] if options.automatic_k3 else frozenset()) for lens in options.lenses]
-    if n_cameras == 1:
+def named(observations: Observations, g: int) -> str:
+    """Return the names of a view's images."""
+    return " / ".join(filter(None, observations.sources[g]))
+
+
+def fixed_names(options: BoardOptions, observations: Observations) -> frozenset[str]:
+    """Return the names held in the first fit; what is known of a lens beforehand is free to move by its doubt."""
+    each = [options.fixed | (LAST_TERMS[lens] if options.automatic_k3 else frozenset()) for lens in observations.lenses]
+    if observations.n_cameras == 1:
         return frozenset(each[0])
-    known = names_of(options.lenses)
-    return frozenset(f"{side}.{name}" for side, plain in zip(SIDES, each, strict=True) for name in plain) & set(known)
+    known = () if observations.known is None else observations.known.names
+    asked = {f"{camera}.{name}" for camera, plain in zip(observations.cameras, each, strict=True) for name in plain}
+    return frozenset(asked & set(names_of(observations)) - set(known)) | observations.held
 
 
 def _freed(observations: Observations, fit: Fit, fixed: frozenset[str], options: BoardOptions) -> frozenset[str]:
@@ -111,7 +117,7 @@ def _freed(observations: Observations, fit: Fit, fixed: frozenset[str], options:
     if not options.automatic_k3:
         return fixed
     held = replace(options, automatic_k3=False)
-    names = fixed & (fixed_names(options, observations.n_cameras) - fixed_names(held, observations.n_cameras))
+    names = fixed & (fixed_names(options, observations) - fixed_names(held, observations))
     return fixed - names if names and asks_to_be_freed(observations, fit, fixed, names) else fixed
 
 
@@ -143,7 +149,7 @@ def _misfits(observations: Observations, fit: Fit) -> tuple[dict[int, str], NDAr
     }
     bad = (residual > POINT_LIMIT * scale) & seen
     bad[list(views)] = False
-    left = (seen & ~bad).sum(axis=2).min(axis=1)
+    left = np.where(seen.any(axis=2), (seen & ~bad).sum(axis=2), LEAST_POINTS).min(axis=1)
     for g in np.flatnonzero((left < LEAST_POINTS) & bad.any(axis=(1, 2))):
         views[int(g)] = "too few of its points fit the other views"
         bad[g] = False

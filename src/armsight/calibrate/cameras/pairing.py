@@ -49,8 +49,8 @@ def pair_views(
     then where no common relative pose is found, saying whether the right images come late, or one camera is mirrored.
     """
     turns = symmetries(board)
-    spins = np.stack([_spin(observations.X, turn) for turn in turns])  # (S, 3, 3)
-    paired = _consensus(poses[0], poses[1], spins)
+    spins = spins_of(observations.X, turns)
+    paired = consensus(poses[0], poses[1], spins)
     if final and paired.agreeing.mean() < AGREEING:
         _refuse(observations, poses, spins)
     if (paired.turn == 0).all():
@@ -61,6 +61,11 @@ def pair_views(
     return replace(observations, uv=uv, weight=weight), paired
 
 
+def spins_of(X: Array, turns: Sequence[Index]) -> Array:
+    """Return the rotations (S, 3, 3) that carry a symmetric print's points onto each other."""
+    return np.stack([_spin(X, turn) for turn in turns])
+
+
 def _spin(X: Array, turn: Index) -> Array:
     """Return the rotation about z (3, 3) with X[turn] = spin X."""
     a, b = X[:, :2], X[turn, :2]
@@ -69,8 +74,11 @@ def _spin(X: Array, turn: Index) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _consensus(left: Array, right: Array, spins: Array) -> Paired:
-    """Return the relative pose that most pairs agree on, each with the symmetry that suits it best."""
+def consensus(left: Array, right: Array, spins: Array, slack: float = 1.0) -> Paired:
+    """Return the relative pose that most pairs agree on, each with the symmetry that suits it best.
+
+    slack: how many times further apart they may be, where the board moved between the two images.
+    """
     G, S = len(left), len(spins)
     R_left, R_right = np.empty((G, 3, 3)), np.empty((G, 3, 3))
     matrices_of(np.ascontiguousarray(left[:, 3:]), R_left)
@@ -83,7 +91,7 @@ def _consensus(left: Array, right: Array, spins: Array) -> Paired:
     angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
     reach = 0.5 * (np.linalg.norm(left[:, :3], axis=1) + np.linalg.norm(right[:, :3], axis=1))
     share = np.linalg.norm(flat_t[:, None] - flat_t[None], axis=2) / np.repeat(reach, S)[None]
-    score = np.maximum(angle / SAME_ANGLE_RAD, share / SAME_SHARE).reshape(G * S, G, S)
+    score = np.maximum(angle / SAME_ANGLE_RAD, share / SAME_SHARE).reshape(G * S, G, S) / slack
     best = score.min(axis=2)  # (hypothesis, pair)
     hypothesis = int(np.argmin(np.minimum(best, 1.0).sum(axis=1) + 1e-9 * (np.arange(G * S) % S)))
     agreeing = best[hypothesis] < 1.0
@@ -101,17 +109,18 @@ def _refuse(observations: Observations, poses: Sequence[Array], spins: Array) ->
     n = observations.n_views
     for shift in (s for k in range(1, LARGEST_SHIFT + 1) for s in (k, -k) if n - k >= 4):
         a, b = slice(max(0, -shift), n - max(0, shift)), slice(max(0, shift), n - max(0, -shift))
-        if _consensus(poses[0][a], poses[1][b], spins).agreeing.mean() >= AGREEING:
+        if consensus(poses[0][a], poses[1][b], spins).agreeing.mean() >= AGREEING:
             raise Inconsistent(
                 f"left and right images are out of step: each left image fits the right one "
                 f"{abs(shift)} {'later' if shift > 0 else 'earlier'}",
                 consequence="Nothing was calibrated",
                 cure="Remove the images that have no partner, so that both lists begin with the same moment",
             )
-    mirrored = _mirrored_side(observations, poses, spins)
-    if mirrored:
+    flipped = mirrored(observations, poses, spins)
+    if flipped is not None:
+        side = "right" if flipped.side_pose[0] > 0.0 else "left"
         raise Inconsistent(
-            f"the images of the {mirrored} camera are mirrored",
+            f"the images of the {side} camera are mirrored",
             consequence="Nothing was calibrated",
             cure="Switch off that camera's mirror mode",
         )
@@ -122,7 +131,8 @@ def _refuse(observations: Observations, poses: Sequence[Array], spins: Array) ->
     )
 
 
-def _mirrored_side(observations: Observations, poses: Sequence[Array], spins: Array) -> str:
+def mirrored(observations: Observations, poses: Sequence[Array], spins: Array) -> Paired | None:
+    """Return what two cameras agree on once the second one's images are mirrored; None where they do not even then."""
     width = observations.sizes[1][0]
     half_turn = np.stack([*spins, *(spins @ np.diag([-1.0, -1.0, 1.0]))])
     for axis in (0, 1):
@@ -135,10 +145,10 @@ def _mirrored_side(observations: Observations, poses: Sequence[Array], spins: Ar
         right = replace(right, uv=uv[:, :, flip], weight=right.weight[:, :, flip])
         H = homographies(right)
         focal = _focal_of(poses[1], observations, 1)
-        paired = _consensus(poses[0], board_poses(H, focal, width), half_turn)
+        paired = consensus(poses[0], board_poses(H, focal, width), half_turn)
         if paired.agreeing.mean() >= AGREEING:
-            return "right" if paired.side_pose[0] > 0.0 else "left"
-    return ""
+            return paired
+    return None
 
 
 def _flip(X: Array, axis: int) -> Index | None:
@@ -189,7 +199,7 @@ def rig_of(
         left=camera_of(state.k[0], sizes[0], lenses[0]),
         right=camera_of(state.k[1], sizes[1], lenses[1]),
         T_rig_left=RigidTransform.identity(),
-        T_rig_right=as_pose(state.side_pose),
+        T_rig_right=as_pose(state.sides[0]),
         covariance=covariance,
         rms_px=rms_px,
     )

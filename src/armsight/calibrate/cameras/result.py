@@ -28,11 +28,12 @@ UNITS = {
     **dict.fromkeys(("fx", "fy", "cx", "cy", "skew"), "px"),
     **dict.fromkeys(("tx", "ty", "tz"), "m"),
     **dict.fromkeys(("rx", "ry", "rz"), "rad"),
+    "delay": "s",
 }
 """Of the parameters by name; those of distortion have none."""
 
 
-class _FromBoards(Output, Saveable):
+class FromBoards(Output, Saveable):
     """What calibrations from boards show of themselves."""
 
     __slots__ = ()
@@ -54,6 +55,11 @@ class _FromBoards(Output, Saveable):
         return self
 
     @property
+    def noun(self) -> str:
+        """What is left out to see how well the rest foretells it."""
+        return "images"
+
+    @property
     def title(self) -> str:
         """What it is, in a few words."""
         raise NotImplementedError
@@ -72,7 +78,7 @@ class _FromBoards(Output, Saveable):
 
 
 @output
-class CameraCalibration(_FromBoards):
+class CameraCalibration(FromBoards):
     """armsight calibrate camera: a camera, how sure it is, and what it rests on.
 
     covariance: of the free intrinsics, by name (px; none for distortion). holdout_rms_px: None where there were too few
@@ -192,7 +198,7 @@ class CameraCalibration(_FromBoards):
 
 
 @output
-class StereoCalibration(_FromBoards):
+class StereoCalibration(FromBoards):
     """armsight calibrate stereo: a rig (its covariance inside, its reference the left camera), and what it rests on.
 
     holdout_*: None where there were too few pairs. metric: on left-out pairs; where there were too few,
@@ -249,6 +255,11 @@ class StereoCalibration(_FromBoards):
         squares = [f"{text}, as where squares are printed longer than wide" for text in self.doubts]
         doubts = squares + self.doubted()
         return images_verdict(found, doubts, self.advice, squares=bool(squares), noun="pairs", thing=self.thing)
+
+    @property
+    def noun(self) -> str:
+        """What is left out to see how well the rest foretells it."""
+        return "pairs"
 
     @property
     def thing(self) -> str:
@@ -334,10 +345,9 @@ def as_setting(
     )
 
 
-def left_out_words(done: CameraCalibration | StereoCalibration) -> str:
+def left_out_words(done: FromBoards) -> str:
     """Return how well images left out of the fit are met, in words; empty where none was left out."""
-    noun = "images" if isinstance(done, CameraCalibration) else "pairs"
-    return "" if done.holdout_rms_px is None else f", {noun} left out of the fit to {done.holdout_rms_px:.3g} px"
+    return "" if done.holdout_rms_px is None else f", {done.noun} left out of the fit to {done.holdout_rms_px:.3g} px"
 
 
 def std_by_key(covariance: NamedCovariance | None) -> dict[str, float]:

@@ -94,9 +94,7 @@ class ImageModel:
         whiten = whitener(V)  # (n, 6, 6)
         G = len(used)
         poses = self.seen.centred[used]
-        boards = problem_of(
-            sightings, Bundle(k=camera.intrinsics[None], side_pose=np.zeros(6), poses=poses), frozenset()
-        )
+        boards = problem_of(sightings, Bundle(k=camera.intrinsics[None], poses=poses), frozenset())
 
         def evaluate(shared: Array, local: Array) -> Evaluation:
             corners = boards.evaluate(shared[12:], local)
@@ -226,7 +224,7 @@ def poses_of_views(views: Sequence[BoardView], camera: Camera, board: Target) ->
                 cure="Give the calibration of this camera at this resolution",
             )
     sightings = pack([views], board, (camera.lens,))
-    start = Bundle(k=camera.intrinsics[None], side_pose=np.zeros(6), poses=_start(sightings, camera))
+    start = Bundle(k=camera.intrinsics[None], poses=_start(sightings, camera))
     fit = adjust(sightings, start, frozenset(camera.names), max_iterations=ITERATIONS)
     R = Rotation.from_rotvec(fit.local[:, 3:])
     lever = R.apply(sightings.middle)  # (n, 3), from the board's origin to its middle

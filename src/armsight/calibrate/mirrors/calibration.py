@@ -108,7 +108,7 @@ def _side_by_side(view: BoardView) -> Inconsistent:
 
 def _refuse_swapped(free: RobustFit) -> None:
     """Raise Inconsistent where the right view is from the left: the covered paths were exchanged."""
-    x, y, z = bundle_of(free.fit, 2).side_pose[:3].tolist()
+    x, y, z = bundle_of(free.fit, 2).sides[0, :3].tolist()
     if x < 0.0 and abs(x) > max(abs(y), abs(z)):
         raise Inconsistent(
             f"left and right are swapped: the right view's camera stands {-1e3 * x:.1f} mm to the left of the left "

@@ -227,7 +227,7 @@ def _fit(rig: Rig, observations: Observations, poses: Array) -> tuple[Observatio
     """Return the fit of T_left_right and the poses T_left_board (G, 6), and the sightings without the plate's part."""
     k = np.stack([rig.left.intrinsics, rig.right.intrinsics])
     T = rig.T_rig_left.inv() * rig.T_rig_right
-    start = Bundle(k=k, side_pose=np.concatenate([T.translation, T.rotation.as_rotvec()]), poses=poses)
+    start = Bundle(k=k, sides=np.concatenate([T.translation, T.rotation.as_rotvec()])[None], poses=poses)
     fit = adjust(observations, start, FIXED, max_iterations=60)
     if rig.left.plate is not None:
         observations = without_plate(observations, bundle_of(fit, 2), rig.left.plate)

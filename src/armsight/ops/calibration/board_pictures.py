@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
 from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.handeye import HandEyeResult
 from armsight.optics import SIDES, Camera
@@ -79,6 +79,26 @@ def rig_boards(done: StereoCalibration, board: Target, pictures: BoardPictures) 
         names=[names[0] for names in done.sources],
         rms_px=done.view_rms_px,
         pictures=sorted((one for side in of_sides for one in side), key=lambda one: one[0]),
+    )
+
+
+def many_boards(done: CamerasCalibration, board: Target, pictures: BoardPictures) -> BoardViews:
+    """Return the boards of a calibration of some cameras, in axes of the first that saw it."""
+    names, used = done.used.cameras, done.used
+    first = done.rig.T_rig_camera(names[0]).inv()
+    shown = []
+    for c, name in enumerate(names):
+        at = np.flatnonzero((used.weight[:, c] > 0.0).any(axis=1))
+        own = _of_camera(used.camera(c).take(at), done.clouds()[name][1], pictures)
+        shown += [(int(at[k]), picture) for k, picture in own]
+    return BoardViews(
+        parent=f"the camera {names[0]}",
+        outline_m=outline_m(board),
+        T_parent_board=[RigidTransform.from_matrix(T) for T in done.T_first_board],
+        cameras=[(name, done.rig.camera(name), first * done.rig.T_rig_camera(name)) for name in done.rig.names],
+        names=[names[0] for names in done.sources],
+        rms_px=done.view_rms_px,
+        pictures=sorted(shown, key=lambda one: one[0]),
     )
 
 

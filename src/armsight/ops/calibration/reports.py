@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
 from armsight.calibrate.mirrors.result import MirrorsOutput
-from armsight.ops.calibration.board_pictures import BoardPictures, camera_boards, rig_boards
+from armsight.ops.calibration.board_pictures import BoardPictures, camera_boards, many_boards, rig_boards
 from armsight.records import Target
 from armsight.report import calibration_report
 from armsight.store import write_text
@@ -25,6 +25,12 @@ def write_camera_report(out: Path, done: CameraCalibration, board: Target, pictu
 def write_stereo_report(out: Path, done: StereoCalibration, board: Target, pictures: BoardPictures) -> None:
     """Write the report of a rig's calibration beside its file."""
     page = calibration_report(done, board_text(board), rig_boards(done, board, pictures))
+    write_text(out.with_suffix(".report.html"), page)
+
+
+def write_cameras_report(out: Path, done: CamerasCalibration, board: Target, pictures: BoardPictures) -> None:
+    """Write the report of the calibration of some cameras beside its file."""
+    page = calibration_report(done, board_text(board), many_boards(done, board, pictures))
     write_text(out.with_suffix(".report.html"), page)
 
 

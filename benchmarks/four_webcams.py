@@ -1,0 +1,209 @@
+"""Four webcams that nothing triggers: the board's corners left out by blocks of time, beside other programs.
+
+    python benchmarks/four_webcams.py [DATA] [--peers PYTHON ...]
+
+DATA: a folder with NAME.npz, NAME.lenses.toml and NAME.timestamps.csv of two sessions (corners of caliscope's own test
+films, BSD-2-Clause). Lenses are held as given there. One judge for all: the cameras' places, and the delays where a
+program finds any, are held, and the pose of each board that was left out is fitted by all views of it; RMS of one
+coordinate, px, over every corner. --peers: interpreters of environments in which caliscope, aniposelib, multical or
+OpenCV 5 are installed; what cannot be imported there is skipped and said.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import subprocess
+import time
+import tomllib
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from armsight.calibrate.cameras import BoardOptions
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, names_of, residuals_px
+from armsight.calibrate.cameras.graph import boards_of
+from armsight.calibrate.cameras.many import each_alone, solve_cameras
+from armsight.calibrate.cameras.many_checks import KnownLens
+from armsight.calibrate.cameras.observations import pack
+from armsight.calibrate.cameras.pairing import as_pose
+from armsight.optics import Camera
+from armsight.records import BoardView
+from armsight.store.targets import parse_board
+
+DATA = Path(__file__).resolve().parents[1] / "shared" / "data" / "four_webcams"
+BOARD = parse_board("charuco:4x5:0.054:0.0405:DICT_4X4_1000")
+SESSIONS = ("post_optimization", "charuco_calibration")
+BLOCKS, LEAST = 5, 6
+ANCHORS = {
+    "OpenCV 5.1 calibrateMultiview, whole boards": ("1.17", "0.92"),
+    "multical 0.4.0": ("1.14", "-"),
+    "caliscope 0.11.8": ("1.11", "0.92"),
+    "aniposelib 0.8.0": ("1.32", "1.03"),
+}
+"""All corners in the fit, RMS of one coordinate, px; measured on these corners with these lenses in 2026."""
+
+
+def read(
+    folder: Path, name: str
+) -> tuple[dict[str, list[BoardView | None]], dict[str, KnownLens], dict[str, list[float]]]:
+    """Return the views, lenses and times of one session; moments with stamps that two cameras see at least."""
+    uv = np.load(folder / f"{name}.npz")["cv"]
+    with (folder / f"{name}.lenses.toml").open("rb") as file:
+        given = tomllib.load(file)["cameras"]
+    lenses = {}
+    for c in range(4):
+        K, d = given[str(c)]["matrix"], given[str(c)]["distortions"]
+        camera = Camera.pinhole(*given[str(c)]["size"], K[0][0], K[1][1], K[0][2], K[1][2], distortion=d)
+        lenses[f"cam{c}"] = KnownLens(camera=camera)
+    stamps: dict[int, dict[int, float]] = defaultdict(dict)
+    with (folder / f"{name}.timestamps.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            stamps[int(row["sync_index"])][int(row["cam_id"])] = float(row["frame_time"])
+    t_s = np.array([[stamps[k].get(c, np.nan) for c in range(4)] for k in sorted(stamps)])
+    t_s -= np.nanmin(t_s)
+    seen = np.isfinite(uv[: len(t_s), ..., 0])
+    whole = seen.sum(axis=2) >= LEAST
+    kept = np.flatnonzero(whole.sum(axis=1) >= 2)
+    views = {
+        f"cam{c}": [
+            BoardView(
+                uv_px=uv[g, c, seen[g, c]],
+                index=np.flatnonzero(seen[g, c]),
+                sigma_px=0.1,
+                width=lenses[f"cam{c}"].camera.width,
+                height=lenses[f"cam{c}"].camera.height,
+                source=f"{c}/{g}",
+            )
+            if whole[g, c]
+            else None
+            for g in kept
+        ]
+        for c in range(4)
+    }
+    return views, lenses, {f"cam{c}": t_s[kept, c].tolist() for c in range(4)}
+
+
+def judged(views: dict, lenses: dict, times: dict, sides: np.ndarray, delays_s: np.ndarray | None) -> np.ndarray:
+    """Return the residuals (m,) px of all corners, the cameras held, the boards' poses fitted.
+
+    delays_s: None takes the board as still for each moment.
+    """
+    options = BoardOptions()
+    kinds = tuple(lens.camera.lens for lens in lenses.values())
+    seen = replace(pack(list(views.values()), BOARD, kinds, tuple(views)), t_s=np.array(list(times.values())).T)
+    poses, k, _ = each_alone(seen, options, lenses)
+    T = [RigidTransform.identity(), *map(as_pose, sides)]
+    _, _, boards = boards_of(poses, np.eye(3)[None], T)  # what does not agree stays in: it is to be judged
+    t_s = None if delays_s is None else seen.t_s
+    state = Bundle(k=k, sides=sides, poses=boards, delays_s=np.zeros(0) if delays_s is None else delays_s)
+    seen = replace(seen, t_s=t_s, known=None)
+    fit = adjust(seen, state, frozenset(names_of(seen)), max_iterations=200)
+    return residuals_px(seen, fit)[seen.weight > 0.0].ravel()
+
+
+def taken(each: dict[str, list], at: np.ndarray) -> dict[str, list]:
+    """Return some of the moments."""
+    return {name: [one[g] for g in at] for name, one in each.items()}
+
+
+def rms(residual: np.ndarray) -> float:
+    """Return the RMS of one coordinate, px."""
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def blocks(n: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the moments that stay and those left out, for each block of time."""
+    parts = np.array_split(np.arange(n), BLOCKS)
+    return [(np.setdiff1d(np.arange(n), out), out) for out in parts]
+
+
+def armsight(views: dict, lenses: dict, times: dict, timed: bool) -> tuple[float, float, np.ndarray, float]:
+    """Return RMS in the fit and left out, px, the delays, ms, and seconds for one calibration."""
+    options = BoardOptions(folds=0)
+
+    def solved(at: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        stamps = taken(times, at) if timed else None
+        done = solve_cameras(taken(views, at), BOARD, options, lenses=lenses, times_s=stamps)
+        return done.state.sides, done.delays_s[1:] if timed else None
+
+    n = len(views["cam0"])
+    started = time.process_time()
+    found = solved(np.arange(n))
+    took = time.process_time() - started
+    left = [judged(taken(views, out), lenses, taken(times, out), *solved(stay)) for stay, out in blocks(n)]
+    own = rms(judged(views, lenses, times, *found))
+    return own, rms(np.concatenate(left)), 1e3 * (found[1] if found[1] is not None else np.zeros(3)), took
+
+
+def peer(python: str, name: str, views: dict, lenses: dict, at: np.ndarray) -> np.ndarray | str:
+    """Return T_first_camera (3, 6) that a program finds, or why there is none."""
+    sent = {
+        "X": BOARD.xyz_m.tolist(),
+        "K": [lens.camera.matrix.tolist() for lens in lenses.values()],
+        "d": [lens.camera.distortion.tolist() for lens in lenses.values()],
+        "size": [lens.camera.width for lens in lenses.values()][:1]
+        + [lens.camera.height for lens in lenses.values()][:1],
+        "views": [
+            [None if one is None else [one.index.tolist(), one.uv_px.tolist()] for one in taken(views, at)[camera]]
+            for camera in views
+        ],
+    }
+    worker = Path(__file__).with_name("four_webcams_peers.py")
+    done = subprocess.run(
+        [python, str(worker), name], input=json.dumps(sent), capture_output=True, text=True, timeout=900, check=False
+    )
+    if done.returncode:
+        return (done.stderr.strip().splitlines() or ["no answer"])[-1]
+    return np.array(json.loads(done.stdout.strip().splitlines()[-1]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("data", nargs="?", type=Path, default=DATA)
+    parser.add_argument("--peers", nargs="*", default=[])
+    asked = parser.parse_args()
+    if not asked.data.is_dir():
+        raise SystemExit(f"{asked.data} is not there: give the folder with the corners")
+    lines = ["| program | " + " | ".join(f"{name}: fit / left out, px" for name in SESSIONS) + " |", "|---|---|---|"]
+    sessions = {name: read(asked.data, name) for name in SESSIONS}
+    for words, timed in (("armsight, delays", True), ("armsight, no times", False)):
+        cells = []
+        for name in SESSIONS:
+            own, left, delays, took = armsight(*sessions[name], timed)
+            cells.append(f"{own:.2f} / {left:.2f}")
+            print(f"{words}, {name}: delays {np.round(delays, 1)} ms, {took:.2f} s of processor", flush=True)
+        lines.append(f"| {words} | {' | '.join(cells)} |")
+    print("\n".join(lines), flush=True)
+    for python in asked.peers:
+        for program in ("caliscope", "aniposelib", "multical", "opencv"):
+            cells = []
+            for name in SESSIONS:
+                views, lenses, times = sessions[name]
+                n = len(views["cam0"])
+                found = peer(python, program, views, lenses, np.arange(n))
+                if isinstance(found, str):
+                    print(f"{program} in {python}, {name}: skipped: {found}", flush=True)
+                    continue
+                left = []
+                for stay, out in blocks(n):
+                    part = peer(python, program, views, lenses, stay)
+                    if isinstance(part, str):
+                        break
+                    left.append(judged(taken(views, out), lenses, taken(times, out), part, None))
+                held = rms(np.concatenate(left)) if len(left) == BLOCKS else float("nan")
+                cells.append(f"{rms(judged(views, lenses, times, found, None)):.2f} / {held:.2f}")
+            if len(cells) == len(SESSIONS):
+                lines.append(f"| {program} | {' | '.join(cells)} |")
+    lines += [
+        f"| {words}, as measured before | {' | '.join(f'{one} / -' for one in px)} |" for words, px in ANCHORS.items()
+    ]
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

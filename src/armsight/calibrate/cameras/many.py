@@ -1,0 +1,367 @@
+"""Up to eight cameras from views of a printed board that never all of them see, each with the delay of its clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from armsight.arrays import Array
+from armsight.calibrate.cameras.board_shape import board_shape
+from armsight.calibrate.cameras.bundle_adjustment import (
+    DELAY,
+    Bundle,
+    adjust,
+    bundle_of,
+    delays_of,
+    names_of,
+    start_at,
+)
+from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
+from armsight.calibrate.cameras.cross_validation import left_out
+from armsight.calibrate.cameras.extended import considered, held_beside, placed_beside, with_standing
+from armsight.calibrate.cameras.graph import placed, tilts_of
+from armsight.calibrate.cameras.initial_guess import poses_by_rays
+from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of
+from armsight.calibrate.cameras.many_checks import (
+    KnownLens,
+    require_lenses,
+    require_lists,
+    require_one_clock,
+    require_sizes,
+)
+from armsight.calibrate.cameras.moving_board import alone
+from armsight.calibrate.cameras.observations import BoardOptions, Known, Observations, pack
+from armsight.calibrate.cameras.outlier_rejection import (
+    RobustFit,
+    fit_tilted,
+    fit_without_outliers,
+    fixed_names,
+    named,
+)
+from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
+from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
+from armsight.errors import DataRefused, Inconsistent, NotConverged, NotEnoughData, Undetermined
+from armsight.fitting import Fit
+from armsight.optics import INTRINSICS, Camera, Rig
+from armsight.optics.mounted import MountedCamera
+from armsight.records import BoardView, NamedCovariance, Progress, Target
+
+LOOSE_S = 0.02
+"""A delay less sure than this is held at zero: boards were still, or times are none."""
+BY_CHANCE = 1e-3
+"""Delays are taken where chi-square would fall as much without any this often."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ManySolved:
+    """What the bundle of some cameras found.
+
+    covariance: of the free numbers of the 16 C - 6 and of the delays; delays_s (C,): by how much each clock is late
+    behind the first one's, 0 where held; rejected: (source, why); advice: what would make it surer; timed: whether
+    delays were estimated. known: cameras whose lens was given.
+    """
+
+    robust: RobustFit
+    covariance: NamedCovariance
+    holdout_rms_px: float | None
+    rejected: tuple[tuple[str, str], ...]
+    advice: tuple[str, ...]
+    known: frozenset[str] = field(default_factory=frozenset)
+
+    @property
+    def observations(self) -> Observations:
+        """What went into the last fit."""
+        return self.robust.observations
+
+    @property
+    def state(self) -> Bundle:
+        """What it found."""
+        return bundle_of(self.robust.fit, self.observations.n_cameras)
+
+    @property
+    def delays_s(self) -> Array:
+        """By how much each clock is late behind the first one's (C,), 0 where held."""
+        delays = self.state.delays_s
+        return np.concatenate([[0.0], delays if len(delays) else np.zeros(self.observations.n_cameras - 1)])
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """The cameras by name."""
+        seen = self.observations
+        each = zip(seen.cameras, self.state.k, seen.sizes, seen.lenses, strict=True)
+        return {name: camera_of(k, size, lens) for name, k, size, lens in each}
+
+
+def solve_cameras(
+    views: Mapping[str, Sequence[BoardView | None]],
+    board: Target,
+    options: BoardOptions | None = None,
+    *,
+    lenses: Mapping[str, KnownLens] | None = None,
+    times_s: Mapping[str, Sequence[float]] | None = None,
+    rig: Rig | None = None,
+    progress: Progress | None = None,
+) -> ManySolved:
+    """Return cameras and where they stand, from what each saw of the board at the same moments, None where nothing.
+
+    lenses: those known beforehand, by the camera's name. times_s: of each camera's images, by its own clock: the
+    board's motion then tells the delays. rig: cameras that stay as they are, the first of `views`.
+
+    Raises NotEnoughData (too few views, cameras that no moment connects),
+    Inconsistent (lists out of step, mirrored images, a lens of another camera), Degenerate, Undetermined, NotConverged.
+    """
+    options, lenses = options or BoardOptions(), dict(lenses or {})
+    if rig is not None:
+        lenses |= {name: KnownLens(camera=rig.camera(name)) for name in views if name in rig.names}
+    observations, rejected = moments_of(views, board, options, lenses, times_s)
+    poses, k, advice = each_alone(observations, options, lenses)
+    observations, start, dropped = placed(observations, poses, k, board)
+    rejected += dropped
+    if rig is not None:
+        held = observations.held | (held_beside(rig) & set(names_of(observations)))
+        observations, start = replace(observations, held=held), with_standing(observations.cameras, start, rig)
+    robust, told, lost = _fitted(observations, start, options, progress)
+    require_lenses(robust, observations.known, lenses)
+    out = left_out(robust, options)
+    covariance = required(robust) if rig is None else considered(robust, rig)
+    if robust.observations.t_s is None and rig is None:
+        shape = board_shape(robust.observations, robust.fit, covariance)
+        covariance, advice = shape.covariance, [*advice, *shape.advice]
+    return ManySolved(
+        robust=robust,
+        covariance=covariance,
+        holdout_rms_px=None if out is None else out.rms_px,
+        rejected=(*rejected, *lost, *robust.rejected),
+        advice=(*advice, *told, *caveats(covariance, robust), *robust.notes),
+        known=frozenset(lenses),
+    )
+
+
+def _fitted(
+    observations: Observations, start: Bundle, options: BoardOptions, progress: Progress | None
+) -> tuple[RobustFit, list[str], list[tuple[str, str]]]:
+    """Return the fit of what agrees, advice on the clocks, and (source, why) of moments that went for them."""
+    times, known, held = observations.t_s, observations.known, observations.held
+    lens = frozenset[str]() if known is None else frozenset(known.names) - held
+    observations = replace(observations, t_s=None, known=None, held=held | lens)
+    observations, start, told, lost = _timed(observations, start, options, times, progress)
+    if known is not None:
+        # what is known beforehand counts in units of the points' noise, which is asked with the lenses as given
+        weight = observations.weight / fit_without_outliers(observations, start, options, progress).fit.scale
+        observations = replace(observations, held=observations.held - lens, known=known, weight=weight)
+    return fit_without_outliers(observations, start, options, progress), told, lost
+
+
+def extend_rig(
+    rig: Rig,
+    name: str,
+    views: Mapping[str, Sequence[BoardView | None]],
+    board: Target,
+    options: BoardOptions | None = None,
+    *,
+    lens: KnownLens | None = None,
+    times_s: Mapping[str, Sequence[float]] | None = None,
+    progress: Progress | None = None,
+) -> tuple[ManySolved, Rig]:
+    """Return what was found of one more camera, or of one of the rig's anew, and the rig with it.
+
+    The rig's axes and its other cameras stay as they are. views: of the camera and of some or all of the rig's. lens:
+    its own, known before; of a camera of the rig the one that it has. Raises as solve_cameras, and Inconsistent where
+    the rig's cameras do not stand as the rig says.
+    """
+    others = [one for one in rig.names if one != name]
+    seen = [g for g, one in enumerate(views[name]) if one is not None]
+    olds = [old for old in others if old in views and any(views[old][g] is not None for g in seen)]
+    if not olds:
+        raise NotEnoughData(
+            f"no moment shows the board to {name} and to another camera of the rig",
+            consequence=f"Where {name} stands is open, and nothing was calibrated",
+            cure=f"Take pictures in which {name} and one of {', '.join(others)} see the board at one moment",
+        )
+    # the fit's frame is that of a camera which stays and sees something
+    first = rig.T_rig_camera(olds[0])
+    standing = in_frame(rig.only(olds[0], *(one for one in others if one != olds[0])), first.inv())
+    # moments without the new camera say nothing of it, since the others are held
+    used = {one: [views[one][g] for g in seen] for one in (*olds, name)}
+    times = None if times_s is None else {one: [times_s[one][g] for g in seen] for one in used}
+    own = next((one for one in rig.cameras if one.name == name), None)
+    if lens is None and own is not None:
+        lens = KnownLens(camera=own.camera, covariance=_lens_doubt(rig, name))
+    lenses = {} if lens is None else {name: lens}
+    done = solve_cameras(used, board, options, lenses=lenses, times_s=times, rig=standing, progress=progress)
+    T = as_pose(done.state.sides[-1])
+    new = MountedCamera(name=name, camera=done.cameras[name], T_rig_camera=T)
+    if own is not None:
+        new = replace(own, camera=new.camera, T_rig_camera=T)
+    numbers = tuple(one for one in done.covariance.names if not one.endswith(f".{DELAY}"))
+    covariance = NamedCovariance(names=numbers, matrix=done.covariance.block(numbers))
+    return done, placed_beside(rig, standing, new, covariance)
+
+
+def _lens_doubt(rig: Rig, name: str) -> NamedCovariance | None:
+    """Return the covariance of the lens of one of a rig's cameras; None where nothing is known of it."""
+    known = () if rig.covariance is None else rig.covariance.names
+    lens = tuple(one for one in rig.camera(name).names if f"{name}.{one}" in known)
+    if rig.covariance is None or not lens:
+        return None
+    return NamedCovariance(names=lens, matrix=rig.covariance.block(tuple(f"{name}.{one}" for one in lens)))
+
+
+def moments_of(
+    views: Mapping[str, Sequence[BoardView | None]],
+    board: Target,
+    options: BoardOptions,
+    lenses: Mapping[str, KnownLens],
+    times_s: Mapping[str, Sequence[float]] | None,
+) -> tuple[Observations, list[tuple[str, str]]]:
+    """Return what the cameras saw at each moment, and (source, why) of views with too little of the board."""
+    names = tuple(views)
+    require_lists(views, lenses, times_s)
+    require_views([one for each in views.values() for one in each if one is not None], board)
+    kinds = tuple(lenses[name].camera.lens if name in lenses else options.lens for name in names)
+    for kind in set(kinds):
+        require_points(board, kind)
+    observations = pack(list(views.values()), board, kinds, names)
+    require_sizes(observations, lenses)
+    count = (observations.weight > 0.0).sum(axis=2)
+    few = (count > 0) & (count < LEAST_POINTS)
+    rejected = [
+        (observations.sources[g][c], f"only {count[g, c]} points of the board are seen, {LEAST_POINTS} are needed")
+        for g, c in zip(*np.nonzero(few), strict=True)
+    ]
+    observations = replace(observations, weight=observations.weight * ~few[:, :, None])
+    if times_s is not None:
+        t_s = np.array([times_s[name] for name in names], float).T
+        seen = count >= LEAST_POINTS
+        if np.isfinite(t_s[seen]).all():
+            require_one_clock(t_s, seen, names)
+            observations = replace(observations, t_s=t_s)
+    kept = np.flatnonzero((count >= LEAST_POINTS).any(axis=1))
+    if len(kept) < LEAST_VIEWS:
+        raise NotEnoughData(
+            f"{len(kept)} moments show enough of the board, {LEAST_VIEWS} are needed",
+            consequence="Nothing was calibrated",
+            cure="Take ten to sixty, the board turned to all cameras",
+        )
+    held, known = _beforehand(lenses)
+    return replace(observations.take(kept), held=held, known=known), rejected
+
+
+def _beforehand(lenses: Mapping[str, KnownLens]) -> tuple[frozenset[str], Known | None]:
+    """Return which numbers of lenses known beforehand are held, and what is known of the others."""
+    held, names, means, blocks = set[str](), list[str](), list[float](), list[Array]()
+    for name, lens in lenses.items():
+        every = lens.camera.names
+        free = () if lens.covariance is None else tuple(one for one in every if one in lens.covariance.names)
+        held |= {f"{name}.{one}" for one in every if one not in free}
+        if free and lens.covariance is not None:
+            names += [f"{name}.{one}" for one in free]
+            means += [float(lens.camera.intrinsics[every.index(one)]) for one in free]
+            # px beside pure numbers: scaled before it is inverted
+            std = np.sqrt(np.diag(lens.covariance.block(free)))
+            blocks.append(np.linalg.inv(lens.covariance.block(free) / np.outer(std, std)) / np.outer(std, std))
+    if not names:
+        return frozenset(held), None
+    information, at = np.zeros((len(names), len(names))), 0
+    for block in blocks:
+        information[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return frozenset(held), Known(names=tuple(names), mean=np.array(means), information=information)
+
+
+def each_alone(
+    observations: Observations, options: BoardOptions, lenses: Mapping[str, KnownLens]
+) -> tuple[Array, Array, list[str]]:
+    """Return T_camera_board (G, C, 2, 6) by the two tilts of each view, the likelier first, the lenses k (C, 10), and
+    advice."""
+    G, C = observations.n_views, observations.n_cameras
+    poses, k, advice = np.full((G, C, 2, 6), np.nan), np.zeros((C, len(INTRINSICS))), []
+    for c, name in enumerate(observations.cameras):
+        g = np.flatnonzero((observations.weight[:, c] > 0.0).any(axis=1))
+        if name in lenses:
+            k[c] = lenses[name].camera.intrinsics
+        if not len(g):
+            continue
+        part, of = observations.camera(c).take(g), f"the camera {name}"
+        if name in lenses:
+            camera = lenses[name].camera
+            found = poses_by_rays(part, camera)
+            if found is None:
+                raise Inconsistent(
+                    f"points of the board in the images of {name} lie where the lens given for it sees nothing",
+                    consequence="The lens is another camera's, and nothing was calibrated",
+                    cure=f"Check which camera.yaml is that of {name}",
+                )
+        else:
+            single = replace(options, lens=observations.lenses[c], right_lens=None)
+            advice += check_count(len(g)) + check_spread(part, 0, of)
+            robust, on_tilt = fit_tilted(part, start_of(part), single, of)
+            advice += on_tilt + refuse_other_lens(part, robust, single, 0, of)
+            k[c] = bundle_of(robust.fit, 1).k[0]
+            found = poses_by_rays(part, camera_of(k[c], part.sizes[0], part.lenses[0]))
+            if found is None:
+                found = start_of(part).poses
+        poses[g, c] = _two_tilts(part, k[c], found, options)
+    return poses, k, advice
+
+
+def _two_tilts(part: Observations, k: Array, poses: Array, options: BoardOptions) -> Array:
+    """Return T_camera_board (G, 2, 6) by the two tilts that fit each view, the better one first."""
+    everything, found = frozenset(names_of(part)), []
+    for start in (poses, tilts_of(poses)):
+        try:
+            fit = adjust(part, Bundle(k=k[None], poses=start), everything, max_iterations=options.max_iterations)
+        except NotConverged:
+            found.append((start, np.full(len(poses), np.inf)))
+        else:
+            found.append((fit.local, (fit.residuals**2).sum(axis=1)))
+    both = np.stack([one for one, _ in found], axis=1)
+    order = np.argsort(np.stack([cost for _, cost in found], axis=1), axis=1, kind="stable")
+    return np.asarray(np.take_along_axis(both, order[:, :, None], axis=1))
+
+
+def _timed(
+    observations: Observations, start: Bundle, options: BoardOptions, times: Array | None, progress: Progress | None
+) -> tuple[Observations, Bundle, list[str], list[tuple[str, str]]]:
+    """Return observations with their times where the board's motion tells the delays, the state, advice, and (source,
+    why) of moments left out."""
+
+    def fitted(seen: Observations, state: Bundle) -> Fit:
+        most = options.max_iterations
+        return adjust(seen, state, fixed_names(options, seen), max_iterations=most, progress=progress)
+
+    C, lost = observations.n_cameras, list[tuple[str, str]]()
+    if times is None:
+        told = ["the delays of the clocks are held at zero: the images have no times; hold the board still for each"]
+        return observations, start, told, lost
+    still_fit = fitted(observations, start)
+    state = replace(bundle_of(still_fit, C), delays_s=np.zeros(C - 1))
+    timed = replace(observations, t_s=times)
+    # a moment of one camera tells nothing of another one's clock: it may stay without neighbours
+    lonely = alone(timed, state.delays_s) & ((observations.weight > 0.0).any(axis=2).sum(axis=1) > 1)
+    stay = np.flatnonzero(~lonely)
+    why = "no other moment is near enough in time to tell how the board moved"
+    if len(stay) >= LEAST_VIEWS:
+        try:
+            timed, state = timed.take(stay), start_at(state, stay)
+            fit = fitted(timed, state)
+            loose = {name for name, std in fit.std().items() if name in delays_of(timed.cameras) and std > LOOSE_S}
+            if loose:
+                timed = replace(timed, held=timed.held | loose)
+                fit = fitted(timed, state)
+            compared = fitted(observations.take(stay), start_at(bundle_of(still_fit, C), stay))
+            # both on the same points: by how much chi-square falls for as many delays
+            gain = 2.0 * (compared.cost - fit.cost) / fit.scale**2
+        except (DataRefused, Undetermined):
+            gain = 0.0
+        else:
+            asked = [name for name in delays_of(timed.cameras) if name not in timed.held]
+            if asked and gain > chdtri(len(asked), BY_CHANCE):
+                lost += [(named(observations, g), why) for g in np.flatnonzero(lonely).tolist()]
+                told = [f"{name} is held at zero: the board's motion does not tell it" for name in sorted(loose)]
+                return timed, bundle_of(fit, C), told, lost
+    told = ["the delays of the clocks are held at zero: the board's motion does not tell them"]
+    return observations, start, told, lost

@@ -1,0 +1,228 @@
+"""A board that moves before cameras whose clocks differ: its pose at each image's time, and each camera's delay.
+
+The board's poses at the moments are the nodes of its motion; between them it follows the polynomial through the four
+nearest, of the position and of the rotation vector from the nearest node (a cumulative curve on SO(3) in one chart).
+Nodes of a stretch of time are eliminated together, as a board's pose is where it stands still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.arrays import Array, Index
+from armsight.calibrate.cameras.observations import Observations
+from armsight.fitting import Evaluation, Fit, NormalEquations
+
+GAP = 2.5
+"""Over so many times the usual interval nothing is known of how the board moved."""
+LONGEST = 16
+"""Moments whose poses are eliminated together: longer motions are cut."""
+NEAREST = 4
+"""Nodes of the polynomial that the board follows: a cubic errs by the fourth power of the interval."""
+SMALL = 1e-4
+"""Angle, rad, below which a series stands for the quotients of SO(3)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """Which nodes of the motion V views, each of one camera, follow.
+
+    views: each view as a group of its own. moment, camera, segment, t_s (V,); at_s (V,): where the polynomials coef
+    (V, P, P) by nodes and powers of (time - at_s) count from; window (V, P): their nodes in the segment; base (V,):
+    where in the window the one of most weight is. place (G, 2): segment and node of each moment. shape: segments,
+    nodes.
+    """
+
+    views: Observations
+    moment: Index
+    camera: Index
+    segment: Index
+    t_s: Array
+    at_s: Array
+    coef: Array
+    window: Index
+    base: Index
+    place: Index
+    shape: tuple[int, int]
+
+    @property
+    def n_empty(self) -> int:
+        """Numbers of the nodes that stand for no moment."""
+        return 6 * (self.shape[0] * self.shape[1] - len(self.place))
+
+    def nodes_of(self, poses: Array) -> Array:
+        """Return the local parameters (segments, 6 nodes) of the moments' poses (G, 6)."""
+        out = np.zeros((*self.shape, 6))
+        out[self.place[:, 0], self.place[:, 1]] = poses
+        return out.reshape(self.shape[0], -1)
+
+    def of_moments(self, fit: Fit) -> Fit:
+        """Return the fit with a pose, and its covariance, for each moment."""
+        s, k = self.place.T
+        n = self.shape[1]
+        covariance = fit.local_covariance.reshape(-1, n, 6, n, 6)[s, k, :, k]
+        return replace(fit, local=fit.local.reshape(*self.shape, 6)[s, k], local_covariance=covariance)
+
+    def retract(
+        self, still: Callable[..., tuple[Array, Array]], shared: Array, local: Array, by_shared: Array, by_local: Array
+    ) -> tuple[Array, Array]:
+        """Return both after a step; still: moves what is not the delays."""
+        n = len(shared) - self.views.n_cameras + 1
+        moved, poses = still(shared[:n], local.reshape(-1, 6), by_shared[:n], by_local.reshape(-1, 6))
+        return np.concatenate([moved, shared[n:] + by_shared[n:]]), poses.reshape(local.shape)
+
+    def evaluate(self, still: Callable[[Array, Array], Evaluation], shared: Array, local: Array) -> Evaluation:
+        """Return the normal equations by cameras, delays and nodes from those of every view's own pose, by still."""
+        n, others = len(shared) - self.views.n_cameras + 1, self.views.n_cameras - 1
+        poses, by_nodes, rate = self._along(local.reshape(*self.shape, 6), np.concatenate([[0.0], shared[n:]]))
+        here = still(shared[:n], poses)
+        residuals = np.zeros((len(self.place), here.residuals.shape[1]))
+        np.add.at(residuals, self.moment, here.residuals)
+        (one,) = [each for each in (here.condensed,) if each is not None]
+        own = (self.camera[:, None] == 1 + np.arange(others)).astype(float)  # (V, others): whose delay moves a view
+        A, b = np.zeros((n + others, n + others)), np.zeros(n + others)
+        A[:n, :n], b[:n] = one.A, one.b
+        # a delay moves its camera's views along the board's motion: the chain rule with each view's own equations
+        pushed = np.einsum("vij,vj->vi", one.C, rate)
+        A[:n, n:] = np.einsum("vsi,vi->vs", one.W, rate).T @ own
+        A[n:, :n] = A[:n, n:].T
+        A[n:, n:] = np.diag((rate * pushed).sum(axis=1) @ own)
+        b[n:] = (rate * one.c).sum(axis=1) @ own
+        L = 6 * self.shape[1]
+        C, c, W = np.zeros((self.shape[0], L, L)), np.zeros((self.shape[0], L)), np.zeros((self.shape[0], len(b), L))
+        ends = np.searchsorted(self.segment, np.arange(self.shape[0] + 1))
+        for s in range(self.shape[0]):
+            part = slice(ends[s], ends[s + 1])
+            M = by_nodes[part].reshape(-1, 6, L)
+            CM, flat = one.C[part] @ M, M.reshape(-1, L)
+            C[s], c[s] = flat.T @ CM.reshape(-1, L), flat.T @ one.c[part].ravel()
+            W[s, :n] = one.W[part].transpose(1, 0, 2).reshape(n, -1) @ flat
+            W[s, n:] = own[part].T @ np.einsum("vi,vij->vj", rate[part], CM)
+        empty = np.ones(self.shape)  # nodes of no moment are held where they are
+        empty[self.place[:, 0], self.place[:, 1]] = 0.0
+        C[:, np.arange(L), np.arange(L)] += np.repeat(empty, 6, axis=1)
+        return replace(here, residuals=residuals, condensed=NormalEquations(A=A, b=b, C=C, c=c, W=W))
+
+    def _along(self, nodes: Array, late: Array) -> tuple[Array, Array, Array]:
+        """Return the views' poses (V, 6), their derivatives by steps of the nodes (V, 6, nodes, 6) and by time (V, 6).
+
+        late (C,): the cameras' delays.
+        """
+        V, P = self.window.shape
+        rows, x = np.arange(V), (self.t_s + late[self.camera] - self.at_s)[:, None]
+        power = np.arange(P)
+        w = np.einsum("vkp,vp->vk", self.coef, x**power)
+        dw = np.einsum("vkp,vp->vk", self.coef[:, :, 1:], power[1:] * x ** power[:-1])
+        near = nodes[self.segment[:, None], self.window]  # (V, P, 6)
+        R_base = Rotation.from_rotvec(near[rows, self.base, 3:])
+        turn = Rotation.from_rotvec(near[:, :, 3:].reshape(-1, 3)) * R_base[np.repeat(rows, P)].inv()
+        delta = turn.as_rotvec().reshape(V, P, 3)
+        s = np.einsum("vk,vki->vi", w, delta)
+        turned = Rotation.from_rotvec(s)
+        poses = np.concatenate([np.einsum("vk,vki->vi", w, near[:, :, :3]), (turned * R_base).as_rotvec()], axis=1)
+        J, J_inv = _left_jacobian(s), np.linalg.inv(_left_jacobian(delta))
+        rate = np.concatenate(
+            [
+                np.einsum("vk,vki->vi", dw, near[:, :, :3]),
+                np.einsum("vij,vk,vkj->vi", J, dw, delta),
+            ],
+            axis=1,
+        )
+        by = np.zeros((V, 6, self.shape[1], 6))
+        for k in range(P):
+            at = self.window[:, k]
+            by[rows, :3, at, :3] += w[:, k, None, None] * np.eye(3)
+            by[rows, 3:, at, 3:] += w[:, k, None, None] * (J @ J_inv[:, k])
+        # Log(R_k R_base') moves by Jl^-1 of the node's own step and against it by Jr^-1 = Jl^-1' of the base's
+        back = np.einsum("vk,vkji->vij", w, J_inv)
+        by[rows, 3:, self.window[rows, self.base], 3:] += turned.as_matrix() - J @ back
+        return poses, by, rate
+
+
+def motion_of(observations: Observations, delays_s: Array) -> Motion:
+    """Return how the moments hang together by their times, with the delays (C - 1,) known so far."""
+    seen = (observations.weight > 0.0).any(axis=2)  # (G, C)
+    late = np.concatenate([[0.0], delays_s])
+    t_s = np.asarray(observations.t_s)
+    node_s = np.where(seen, t_s + late, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    place, times = _segments(node_s)
+    G, C = np.nonzero(seen)
+    # by segment, so that each one's views stand together
+    order = np.lexsort((G, place[G, 1], place[G, 0]))
+    g, c = G[order], C[order]
+    shown = np.zeros((len(g), *observations.weight.shape[1:]))
+    shown[np.arange(len(g)), c] = observations.weight[g, c]
+    views = replace(
+        observations,
+        uv=np.ascontiguousarray(observations.uv[g]),
+        weight=shown,
+        sources=tuple(observations.sources[k] for k in g),
+        t_s=None,
+        known=None,
+    )
+    at = t_s[g, c] + late[c]
+    coef, window = np.zeros((len(g), NEAREST, NEAREST)), np.zeros((len(g), NEAREST), np.intp)
+    for segment, nodes_s in enumerate(times):
+        own = np.flatnonzero(place[g, 0] == segment)
+        n = min(NEAREST, len(nodes_s))
+        coef[own, :n, :n], window[own, :n] = _through(nodes_s, at[own], n)
+    return Motion(
+        views=views,
+        moment=g,
+        camera=c,
+        segment=place[g, 0],
+        t_s=t_s[g, c],
+        at_s=at,
+        coef=coef,
+        window=window,
+        base=np.argmax(coef[:, :, 0], axis=1),
+        place=place,
+        shape=(len(times), max(map(len, times))),
+    )
+
+
+def alone(observations: Observations, delays_s: Array) -> NDArray[np.bool_]:
+    """Tell which moments (G,) no other is near enough to in time to know how the board moved."""
+    place = motion_of(observations, delays_s).place
+    return np.asarray(np.bincount(place[:, 0])[place[:, 0]] == 1)
+
+
+def _segments(node_s: Array) -> tuple[Index, list[Array]]:
+    """Return segment and node (G, 2) of each moment, and the times of each segment's nodes."""
+    order = np.argsort(node_s, kind="stable")
+    apart = np.diff(node_s[order])
+    # a pause in the film: nothing tells the motion across it
+    runs = np.split(order, 1 + np.flatnonzero(apart > GAP * np.median(apart))) if len(order) > 1 else [order]
+    parts = [part for run in runs for part in np.array_split(run, -(-len(run) // LONGEST))]
+    place = np.empty((len(order), 2), np.intp)
+    for s, part in enumerate(parts):
+        place[part, 0], place[part, 1] = s, np.arange(len(part))
+    return place, [node_s[part] for part in parts]
+
+
+def _through(nodes_s: Array, at_s: Array, n: int) -> tuple[Array, Index]:
+    """Return coef (v, n, n) and window (v, n) of the polynomials through the n nodes nearest to each time (v,)."""
+    first = np.clip(np.searchsorted(nodes_s, at_s) - n // 2, 0, len(nodes_s) - n)
+    window = first[:, None] + np.arange(n)
+    x = nodes_s[window] - at_s[:, None]
+    # weights w of the nodes meet every power: sum w_k x_k^p = x^p
+    powers = x[:, :, None] ** np.arange(n)
+    return np.linalg.inv(powers.transpose(0, 2, 1)), window
+
+
+def _left_jacobian(v: Array) -> Array:
+    """Return d Exp(v + e) = Exp(J e) Exp(v) of rotation vectors (..., 3): (..., 3, 3) (Barfoot 2017, equation 7.77)."""
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
+    small = angle < SMALL
+    t = np.where(small, 1.0, angle)
+    K = np.zeros((*v.shape[:-1], 3, 3))
+    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    K -= np.swapaxes(K, -1, -2)
+    half = np.where(small, 0.5, (1.0 - np.cos(t)) / t**2)
+    sixth = np.where(small, 1.0 / 6.0, (t - np.sin(t)) / t**3)
+    return np.asarray(np.eye(3) + half * K + sixth * K @ K)
