@@ -52,9 +52,7 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
     return cast(Robot, maker(name, settings=dict(settings or {}), clock=clock))
 
 
-TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "egm", "rsi"), "rsi", ("egm", "rsi")
-HAS_RANGES = ("dynamixel", "feetech")
-TELLS_RANGES = "linuxcnc"
+TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "dynamixel", "egm", "feetech", "linuxcnc", "rsi"), "rsi", ("egm", "rsi")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,8 +63,25 @@ class LinkArm:
 
     def fk(self, q: NDArray[np.float64]) -> RigidTransform:
         """Return T_base_flange of the controller's joint values q (n,) in rad or m."""
-        T_world_tool = RigidTransform.from_matrix(self.arm.fk(self.arm.values(q)))
-        return self.arm.T_world_base.inv() * T_world_tool * self.arm.T_flange_tool.inv()
+        return RigidTransform.from_matrix(self._base_flange(q))
+
+    def _base_flange(self, q: NDArray[np.float64]) -> Array:
+        T_world_base, T_flange_tool = self.arm.T_world_base.as_matrix(), self.arm.T_flange_tool.as_matrix()
+        return np.asarray(np.linalg.inv(T_world_base) @ self.arm.fk(self.arm.values(q)) @ np.linalg.inv(T_flange_tool))
+
+    def jacobian(self, q: NDArray[np.float64]) -> Array:
+        """Return the flange's way and turn (6, n) in base axes by the controller's joint values q (n,)."""
+        J = self.arm.jacobian(self.arm.values(q)) @ self.arm.gearing
+        way, turn = np.einsum("ij,kjn->kin", self.arm.T_world_base.rotation.as_matrix().T, J.reshape(2, 3, -1))
+        T_base_flange = self._base_flange(q)
+        to_tool = T_base_flange[:3, :3] @ np.asarray(self.arm.T_flange_tool.translation)
+        return np.concatenate([way + np.cross(to_tool, turn, axisb=0, axisc=0), turn])
+
+    @property
+    def ranges(self) -> Array:
+        """Lower and upper (2, n); infinite where joints are coupled, whose readings have no range of their own."""
+        ends = np.array([self.arm.lower, self.arm.upper])
+        return np.array([[-np.inf], [np.inf]]) * np.ones(self.arm.n) if self.arm.couplings else ends
 
     def ik(self, T_base_flange: RigidTransform, near: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the controller's joint values (n,) nearest to near (n,). Raises DataRefused out of reach."""
@@ -120,8 +135,8 @@ def driver_settings(
     """Return the settings of the driver that DRIVER:DEVICE names: those given, and what it needs beside them.
 
     arm: alter sends poses and needs it for joints; where others send poses it says how their probe moves every joint;
-    linuxcnc and buses of servos compare their ranges. rsi_config: the RSI Ethernet XML file with the tags of the user's
-    own configuration. Raises UsageError for what the driver has no use for; of `given` the driver itself says that.
+    linuxcnc and buses of servos compare its ranges with theirs, and linuxcnc corrects poses by it. rsi_config: the RSI
+    Ethernet XML file with the tags of the user's own configuration. Raises UsageError for what the driver has no use for; of `given` the driver itself says that.
     """
     driver = robot.partition(":")[0]
     settings = dict(given or {})
@@ -139,11 +154,6 @@ def driver_settings(
         )
     if driver in TAKES_ARM and arm is not None:
         settings["arm"] = LinkArm(arm=arm)
-    if driver in HAS_RANGES and arm is not None:
-        settings["arm_range"] = (arm.lower.tolist(), arm.upper.tolist())
-    if driver == TELLS_RANGES and arm is not None and not arm.couplings:
-        for key, end in (("lower_rad", "lower"), ("upper_rad", "upper")):  # it refuses where its own are others
-            settings.setdefault(key, [getattr(joint, end) for joint in arm.joints])
     if rsi_config is not None:
         if driver != TAKES_TAGS:
             raise UsageError(f"{robot} takes no RSI configuration", cure="Omit --rsi-config, or give rsi:UDP_PORT")
