@@ -128,6 +128,9 @@ class Model:
     def ik(self, T_base_flange: Any, near: Array) -> Array:
         return SMALL.reach(T_base_flange.as_matrix(), near)
 
+    def flange(self, q: Array) -> Array:
+        return SMALL.frames(q)[-1]
+
     def jacobian(self, q: Array) -> Array:
         return SMALL.jacobian(SMALL.frames(q))
 

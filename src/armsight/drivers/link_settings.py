@@ -32,6 +32,10 @@ class ArmOnLink(Protocol):
         """Return joint values (6,) of a pose, on the branch of near (6,). Raises DataRefused out of reach."""
         ...
 
+    def flange(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return T_base_flange (4, 4) of joint values q (n,): what a cycle has no time to make a transform of."""
+        ...
+
     def jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the flange's way and turn (6, n) in base axes by joint values q (n,)."""
         ...

@@ -23,7 +23,7 @@ SPEED_UP_S = 0.15
 RANGE_RAD = 2.0 * math.pi
 """Half the range of a joint whose file states none."""
 
-OFFSETS = 0.2
+OFFSETS = 0.5
 """Share of an axis' speed and acceleration that is its external offset's; programs have the rest."""
 
 ANGLE = 1e-9

@@ -59,7 +59,7 @@ SILENT_S = 0.075
 MOVING = "LinuxCNC's joints have not come to rest yet"
 BRAKES_M, BRAKES_RAD = 2e-4, 2e-3
 """A correction that is let go of in motion goes on by no more: that limits its speed."""
-PROBE_FORCE = 0.8
+PROBE_FORCE = 0.3
 """Share of the offsets' acceleration that the probe takes."""
 TURNS = "the correction cannot follow the turns of LinuxCNC's program"
 FAR = 3.0
@@ -274,6 +274,10 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         self._poses = PoseGoals(self.name, speed_m_s, speed_rad_s, self.cycle_s)
         fastest = self._unit * [one.speed for one in machine.joints]
         self._runaway = Runaway(arm=arm, max_speed=fastest, speed_m_s=speed_m_s, speed_rad_s=speed_rad_s)
+        some = np.full(self.n_joints, 0.1)
+        self._runaway.why(some, some)  # once, so that no cycle waits for the compiler
+        bare = Uncorrected.of(arm.flange(some), some)
+        bare.offsets(bounded(bare.applied(some), *some[:2])[0])
 
     def _finish(self) -> None:
         self._say(b"ASLE")
@@ -314,7 +318,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         Raises UsageError where the motion is not by offsets, and as that of every robot.
         """
         bare = None if self._last is None else self._last.bare
-        return super().move_pose(T_base_flange) if bare is None else self._bounded(bare.correction(T_base_flange))
+        return super().move_pose(T_base_flange) if bare is None else self._bounded(bare.correction(T_base_flange.as_matrix()))
 
     def correct(self, correction: RigidTransform) -> Sent:
         """Let the correction go towards a way and turn about the flange in base axes, as far as one cycle allows.
@@ -344,7 +348,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
     def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
         """Return a command as it goes out; of a correction the pose that it makes of the newest one."""
         sent, bare = super()._note(q, pose, limited), None if self._last is None else self._last.bare
-        return sent if pose is None or bare is None else replace(sent, pose=bare.corrected(pose))
+        return sent if pose is None or bare is None else replace(sent, pose=RigidTransform.from_matrix(bare.corrected(pose)))
 
     def _decode(self, data: bytes) -> LinuxcncState:
         n = self.n_joints
@@ -364,7 +368,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         q, commanded, at = values[:3]
         bare, arm = None, self.settings.arm
         if self._offsets and arm is not None:
-            bare = Uncorrected.of(arm.fk(commanded), values[3])
+            bare = Uncorrected.of(arm.flange(commanded), values[3])
         return LinuxcncState(
             session=session,
             number=number,
@@ -376,7 +380,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             commanded=commanded,
             at=at,
             bare=bare,
-            T_base_flange=None if bare is None or arm is None else bare.correction(arm.fk(q)),
+            T_base_flange=None if bare is None or arm is None else bare.correction(arm.flange(q)),
         )
 
     def _cycles_between(self, last: LinuxcncState, state: LinuxcncState) -> int:

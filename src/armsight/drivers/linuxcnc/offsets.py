@@ -26,6 +26,9 @@ SHARE = 0.9
 LEAST_COS_B = 0.3
 """Nearer to B = 90 degrees A and C turn far for a small turn of the flange; here by 1 / LEAST_COS_B at most."""
 
+SINGULAR = 1e-12
+"""A Jacobian's determinant, in m3, that is none: that of an arm of 0.1 m a micrometre from a singular pose is larger."""
+
 ROUND = 6
 """Decimals of an offset in mm or degrees: what changes behind them is no motion."""
 
@@ -38,30 +41,49 @@ class Uncorrected:
     abc_rad: Array
 
     @classmethod
-    def of(cls, commanded: RigidTransform, offsets: Array) -> Self:
-        """Return it, of the commanded pose and the offsets (6,) in force in m and rad."""
-        abc = commanded.rotation.as_euler("xyz")
-        return cls(xyz_m=np.asarray(commanded.translation) - offsets[:3], abc_rad=abc - offsets[3:])
+    def of(cls, commanded: Array, offsets: Array) -> Self:
+        """Return it, of the commanded pose (4, 4) and the offsets (6,) in force in m and rad."""
+        return cls(xyz_m=commanded[:3, 3] - offsets[:3], abc_rad=abc_of(commanded[:3, :3]) - offsets[3:])
 
-    def correction(self, T_base_flange: RigidTransform) -> RigidTransform:
-        """Return what brings the flange to a pose: way and turn about the flange in base axes."""
-        turn = T_base_flange.rotation * Rotation.from_euler("xyz", self.abc_rad).inv()
-        return RigidTransform.from_components(np.asarray(T_base_flange.translation) - self.xyz_m, turn)
+    def correction(self, T_base_flange: Array) -> RigidTransform:
+        """Return what brings the flange to a pose (4, 4): way and turn about the flange in base axes."""
+        turn = Rotation.from_matrix(T_base_flange[:3, :3] @ turned(self.abc_rad).T)
+        return RigidTransform.from_components(T_base_flange[:3, 3] - self.xyz_m, turn)
 
-    def corrected(self, correction: RigidTransform) -> RigidTransform:
-        """Return the flange's pose with a correction."""
-        turned = correction.rotation * Rotation.from_euler("xyz", self.abc_rad)
-        return RigidTransform.from_components(self.xyz_m + np.asarray(correction.translation), turned)
+    def corrected(self, correction: RigidTransform) -> Array:
+        """Return the flange's pose (4, 4) with a correction."""
+        T = correction.as_matrix()
+        T[:3, :3], T[:3, 3] = T[:3, :3] @ turned(self.abc_rad), T[:3, 3] + self.xyz_m
+        return T
 
     def offsets(self, correction: RigidTransform) -> Array:
         """Return the offsets (6,) in m and rad that make a correction."""
-        turn = self.corrected(correction).rotation.as_euler("xyz") - self.abc_rad
-        return np.concatenate([np.asarray(correction.translation), (turn + math.pi) % math.tau - math.pi])
+        T = self.corrected(correction)
+        turn = abc_of(T[:3, :3]) - self.abc_rad
+        return np.concatenate([T[:3, 3] - self.xyz_m, (turn + math.pi) % math.tau - math.pi])
 
     def applied(self, offsets: Array) -> RigidTransform:
         """Return the correction that offsets (6,) in m and rad make."""
-        abc = Rotation.from_euler("xyz", self.abc_rad + offsets[3:])
-        return RigidTransform.from_components(offsets[:3], abc * Rotation.from_euler("xyz", self.abc_rad).inv())
+        turn = turned(self.abc_rad + offsets[3:]) @ turned(self.abc_rad).T
+        return RigidTransform.from_components(offsets[:3], Rotation.from_matrix(turn))
+
+
+def turned(abc_rad: Array) -> Array:
+    """Return R (3, 3) of A B C; written out, as abc_of, since each state needs them several times."""
+    (sa, sb, sc), (ca, cb, cc) = np.sin(abc_rad), np.cos(abc_rad)
+    return np.array(
+        [
+            [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa],
+            [sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa],
+            [-sb, cb * sa, cb * ca],
+        ]
+    )
+
+
+def abc_of(R: Array) -> Array:
+    """Return A B C (3,) of R (3, 3), B within 90 degrees."""
+    b = math.atan2(-R[2, 0], math.hypot(R[2, 1], R[2, 2]))
+    return np.array([math.atan2(R[2, 1], R[2, 2]), b, math.atan2(R[1, 0], R[0, 0])])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,16 +100,17 @@ class Runaway:
 
         The twist that the joints make now is taken on to where they will be, with a correction in its worst direction.
         """
-        cos_b = math.cos(self.arm.fk(q).rotation.as_euler("xyz")[1])
+        R = self.arm.flange(q)[:3, :3]
+        cos_b = math.hypot(R[2, 1], R[2, 2])
         if cos_b < LEAST_COS_B:
             return f"LinuxCNC's B is within {math.degrees(math.asin(cos_b)):.0f} degrees of 90, where A and C run away"
-        twist, ahead = self.arm.jacobian(q) @ qd, q + AHEAD_S * qd
-        for there in (q, ahead) if qd.any() else (q,):
-            J = self.arm.jacobian(there)  # (6, n)
-            if np.linalg.cond(J) > 1e6:
+        J = self.arm.jacobian(q)  # (6, n)
+        twist = J @ qd
+        for at in (J, self.arm.jacobian(q + AHEAD_S * qd)) if qd.any() else (J,):
+            if abs(np.linalg.det(at)) < SINGULAR:
                 return "the arm is in a singular pose"
-            back = np.linalg.inv(J)
-            way, turn = (np.linalg.norm(back[:, part], axis=1) for part in (slice(3), slice(3, 6)))  # (n,) each
+            back = np.linalg.inv(at)
+            way, turn = (np.sqrt((back[:, part] ** 2).sum(axis=1)) for part in (slice(3), slice(3, 6)))  # (n,) each
             needed = np.abs(back @ twist) + self.speed_m_s * way + self.speed_rad_s * turn
             worst = int(np.argmax(needed / self.max_speed))
             if needed[worst] > SHARE * self.max_speed[worst]:

@@ -96,6 +96,7 @@ class Bridge:
         client = self._client
         if client is None:
             return
+        flags = self._pins.flags(self._offsets)  # of what a program that has just come drives
         self._switching.turn(self._pins, flags, now_s)
         if now_s - client.heard_s > GONE_S:
             self._leave()

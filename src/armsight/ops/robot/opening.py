@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -55,7 +56,7 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
 TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "dynamixel", "egm", "feetech", "linuxcnc", "rsi"), "rsi", ("egm", "rsi")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LinkArm:
     """An arm as a link of poses wants it: joint values to T_base_flange and back, on the branch of given joints."""
 
@@ -63,18 +64,25 @@ class LinkArm:
 
     def fk(self, q: NDArray[np.float64]) -> RigidTransform:
         """Return T_base_flange of the controller's joint values q (n,) in rad or m."""
-        return RigidTransform.from_matrix(self._base_flange(q))
+        return RigidTransform.from_matrix(self.flange(q))
 
-    def _base_flange(self, q: NDArray[np.float64]) -> Array:
-        T_world_base, T_flange_tool = self.arm.T_world_base.as_matrix(), self.arm.T_flange_tool.as_matrix()
-        return np.asarray(np.linalg.inv(T_world_base) @ self.arm.fk(self.arm.values(q)) @ np.linalg.inv(T_flange_tool))
+    def flange(self, q: NDArray[np.float64]) -> Array:
+        """Return T_base_flange (4, 4) of the controller's joint values q (n,) in rad or m."""
+        T_base_world, T_tool_flange, _ = self._ends
+        return np.asarray(T_base_world @ self.arm.fk(self.arm.values(q)) @ T_tool_flange)
+
+    @cached_property
+    def _ends(self) -> tuple[Array, Array, Array]:
+        """T_base_world, T_tool_flange (4, 4), and the tool's place in the flange (3,)."""
+        T_tool_flange = self.arm.T_flange_tool.inv().as_matrix()
+        return self.arm.T_world_base.inv().as_matrix(), T_tool_flange, np.linalg.inv(T_tool_flange)[:3, 3]
 
     def jacobian(self, q: NDArray[np.float64]) -> Array:
         """Return the flange's way and turn (6, n) in base axes by the controller's joint values q (n,)."""
         J = self.arm.jacobian(self.arm.values(q)) @ self.arm.gearing
-        way, turn = np.einsum("ij,kjn->kin", self.arm.T_world_base.rotation.as_matrix().T, J.reshape(2, 3, -1))
-        T_base_flange = self._base_flange(q)
-        to_tool = T_base_flange[:3, :3] @ np.asarray(self.arm.T_flange_tool.translation)
+        T_base_world, _, p_flange_tool = self._ends
+        way, turn = T_base_world[:3, :3] @ J[:3], T_base_world[:3, :3] @ J[3:]
+        to_tool = self.flange(q)[:3, :3] @ p_flange_tool
         return np.concatenate([way + np.cross(to_tool, turn, axisb=0, axisc=0), turn])
 
     @property
