@@ -85,10 +85,7 @@ class World:
             "bridge": 2,
             "ini": "arm.ini",
             "joints": [dict(one) for _ in home],
-            "offsets": [
-                dict(one, speed=OFFSET_SPEED, acceleration=OFFSET_ACCELERATION, linear=i < 3, lower=-1e9, upper=1e9)
-                for i in range(6)
-            ],
+            "offsets": [dict(offset, linear=i < 3) for i in range(6)],
             "servo_s": SERVO_S,
             "kinematics": "genserkins",
             "linear_units": "mm",

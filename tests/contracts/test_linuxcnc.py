@@ -187,12 +187,14 @@ def corrects(device: str) -> LinuxcncRobot:
 
 def corrected(robot: LinuxcncRobot, goal: RigidTransform, told: Any = None, cycles: int = 500) -> None:
     """Prove the link where that is needed, and correct for so many cycles; tell, where wanted, when it begins."""
-    pace = robot.wait_step(-1, 1.0)
-    while cycles and robot.state in (RobotState.READY, RobotState.MOVING):
+    pace, some = robot.wait_step(-1, 1.0), RigidTransform.from_translation([0.0, 0.0, 1e-9])
+    for _ in range(cycles + 500 * (not robot.proven)):
+        if cycles == 0 or robot.state not in (RobotState.READY, RobotState.MOVING):
+            return
         if robot.proven and told is not None:
             told = print("corrects", file=told, flush=True)
         cycles -= robot.proven
-        robot.correct(goal)
+        robot.correct(goal if robot.proven else goal * some)
         pace = robot.wait_step(pace.steps, 0.05)
 
 

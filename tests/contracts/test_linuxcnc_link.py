@@ -13,7 +13,7 @@ import pytest
 from tests.truth.emulated_links import Model
 
 from armsight.drivers import RobotState
-from armsight.drivers.linuxcnc import LinuxcncRobot, driver
+from armsight.drivers.linuxcnc import LinuxcncRobot, driver, state
 from armsight.drivers.linuxcnc.machine import parse
 from armsight.drivers.linuxcnc_bridge import ini, link, pins
 from armsight.drivers.linuxcnc_bridge.feed import Feed
@@ -41,7 +41,7 @@ def test_both_sides_pack_alike() -> None:
         assert getattr(driver, name).format == getattr(link, name).format
     flags = ("MAY", "ENABLED", "HOMED", "JOINT_MODE", "E_STOP", "AUTO", "MDI", "SWITCH_ON", "HOME", "OFFSETS")
     assert (
-        [getattr(driver, name) for name in flags]
+        [getattr(driver, name, getattr(state, name, None)) for name in flags]
         == [getattr(pins, name) for name in flags]
         == [
             1,

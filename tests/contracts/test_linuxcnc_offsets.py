@@ -14,7 +14,7 @@ from tests.truth.emulated_links import Model
 from armsight.drivers import RobotState
 from armsight.drivers.goals import between
 from armsight.drivers.linuxcnc import LinuxcncRobot
-from armsight.drivers.linuxcnc.offsets import Runaway
+from armsight.drivers.linuxcnc.offsets import Corrections
 from armsight.errors import DeviceFailed, UsageError
 from linuxcnc_world import ARM, AUTO, ENABLED, HOMED, JOINT_MODE, SPEED, WORLD
 from refusals import refuses
@@ -101,7 +101,7 @@ def test_speed_and_size_of_corrections_are_bounded(make: Any) -> None:
         assert "largest correction" in sent.limited
     assert rows[-1] == pytest.approx(0.004, abs=1e-5)
     assert np.abs(np.diff(rows)).max() <= 1.1 * 0.01 * pair.cycle_s
-    assert max(rows) <= 0.004 + 1e-6
+    assert max(rows) <= 0.004 + 5e-6
 
 
 @pytest.mark.parametrize("how", ["killed", "stopped"])
@@ -214,10 +214,12 @@ def test_offsets_that_linuxcnc_does_not_take_are_found(make: Any) -> None:
 
 
 def test_the_worst_direction_of_a_correction_counts() -> None:
-    watch = Runaway(arm=Model(), max_speed=np.full(6, 0.5), speed_m_s=0.02, speed_rad_s=0.02)
+    axes = np.array([[0.1] * 6, [1.0] * 6])
+    watch = Corrections.of(Model(), axes=axes, joint_speed=np.full(6, 0.5), speeds=(0.02, 0.02))
     away, near = np.array([0.1, -0.4, 0.5, -0.8, 0.9, 0.4]), np.array([0.1, -0.4, 0.5, -0.8, 0.04, 0.4])
-    assert watch.why(away, np.zeros(6)) == ""
-    assert "joint" in watch.why(near, np.zeros(6))
-    # on the way there, a while before it is there
-    fast = (near - away) / 1.0
-    assert watch.why(away, fast) != "" or watch.why(away + 0.8 * (near - away), fast) != ""
+    assert watch.why_not(away, np.zeros(6)) == ""
+    assert "joint" in watch.why_not(near, np.zeros(6))
+    # a while before it is there, where it goes there
+    before = away + 0.6 * (near - away)
+    assert watch.why_not(before, np.zeros(6)) == ""
+    assert "joint" in watch.why_not(before, 2.0 * (near - away))

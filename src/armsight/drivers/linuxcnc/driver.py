@@ -9,12 +9,11 @@ not taken; goals of an older one move nothing, and the goal is then where LinuxC
 from __future__ import annotations
 
 import contextlib
-import math
 import secrets
 import socket
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -23,19 +22,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.clock import Clock, monotonic_s
-from armsight.drivers.goals import PoseGoals, away, between
-from armsight.drivers.link_settings import USUAL_JOINTS, ArmOnLink, Positive, UdpSettings
-from armsight.drivers.linuxcnc.machine import (
-    SPEED_SHARE,
-    Machine,
-    check_machine,
-    check_offsets,
-    check_ranges,
-    parse,
-)
-from armsight.drivers.linuxcnc.offsets import LEAST_COS_B, ROUND, Runaway, Uncorrected, bounded
+from armsight.drivers.goals import PoseGoals
+from armsight.drivers.link_settings import USUAL_JOINTS, Positive, UdpSettings
+from armsight.drivers.linuxcnc.machine import Machine, check_machine, check_offsets, check_ranges, parse
+from armsight.drivers.linuxcnc.offsets import ROUND, Corrections, Uncorrected, bounded
+from armsight.drivers.linuxcnc.state import MAY, MOVING, STOPPED, WHY, LinuxcncState
 from armsight.drivers.pace import LARGEST_RAD, ControllerClock
-from armsight.drivers.proof import PROBE_M, PROBE_RAD, RETURN_S, Probe
+from armsight.drivers.proof import Probe
 from armsight.drivers.protocols import Sent
 from armsight.drivers.udp import Sender, UdpRobot, udp_port
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
@@ -45,64 +38,13 @@ ASK_S = 0.1
 """The bridge is asked anew so often until it answers."""
 
 HELLO, BEGIN, STATE, GOAL = (struct.Struct(f"<4s{rest}") for rest in ("I", "IHH", "IIIQIHBB", "IIIIHH"))
-MAY, ENABLED, HOMED, JOINT_MODE, E_STOP, AUTO, MDI = (1 << i for i in range(7))
 STOP = 1
 SWITCH_ON, HOME, OFFSETS = 1, 2, 4
-WHY = {
-    0: "LinuxCNC took no motion meanwhile",
-    1: "LinuxCNC had no answer for too long, and let the arm come to rest",
-    3: "LinuxCNC did not take what it was sent (a limit, a hold), and stands elsewhere",
-}
-STOPPED = 2
 SILENT_S = 0.075
 """Within the ten cycles of 8 ms after which a link has to be lost."""
-MOVING = "LinuxCNC's joints have not come to rest yet"
-BRAKES_M, BRAKES_RAD = 2e-4, 2e-3
-"""A correction that is let go of in motion goes on by no more: that limits its speed."""
-PROBE_FORCE = 0.3
-"""Share of the offsets' acceleration that the probe takes."""
 TURNS = "the correction cannot follow the turns of LinuxCNC's program"
 FAR = 3.0
 """Goals farther than the way of so many cycles are given up, one before the bridge takes none of them."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LinuxcncState:
-    """What LinuxCNC told in one cycle.
-
-    session, number, sample: of its motion, the packet and the servo. taken: the newest goal it took. flags: what it
-    does. q, commanded, at (n,) in rad or m: measured, commanded, and where it is asked to be; of corrections `at` is
-    what offsets (6,) it is asked for, bare what its program alone makes of the flange, and T_base_flange the correction
-    that is measured: where the flange would be, had it stood in the base.
-    """
-
-    session: int
-    number: int
-    sample: int
-    taken: int
-    flags: int
-    why: int
-    q: Array
-    commanded: Array
-    at: Array
-    bare: Uncorrected | None = None
-    T_base_flange: RigidTransform | None = None
-
-    @property
-    def why_still(self) -> str:
-        """Why it takes no motion just now, in words; empty where it does."""
-        flags = self.flags
-        words = (
-            (flags & MAY, ""),
-            (flags & E_STOP, "LinuxCNC is in e-stop"),
-            (not flags & ENABLED, "LinuxCNC's machine is off"),
-            (not flags & HOMED, "LinuxCNC is not homed, and knows no limits of its joints until then"),
-            (self.bare and flags & JOINT_MODE, "LinuxCNC is in joint mode, and its offsets need MDI, AUTO or teleop"),
-            (not self.bare and flags & AUTO, "LinuxCNC is in AUTO"),
-            (not self.bare and flags & MDI, "LinuxCNC is in MDI"),
-            (not self.bare and not flags & JOINT_MODE, "LinuxCNC is not in joint mode"),
-        )
-        return next((text for holds, text in words if holds), MOVING)
 
 
 class LinuxcncSettings(UdpSettings):
@@ -161,9 +103,8 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         guidance = "pose" if self._offsets else "joint"
         super().__init__(port, kept, n=kept.joints, silent_s=kept.silent_s, guidance=guidance, clock=clock)
         self.name = f"linuxcnc:{device}"
-        self._runaway: Runaway | None = None
-        self._offset_unit = self._offset_speed = np.ones(6)
-        self._braking, self._probe_share = np.ones(2), 1.0
+        self._corrections: Corrections | None = None
+        self._offset_unit = np.ones(6)
         self._host = host
         self._machine: Machine | None = None
         self._unit = np.ones(kept.joints)
@@ -254,30 +195,15 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         if kept.arm is not None:
             check_ranges(machine, kept.arm.ranges)
             if self._offsets:
-                self._correct_by(machine, kept.arm)
-
-    def _correct_by(self, machine: Machine, arm: ArmOnLink) -> None:
-        """Take the speeds of corrections from the machine."""
-        kept = self.settings
-        check_offsets(machine)
-        self._offset_unit = machine.offset_unit
-        self._offset_speed = self._offset_unit * [one.speed for one in machine.offsets]
-        acceleration = self._offset_unit * [one.acceleration for one in machine.offsets]
-        braking = np.sqrt(2.0 * np.repeat([BRAKES_M, BRAKES_RAD], 3) * acceleration)
-        self._braking = np.array([0.5, 0.5 * LEAST_COS_B]) * acceleration.reshape(2, 3).min(axis=1)
-        speeds = np.minimum(SPEED_SHARE * self._offset_speed, braking)
-        # the probe's way back, half a cosine, is its hardest; A and C turn farther than the flange
-        hardest = 0.5 * np.repeat([PROBE_M[0], 2.0 * PROBE_RAD[0]], 3) * (math.pi / RETURN_S) ** 2
-        self._probe_share = min(1.0, float((PROBE_FORCE * acceleration / hardest).min()))
-        speed_m_s = min(kept.speed_m_s, float(speeds[:3].min()))
-        speed_rad_s = min(kept.speed_rad_s, LEAST_COS_B * float(speeds[3:].min()))
-        self._poses = PoseGoals(self.name, speed_m_s, speed_rad_s, self.cycle_s)
-        fastest = self._unit * [one.speed for one in machine.joints]
-        self._runaway = Runaway(arm=arm, max_speed=fastest, speed_m_s=speed_m_s, speed_rad_s=speed_rad_s)
-        some = np.full(self.n_joints, 0.1)
-        self._runaway.why(some, some)  # once, so that no cycle waits for the compiler
-        bare = Uncorrected.of(arm.flange(some), some)
-        bare.offsets(bounded(bare.applied(some), *some[:2])[0])
+                check_offsets(machine)
+                self._corrections = Corrections.of(
+                    kept.arm,
+                    axes=np.array([(one.speed, one.acceleration) for one in machine.offsets]).T * machine.offset_unit,
+                    joint_speed=self._unit * [one.speed for one in machine.joints],
+                    speeds=(kept.speed_m_s, kept.speed_rad_s),
+                )
+                self._offset_unit = machine.offset_unit
+                self._poses = PoseGoals(self.name, *self._corrections.speeds, self.cycle_s)
 
     def _finish(self) -> None:
         self._say(b"ASLE")
@@ -318,7 +244,11 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         Raises UsageError where the motion is not by offsets, and as that of every robot.
         """
         bare = None if self._last is None else self._last.bare
-        return super().move_pose(T_base_flange) if bare is None else self._bounded(bare.correction(T_base_flange.as_matrix()))
+        return (
+            super().move_pose(T_base_flange)
+            if bare is None
+            else self._bounded(bare.correction(T_base_flange.as_matrix()))
+        )
 
     def correct(self, correction: RigidTransform) -> Sent:
         """Let the correction go towards a way and turn about the flange in base axes, as far as one cycle allows.
@@ -326,11 +256,9 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         It slows down in time to come to rest there. Raises as move_pose.
         """
         goal, words = bounded(correction, self.settings.largest_m, self.settings.largest_rad)
-        way = np.concatenate(between(self._poses.sent, goal))
-        sizes = np.array([np.linalg.norm(way[:3]), np.linalg.norm(way[3:])])
-        shares = np.sqrt(2.0 * self._braking * sizes) * self.cycle_s / np.maximum(sizes, 1e-300)
-        share = float(shares.min(initial=1.0, where=sizes > 0.0))
-        sent = self._bounded(away(self._poses.sent, share * way))
+        if self._corrections is not None:
+            goal = self._corrections.slowed(self._poses.sent, goal, self.cycle_s)
+        sent = self._bounded(goal)
         return replace(sent, limited=(*sent.limited, *words))
 
     def _bounded(self, correction: RigidTransform) -> Sent:
@@ -342,13 +270,17 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
 
     def _probe(self) -> Probe:
         """Return the probe, as small as the offsets' acceleration needs it."""
-        probe = super()._probe()
-        return replace(probe, amplitude=self._probe_share * probe.amplitude) if self._offsets else probe
+        probe, share = super()._probe(), 1.0 if self._corrections is None else self._corrections.probe_share
+        return replace(probe, amplitude=share * probe.amplitude)
 
     def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
         """Return a command as it goes out; of a correction the pose that it makes of the newest one."""
         sent, bare = super()._note(q, pose, limited), None if self._last is None else self._last.bare
-        return sent if pose is None or bare is None else replace(sent, pose=RigidTransform.from_matrix(bare.corrected(pose)))
+        return (
+            sent
+            if pose is None or bare is None
+            else replace(sent, pose=RigidTransform.from_matrix(bare.corrected(pose)))
+        )
 
     def _decode(self, data: bytes) -> LinuxcncState:
         n = self.n_joints
@@ -417,18 +349,16 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
 
     def _why_uncorrected(self, state: LinuxcncState) -> str:
         """Return why no correction may be made where the arm is and goes; empty where one may, or none is."""
-        if state.bare is None or self._runaway is None:
+        if state.bare is None or self._corrections is None:
             return ""
-        before = self._before_state
-        self._before_state = state
+        before, self._before_state = self._before_state, state
         if before is None:
-            return self._runaway.why(state.commanded, np.zeros(self.n_joints))
-        servo_s = self.cycle_s / self._samples
-        why = self._runaway.why(
-            state.commanded, (state.commanded - before.commanded) / (servo_s * max(1, state.sample - before.sample))
-        )
+            return self._corrections.why_not(state.commanded, np.zeros(self.n_joints))
+        time_s = self.cycle_s / self._samples * max(1, state.sample - before.sample)
         off = np.abs(state.bare.offsets(self._poses.sent) - state.at)
-        return why or ("" if (off <= FAR * self.cycle_s * self._offset_speed).all() else TURNS)
+        if (off > FAR * self.cycle_s * self._corrections.axis_speed).any():
+            return TURNS
+        return self._corrections.why_not(state.commanded, (state.commanded - before.commanded) / time_s)
 
     def _hear_old(self, state: LinuxcncState, newest: LinuxcncState, sender: Sender) -> None:
         """Take no notice: a bridge that has started anew knows no token of before, and is silent."""

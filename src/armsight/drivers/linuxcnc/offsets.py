@@ -14,8 +14,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
+from armsight.drivers.goals import away, between
 from armsight.drivers.link_settings import ArmOnLink
+from armsight.drivers.linuxcnc.machine import SPEED_SHARE
+from armsight.drivers.proof import PROBE_M, PROBE_RAD, RETURN_S
 from armsight.units import DEG
+
+BRAKES_M, BRAKES_RAD = 2e-4, 2e-3
+"""A correction that is let go of in motion goes on by no more: that limits its speed."""
+
+PROBE_FORCE = 0.3
+"""Share of the offsets' acceleration that the probe takes; at 0.8 the planner's lag made 1.09 of the way of it."""
 
 AHEAD_S = 0.15
 """The arm is looked at where it will be so long from now: meanwhile the program is paused and its axes brake."""
@@ -27,7 +36,7 @@ LEAST_COS_B = 0.3
 """Nearer to B = 90 degrees A and C turn far for a small turn of the flange; here by 1 / LEAST_COS_B at most."""
 
 SINGULAR = 1e-12
-"""A Jacobian's determinant, in m3, that is none: that of an arm of 0.1 m a micrometre from a singular pose is larger."""
+"""A Jacobian's determinant, in m3, that is none: far smaller than any that passes for near."""
 
 ROUND = 6
 """Decimals of an offset in mm or degrees: what changes behind them is no motion."""
@@ -87,15 +96,53 @@ def abc_of(R: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Runaway:
-    """Tells where a joint would be too fast. max_speed (n,) of the joints; speeds of a correction in m/s and rad/s."""
+class Corrections:
+    """What corrections of one machine may do, and where they would make a joint too fast.
+
+    joint_speed (n,): MAX_VELOCITY of the joints. axis_speed (6,): of the axes' offsets. speeds: of a correction, in m/s
+    and rad/s. braking: in m/s2 and rad/s2. probe_share: by how much the proof's probe is smaller.
+    """
 
     arm: ArmOnLink
-    max_speed: Array
-    speed_m_s: float
-    speed_rad_s: float
+    joint_speed: Array
+    axis_speed: Array
+    speeds: tuple[float, float]
+    braking: tuple[float, float]
+    probe_share: float
 
-    def why(self, q: Array, qd: Array) -> str:
+    @classmethod
+    def of(cls, arm: ArmOnLink, *, axes: Array, joint_speed: Array, speeds: tuple[float, float]) -> Self:
+        """Return them; axes (2, 6): speed and acceleration of the axes' offsets; speeds: that are allowed at most."""
+        limit = np.minimum(SPEED_SHARE * axes[0], np.sqrt(2.0 * np.repeat([BRAKES_M, BRAKES_RAD], 3) * axes[1]))
+        # the probe's way back, half a cosine, is its hardest; A and C turn farther than the flange
+        hardest = 0.5 * np.repeat([PROBE_M[0], 2.0 * PROBE_RAD[0]], 3) * (math.pi / RETURN_S) ** 2
+        made = cls(
+            arm=arm,
+            joint_speed=joint_speed,
+            axis_speed=axes[0],
+            speeds=(min(speeds[0], float(limit[:3].min())), min(speeds[1], LEAST_COS_B * float(limit[3:].min()))),
+            braking=(0.5 * float(axes[1, :3].min()), 0.5 * LEAST_COS_B * float(axes[1, 3:].min())),
+            probe_share=min(1.0, float((PROBE_FORCE * axes[1] / hardest).min())),
+        )
+        made.warm_up(np.full(len(joint_speed), 0.1))
+        return made
+
+    def warm_up(self, q: Array) -> None:
+        """Call all that a cycle calls once, so that none waits for the compiler."""
+        self.why_not(q, q)
+        bare = Uncorrected.of(self.arm.flange(q), np.zeros(6))
+        bare.offsets(self.slowed(RigidTransform.identity(), bare.correction(self.arm.flange(1.01 * q)), 1e-3))
+
+    def slowed(self, sent: RigidTransform, goal: RigidTransform, cycle_s: float) -> RigidTransform:
+        """Return a goal on the way to one, as far as a cycle may go to come to rest there."""
+        way = np.concatenate(between(sent, goal))
+        share = 1.0
+        for part, braking in zip((way[:3], way[3:]), self.braking, strict=True):
+            if size := float(np.linalg.norm(part)):
+                share = min(share, math.sqrt(2.0 * braking * size) * cycle_s / size)
+        return away(sent, share * way)
+
+    def why_not(self, q: Array, qd: Array) -> str:
         """Return why no correction may be made at q (n,) in rad while the joints go at qd (n,); empty: it may.
 
         The twist that the joints make now is taken on to where they will be, with a correction in its worst direction.
@@ -111,12 +158,12 @@ class Runaway:
                 return "the arm is in a singular pose"
             back = np.linalg.inv(at)
             way, turn = (np.sqrt((back[:, part] ** 2).sum(axis=1)) for part in (slice(3), slice(3, 6)))  # (n,) each
-            needed = np.abs(back @ twist) + self.speed_m_s * way + self.speed_rad_s * turn
-            worst = int(np.argmax(needed / self.max_speed))
-            if needed[worst] > SHARE * self.max_speed[worst]:
+            needed = np.abs(back @ twist) + self.speeds[0] * way + self.speeds[1] * turn
+            worst = int(np.argmax(needed / self.joint_speed))
+            if needed[worst] > SHARE * self.joint_speed[worst]:
                 return (
                     f"the arm is near a singular pose: joint {worst + 1} would need up to "
-                    f"{needed[worst] / DEG:.0f} of its {self.max_speed[worst] / DEG:.0f} degrees/s"
+                    f"{needed[worst] / DEG:.0f} of its {self.joint_speed[worst] / DEG:.0f} degrees/s"
                 )
         return ""
 

@@ -47,7 +47,8 @@ GOAL = struct.Struct("<4sIIIIHH")
 """Little-endian. HELLO, a sign of life, and the END: magic, the program's token. BEGIN: samples of a state, what may be
 switched. STATE: token, session, number, sample, the newest goal taken, flags, why the session began, joints; then
 measured, commanded and asked positions, and, where offsets are driven, those in force. GOAL: token, session, the
-state's number, its own, flags, joints; then positions, of joints or of axes' offsets. Positions are doubles, in degrees or the INI's length unit."""
+state's number, its own, flags, joints; then positions, of joints or of axes' offsets. Positions are doubles, in degrees
+or the INI's length unit."""
 
 STOP = 1
 BEGUN, LET_GO, STOPPED, NOT_TAKEN = range(4)

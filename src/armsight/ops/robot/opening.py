@@ -144,7 +144,8 @@ def driver_settings(
 
     arm: alter sends poses and needs it for joints; where others send poses it says how their probe moves every joint;
     linuxcnc and buses of servos compare its ranges with theirs, and linuxcnc corrects poses by it. rsi_config: the RSI
-    Ethernet XML file with the tags of the user's own configuration. Raises UsageError for what the driver has no use for; of `given` the driver itself says that.
+    Ethernet XML file with the tags of the user's own configuration. Raises UsageError for what the driver has no use
+    for; of `given` the driver itself says that.
     """
     driver = robot.partition(":")[0]
     settings = dict(given or {})
