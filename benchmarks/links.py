@@ -7,7 +7,7 @@ A restless source wants more than the limits allow. Prints the controller's cycl
 counts as late, how late the loop woke, and, by the emulated controller's own record and time, the largest speed over
 three cycles as a share of its limit and how far ranges and walls were passed. --busy: processes that do nothing but
 compute, beside all that. --fine: buses of servos of 15 bits in place of 12: what is then missing from a speed is made
-by whole steps alone (decision 0078). --jitter (rtde): connections stand still for up to 40 ms now and then, each way by
+by whole steps alone. --jitter (rtde): connections stand still for up to 40 ms now and then, each way by
 itself. linuxcnc is the real one, where it is installed, recorded by HAL's sampler. --rsi-simulator: a program that
 plays a KUKA controller, told address and port; its joints are jogged and read back.
 """

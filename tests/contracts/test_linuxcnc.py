@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -252,9 +253,9 @@ def test_a_program_towards_a_singular_pose_is_paused(twin: LinuxcncTwin) -> None
 
 def test_a_killed_client_leaves_its_correction_and_a_paused_program(twin: LinuxcncTwin) -> None:
     runs(twin)
-    client = subprocess.Popen(
-        [sys.executable, "-c", CLIENT, twin.address.partition(":")[2]], stdout=subprocess.PIPE, text=True
-    )
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", CLIENT, twin.address.partition(":")[2]]
+    client = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env)
     assert client.stdout is not None
     assert client.stdout.readline() == "corrects\n"
     runs(twin, "G21 G91 G64\nG1 F600 Y-60")

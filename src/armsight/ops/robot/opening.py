@@ -75,7 +75,8 @@ class LinkArm:
     def _ends(self) -> tuple[Array, Array, Array]:
         """T_base_world, T_tool_flange (4, 4), and the tool's place in the flange (3,)."""
         T_tool_flange = self.arm.T_flange_tool.inv().as_matrix()
-        return self.arm.T_world_base.inv().as_matrix(), T_tool_flange, np.linalg.inv(T_tool_flange)[:3, 3]
+        p_flange_tool = np.asarray(self.arm.T_flange_tool.translation)
+        return self.arm.T_world_base.inv().as_matrix(), T_tool_flange, p_flange_tool
 
     def jacobian(self, q: NDArray[np.float64]) -> Array:
         """Return the flange's way and turn (6, n) in base axes by the controller's joint values q (n,)."""
