@@ -76,7 +76,7 @@ class World:
         self._counts, self.counts = [0] * (len(home) + 6), [0] * (len(home) + 6)
         self.offsets = [Jog(0.0, -1e9, 1e9, OFFSET_SPEED, OFFSET_ACCELERATION) for _ in range(6)]
         self.program: Iterator[NDArray[np.float64]] | None = None
-        self.bare = np.zeros(6)
+        self.bare: NDArray[np.float64] | None = None  # X Y Z A B C of its program; of a world that has begun
         self.signals = {"ok"}
         self._new = self.paused = False
         one = {"linear": False, "lower": -most_deg, "upper": most_deg, "speed": SPEED, "acceleration": ACCELERATION}
@@ -105,7 +105,7 @@ class World:
             if self.doing & ENABLED and self.pins.get("offsets"):
                 for offset, by in zip(self.offsets, self.made(asked[n:]), strict=True):
                     offset.ask(by)
-        if not self.doing & JOINT_MODE and self.doing & ENABLED:
+        if self.in_world:
             self._move_world()
         for joint in self.joints:
             if not self.doing & ENABLED:
@@ -137,6 +137,10 @@ class World:
         q = ARM.reach(pose, np.radians([joint.at for joint in self.joints]))
         for joint, value in zip(self.joints, np.degrees(q), strict=True):
             joint.at = joint.target = float(value)
+
+    @property
+    def in_world(self) -> bool:
+        return self.bare is not None and bool(self.doing & ENABLED) and not self.doing & JOINT_MODE
 
     @property
     def running(self) -> bool:
@@ -177,7 +181,7 @@ class World:
         if not self._new:
             return None
         self._new = False
-        if not self.doing & JOINT_MODE and self.doing & ENABLED:
+        if self.in_world:
             self._follow_world()
         at = [joint.at for joint in self.joints]
         return self.number, at, list(at), [offset.at for offset in self.offsets]
