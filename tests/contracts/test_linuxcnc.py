@@ -260,7 +260,7 @@ def test_a_killed_client_leaves_its_correction_and_a_paused_program(twin: Linuxc
     assert client.stdout.readline() == "corrects\n"
     runs(twin, "G21 G91 G64\nG1 F600 Y-60")
     client.kill()
-    client.wait()
+    client.communicate()
     until(lambda: not is_on(twin, "halui.program.is-running"))
     time.sleep(0.5)
     offset, there = float(twin.hal("getp", "axis.x.eoffset")), flange(twin)
