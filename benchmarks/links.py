@@ -1,12 +1,13 @@
 """A guarded arm in real time behind each link, its emulated controller in a process of its own.
 
 python benchmarks/links.py [alter] [rsi] [egm] [rtde] [linuxcnc] [feetech] [dynamixel] [--for 60] [--busy 2]
-    [--jitter] [--rsi-simulator "COMMAND"]
+    [--jitter] [--fine] [--rsi-simulator "COMMAND"]
 
 A restless source wants more than the limits allow. Prints the controller's cycles that were missed and the answers it
 counts as late, how late the loop woke, and, by the emulated controller's own record and time, the largest speed over
 three cycles as a share of its limit and how far ranges and walls were passed. --busy: processes that do nothing but
-compute, beside all that. --jitter (rtde): connections stand still for up to 40 ms now and then, each way by
+compute, beside all that. --fine: buses of servos of 15 bits in place of 12: what is then missing from a speed is made
+by whole steps alone. --jitter (rtde): connections stand still for up to 40 ms now and then, each way by
 itself. linuxcnc is the real one, where it is installed, recorded by HAL's sampler. --rsi-simulator: a program that
 plays a KUKA controller, told address and port; its joints are jogged and read back.
 """
@@ -43,9 +44,13 @@ from armsight.clock import SystemClock
 from armsight.control.guard import Guard, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.setpoints import GoalSource
+from armsight.defaults import SERVO_CYCLE_S
 from armsight.drivers import ROBOTS, load
+from armsight.drivers.servo_bus import calibration, found, state, tables
+from armsight.drivers.servo_bus import robot as servo_robot
 from armsight.kinematics import Joint
 from armsight.ops.robot.recorder import run_with_progress
+from armsight_sim.twins import servo_bus, servo_twins
 from armsight_sim.twins.alter import AlterTwin
 from armsight_sim.twins.base import MAX_SPEED, small_arm_mapping
 from armsight_sim.twins.egm import EgmTwin
@@ -59,8 +64,20 @@ KINDS = ("alter", "rsi", "egm", "rtde", "linuxcnc", *BUSES)
 CONTROLLER, NEARER = "127.77.0.1", "127.78.0.1"
 RTDE_PORTS = (30004, 30003, 29999)
 LONGEST_STILL_S = 0.04
+FINE = 8
 FIRST = 20
 """Of SCHED_FIFO: before the loop, as on a computer of its own."""
+
+
+def refine() -> None:
+    """Let servos and their driver have FINE times as many steps a turn."""
+    for part in (calibration, found, servo_robot, state, tables):
+        for name, factor in (("STEPS", FINE), ("STEP_RAD", 1 / FINE)):
+            if hasattr(part, name):
+                setattr(part, name, getattr(part, name) * factor)
+    servo_bus.TURN, servo_bus.MIDDLE = servo_bus.TURN * FINE, servo_bus.MIDDLE * FINE
+    for name in ("STS3215", "XL430"):
+        setattr(servo_twins, name, getattr(servo_twins, name).replace(":4095", f":{4096 * FINE - 1}"))
 
 
 def controller(kind: str, port: str, file: str) -> None:
@@ -202,6 +219,7 @@ def run(kind: str, args: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = str(Path(folder) / "controller.npz")
         command = [sys.executable, __file__, "--controller", kind, "--port", port, "--file", file]
+        command += ["--fine"] * args.fine
         twin = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         told = twin.stdout.readline() if twin.stdout else ""
         device = told.strip().partition(":")[2]
@@ -219,7 +237,11 @@ def run(kind: str, args: argparse.Namespace) -> None:
             said = run_with_progress(lambda: driven(kind, device, args.time_s, args.seed, limits), lambda: None)
         out, _ = twin.communicate("")
         record = np.load(file)
-        shown(kind, said, args.time_s, out.strip(), record["q"], float(record["cycle_s"]), limits)
+        every = round(SERVO_CYCLE_S / float(record["cycle_s"])) if kind in BUSES else 1  # a goal for so many rows
+        cycle_s = every * float(record["cycle_s"])
+        shown(kind, said, args.time_s, out.strip(), record["q"][::every], cycle_s, limits)
+        if kind in BUSES:
+            print(f"  goals are whole steps of {1e3 * tables.STEP_RAD:.2f} mrad, which make speeds of their own")
         stamps = record["t_s"]
         span_s = stamps[WINDOW:] - stamps[:-WINDOW]
         speed = np.abs(record["q"][WINDOW:] - record["q"][:-WINDOW]).max(axis=1) / span_s
@@ -287,12 +309,15 @@ def main() -> None:
     parser.add_argument("--for", dest="time_s", type=float, default=60.0)
     parser.add_argument("--busy", type=int, default=0)
     parser.add_argument("--jitter", action="store_true")
+    parser.add_argument("--fine", action="store_true")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rsi-simulator", default="")
     parser.add_argument("--controller", choices=KINDS, help=argparse.SUPPRESS)
     parser.add_argument("--port", help=argparse.SUPPRESS)
     parser.add_argument("--file", help=argparse.SUPPRESS)
     args = parser.parse_args()
+    if args.fine:
+        refine()
     if args.controller:
         controller(args.controller, args.port, args.file)
     elif args.rsi_simulator:

@@ -76,7 +76,7 @@ class Recorded(LinuxcncTwin):
     def _write(self, folder: Path) -> None:
         super()._write(folder)
         hal = folder / "armsight.hal"
-        text = hal.read_text().replace("depth=4000 cfg=ffffffffffff", "depth=4000,200000 cfg=ffffffffffff,ffffffb")
+        text = hal.read_text().replace(f"depth=4000 cfg={18 * 'f'}", f"depth=4000,200000 cfg={18 * 'f'},ffffffb")
         lines = [f"net armsight-cmd-{j} => sampler.1.pin.{j}" for j in range(6)]
         lines += ["net armsight-enabled => sampler.1.pin.6", "addf sampler.1 servo-thread"]
         hal.write_text("\n".join([text.rstrip(), *lines]) + "\n")

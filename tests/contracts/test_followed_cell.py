@@ -11,6 +11,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from tests.truth.emulated_links import link_of
 
 from armsight.app.operator.robot_cell import scenario_of
 from armsight.clock import ManualClock
@@ -26,6 +27,7 @@ from armsight.records import JointReading
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.yamls import dump_yaml
+from armsight.testing.wrong_controllers import prove
 from armsight_sim.devices import sim_robot
 from armsight_sim.scenario_builder import robotics
 from armsight_sim.twins.base import small_arm
@@ -107,6 +109,16 @@ def test_a_moving_arm_is_seen_where_its_controller_had_it_at_the_exposure(make_l
     pair = make_link()
     with pair.robot:
         rms = np.sqrt(np.mean(errors(pair, scenario) ** 2))
+    assert 0.7 < rms < 1.35, f"{rms:.2f} of the cameras' own deviations"
+
+
+def test_an_arm_behind_rtde_is_seen_where_its_controller_had_it(scenario: Path) -> None:
+    """By the driver and the controller in step: ur-rtde, which is between them, tells the controller's own stamps."""
+    link = link_of("rtde", ManualClock(100.0))
+    advance = link.wrong_case().advance
+    link.advance, link.prove = advance, lambda: prove(link.robot, advance)
+    with link.robot:
+        rms = np.sqrt(np.mean(errors(link, scenario) ** 2))
     assert 0.7 < rms < 1.35, f"{rms:.2f} of the cameras' own deviations"
 
 

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 from tests.contracts.conftest import until
 
 from armsight.clock import SystemClock
 from armsight.drivers import RobotState
 from armsight.drivers.linuxcnc import LinuxcncRobot
 from armsight.errors import DeviceFailed
+from armsight.ops.robot.opening import LinkArm
+from armsight.ops.robot.recorder import run_with_progress
+from armsight.store.arm_file import arm_from_mapping
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
 from armsight.testing.clocks import HaltingClock
 from armsight_sim.twins import linuxcnc
@@ -148,3 +154,124 @@ def test_an_e_stop_and_auto_are_told_and_what_is_allowed_is_switched(twin: Linux
             until(lambda robot=robot, named=named: named in robot.why)
         with LinuxcncRobot(device, settings={"switch_on": True, "open_s": 20.0}) as robot:
             assert robot.state is RobotState.READY
+
+
+MODEL = LinkArm(arm=arm_from_mapping({"format": "armsight/arm", "version": 1, **small_arm_mapping()}, "small"))
+UP = RigidTransform.from_components([0.0, 0.0, 0.002], Rotation.from_rotvec([0.0, 0.005, -0.01]))
+PROGRAM = """
+import sys, time
+sys.path.append("/usr/lib/python3/dist-packages")
+import linuxcnc
+linuxcnc.nmlfile = "linuxcnc.nml"
+command = linuxcnc.command()
+command.abort()
+command.wait_complete(5.0)
+if sys.argv[1:]:
+    open("path.ngc", "w").write(sys.argv[1] + "\\nM2\\n")
+    command.mode(linuxcnc.MODE_AUTO)
+    command.wait_complete(5.0)
+    command.program_open("path.ngc")
+    command.wait_complete(5.0)
+    command.auto(linuxcnc.AUTO_RUN, 0)
+"""
+CLIENT = """
+import sys
+from tests.contracts.test_linuxcnc import RigidTransform, corrects, corrected
+from armsight.ops.robot.recorder import run_with_progress
+with corrects(sys.argv[1]) as robot:
+    run_with_progress(lambda: corrected(robot, RigidTransform.from_translation([0.009, 0.0, 0.0]), sys.stdout), str)
+"""
+
+
+def corrects(device: str) -> LinuxcncRobot:
+    return LinuxcncRobot(device, settings={"motion": "offsets", "arm": MODEL, "switch_on": True})
+
+
+def corrected(robot: LinuxcncRobot, goal: RigidTransform, told: Any = None, cycles: int = 500) -> None:
+    """Prove the link where that is needed, and correct for so many cycles; tell, where wanted, when it begins."""
+    pace, some = robot.wait_step(-1, 1.0), RigidTransform.from_translation([0.0, 0.0, 1e-9])
+    for _ in range(cycles + 500 * (not robot.proven)):
+        if cycles == 0 or robot.state not in (RobotState.READY, RobotState.MOVING):
+            return
+        if robot.proven and told is not None:
+            told = print("corrects", file=told, flush=True)
+        cycles -= robot.proven
+        robot.correct(goal if robot.proven else goal * some)
+        pace = robot.wait_step(pace.steps, 0.05)
+
+
+def runs(twin: LinuxcncTwin, *program: str) -> None:
+    """Let LinuxCNC run a program of its own; without one, end it."""
+    twin.begin("/usr/bin/python3", "-c", PROGRAM, *program).wait()
+
+
+def is_on(twin: LinuxcncTwin, pin: str) -> bool:
+    return twin.hal("getp", pin).strip() == "TRUE"
+
+
+def flange(twin: LinuxcncTwin) -> RigidTransform:
+    return MODEL.fk(np.radians(twin.joints_deg()))
+
+
+def test_a_correction_arrives_while_linuxcnc_runs_a_program(twin: LinuxcncTwin) -> None:
+    runs(twin)
+    with corrects(twin.address.partition(":")[2]) as robot:
+        run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=20), lambda: None)
+        before = flange(twin)
+        runs(twin, "G21 G91 G64\nG1 F600 Y60")  # six seconds
+        run_with_progress(lambda: corrected(robot, UP, cycles=250), lambda: None)
+        assert robot.why == ""
+        assert is_on(twin, "halui.program.is-running"), "the correction arrived meanwhile"
+        until(lambda: not is_on(twin, "halui.program.is-running"))
+        way = np.asarray(flange(twin).translation) - np.asarray(before.translation)
+        turn = (flange(twin).rotation * before.rotation.inv()).as_rotvec()
+        assert way == pytest.approx([0.0, 0.06, 0.002], abs=2e-5)
+        assert turn == pytest.approx(UP.rotation.as_rotvec(), abs=2e-5)
+        run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=300), lambda: None)
+
+
+def test_a_program_towards_a_singular_pose_is_paused(twin: LinuxcncTwin) -> None:
+    rows: list[tuple[float, Any]] = []
+    runs(twin)
+    with corrects(twin.address.partition(":")[2]) as robot:
+        run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=20), lambda: None)
+        here, there = (np.radians(twin.joints_deg()) for _ in range(2))
+        there[4] = 0.0  # the wrist in line
+        ends = [MODEL.flange(q) for q in (here, there)]
+        way = 1e3 * (ends[1] - ends[0])[:3, 3]
+        turn = np.subtract(*(Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True) for T in ends[::-1]))
+        robot.listen(lambda t_s, q: rows.append((t_s, q)))
+        axes = " ".join(f"{axis}{value:.4f}" for axis, value in zip("XYZABC", [*way, *turn], strict=True))
+        runs(twin, f"G21 G91 G64\nG1 F150 {axes}")
+        with contextlib.suppress(DeviceFailed):  # it stops between two corrections
+            run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=4000), lambda: None)
+        assert "singular" in robot.why
+        until(lambda: not is_on(twin, "halui.program.is-running"))
+        until(lambda: bool(np.ptp([q for _, q in rows[-20:]], axis=0).max() < 1e-6))
+    q, t_s = np.array([q for _, q in rows]), np.array([t for t, _ in rows])
+    assert np.degrees(np.abs(q[5:] - q[:-5]).max(axis=1) / (t_s[5:] - t_s[:-5])).max() < 30.0
+    runs(twin)
+
+
+def test_a_killed_client_leaves_its_correction_and_a_paused_program(twin: LinuxcncTwin) -> None:
+    runs(twin)
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", CLIENT, twin.address.partition(":")[2]]
+    client = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env)
+    assert client.stdout is not None
+    assert client.stdout.readline() == "corrects\n"
+    runs(twin, "G21 G91 G64\nG1 F600 Y-60")
+    client.kill()
+    client.communicate()
+    until(lambda: not is_on(twin, "halui.program.is-running"))
+    time.sleep(0.5)
+    offset, there = float(twin.hal("getp", "axis.x.eoffset")), flange(twin)
+    time.sleep(0.5)
+    assert is_on(twin, "halui.program.is-paused")
+    assert 0.1 < offset < 9.3
+    assert float(twin.hal("getp", "axis.x.eoffset")) == offset
+    assert np.abs(flange(twin).as_matrix() - there.as_matrix()).max() < 1e-9
+    runs(twin)
+    with corrects(twin.address.partition(":")[2]) as robot:  # who comes next begins with what is in force
+        run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=600), lambda: None)
+        assert np.abs([float(twin.hal("getp", f"axis.{axis}.eoffset")) for axis in "xyzabc"]).max() < 0.02

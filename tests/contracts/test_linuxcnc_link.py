@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.truth.emulated_links import Model
 
 from armsight.drivers import RobotState
-from armsight.drivers.linuxcnc import LinuxcncRobot, driver
+from armsight.drivers.linuxcnc import LinuxcncRobot, driver, state
 from armsight.drivers.linuxcnc.machine import parse
 from armsight.drivers.linuxcnc_bridge import ini, link, pins
 from armsight.drivers.linuxcnc_bridge.feed import Feed
@@ -38,9 +39,9 @@ def ways(robot: Any, pair: Any, cycles: int, speed_deg_s: float) -> None:
 def test_both_sides_pack_alike() -> None:
     for name in ("HELLO", "BEGIN", "STATE", "GOAL"):
         assert getattr(driver, name).format == getattr(link, name).format
-    flags = ("MAY", "ENABLED", "HOMED", "JOINT_MODE", "E_STOP", "AUTO", "MDI", "SWITCH_ON", "HOME")
+    flags = ("MAY", "ENABLED", "HOMED", "JOINT_MODE", "E_STOP", "AUTO", "MDI", "SWITCH_ON", "HOME", "OFFSETS")
     assert (
-        [getattr(driver, name) for name in flags]
+        [getattr(driver, name, getattr(state, name, None)) for name in flags]
         == [getattr(pins, name) for name in flags]
         == [
             1,
@@ -52,6 +53,7 @@ def test_both_sides_pack_alike() -> None:
             64,
             1,
             2,
+            4,
         ]
     )
     whys = link.BEGUN, link.LET_GO, link.STOPPED, link.NOT_TAKEN
@@ -72,14 +74,14 @@ def joint(number: int, **values: object) -> Callable[[Any], None]:
 @pytest.mark.parametrize(
     ("wrong", "more", "named"),
     [
-        (changed("bridge", 2), {}, ("version 2", "of 1", "armsight.drivers.linuxcnc")),
+        (changed("bridge", 1), {}, ("version 1", "of 2", "armsight.drivers.linuxcnc")),
         (changed("kinematics", "trivkins"), {}, ("trivkins", "genserkins")),
         (changed("kinematics", "genserkins"), {"kinematics": "pumakins"}, ("genserkins", "pumakins")),
         (changed("linear_units", "inch"), {}, ("LINEAR_UNITS inch", "mm", "units to inch")),
         (changed("angular_units", "rad"), {}, ("ANGULAR_UNITS rad",)),
         (changed("servo_s", 0.003), {}, ("3 ms", "cycle_s")),
         (joint(3, linear=True), {}, ("joint 3", "LINEAR", "linear")),
-        (joint(2, lower=-35.0), {"lower_rad": [-3.0543] * 6}, ("joint 2 lower -175.0 here and -35.0 there",)),
+        (joint(2, lower=-35.0), {"arm": Model()}, ("joint 2 lower -171.9 here and -35.0 there",)),
         (lambda pair: machine(pair)["joints"].pop(), {}, ("5 joints", "not 6")),
     ],
 )

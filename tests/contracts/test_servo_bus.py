@@ -19,6 +19,8 @@ from armsight.drivers import RobotState, RobotTraits
 from armsight.drivers.servo_bus import robot as robot_module
 from armsight.drivers.servo_bus.packets import DynamixelPackets, StsPackets
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
+from armsight.kinematics import Arm, Joint
+from armsight.ops.robot.opening import LinkArm
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
 from armsight_sim.twins.servo_bus import BusFault
 from refusals import refuses
@@ -305,28 +307,36 @@ def test_a_file_that_is_no_calibration_is_refused(text: str, tmp_path: Path) -> 
         KINDS["feetech"][1]("line", settings={"calibration": file})
 
 
+def ranged(lower: list[float], upper: list[float]) -> LinkArm:
+    """Return an arm of joints with these ranges."""
+    ends = zip(lower, upper, strict=True)
+    return LinkArm(
+        arm=Arm(name="ranged", joints=tuple(Joint(name=f"j{i}", lower=a, upper=b) for i, (a, b) in enumerate(ends)))
+    )
+
+
 def test_ranges_of_the_servos_hold_and_those_of_another_zero_are_refused(make: Any) -> None:
-    pair = make(arm_range=[[-1.0] * 6, [1.0] * 6])
+    pair = make(arm=ranged([-1.0] * 6, [1.0] * 6))
     for servo in pair.twin.servos:
         at, size = (11, 2) if pair.kind == "feetech" else (48, 4)
         servo.put(at, size, 2800)
     with pair.robot as robot:
         assert robot._goals._limits.upper == pytest.approx(np.full(6, (2800 - 2048) * STEP))
-    other = make(arm_range=[[1.0] * 6, [4.0] * 6])
+    other = make(arm=ranged([1.0] * 6, [4.0] * 6))
     at, size = (11, 2) if other.kind == "feetech" else (48, 4)
     other.twin.servos[2].put(at, size, 2100)
     with refuses(DeviceFailed, "servo 3", "direction"), other.robot:
         pass
-    short = make(arm_range=[[1.0] * 5, [4.0] * 5])
+    short = make(arm=ranged([1.0] * 5, [4.0] * 5))
     with refuses(UsageError, "5 joints", "gripper"), short.robot:
         pass
-    with make(arm_range=[[-1.0] * 5, [1.0] * 5], ids=[1, 2, 3, 4, 5]).robot as robot:
+    with make(arm=ranged([-1.0] * 5, [1.0] * 5), ids=[1, 2, 3, 4, 5]).robot as robot:
         assert robot.n_joints == 5
 
 
 @pytest.mark.parametrize("signs", [[1] * 6, [1, 1, -1, 1, 1, 1]])
 def test_a_direction_that_is_not_the_files_is_refused_and_signs_are_the_cure(make: Any, signs: list[int]) -> None:
-    pair = make(arm_range=[[-0.1] * 6, [3.0] * 6], signs=signs)
+    pair = make(arm=ranged([-0.1] * 6, [3.0] * 6), signs=signs)
     at, size = (11, 2) if pair.kind == "feetech" else (48, 4)
     pair.twin.servos[2].put(at, size, 2100)
     if signs[2] > 0:

@@ -169,6 +169,9 @@ IN_TESTS = {
     ("store/urdf_tree.py", "Name the last link of the chain you mean with --tip: {}"): (
         "tests/unit/store/test_urdf_chains.py::test_a_finger_beside_a_fixed_tool_is_no_joint_of_the_arm_unasked"
     ),
+    ("drivers/linuxcnc/driver.py", "Give its file with --arm"): (
+        "tests/contracts/test_linuxcnc_offsets.py::test_what_offsets_need_is_refused_with_the_line_to_add"
+    ),
     **dict.fromkeys(
         (
             ("control/paths/linuxcnc.py", "with --controller"),

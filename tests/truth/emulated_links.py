@@ -27,7 +27,8 @@ from armsight_sim.twins.rsi import RsiController
 from armsight_sim.twins.ur_controller import UrController
 
 Array = NDArray[np.float64]
-HOME = twin_home(small_arm())
+SMALL = small_arm()
+HOME = twin_home(SMALL)
 OPENING = 80
 """Cycles after which a driver that is not open will never be."""
 
@@ -122,10 +123,20 @@ class Model:
     """The emulated controller's arm, as the driver of a serial link takes it."""
 
     def fk(self, q: Array) -> Any:
-        return small_arm().flange(q)
+        return SMALL.flange(q)
 
     def ik(self, T_base_flange: Any, near: Array) -> Array:
-        return small_arm().reach(T_base_flange.as_matrix(), near)
+        return SMALL.reach(T_base_flange.as_matrix(), near)
+
+    def flange(self, q: Array) -> Array:
+        return SMALL.frames(q)[-1]
+
+    def jacobian(self, q: Array) -> Array:
+        return SMALL.jacobian(SMALL.frames(q))
+
+    @property
+    def ranges(self) -> Array:
+        return np.array([[getattr(joint, end) for joint in SMALL.joints] for end in ("lower", "upper")])
 
 
 class Link:

@@ -32,12 +32,25 @@ class ArmOnLink(Protocol):
         """Return joint values (6,) of a pose, on the branch of near (6,). Raises DataRefused out of reach."""
         ...
 
+    def flange(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return T_base_flange (4, 4) of joint values q (n,): what a cycle has no time to make a transform of."""
+        ...
+
+    def jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the flange's way and turn (6, n) in base axes by joint values q (n,)."""
+        ...
+
+    @property
+    def ranges(self) -> NDArray[np.float64]:
+        """Lower and upper ends (2, n) of its joint values by the arm's file, in rad or m; infinite where open."""
+        ...
+
 
 class LinkSettings(BaseModel):
     """Settings that every link has.
 
     open_s: how long to wait for the controller. max_speed_rad_s, lower_rad, upper_rad: of each joint. arm: its
-    geometry, of use where poses are sent.
+    geometry, of use where poses are sent, and its ranges, which are compared with the controller's where it tells them.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)

@@ -23,6 +23,9 @@ SPEED_UP_S = 0.15
 RANGE_RAD = 2.0 * math.pi
 """Half the range of a joint whose file states none."""
 
+OFFSETS = 0.5
+"""Share of an axis' speed and acceleration that is its external offset's; programs have the rest."""
+
 ANGLE = 1e-9
 """An angle so small, in rad, is zero: arms that were written in another convention carry rounding."""
 
@@ -138,6 +141,7 @@ MAX_VELOCITY = {speed:.9g}
 MAX_ACCELERATION = {acceleration:.9g}
 MIN_LIMIT = -{most}
 MAX_LIMIT = {most}
+OFFSET_AV_RATIO = {offsets}
 """
 
 JOINT = """\
@@ -169,7 +173,13 @@ def ini(rows: tuple[Row, ...], *, servo_ns: int, display: str, hal_files: tuple[
     )
     kinds = [(250.0, 1000.0, 10000)] * 3 + [(fastest, hardest, 3600)] * 3
     axes = [
-        AXIS.format(letter=letter, speed=speed, acceleration=acceleration, most=most)
+        AXIS.format(
+            letter=letter,
+            speed=speed / (1.0 - OFFSETS),
+            acceleration=acceleration / (1.0 - OFFSETS),
+            most=most,
+            offsets=OFFSETS,
+        )
         for letter, (speed, acceleration, most) in zip("XYZABC", kinds, strict=True)
     ]
     return "".join([head, *axes, *(JOINT.format(number=i, row=row) for i, row in enumerate(rows))])

@@ -13,17 +13,23 @@ import secrets
 import socket
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.clock import Clock, monotonic_s
+from armsight.drivers.goals import PoseGoals
 from armsight.drivers.link_settings import USUAL_JOINTS, Positive, UdpSettings
-from armsight.drivers.linuxcnc.machine import Machine, check_machine, check_ranges, parse
+from armsight.drivers.linuxcnc.machine import Machine, check_machine, check_offsets, check_ranges, parse
+from armsight.drivers.linuxcnc.offsets import ROUND, Corrections, Uncorrected, bounded
+from armsight.drivers.linuxcnc.state import MAY, MOVING, STOPPED, WHY, LinuxcncState
 from armsight.drivers.pace import LARGEST_RAD, ControllerClock
+from armsight.drivers.proof import Probe
+from armsight.drivers.protocols import Sent
 from armsight.drivers.udp import Sender, UdpRobot, udp_port
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
 
@@ -32,53 +38,13 @@ ASK_S = 0.1
 """The bridge is asked anew so often until it answers."""
 
 HELLO, BEGIN, STATE, GOAL = (struct.Struct(f"<4s{rest}") for rest in ("I", "IHH", "IIIQIHBB", "IIIIHH"))
-MAY, ENABLED, HOMED, JOINT_MODE, E_STOP, AUTO, MDI = (1 << i for i in range(7))
 STOP = 1
-SWITCH_ON, HOME = 1, 2
-WHY = {
-    0: "LinuxCNC took no motion meanwhile",
-    1: "LinuxCNC had no answer for too long, and let the arm come to rest",
-    3: "LinuxCNC did not take what it was sent (a limit, a hold), and stands elsewhere",
-}
-STOPPED = 2
+SWITCH_ON, HOME, OFFSETS = 1, 2, 4
 SILENT_S = 0.075
 """Within the ten cycles of 8 ms after which a link has to be lost."""
-MOVING = "LinuxCNC's joints have not come to rest yet"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LinuxcncState:
-    """What LinuxCNC told in one cycle.
-
-    session, number, sample: of its motion, the packet and the servo. taken: the newest goal it took. flags: what it
-    does. q, commanded, at (n,) in rad or m: measured, commanded, and where it is asked to be.
-    """
-
-    session: int
-    number: int
-    sample: int
-    taken: int
-    flags: int
-    why: int
-    q: Array
-    commanded: Array
-    at: Array
-    T_base_flange: None = None
-
-    @property
-    def why_still(self) -> str:
-        """Why it takes no motion just now, in words; empty where it does."""
-        flags = self.flags
-        words = (
-            (flags & MAY, ""),
-            (flags & E_STOP, "LinuxCNC is in e-stop"),
-            (not flags & ENABLED, "LinuxCNC's machine is off"),
-            (not flags & HOMED, "LinuxCNC is not homed, and knows no limits of its joints until then"),
-            (flags & AUTO, "LinuxCNC is in AUTO"),
-            (flags & MDI, "LinuxCNC is in MDI"),
-            (not flags & JOINT_MODE, "LinuxCNC is not in joint mode"),
-        )
-        return next((text for holds, text in words if holds), MOVING)
+TURNS = "the correction cannot follow the turns of LinuxCNC's program"
+FAR = 3.0
+"""Goals farther than the way of so many cycles are given up, one before the bridge takes none of them."""
 
 
 class LinuxcncSettings(UdpSettings):
@@ -86,7 +52,8 @@ class LinuxcncSettings(UdpSettings):
 
     joints: how many the arm has. linear: those of them, from 1, that move along a line. units: of the INI's lengths.
     kinematics: the module that is expected there. switch_on, home: whether opening may end the e-stop and switch on,
-    and home, which may move the arm. silent_s: silence after which the link is lost.
+    and home, which may move the arm. silent_s: silence after which the link is lost. motion: jogs of the joints, or
+    offsets, which correct the flange's pose, also while LinuxCNC runs a program; largest_m, largest_rad: of these.
     """
 
     link: ClassVar[str] = "the LinuxCNC link"
@@ -100,6 +67,9 @@ class LinuxcncSettings(UdpSettings):
     kinematics: str = ""
     switch_on: bool = False
     home: bool = False
+    motion: Literal["jogs", "offsets"] = "jogs"
+    largest_m: Positive = 0.01
+    largest_rad: Positive = 0.1
 
 
 class LinuxcncRobot(UdpRobot[LinuxcncState]):
@@ -109,6 +79,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
     """
 
     scheme, usual_port = "linuxcnc", USUAL_PORT
+    guided_by = "set motion to jogs"
     to_begin = "Start LinuxCNC with armsight.hal in its INI (docs: LinuxCNC)"
 
     def __init__(self, device: str, *, settings: Mapping[str, Any] | None = None, clock: Clock | None = None) -> None:
@@ -122,8 +93,18 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             )
         port = port or str(USUAL_PORT)
         udp_port(port, f"linuxcnc:{host}:{USUAL_PORT}")
-        super().__init__(port, kept, n=kept.joints, silent_s=kept.silent_s, guidance="joint", clock=clock)
+        self._offsets = kept.motion == "offsets"
+        if self._offsets and kept.arm is None:
+            raise UsageError(
+                "corrections by offsets need the arm: near a singular pose they would make a joint run away",
+                consequence="The robot is not opened",
+                cure="Give its file with --arm",
+            )
+        guidance = "pose" if self._offsets else "joint"
+        super().__init__(port, kept, n=kept.joints, silent_s=kept.silent_s, guidance=guidance, clock=clock)
         self.name = f"linuxcnc:{device}"
+        self._corrections: Corrections | None = None
+        self._offset_unit = np.ones(6)
         self._host = host
         self._machine: Machine | None = None
         self._unit = np.ones(kept.joints)
@@ -152,10 +133,11 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             link.bind((kept.bind, 0))
             self._token, self._given = secrets.randbelow(1 << 32), 0
             machine = self._machine = self._asked(link, where)
+            self._unit = machine.unit
             self._check(machine)
-            self._unit, self._samples = machine.unit, round(kept.cycle_s / machine.servo_s)
+            self._samples = round(kept.cycle_s / machine.servo_s)
             self._goals.narrow(machine.limits())
-            what = SWITCH_ON * kept.switch_on | HOME * kept.home
+            what = SWITCH_ON * kept.switch_on | HOME * kept.home | OFFSETS * self._offsets
             link.sendto(BEGIN.pack(b"ASLB", self._token, self._samples, what), where)
             self._sender = self._where = where
             self._why_not = ""
@@ -210,8 +192,18 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             units=kept.units,
             kinematics=kept.kinematics,
         )
-        lower, upper = (None if one is None else np.array(one) for one in (kept.lower_rad, kept.upper_rad))
-        check_ranges(machine, lower, upper)
+        if kept.arm is not None:
+            check_ranges(machine, kept.arm.ranges)
+            if self._offsets:
+                check_offsets(machine)
+                self._corrections = Corrections.of(
+                    kept.arm,
+                    axes=np.array([(one.speed, one.acceleration) for one in machine.offsets]).T * machine.offset_unit,
+                    joint_speed=self._unit * [one.speed for one in machine.joints],
+                    speeds=(kept.speed_m_s, kept.speed_rad_s),
+                )
+                self._offset_unit = machine.offset_unit
+                self._poses = PoseGoals(self.name, *self._corrections.speeds, self.cycle_s)
 
     def _finish(self) -> None:
         self._say(b"ASLE")
@@ -220,6 +212,9 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
     def _say(self, magic: bytes) -> None:
         with contextlib.suppress(OSError):  # who is gone needs not be told
             self._socket.sendto(HELLO.pack(magic, self._token), self._where)
+
+    def _begin(self) -> None:
+        self._before_state: LinuxcncState | None = None
 
     def _may_begin(self, state: LinuxcncState) -> bool:
         """Begin once LinuxCNC has done what was asked of it at the opening, and its joints rest."""
@@ -237,21 +232,75 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
 
     def _rebase(self, q: Array) -> None:
         """Begin where LinuxCNC is commanded to be: where it is read it is not quite, and it would be asked to move."""
-        super()._rebase(q if self._last is None else self._last.at)
+        last = self._last
+        super()._rebase(q if last is None or last.bare else last.at)
+        if last is not None and last.bare:
+            self._poses.start(last.bare.applied(last.at))
+            self._unprove()
+
+    def move_pose(self, T_base_flange: RigidTransform) -> Sent:
+        """Correct towards a pose of the flange, as far as one cycle allows; where a program moves it, that it has now.
+
+        Raises UsageError where the motion is not by offsets, and as that of every robot.
+        """
+        bare = None if self._last is None else self._last.bare
+        return (
+            super().move_pose(T_base_flange)
+            if bare is None
+            else self._bounded(bare.correction(T_base_flange.as_matrix()))
+        )
+
+    def correct(self, correction: RigidTransform) -> Sent:
+        """Let the correction go towards a way and turn about the flange in base axes, as far as one cycle allows.
+
+        It slows down in time to come to rest there. Raises as move_pose.
+        """
+        goal, words = bounded(correction, self.settings.largest_m, self.settings.largest_rad)
+        if self._corrections is not None:
+            goal = self._corrections.slowed(self._poses.sent, goal, self.cycle_s)
+        sent = self._bounded(goal)
+        return replace(sent, limited=(*sent.limited, *words))
+
+    def _bounded(self, correction: RigidTransform) -> Sent:
+        if not np.isfinite(correction.as_matrix()).all():
+            raise Inconsistent(f"{self.name}: a correction is not finite", consequence="Nothing was sent")
+        cut, words = bounded(correction, self.settings.largest_m, self.settings.largest_rad)
+        sent = super().move_pose(cut)
+        return replace(sent, limited=(*sent.limited, *words))
+
+    def _probe(self) -> Probe:
+        """Return the probe, as small as the offsets' acceleration needs it."""
+        probe, share = super()._probe(), 1.0 if self._corrections is None else self._corrections.probe_share
+        return replace(probe, amplitude=share * probe.amplitude)
+
+    def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
+        """Return a command as it goes out; of a correction the pose that it makes of the newest one."""
+        sent, bare = super()._note(q, pose, limited), None if self._last is None else self._last.bare
+        return (
+            sent
+            if pose is None or bare is None
+            else replace(sent, pose=RigidTransform.from_matrix(bare.corrected(pose)))
+        )
 
     def _decode(self, data: bytes) -> LinuxcncState:
         n = self.n_joints
         if data == HELLO.pack(b"ASLN", self._token):
             self._lose("the bridge beside LinuxCNC has started anew, or had not heard of this program for too long")
-        if len(data) != STATE.size + 24 * n or data[: HELLO.size] != HELLO.pack(b"ASLS", self._token):
+        blocks = 4 if self._offsets else 3
+        if len(data) != STATE.size + 8 * blocks * n or data[: HELLO.size] != HELLO.pack(b"ASLS", self._token):
             raise Inconsistent("a packet is no state of this link")
         _, _, session, number, sample, taken, flags, why, joints = STATE.unpack_from(data)
-        values = np.array(struct.unpack_from(f"<{3 * n}d", data, STATE.size)).reshape(3, n) * self._unit
+        values = np.array(struct.unpack_from(f"<{blocks * n}d", data, STATE.size)).reshape(blocks, n)
+        values[:2] *= self._unit
+        values[2:] *= self._offset_unit if self._offsets else self._unit
         if (
             joints != n or why not in (*WHY, STOPPED) or not (np.abs(values) < LARGEST_RAD).all()
         ):  # not a number fails this, too
             raise Inconsistent("a packet has joint values that no joint can have")
-        q, commanded, at = values
+        q, commanded, at = values[:3]
+        bare, arm = None, self.settings.arm
+        if self._offsets and arm is not None:
+            bare = Uncorrected.of(arm.flange(commanded), values[3])
         return LinuxcncState(
             session=session,
             number=number,
@@ -262,6 +311,8 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             q=q,
             commanded=commanded,
             at=at,
+            bare=bare,
+            T_base_flange=None if bare is None or arm is None else bare.correction(arm.flange(q)),
         )
 
     def _cycles_between(self, last: LinuxcncState, state: LinuxcncState) -> int:
@@ -279,7 +330,9 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
     def _check_session(self, state: LinuxcncState, last: LinuxcncState) -> None:
         if state.session == last.session:
             return
-        if state.why == STOPPED:
+        if state.why == STOPPED and state.bare:
+            self._poses.start(state.bare.applied(state.at))
+        elif state.why == STOPPED:
             self._goals.start(state.at)  # where it comes to rest: nothing leads back
         else:
             self._begin_anew(WHY[state.why], state.q)
@@ -290,8 +343,22 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         return taken
 
     def _hear(self, state: LinuxcncState) -> None:
-        if state.why_still or self._held:
-            self._halt(state.why_still, state.q)
+        why = state.why_still or self._why_uncorrected(state)
+        if why or self._held:
+            self._halt(why, state.q)
+
+    def _why_uncorrected(self, state: LinuxcncState) -> str:
+        """Return why no correction may be made where the arm is and goes; empty where one may, or none is."""
+        if state.bare is None or self._corrections is None:
+            return ""
+        before, self._before_state = self._before_state, state
+        if before is None:
+            return self._corrections.why_not(state.commanded, np.zeros(self.n_joints))
+        time_s = self.cycle_s / self._samples * max(1, state.sample - before.sample)
+        off = np.abs(state.bare.offsets(self._poses.sent) - state.at)
+        if (off > FAR * self.cycle_s * self._corrections.axis_speed).any():
+            return TURNS
+        return self._corrections.why_not(state.commanded, (state.commanded - before.commanded) / time_s)
 
     def _hear_old(self, state: LinuxcncState, newest: LinuxcncState, sender: Sender) -> None:
         """Take no notice: a bridge that has started anew knows no token of before, and is silent."""
@@ -300,5 +367,8 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         if state.taken == self._given or not self._given:
             self._given = self._given + 1 & 0xFFFFFFFF or 1
         flags = STOP * bool(self._stopped)
+        goal = self._goals.sent / self._unit
+        if state.bare is not None:
+            goal = np.round(state.bare.offsets(self._poses.sent) / self._offset_unit, ROUND)
         head = GOAL.pack(b"ASLG", self._token, state.session, state.number, self._given, flags, self.n_joints)
-        return head + struct.pack(f"<{self.n_joints}d", *(self._goals.sent / self._unit))
+        return head + struct.pack(f"<{self.n_joints}d", *goal)

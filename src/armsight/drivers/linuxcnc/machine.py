@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from armsight.drivers.goals import JointLimits
 from armsight.errors import DeviceFailed, Inconsistent
 from armsight.units import DEG, MM
 
-VERSION = 1
+VERSION = 2
 """The bridge's version that this driver speaks to."""
 
 SPEED_SHARE = 0.95
@@ -31,12 +32,22 @@ INCH_M = 0.0254
 AXES_ONLY = "trivkins"
 
 
-class JointOfIni(BaseModel):
-    """A joint as the INI has it: degrees, or its length unit."""
+OFFSET_AXES = "XYZABC"
+
+
+class AxisOfIni(BaseModel):
+    """A joint, or the external offset of an axis, as the INI has it: degrees, or its length unit; speed 0: none."""
 
     linear: bool
     lower: float
     upper: float
+    speed: float = Field(ge=0.0)
+    acceleration: float = Field(ge=0.0)
+
+
+class JointOfIni(AxisOfIni):
+    """A joint, which moves."""
+
     speed: float = Field(gt=0.0)
     acceleration: float = Field(gt=0.0)
 
@@ -47,6 +58,7 @@ class Machine(BaseModel):
     bridge: int
     ini: str
     joints: list[JointOfIni]
+    offsets: list[AxisOfIni]
     servo_s: float = Field(gt=0.0)
     kinematics: str
     linear_units: str
@@ -64,8 +76,16 @@ class Machine(BaseModel):
     @property
     def unit(self) -> Array:
         """One of each joint's units (n,) in rad or m."""
+        return self._units(self.joints)
+
+    @property
+    def offset_unit(self) -> Array:
+        """One of each axis' units (6,) in rad or m."""
+        return self._units(self.offsets)
+
+    def _units(self, axes: Sequence[AxisOfIni]) -> Array:
         length_m = INCH_M if self.in_inches else MM
-        return np.array([length_m if joint.linear else DEG for joint in self.joints])
+        return np.array([length_m if axis.linear else DEG for axis in axes])
 
     def limits(self) -> JointLimits:
         """Return the ranges and speeds that goals keep, in rad or m."""
@@ -149,15 +169,31 @@ def check_machine(
         )
 
 
-def check_ranges(machine: Machine, lower: Array | None, upper: Array | None) -> None:
-    """Refuse ranges that contradict the INI's: lower and upper (n,) in rad, None where nothing is said.
+def check_offsets(machine: Machine) -> None:
+    """Refuse a machine whose axes' external offsets cannot correct a pose. Raises DeviceFailed."""
+    if machine.kinematics == AXES_ONLY or not machine.offsets:
+        raise _refused(
+            machine,
+            f"has {len(machine.joints)} joints of {machine.kinematics}: external offsets correct the pose of an arm of "
+            "six joints whose kinematics LinuxCNC has",
+            "Leave motion=offsets out",
+        )
+    missing = [f"AXIS_{axis}" for axis, one in zip(OFFSET_AXES, machine.offsets, strict=True) if one.speed <= 0.0]
+    if missing:
+        raise _refused(
+            machine,
+            f"has no OFFSET_AV_RATIO in {', '.join(missing)}, so that its axes take no external offsets",
+            f"Add the line OFFSET_AV_RATIO = 0.1 to {', '.join(f'[{name}]' for name in missing)}: a tenth of the axis' "
+            "speed and acceleration is then the corrections'",
+        )
 
-    Raises DeviceFailed.
-    """
+
+def check_ranges(machine: Machine, ranges: Array) -> None:
+    """Refuse ranges that contradict the INI's: (2, n) in rad, infinite where nothing is said. Raises DeviceFailed."""
     unit = machine.unit
     wrong = []
-    for key, given in (("lower", lower), ("upper", upper)):
-        if given is None or len(given) != len(unit):
+    for key, given in zip(("lower", "upper"), ranges, strict=True):
+        if len(given) != len(unit):
             continue
         told = unit * np.array([getattr(one, key) for one in machine.joints])
         wrong += [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from .ini import COUNT
@@ -20,15 +21,16 @@ class Feed:
     keeps so far behind its target, and is then where it is asked to be (to 0.0005 degrees at 15 degrees/s).
     """
 
-    def __init__(self, machine: dict[str, Any]) -> None:
-        """machine: of describe."""
-        joints = machine["joints"]
+    def __init__(self, machine: dict[str, Any], *, offsets: bool = False) -> None:
+        """machine: of describe. offsets: of its axes, in place of its joints."""
+        joints = machine["offsets" if offsets else "joints"]
         self.n = len(joints)
         self._dt = machine["servo_s"]
         self._range = [(one["lower"] + SPARE, one["upper"] - SPARE) for one in joints]
         self._speed = [one["speed"] for one in joints]
         # [TRAJ]DEFAULT_LINEAR_ACCELERATION limits every jog, whatever unit the joint has
-        self._acceleration = [min(one["acceleration"], machine["jog_acceleration"]) for one in joints]
+        cap = math.inf if offsets else machine["jog_acceleration"]
+        self._acceleration = [min(one["acceleration"], cap) for one in joints]
         pairs = list(zip(self._speed, self._acceleration))  # noqa: B905  # as all below, of one length
         self.braking_s = max((speed / acceleration for speed, acceleration in pairs), default=0.0)
         self.behind = [speed * speed / acceleration + SLACK_S * speed for speed, acceleration in pairs]

@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-VERSION = 1
+VERSION = 2
 """Of the bridge and what goes over the line."""
 
 PORT = 49160
 COUNT = 1e-4
 """Degrees, or the INI's length unit, of one jog count."""
+
+AXES = "XYZABC"
+"""Axes of LinuxCNC's world whose external offsets correct the pose of an arm of so many joints."""
 
 BEAT_S = 0.1
 """HAL's watchdog waits so long for the bridge; with other work on the computer 0.05 s trips by itself now and then."""
@@ -67,6 +70,7 @@ def describe(path: Path) -> dict[str, Any]:
         "bridge": VERSION,
         "ini": str(path),
         "joints": joints,
+        "offsets": _offsets(ini) if len(joints) == len(AXES) else [],
         "servo_s": 1e-9 * number(ini, "EMCMOT", "SERVO_PERIOD", 1e6),
         "kinematics": (ini.get("KINS", {}).get("KINEMATICS") or "?").split()[0],
         "linear_units": traj.get("LINEAR_UNITS", "mm"),
@@ -74,6 +78,23 @@ def describe(path: Path) -> dict[str, Any]:
         "jog_acceleration": number(ini, "TRAJ", "DEFAULT_LINEAR_ACCELERATION", 1e99),
         "listens": listens(ini, path.parent),
     }
+
+
+def _offsets(ini: Ini) -> list[dict[str, Any]]:
+    """Return what external offsets of the axes may do: the share OFFSET_AV_RATIO of what the axis may; 0 without it."""
+    found = []
+    for axis in AXES:
+        share = min(number(ini, f"AXIS_{axis}", "OFFSET_AV_RATIO", 0.0), 0.9)
+        found.append(
+            {
+                "linear": axis in "XYZ",
+                "lower": -1e99,
+                "upper": 1e99,
+                "speed": share * number(ini, f"AXIS_{axis}", "MAX_VELOCITY", 1.0),
+                "acceleration": share * number(ini, f"AXIS_{axis}", "MAX_ACCELERATION", 1.0),
+            }
+        )
+    return found
 
 
 JOINT_LINES = """\
@@ -86,6 +107,20 @@ setp joint.{j}.jog-accel-fraction 1
 setp joint.{j}.jog-vel-mode 0
 """
 
+AXIS_LINES = """\
+net armsight-offset-count-{axis} streamer.0.pin.{j} => axis.{axis}.eoffset-counts
+net armsight-offset-{axis} axis.{axis}.eoffset => sampler.0.pin.{k}
+net armsight-offsets => axis.{axis}.eoffset-enable
+setp axis.{axis}.eoffset-scale {count}
+"""
+
+OFFSET_LINES = """\
+# Corrections of a pose while LinuxCNC runs a program, which is paused where they end.
+{axes}net armsight-running halui.program.is-running
+net armsight-pause => halui.program.pause
+net armsight-inhibit => motion.feed-inhibit
+"""
+
 LINES = """\
 # armsight's link: [HAL]HALFILE of the INI, behind the machine's own.
 # Goals come as jog counts, one row for each servo cycle; the joints are sampled in the same cycles.
@@ -93,7 +128,7 @@ loadrt streamer depth=400 cfg={counts}
 loadrt sampler depth=4000 cfg={samples}
 addf streamer.0 servo-thread 1
 addf sampler.0 servo-thread
-{joints}\
+{joints}{offsets}\
 # A bridge that dies while somebody drives lets the machine fall off, {beat} s after its last sign of life.
 loadrt watchdog num_inputs=1
 loadrt or2 names=armsight-or
@@ -121,6 +156,7 @@ net armsight-machine-on => halui.machine.on
 net armsight-home-all => halui.home-all
 net armsight-manual => halui.mode.manual
 net armsight-joint-mode => halui.mode.joint
+net armsight-world-mode => halui.mode.teleop
 loadusr -Wn armsight /usr/bin/python3 {bridge} run {ini} --bind {bind} --port {port}
 """
 
@@ -129,10 +165,15 @@ def hal_lines(ini: Path, bridge: str, bind: str, port: int) -> str:
     """Return the HAL lines that belong to the machine of an INI file; bridge: where this folder is."""
     n = len(describe(ini)["joints"])
     joints = "".join(JOINT_LINES.format(j=j, k=n + j, count=COUNT) for j in range(n))
+    more = len(AXES) if n == len(AXES) else 0
+    axes = "".join(
+        AXIS_LINES.format(axis=axis.lower(), j=n + i, k=2 * n + i, count=COUNT) for i, axis in enumerate(AXES[:more])
+    )
     return LINES.format(
-        counts=n * "s",
-        samples=2 * n * "f",
+        counts=(n + more) * "s",
+        samples=(2 * n + more) * "f",
         joints=joints,
+        offsets=OFFSET_LINES.format(axes=axes) if more else "",
         beat=BEAT_S,
         bridge=bridge,
         ini=ini,

@@ -15,7 +15,7 @@ from typing import Any
 
 from .feed import Feed
 from .ini import describe
-from .pins import MAY, Pins, Switching
+from .pins import MAY, OFFSETS, Pins, Switching
 
 LEAD = 16
 """Samples that wait for the streamer when the next goal comes: an answer that is so late is not noticed."""
@@ -46,8 +46,9 @@ STATE = struct.Struct("<4sIIIQIHBB")
 GOAL = struct.Struct("<4sIIIIHH")
 """Little-endian. HELLO, a sign of life, and the END: magic, the program's token. BEGIN: samples of a state, what may be
 switched. STATE: token, session, number, sample, the newest goal taken, flags, why the session began, joints; then
-measured, commanded and asked positions. GOAL: token, session, the state's number, its own, flags, joints; then
-positions. Positions are doubles, in degrees or the INI's length unit."""
+measured, commanded and asked positions, and, where offsets are driven, those in force. GOAL: token, session, the
+state's number, its own, flags, joints; then positions, of joints or of axes' offsets. Positions are doubles, in degrees
+or the INI's length unit."""
 
 STOP = 1
 BEGUN, LET_GO, STOPPED, NOT_TAKEN = range(4)
@@ -68,7 +69,7 @@ class Bridge:
 
     def __init__(self, machine: dict[str, Any], pins: Any, link: socket.socket) -> None:
         self._machine, self._pins, self._link = machine, pins, link
-        self._feed = Feed(machine)
+        self._feed, self._offsets, self._leaves = Feed(machine), False, False
         self._client: Client | None = None
         self._switching = Switching(0, 0.0)
         self._session, self._why = secrets.randbelow(1 << 30), BEGUN
@@ -76,7 +77,7 @@ class Bridge:
         self._next_why = BEGUN
         self._sample = self._due = 0
         self._still_s = 0.0
-        self._measured = self._commanded = [0.0] * self._feed.n
+        self._measured = self._commanded = self._joints = [0.0] * self._feed.n
         link.setblocking(False)
 
     def turn(self, now_s: float) -> None:
@@ -86,14 +87,17 @@ class Bridge:
         newest = self._pins.sample()
         if newest is not None:
             before = self._commanded
-            self._sample, self._commanded, self._measured = newest
+            self._sample, self._joints, self._measured, offsets = newest
+            self._commanded = offsets if self._offsets else self._joints
             self._rest = before == self._commanded
-        flags = self._pins.flags()
+        flags = self._pins.flags(self._offsets)
         self._look(flags, now_s)
+        self._hold_program()
         self._receive(now_s)
         client = self._client
         if client is None:
             return
+        flags = self._pins.flags(self._offsets)  # of what a program that has just come drives
         self._switching.turn(self._pins, flags, now_s)
         if now_s - client.heard_s > GONE_S:
             self._leave()
@@ -109,25 +113,39 @@ class Bridge:
         elif not self._may:
             self._feed.at = list(self._commanded)
             if self._rest and not self._pins.waiting:
-                self._feed.start(self._commanded, self._pins.counts)
+                self._feed.start(self._commanded, self._pins.counts[self._driven])
                 self._begin(self._next_why)
                 self._may, self._still_s, client.answered_s = True, now_s, now_s
                 self._pins.put("session", True)
-                self._pins.put("jog-enable", True)
+                self._pins.put("offsets" if self._offsets else "jog-enable", True)
         elif self._feed.lost(self._commanded):
             self._end(NOT_TAKEN)
         else:
             self._check_taken(client, now_s)
 
     def _check_taken(self, client: Client, now_s: float) -> None:
-        if now_s - client.answered_s > SILENT_S and self._feed.let_go():
-            self._begin(LET_GO)
+        if now_s - client.answered_s > SILENT_S:
+            left, self._leaves = self._leaves, self._offsets and self._pins.get("running")
+            if self._feed.let_go() or self._leaves > left:
+                self._begin(LET_GO)
         off = max(abs(a - b) for a, b in zip(self._commanded, self._feed.target))  # noqa: B905
         if self._feed.moves or off <= LOST:
             self._still_s = now_s
         elif now_s - self._still_s > STILL_S + 2.0 * self._feed.braking_s:
             self._feed.start(self._commanded)
             self._begin(NOT_TAKEN)
+
+    @property
+    def _driven(self) -> slice:
+        """Which of a row's counts are driven: the joints' or those of the axes' offsets behind them."""
+        n = len(self._machine["joints"])
+        return slice(n, None) if self._offsets else slice(n)
+
+    def _hold_program(self) -> None:
+        """Pause the program that runs with corrections in force which nobody watches any more."""
+        self._leaves = self._leaves and self._pins.get("running")
+        for name in ("inhibit", "pause"):
+            self._pins.put(name, self._leaves)
 
     def _begin(self, why: int) -> None:
         """Begin a session: answers to the one before move nothing."""
@@ -142,6 +160,8 @@ class Bridge:
             self._pins.put("free", True)
             self._pins.put("session", False)
             self._pins.put("jog-enable", False)
+            self._pins.put("offsets", False)
+            self._leaves = self._offsets
         self._may = False
         self._feed.at = list(self._commanded)
 
@@ -178,7 +198,10 @@ class Bridge:
     def _take_up(self, data: bytes, where: tuple[str, int], now_s: float) -> None:
         """Let a program drive, where none does."""
         _, token, samples, what = BEGIN.unpack(data)
-        if self._client is None and 0 < samples <= 1000:
+        offsets = bool(what & OFFSETS)
+        may = not offsets or all(one["speed"] > 0.0 for one in self._machine["offsets"] or [{"speed": 0.0}])
+        if self._client is None and 0 < samples <= 1000 and may:
+            self._offsets, self._feed = offsets, Feed(self._machine, offsets=offsets)
             self._client = Client(where, token, samples, now_s)
             self._switching = Switching(what, now_s)
             self._next_why, self._due = BEGUN, 0
@@ -198,13 +221,17 @@ class Bridge:
         client.answered_s = now_s
         if flags & STOP:
             client.taken = given
+            self._leaves = self._offsets
             if self._feed.let_go():
                 self._begin(STOPPED)
         elif given != client.taken and (waiting := self._pins.waiting) <= LEAD + client.samples:
             client.taken = given
             late = max(0, LEAD - waiting)
             samples = client.samples + (min(STRETCH, late) if self._feed.asks(goal) else late)
-            self._pins.feed(self._feed.step(goal, samples, client.samples))
+            row = list(self._pins.counts)
+            for counts in self._feed.step(goal, samples, client.samples):
+                row[self._driven] = counts
+                self._pins.feed([tuple(row)])
 
     def _tell(self, client: Client, flags: int) -> None:
         client.number = (client.number + 1) & 0xFFFFFFFF
@@ -214,7 +241,8 @@ class Bridge:
         flags = flags if self._may else flags & ~MAY
         counted = (client.token, self._session, client.number, self._sample, client.taken)
         head = STATE.pack(b"ASLS", *counted, flags, self._why, n)
-        self._send(head + struct.pack(f"<{3 * n}d", *self._measured, *self._commanded, *self._feed.at), client.where)
+        rows = [*self._measured, *self._joints, *self._feed.at, *(self._commanded if self._offsets else ())]
+        self._send(head + struct.pack(f"<{len(rows)}d", *rows), client.where)
 
     def _send(self, data: bytes, where: tuple[str, int]) -> None:
         with contextlib.suppress(OSError):  # who is gone is told by silence
@@ -229,7 +257,7 @@ def run(ini: Path, bind: str, port: int) -> None:
     with contextlib.suppress(OSError):  # where the system allows it, before other work of this computer
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     try:
-        pins = Pins(len(machine["joints"]))
+        pins = Pins(len(machine["joints"]), len(machine["offsets"]))
     except Exception as error:  # HAL has types of its own
         raise SystemExit(
             f"the bridge finds not what it needs in HAL ({error}): load the lines of `hal {ini}`"

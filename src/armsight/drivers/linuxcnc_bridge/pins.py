@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 MAY, ENABLED, HOMED, JOINT_MODE, E_STOP, AUTO, MDI = (1 << i for i in range(7))
-SWITCH_ON, HOME = 1, 2
+SWITCH_ON, HOME, OFFSETS = 1, 2, 4
 
 
 class Pins:
@@ -22,13 +22,18 @@ class Pins:
         "machine-on",
         "manual",
         "joint-mode",
+        "world-mode",
         "home-all",
+        "offsets",
+        "pause",
+        "inhibit",
         "free",
     )
-    IN = ("enabled", "homed", "teleop", "coord", "estop", "auto", "mdi", "ok")
+    IN = ("enabled", "homed", "teleop", "coord", "estop", "auto", "mdi", "running", "ok")
     """Pins of its own: asking HAL for those of others waits for a lock, which any halcmd may hold for 0.1 s."""
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, offsets: int) -> None:
+        """offsets: how many axes have external offsets here; their counts are behind the joints'."""
         sys.path.append("/usr/lib/python3/dist-packages")
         import hal  # type: ignore[import-not-found]
 
@@ -44,18 +49,23 @@ class Pins:
                 self.signals.add(name)
         for name in self.OUT:
             self._component[name] = name == "free"
-        self.counts = [int(hal.get_value(f"streamer.0.pin.{j}")) for j in range(n)]
+        self.counts = [int(hal.get_value(f"streamer.0.pin.{j}")) for j in range(n + offsets)]
         self._samples = hal.stream(self._component, hal.sampler_base)
         self._counts = hal.stream(self._component, hal.streamer_base)
 
-    def sample(self) -> tuple[int, list[float], list[float]] | None:
-        """Return the newest sample's number, commanded and measured positions; None: none has come."""
+    def sample(self) -> tuple[int, list[float], list[float], list[float]] | None:
+        """Return the newest sample's number, commanded and measured positions, offsets; None: none has come."""
         newest = None
         while self._samples.readable:
             row = self._samples.read()
             if row is None:
                 break
-            newest = self._samples.sampleno, list(row[: self._n]), list(row[self._n :])
+            newest = (
+                self._samples.sampleno,
+                list(row[: self._n]),
+                list(row[self._n : 2 * self._n]),
+                list(row[2 * self._n :]),
+            )
         return newest
 
     @property
@@ -77,8 +87,8 @@ class Pins:
         """Set a pin of the bridge."""
         self._component[name] = value
 
-    def flags(self) -> int:
-        """Return what LinuxCNC does just now."""
+    def flags(self, offsets: bool) -> int:
+        """Return what LinuxCNC does just now, and whether it takes what is sent: jogs of joints, or offsets."""
         told = (
             (ENABLED, self.get("enabled")),
             (HOMED, self.get("homed")),
@@ -87,9 +97,14 @@ class Pins:
             (AUTO, self.get("auto")),
             (MDI, self.get("mdi")),
         )
-        flags = sum(bit for bit, on in told if on)
-        needed = ENABLED | HOMED | JOINT_MODE
-        return flags | MAY * (flags & (needed | AUTO | MDI) == needed)
+        return allowed(sum(bit for bit, on in told if on), offsets)
+
+
+def allowed(flags: int, offsets: bool) -> int:
+    """Return what LinuxCNC does with the bit MAY where it takes offsets, or jogs of joints, meanwhile."""
+    needed = ENABLED | HOMED
+    watched = needed | JOINT_MODE if offsets else needed | JOINT_MODE | AUTO | MDI
+    return flags | MAY * (flags & watched == needed | (0 if offsets else JOINT_MODE))
 
 
 class Switching:
@@ -124,8 +139,9 @@ class Switching:
         wanted = (
             (SWITCH_ON, flags & E_STOP, "estop-reset"),
             (SWITCH_ON, not flags & ENABLED, "machine-on"),
-            (SWITCH_ON | HOME, flags & (AUTO | MDI), "manual"),
+            (SWITCH_ON | HOME, flags & (AUTO | MDI) and not self._what & OFFSETS, "manual"),
             (HOME, not flags & HOMED, "home-all"),
-            (SWITCH_ON | HOME, not flags & JOINT_MODE, "joint-mode"),
+            (SWITCH_ON | HOME, not (flags & JOINT_MODE or self._what & OFFSETS), "joint-mode"),
+            (SWITCH_ON | HOME, flags & JOINT_MODE and self._what & OFFSETS, "world-mode"),
         )
         return next((pin for what, missing, pin in wanted if self._what & what and missing), "")

@@ -150,9 +150,9 @@ class ServoBusRobot(CyclicRobot):
 
     def _compare(self, ends: Array) -> None:
         """Raise DeviceFailed where the arm's file gives other ranges than the servos keep, ends (n, 2) in rad."""
-        if self.settings.arm_range is None:
+        if self.settings.arm is None:
             return
-        file = np.array(self.settings.arm_range).T  # (n, 2)
+        file = self.settings.arm.ranges.T  # (n, 2)
         if file.shape != ends.shape:
             raise UsageError(
                 f"{self.name}: the arm's file has {len(file)} joints, and {self.n_joints} servos are named",

@@ -21,8 +21,8 @@ class ServoSettings(LinkSettings):
     """Settings of a bus of servos.
 
     calibration: LeRobot's file, which gives ids, directions and zeros; else ids, signs (1 or -1) and zero_steps, one
-    each. torque: as_found, or off: then it is switched off when the link is opened, and the arm sinks. arm_range: lower
-    and upper of the arm's file, in rad, to be compared with the servos'. lower_rad, upper_rad: narrower ranges.
+    each. torque: as_found, or off: then it is switched off when the link is opened, and the arm sinks. lower_rad,
+    upper_rad: narrower ranges.
     """
 
     link: ClassVar[str] = "the servo bus"
@@ -34,7 +34,6 @@ class ServoSettings(LinkSettings):
     signs: list[Literal[1, -1]] | None = None
     zero_steps: list[float] | None = None
     torque: Literal["as_found", "off"] = "as_found"
-    arm_range: tuple[list[float], list[float]] | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -52,12 +53,10 @@ def open_robot(text: str, clock: Clock, settings: Mapping[str, Any] | None = Non
     return cast(Robot, maker(name, settings=dict(settings or {}), clock=clock))
 
 
-TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "egm", "rsi"), "rsi", ("egm", "rsi")
-HAS_RANGES = ("dynamixel", "feetech")
-TELLS_RANGES = "linuxcnc"
+TAKES_ARM, TAKES_TAGS, LISTENS = ("alter", "dynamixel", "egm", "feetech", "linuxcnc", "rsi"), "rsi", ("egm", "rsi")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LinkArm:
     """An arm as a link of poses wants it: joint values to T_base_flange and back, on the branch of given joints."""
 
@@ -65,8 +64,33 @@ class LinkArm:
 
     def fk(self, q: NDArray[np.float64]) -> RigidTransform:
         """Return T_base_flange of the controller's joint values q (n,) in rad or m."""
-        T_world_tool = RigidTransform.from_matrix(self.arm.fk(self.arm.values(q)))
-        return self.arm.T_world_base.inv() * T_world_tool * self.arm.T_flange_tool.inv()
+        return RigidTransform.from_matrix(self.flange(q))
+
+    def flange(self, q: NDArray[np.float64]) -> Array:
+        """Return T_base_flange (4, 4) of the controller's joint values q (n,) in rad or m."""
+        T_base_world, T_tool_flange, _ = self._ends
+        return np.asarray(T_base_world @ self.arm.fk(self.arm.values(q)) @ T_tool_flange)
+
+    @cached_property
+    def _ends(self) -> tuple[Array, Array, Array]:
+        """T_base_world, T_tool_flange (4, 4), and the tool's place in the flange (3,)."""
+        T_tool_flange = self.arm.T_flange_tool.inv().as_matrix()
+        p_flange_tool = np.asarray(self.arm.T_flange_tool.translation)
+        return self.arm.T_world_base.inv().as_matrix(), T_tool_flange, p_flange_tool
+
+    def jacobian(self, q: NDArray[np.float64]) -> Array:
+        """Return the flange's way and turn (6, n) in base axes by the controller's joint values q (n,)."""
+        J = self.arm.jacobian(self.arm.values(q)) @ self.arm.gearing
+        T_base_world, _, p_flange_tool = self._ends
+        way, turn = T_base_world[:3, :3] @ J[:3], T_base_world[:3, :3] @ J[3:]
+        to_tool = self.flange(q)[:3, :3] @ p_flange_tool
+        return np.concatenate([way + np.cross(to_tool, turn, axisb=0, axisc=0), turn])
+
+    @property
+    def ranges(self) -> Array:
+        """Lower and upper (2, n); infinite where joints are coupled, whose readings have no range of their own."""
+        ends = np.array([self.arm.lower, self.arm.upper])
+        return np.array([[-np.inf], [np.inf]]) * np.ones(self.arm.n) if self.arm.couplings else ends
 
     def ik(self, T_base_flange: RigidTransform, near: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the controller's joint values (n,) nearest to near (n,). Raises DataRefused out of reach."""
@@ -120,8 +144,9 @@ def driver_settings(
     """Return the settings of the driver that DRIVER:DEVICE names: those given, and what it needs beside them.
 
     arm: alter sends poses and needs it for joints; where others send poses it says how their probe moves every joint;
-    linuxcnc and buses of servos compare their ranges. rsi_config: the RSI Ethernet XML file with the tags of the user's
-    own configuration. Raises UsageError for what the driver has no use for; of `given` the driver itself says that.
+    linuxcnc and buses of servos compare its ranges with theirs, and linuxcnc corrects poses by it. rsi_config: the RSI
+    Ethernet XML file with the tags of the user's own configuration. Raises UsageError for what the driver has no use
+    for; of `given` the driver itself says that.
     """
     driver = robot.partition(":")[0]
     settings = dict(given or {})
@@ -139,11 +164,6 @@ def driver_settings(
         )
     if driver in TAKES_ARM and arm is not None:
         settings["arm"] = LinkArm(arm=arm)
-    if driver in HAS_RANGES and arm is not None:
-        settings["arm_range"] = (arm.lower.tolist(), arm.upper.tolist())
-    if driver == TELLS_RANGES and arm is not None and not arm.couplings:
-        for key, end in (("lower_rad", "lower"), ("upper_rad", "upper")):  # it refuses where its own are others
-            settings.setdefault(key, [getattr(joint, end) for joint in arm.joints])
     if rsi_config is not None:
         if driver != TAKES_TAGS:
             raise UsageError(f"{robot} takes no RSI configuration", cure="Omit --rsi-config, or give rsi:UDP_PORT")
