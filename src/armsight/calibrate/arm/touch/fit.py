@@ -54,13 +54,20 @@ class TouchNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TouchFit:
-    """Parameters p (P,), the engine's fit, the noises, W (m, 3, 3) that whitens the rows, and what was freed."""
+    """Parameters p (P,), the engine's fit, the noises, W (m, 3, 3) that whitens the rows, what was freed, and the kinds
+    of features."""
 
     p: Array
     fit: Fit
     noise: TouchNoise
     whiten: Array
     free: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+
+    @property
+    def scatter_m(self) -> float:
+        """The largest standard deviation of a touch, m."""
+        return max(self.noise.touch_m[kind] for kind in self.kinds)
 
     def misses_m(self, model: TouchModel, touches: Touches) -> Array:
         """Return how far off rows (m,) are, m."""
@@ -100,7 +107,7 @@ def fit_touches(
         if all(abs(np.log(noise.touch_m[k] / before.touch_m[k])) < 0.01 for k in set(touches.kind)):
             break
     freed = tuple(name for name in model.names if name not in fixed)
-    return TouchFit(p=p, fit=fit, noise=noise, whiten=W, free=freed)
+    return TouchFit(p=p, fit=fit, noise=noise, whiten=W, free=freed, kinds=tuple(sorted(set(touches.kind))))
 
 
 def estimate_noise(
