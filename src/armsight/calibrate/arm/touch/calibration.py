@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -89,7 +89,7 @@ class _Level:
     offered: tuple[str, ...]
     fitted: TouchFit
     risen: tuple[str, ...] = ()
-    left_m: Array | None = None
+    left_m: Array = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,7 +156,7 @@ def _chosen(model: TouchModel, levels: list[_Level], tolerance: Tolerance) -> _L
     best = levels[0]
     for richer in levels[1:]:
         # as of measured positions: only what predicts touches left out is taken
-        if richer.left_m is not None and significant_gain(best.left_m, richer.left_m, np.arange(len(richer.left_m))):
+        if len(richer.left_m) and significant_gain(best.left_m, richer.left_m, np.arange(len(richer.left_m))):
             best = richer
     return best
 
@@ -165,11 +165,11 @@ def _seen(plain: _Level, richer: _Level) -> bool:
     """Whether what a richer kind adds is not nothing: Wald's test of all of it."""
     fit = richer.fitted.fit
     more = set(richer.offered) - set(plain.offered)
-    names = [] if fit.covariance is None else [x for x in fit.covariance.names if x in more]
+    names = () if fit.covariance is None else tuple(x for x in fit.covariance.names if x in more)
     if fit.covariance is None or not names:
         return False
-    added = np.array([fit.value(x) for x in names])
-    return float(added @ np.linalg.solve(fit.covariance.block(names), added)) > chi2_ppf(SEEN, len(names))
+    added: Array = np.array([fit.value(x) for x in names])
+    return float(added @ np.linalg.solve(fit.covariance.block(names), added)) > float(chi2_ppf(SEEN, len(names)))
 
 
 def _fits(model: TouchModel, full: TouchFit) -> bool:
