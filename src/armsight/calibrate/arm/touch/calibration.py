@@ -59,25 +59,31 @@ def calibrate_touched(
     arm_model = ArmModel(arm=nominal, labels=("",), turned=False)
     model, guess = start(arm_model, touches)
     kinds = [(NOMINAL, ()), *(x for x in candidates(arm_model, scale=scale) if x[0].startswith("geometry"))]
-    levels = _levels(model, guess, kinds, tolerance)
-    full = _plain(levels)
-    _check_fit(model, full.fitted)
-    every, gross = model, gross_rows(model, full.fitted)
+    tried, later = kinds[:2], kinds[2:]
+    levels = _levels(model, guess, tried, tolerance)
+    if not _fits(model, levels[1].fitted):
+        _refuse_senses(model, guess)
+        tried, later = kinds, []
+        levels = _levels(model, guess, kinds[2:], tolerance, levels)
+    plain = _plain(levels).fitted
+    _check_fit(model, plain)
+    every, gross = model, gross_rows(model, plain)
     for _ in range(REFITS):  # a gross row's pull is bounded, but along what the others hardly tell it is far
         if not gross:
             break
         kept = np.setdiff1d(np.arange(len(touches)), [one.row for one in gross])
         model = replace(every, touches=touches.take(kept))
-        levels = _levels(model, levels[0].fitted.p, kinds, tolerance)
+        levels = _levels(model, levels[0].fitted.p, tried, tolerance)
         before, gross = gross, gross_rows(every, _plain(levels).fitted)
         if [one.row for one in gross] == [one.row for one in before]:
             break
+    levels = _levels(model, levels[0].fitted.p, later, tolerance, levels)
     best = _chosen(model, levels, tolerance)
-    kept_or_full = best if best is not levels[0] else levels[1]
-    check_moved(model, kept_or_full.fitted, tolerance)
-    check_lengths(model, kept_or_full.fitted, tolerance)
-    found = told(model, kept_or_full.fitted, kept_or_full.offered, tolerance)
-    judged = _Judged(given=given, every=every, model=model, levels=levels, best=best, full=kept_or_full, told=found)
+    full = best if best is not levels[0] else levels[1]
+    check_moved(model, full.fitted, tolerance)
+    check_lengths(model, full.fitted, tolerance)
+    found = told(model, full.fitted, full.offered, tolerance)
+    judged = _Judged(given=given, every=every, model=model, levels=levels, best=best, full=full, told=found)
     return _result(judged, tolerance)
 
 
@@ -115,11 +121,15 @@ class _Judged:
 
 
 def _levels(
-    model: TouchModel, guess: Array, kinds: Sequence[tuple[str, tuple[str, ...]]], tolerance: Tolerance
+    model: TouchModel,
+    guess: Array,
+    kinds: Sequence[tuple[str, tuple[str, ...]]],
+    tolerance: Tolerance,
+    known: Sequence[_Level] = (),
 ) -> list[_Level]:
-    """Return the fits of all kinds of model, the nominal one first; richer ones that did not converge are left out.
-    Raises NotConverged for the first two, Inconsistent where only other senses of joints explain the touches."""
-    levels: list[_Level] = []
+    """Return the known fits and those of further kinds of model, the nominal one first; richer ones than zeros and
+    lengths that did not converge are left out. Raises NotConverged, Inconsistent where other senses explain it."""
+    levels = [*known]
     for name, offered in kinds:
         risen: tuple[str, ...] = ()
         p = levels[min(len(levels), 2) - 1].fitted.p if levels else guess
@@ -135,8 +145,6 @@ def _levels(
             continue
         told_name = name.replace("geometry and", "zeros, lengths and").replace("geometry", CORRECTED)
         levels.append(_Level(name=told_name, offered=offered, fitted=fitted, risen=risen))
-        if len(levels) == len((NOMINAL, CORRECTED)) and not _fits(model, fitted):
-            _refuse_senses(model, guess)
     return levels
 
 
