@@ -188,7 +188,9 @@ def test_a_joint_that_runs_the_other_way_is_named_and_the_cure_works():
     arm, _, _, touches, _ = of_spikes(seed=4)
     signs, zero = np.array([1, -1, 1, 1, -1, 1]), np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
     wrong = replace(touches, q=(touches.q - zero) * signs)
-    with refuses(Inconsistent, "j2, j5", "the other way", "sign: -1", "(j3)", "touched points"):
+    with refuses(
+        Inconsistent, "j2, j5", "the other way", "sign: -1", "(j3)", "touched points", "with j1, j2, j4, j5, j6 counted"
+    ):
         calibrate_touched(arm, wrong)
     joints = [
         replace(joint, sign=joint.sign * float(s), theta_rad=joint.theta_rad + float(z))
@@ -196,6 +198,21 @@ def test_a_joint_that_runs_the_other_way_is_named_and_the_cure_works():
     ]
     cured = replace(arm, joints=tuple(joints))
     assert calibrate_touched(cured, wrong, tolerance=TOLERANCE).after.rms_m < 3e-4
+
+
+def test_gauges_read_in_millimetres_and_columns_exchanged_are_refused():
+    rng = np.random.default_rng(5)
+    arm, world, _ = drawn("irb120", rng)
+    near, n = np.array(NEAR["irb120"]), 20
+    here, travel = world.there(near)[0], rng.uniform(0.0, 0.02, n)
+    anvil = here + rng.uniform(-0.08, 0.08, (n, 3)) * [1.0, 1.0, 0.0] + np.outer(travel, [0.0, 0.0, 1.0])
+    q = world.touched(rng, np.concatenate([np.tile(here, (n, 1)), anvil]), near)
+    named, kinds = ["spike"] * n + ["dial"] * n, [Kind.POINT] * n + [Kind.GAUGE] * n
+    read = np.concatenate([np.zeros(n), 1e3 * travel])
+    with refuses(Inconsistent, "dial", "reading_m in m"):
+        calibrate_touched(arm, touched(q, named, kinds, (), read), tolerance=TOLERANCE)
+    with refuses(Inconsistent, "not of this arm", "exchanged columns"):
+        calibrate_touched(arm, touched(q[:, [0, 2, 1, 3, 4, 5]], named, kinds, (), 1e-3 * read), tolerance=TOLERANCE)
 
 
 def test_too_few_touches_are_refused():

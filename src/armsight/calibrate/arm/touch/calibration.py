@@ -128,7 +128,7 @@ def _levels(
     known: Sequence[_Level] = (),
 ) -> list[_Level]:
     """Return the known fits and those of further kinds of model, the nominal one first; richer ones than zeros and
-    lengths that did not converge are left out. Raises NotConverged, Inconsistent where other senses explain it."""
+    lengths that did not converge are left out. Raises Inconsistent for the first ones."""
     levels = [*known]
     for name, offered in kinds:
         risen: tuple[str, ...] = ()
@@ -141,7 +141,7 @@ def _levels(
         except (NotConverged, Inconsistent):  # such as a joint's scale far from one
             if len(levels) < len((NOMINAL, CORRECTED)):
                 _refuse_senses(model, guess)
-                raise
+                raise _not_of_this_arm("with zeros and lengths corrected no arm fits the touches") from None
             continue
         told_name = name.replace("geometry and", "zeros, lengths and").replace("geometry", CORRECTED)
         levels.append(_Level(name=told_name, offered=offered, fitted=fitted, risen=risen))
@@ -192,10 +192,17 @@ def _check_fit(model: TouchModel, full: TouchFit) -> None:
     gross = gross_rows(model, full)
     rows = ranges([int(model.touches.row[one.row]) for one in gross]) if gross else ""
     told_rows = f"; rows {rows} do not agree with the others" if gross else ""
-    raise Inconsistent(
-        f"with zeros and lengths corrected the touches still scatter by {full.scatter_m / MM:.3g} mm{told_rows}",
+    raise _not_of_this_arm(
+        f"with zeros and lengths corrected the touches still scatter by {full.scatter_m / MM:.3g} mm{told_rows}"
+    )
+
+
+def _not_of_this_arm(what: str) -> Inconsistent:
+    return Inconsistent(
+        what,
         consequence="They are not of this arm at these readings, or of other features than they are called",
-        cure="Give the file of this arm; look for readings and features out of step, for a tip or a feature that moved",
+        cure="Give the file of this arm; look for exchanged columns, readings and features out of step, a tip or "
+        "a feature that moved",
     )
 
 
