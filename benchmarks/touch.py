@@ -116,11 +116,10 @@ def figures(arms: list[np.ndarray]) -> list[float]:
 def right(count: int, arms: list[str]) -> None:
     """Print how many right arms are called otherwise by the search for senses and zeros, asked of each at once: the
     calibration asks it only where nothing else explains the rows."""
-    rows = []
+    bench.table("Right arms, worn", ["measured", "arms", "a sense or zero invented"], [])
     for kind, search in (("touches", of_worn_touches), ("positions", of_worn_points)):
         found = [search(arms[seed % len(arms)], np.random.default_rng([seed, 7])) for seed in range(count)]
-        rows.append([kind, count, sum(one is not None for one in found)])
-    bench.table("Right arms, worn", ["measured", "arms", "a sense or zero invented"], rows)
+        row(kind, count, sum(one is not None for one in found))
 
 
 def worn(name: str, rng: np.random.Generator) -> tuple[Arm, scene.World]:
