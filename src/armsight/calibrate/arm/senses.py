@@ -46,6 +46,8 @@ MOST_CLOSE = 16
 LEAST_LEFT_M = 1e-5
 """What choices leave below it is alike: nothing is measured better."""
 TOLD_ZERO_RAD = 2.0 * DEG
+COARSE_ZERO_RAD = 5.0 * DEG
+"""Zeros alone are no other arm below it, three of their tolerances: they take up lengths, to 2.8 degrees as seen."""
 
 LeftOf = Callable[[Array, Array], tuple[Array, Array]]
 
@@ -203,7 +205,7 @@ def judged(
     if ambiguous and left[best] > most_m:
         return None
     names = _reversed(arm, turning, choices[best])
-    if not names and not _off(arm, zeros[best]):
+    if not names and np.abs(zeros[best]).max() < COARSE_ZERO_RAD:
         return None
     told = [best]
     back = choices < 0.0
