@@ -313,7 +313,15 @@ def _covariance(judged: _Judged) -> NamedCovariance | None:
     model = judged.model.arm_model
     ours = set(model.names[: model.n_geometry]) - judged.told.hidden
     names = tuple(name for name in found.names if name in ours)
-    return NamedCovariance(names=names, matrix=found.block(names)) if names else None
+    if not names:
+        return None
+    # scales or sag that are seen and not proved may be there all the same: what they would change is not known better
+    matrix, richer = found.block(names), judged.levels[judged.levels.index(judged.best) + 1 :]
+    for one in richer if judged.gain else ():
+        if len(one.left_m):
+            off = np.array([one.fitted.fit.value(x) - judged.best.fitted.fit.value(x) for x in names])
+            matrix = matrix + np.outer(off, off)
+    return NamedCovariance(names=names, matrix=matrix)
 
 
 def _arm(arm_model: ArmModel, best: TouchFit, covariance: NamedCovariance | None) -> Arm:
