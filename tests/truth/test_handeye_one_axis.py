@@ -108,3 +108,10 @@ def test_a_height_that_is_not_needed_is_refused():
         calibrate_hand_eye(flange, seen, target_height_m=0.012, propose=2)
     done = calibrate_hand_eye(flange, seen, propose=2)
     assert done.T_parent_target.translation[2] == pytest.approx(0.012, abs=1e-6)
+
+
+def test_a_height_in_millimetres_taken_as_metres_is_refused():
+    poses = scara(np.random.default_rng(3))
+    with refuses(Inconsistent, "height is given as 12 m", "12mm"):
+        calibrate_hand_eye(*poses, setup="eye-in-hand", target_height_m=12.0)
+    assert calibrate_hand_eye(*poses, setup="eye-in-hand", target_height_m=0.012).std["z_m"] < 1e-3

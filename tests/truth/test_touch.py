@@ -61,7 +61,7 @@ def test_two_spikes_tell_zeros_and_lengths_as_well_as_can_be_and_deviations_hold
         assert len(done.free) >= 12
         joints = [joint.name for joint in arm.joints]
         names = list(off)
-        least = bound(world, touches.q, which, spikes, names, joints, LENGTH_M, ANGLE_RAD, KNOWN_M)
+        least, _ = bound(world, touches.q, which, spikes, off, joints, LENGTH_M, ANGLE_RAD, KNOWN_M)
         error = np.array([done.corrections[one] - off[one] for one in done.free])
         by_bound.append(error / least[[names.index(one) for one in done.free]])
         by_claim.append(error / [done.deviations[one] for one in done.free])
@@ -119,11 +119,31 @@ def test_flats_balls_and_gauges_tell_too():
     assert all(one.rms_m < 3e-4 for one in done.features)
 
 
+@pytest.mark.parametrize("what", ["scale", "sag"])
+def test_scales_and_sag_are_taken_where_touches_left_out_prove_them(what):
+    arm, world, off, touches, _ = of_spikes(seed=6)
+    names = [f"j{k}.{what}" for k in range(1, 7)]
+    if what == "scale":
+        true = np.array([0.004, -0.01, 0.012, -0.015, 0.01, 0.006])
+        read = touches.q / (1.0 + true)
+    else:  # as far as a weight at the flange has its lever out, whose torques its height's slopes are
+        true = np.array([0.0, 0.03, 0.02, 0.0, 0.0, 0.0])
+        read = touches.q + true * replace(world, tip=np.zeros(3)).there(touches.q)[1][:, 2]
+    done = calibrate_touched(arm, replace(touches, q=read), tolerance=TOLERANCE)
+    assert done.level == f"zeros, lengths and {what if what == 'sag' else 'joint scales'}"
+    off = off | dict(zip(names, true, strict=True))
+    z = np.array([(done.corrections[one] - off[one]) / done.deviations[one] for one in done.free])
+    assert {names[1], names[2]} <= set(done.free)
+    assert np.sqrt(np.mean(z**2)) < 1.0 + 3.0 / np.sqrt(len(z))
+    assert done.cross_after.rms_m < 0.2 * done.cross_before.rms_m
+
+
 def test_a_right_arm_is_left_as_it_is():
     arm, *_, touches, _ = of_spikes(share=0.0)
     done = calibrate_touched(arm, touches)
     assert not done.gain
     assert not done.free
+    assert {one.name for one in done.fixed} >= {"j2.theta_rad", "j3.a_m"}
     assert done.after.rms_m < 3e-4
 
 
@@ -168,7 +188,9 @@ def test_a_joint_that_runs_the_other_way_is_named_and_the_cure_works():
     arm, _, _, touches, _ = of_spikes(seed=4)
     signs, zero = np.array([1, -1, 1, 1, -1, 1]), np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
     wrong = replace(touches, q=(touches.q - zero) * signs)
-    with refuses(Inconsistent, "j2, j5", "the other way", "sign: -1", "(j3)", "touched points"):
+    with refuses(
+        Inconsistent, "j2, j5", "the other way", "sign: -1", "(j3)", "touched points", "with j1, j2, j4, j5, j6 counted"
+    ):
         calibrate_touched(arm, wrong)
     joints = [
         replace(joint, sign=joint.sign * float(s), theta_rad=joint.theta_rad + float(z))
@@ -176,6 +198,21 @@ def test_a_joint_that_runs_the_other_way_is_named_and_the_cure_works():
     ]
     cured = replace(arm, joints=tuple(joints))
     assert calibrate_touched(cured, wrong, tolerance=TOLERANCE).after.rms_m < 3e-4
+
+
+def test_gauges_read_in_millimetres_and_columns_exchanged_are_refused():
+    rng = np.random.default_rng(5)
+    arm, world, _ = drawn("irb120", rng)
+    near, n = np.array(NEAR["irb120"]), 20
+    here, travel = world.there(near)[0], rng.uniform(0.0, 0.02, n)
+    anvil = here + rng.uniform(-0.08, 0.08, (n, 3)) * [1.0, 1.0, 0.0] + np.outer(travel, [0.0, 0.0, 1.0])
+    q = world.touched(rng, np.concatenate([np.tile(here, (n, 1)), anvil]), near)
+    named, kinds = ["spike"] * n + ["dial"] * n, [Kind.POINT] * n + [Kind.GAUGE] * n
+    read = np.concatenate([np.zeros(n), 1e3 * travel])
+    with refuses(Inconsistent, "dial", "reading_m in m"):
+        calibrate_touched(arm, touched(q, named, kinds, (), read), tolerance=TOLERANCE)
+    with refuses(Inconsistent, "not of this arm", "exchanged columns"):
+        calibrate_touched(arm, touched(q[:, [0, 2, 1, 3, 4, 5]], named, kinds, (), 1e-3 * read), tolerance=TOLERANCE)
 
 
 def test_too_few_touches_are_refused():

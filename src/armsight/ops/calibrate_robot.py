@@ -290,7 +290,7 @@ def calibrate_arm(
 
         if holdout is not None or propose:
             raise UsageError("--holdout and --propose go with --points", cure="Leave them away with --touch")
-        found = calibrate_touched(nominal, touch, tolerance=tolerance)
+        found = calibrate_touched(nominal, touch, tolerance=tolerance, scale=scale)
         return found if out is None else _with_urdf(found, Path(out).with_suffix(".urdf"))
     if length:
         raise UsageError("--length goes with --touch", cure="Leave it away, or give what was touched")

@@ -14,6 +14,7 @@ from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm, limits_reache
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import (
+    UNPROVED,
     LeftOut,
     Level,
     best_level,
@@ -47,7 +48,6 @@ GROSS = float(np.sqrt(chi2_ppf(0.99999, 3)))
 CONFIRMED = 1.0
 """Standard errors by which errors must fall in nested folds too, after the kind of model was taken by two of them: the
 folds have a fifth fewer rows, and some take a poorer kind."""
-UNPROVED = "no gain is proved by correcting it"
 
 
 def calibrate_arm(

@@ -55,6 +55,7 @@ COUPLING_RANGE_RAD = 0.2
 """A joint that moved less cannot tell whether the next one's reading holds its own."""
 REPLACED = "the axes before and behind are parallel: the next joint's d_m says the same, and beta_rad their tilt"
 
+UNPROVED = "no gain is proved by correcting it"
 RISING = "the measurements want the joint to rise against its load, which no spring does"
 
 

@@ -46,6 +46,8 @@ MOST_CLOSE = 16
 LEAST_LEFT_M = 1e-5
 """What choices leave below it is alike: nothing is measured better."""
 TOLD_ZERO_RAD = 2.0 * DEG
+COARSE_ZERO_RAD = 5.0 * DEG
+"""Zeros alone are no other arm below it, three of their tolerances: they take up lengths, to 2.8 degrees as seen."""
 
 LeftOf = Callable[[Array, Array], tuple[Array, Array]]
 
@@ -203,13 +205,14 @@ def judged(
     if ambiguous and left[best] > most_m:
         return None
     names = _reversed(arm, turning, choices[best])
-    if not names and not _off(arm, zeros[best]):
+    if not names and np.abs(zeros[best]).max() < COARSE_ZERO_RAD:
         return None
-    if not ambiguous:
-        return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best])
     told = [best]
-    for i in others:  # not those that reverse one more joint beside what is told, such as the last
-        if (size[i] == size[best] or i == 0) and all(((choices[k] < 0.0) & (choices[i] > 0.0)).any() for k in told):
+    back = choices < 0.0
+    for i in others:  # not those that reverse one more joint beside what is told, such as the last; a mirror image two
+        if (size[i] == size[best] or i == 0) and all(
+            (back[k] & ~back[i]).any() or back[i].sum() > back[k].sum() + 1 for k in told
+        ):
             told.append(i)
     same = tuple((_reversed(arm, turning, choices[i]), zeros[i]) for i in told[1:])
     return Senses(joints=names, zeros_rad=zeros[best], left_m=left[best], alike=same)

@@ -42,6 +42,8 @@ TURNS = 72
 ROUNDS = 6
 """Fits with the noises of the one before."""
 FALSE_ALARM = 1e-5
+BEYOND = 1.5
+"""A target is not higher than so many times the hand's way from the base and the camera's to the target."""
 MOST_WRONG = 0.2
 MOST_M, MOST_RAD = 0.01, 2.0 * DEG
 """Noise of positions and orientations beyond which the pairs have no common answer."""
@@ -80,6 +82,7 @@ def calibrate_about_one_axis(
     if len(pairs) < FEWEST:
         raise why
     arrays = pairs.arrays(setup)
+    _check_height(pairs, height)
     found = _robust(arrays, height)
     if found.open_names:
         raise _told(found, setup, why)
@@ -87,6 +90,19 @@ def calibrate_about_one_axis(
     if height is None or rotation_excitation(pairs.T_base_flange.rotation).rms_rad[0] < LEAST_TURN_RAD:
         raise why
     return _result(pairs, setup, arrays, found, height)
+
+
+def _check_height(pairs: PosePairs, height: TargetHeight | None) -> None:
+    """Raise Inconsistent for a height beyond all that hand and camera reach: of millimetres taken as metres."""
+    reach_m = sum(
+        float(np.linalg.norm(T.translation, axis=1).max()) for T in (pairs.T_base_flange, pairs.T_camera_target)
+    )
+    if height is not None and abs(height.z_m) > BEYOND * reach_m:
+        raise Inconsistent(
+            f"the target's height is given as {height.z_m:g} m; hand and camera reach {reach_m:.2g} m",
+            consequence="The camera would stand as far off, and no pair would show it",
+            cure="Give metres, or the unit with the number (12mm)",
+        )
 
 
 def _robust(arrays: Arrays, height: TargetHeight | None) -> _Found:

@@ -54,13 +54,20 @@ class TouchNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TouchFit:
-    """Parameters p (P,), the engine's fit, the noises, W (m, 3, 3) that whitens the rows, and what was freed."""
+    """Parameters p (P,), the engine's fit, the noises, W (m, 3, 3) that whitens the rows, what was freed, and the kinds
+    of features."""
 
     p: Array
     fit: Fit
     noise: TouchNoise
     whiten: Array
     free: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+
+    @property
+    def scatter_m(self) -> float:
+        """The largest standard deviation of a touch, m."""
+        return max(self.noise.touch_m[kind] for kind in self.kinds)
 
     def misses_m(self, model: TouchModel, touches: Touches) -> Array:
         """Return how far off rows (m,) are, m."""
@@ -100,7 +107,7 @@ def fit_touches(
         if all(abs(np.log(noise.touch_m[k] / before.touch_m[k])) < 0.01 for k in set(touches.kind)):
             break
     freed = tuple(name for name in model.names if name not in fixed)
-    return TouchFit(p=p, fit=fit, noise=noise, whiten=W, free=freed)
+    return TouchFit(p=p, fit=fit, noise=noise, whiten=W, free=freed, kinds=tuple(sorted(set(touches.kind))))
 
 
 def estimate_noise(
@@ -114,8 +121,7 @@ def estimate_noise(
     kept = touches.take(rows)
     kinds = sorted(set(kept.kind))
     A, y, by_q = A[rows], y[rows], by_q[rows]
-    mask = np.ones((len(rows), 3), bool)
-    mask[kept.scalar, 1:] = False
+    A[kept.scalar, 1:] = y[kept.scalar, 1:] = 0.0
 
     def noise_of(log: Array) -> TouchNoise:
         size = np.exp(log)
@@ -125,15 +131,14 @@ def estimate_noise(
     def neg2_log_likelihood(log: Array) -> float:
         V = noise_of(log).covariance(kept, by_q)
         L = np.linalg.cholesky(V)
-        r = np.linalg.solve(L, y[..., None])[..., 0]
-        J = np.linalg.solve(L, A)
-        r, J = r[mask], J[mask]
+        W = np.linalg.inv(L)
+        r, J = (W @ y[..., None]).ravel(), (W @ A).reshape(y.size, -1)
         information = J.T @ J + prior
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
         # directions that nothing tells have no part in it
         C = np.linalg.cholesky(information * np.outer(scale, scale) + OPEN * np.eye(len(scale)))
         g = np.linalg.solve(C, scale * (J.T @ r + pull))
-        size = 2.0 * np.log(np.einsum("mii->mi", L))[mask].sum()
+        size = 2.0 * np.log(np.einsum("mii->mi", L)).sum()
         size += 2.0 * (np.log(np.diag(C)) - np.log(scale)).sum()
         return float(size + r @ r - g @ g)
 

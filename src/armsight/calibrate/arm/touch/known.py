@@ -18,6 +18,8 @@ OPEN = 1e-3
 scatter of the touches leaves 3e-4 (0.1 mm at 0.3 m), of those that are told 1e-2."""
 SCATTERS = 5.0
 """... and so many times the touches' scatter over the arm's length."""
+NOTHING = 1e-9
+"""Share of the largest effect that is none: of the weight on an axis that stands upright."""
 PART = 0.1
 """Share of an open direction from which a parameter is in it."""
 SCALE = 0.9
@@ -29,6 +31,7 @@ BASE = (
 )
 TIP = "the tip's place takes that up: measure the tool's orientation too (--points with qx .. qw)"
 LENGTHS = "no length was measured, and touches tell lengths by their ratios alone: measure one (--length A,B,270mm)"
+SAG = "its load turns it too little, or alike in all postures: touch with the arm stretched out and drawn in"
 WEAK = "the touches tell it no better than to half its tolerance: touch from more postures, further apart"
 
 
@@ -55,10 +58,11 @@ def told(model: TouchModel, fitted: TouchFit, candidates: Sequence[str], toleran
     C = J[:, [names.index(name) for name in candidates]] * sigma
     # what tip and features can follow is no sign of the arm
     own = C - Q @ (Q.T @ C)
-    size = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
+    size = np.linalg.norm(C, axis=0)
+    size = np.maximum(size, NOTHING * size.max())
     _, s, Vt = np.linalg.svd(own / size, full_matrices=True)
     s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
-    scatter = max(fitted.noise.touch_m[kind] for kind in set(model.touches.kind)) / model.arm_model.arm.length_m
+    scatter = fitted.scatter_m / model.arm_model.arm.length_m
     open_ = Vt[s < max(OPEN, SCATTERS * scatter)] / size  # (k, c) in tolerances
     open_ = np.linalg.qr(open_.T)[0].T if len(open_) else open_
     inside = np.linalg.norm(open_, axis=0) > PART
@@ -84,14 +88,16 @@ def told(model: TouchModel, fitted: TouchFit, candidates: Sequence[str], toleran
 def _why(model: TouchModel, name: str, k: int, open_: Array, candidates: Sequence[str], sigma: Array) -> str:
     """Return what keeps a parameter open, and what would make it known."""
     arm = model.arm_model.arm
-    joint = name.rsplit(".", 1)[0]
+    joint, key = name.rsplit(".", 1)
     moved = np.ptp(model.touches.q, axis=0) > STILL * np.where(arm.revolute, 1.0, arm.length_m)
     resting = [one.name for one, moves in zip(arm.joints, moved, strict=True) if not moves]
     if joint in resting:
         return f"joint {joint} did not move: touch with it in other places"
-    if joint == arm.joints[0].name:
+    if key == "sag":
+        return SAG
+    if joint == arm.joints[0].name and key != "scale":
         return BASE
-    if joint == arm.joints[-1].name:
+    if joint == arm.joints[-1].name and key != "scale":
         return TIP
     # all lengths by one factor, tip and features too, miss nothing
     scale = np.array([_length(model, one) for one in candidates]) / sigma

@@ -13,7 +13,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.calibrate.arm.model import THETA, ArmModel, D
 from armsight.calibrate.arm.touch.touches import Kind, Touches
-from armsight.errors import Degenerate
+from armsight.errors import Degenerate, Inconsistent
 from armsight.fitting import Evaluation
 from armsight.kinematics import fk
 
@@ -28,6 +28,10 @@ TRIMS, TRIMMED = 4, 5.0
 """Rounds in which touches further off than so many times the middle one are left out of the first guess."""
 LEAST_SPREAD = 1e-3
 """Share of their farthest spread by which touches of a flat, a ball or a gauge must spread across it."""
+
+
+STEEPEST = 30.0
+"""A gauge whose readings change by more of the tip's way is not read in m: of 1 in theory, of 1000 in mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -235,7 +239,14 @@ def _gauge(name: str, at: Array, reading_m: Array) -> Array:
     if s[-1] < LEAST_SPREAD * s[0] or not np.ptp(read) > 0.0:
         raise _unspread(name, "a gauge", "over its anvil's breadth and over its travel")
     along = np.linalg.lstsq(off, read, rcond=None)[0]
-    n = along / max(float(np.linalg.norm(along)), 1e-12)
+    slope = float(np.linalg.norm(along))
+    if slope > STEEPEST:
+        raise Inconsistent(
+            f"the readings of {name} change by {slope:.3g} m for each m that the tip moves",
+            consequence="Nothing is computed from them",
+            cure="Give reading_m in m: a dial's 2.14 mm is 0.00214",
+        )
+    n = along / max(slope, 1e-12)
     return np.stack([n, *np.linalg.svd(n[None])[2][1:]])
 
 
