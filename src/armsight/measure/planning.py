@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
@@ -198,7 +198,8 @@ def with_baseline(rig: Rig, factor: float) -> Rig:
     turn = Rotation.from_rotvec((factor - 1.0) * toe_in * y)
     origin = np.asarray(rig.T_rig_left.translation)
     moved_m = origin + factor * (np.asarray(rig.T_rig_right.translation) - origin)
-    return replace(rig, T_rig_right=RigidTransform.from_components(moved_m, turn * rig.T_rig_right.rotation))
+    T_right = RigidTransform.from_components(moved_m, turn * rig.T_rig_right.rotation)
+    return rig.with_each(T_rig_camera=(rig.T_rig_left, T_right))
 
 
 # What a person who sets up a camera wants to know: are the lights clipped, faint, blurred, or drowned by the room?

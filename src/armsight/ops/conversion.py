@@ -115,7 +115,7 @@ def load_rig(
     kind = _kind(sources[0], "armsight/rig")
     _count("input", sources, kind, {"armsight": (1,), "ros": (2,), "opencv": (1, 2), "kalibr": (1,)}[kind])
     read: Mapping[str, Callable[[], Rig]] = {
-        "armsight": lambda: read_rig(sources[0]),
+        "armsight": lambda: read_rig(sources[0], any_cameras=True),
         "ros": lambda: rig_from_ros(sources[0], sources[1], unit_m=unit_m, told=told),
         "opencv": lambda: rig_from_opencv(sources, size=size, unit_m=unit_m, told=told),
         "kalibr": lambda: rig_from_kalibr(sources[0], unit_m=unit_m),
@@ -143,7 +143,9 @@ def convert_rig(
     told: list[str] = []
     rig = load_rig(sources, size=size, unit_m=unit_m, told=told)
     _count("output", outs, to, (2, 3) if to == "ros" else (1,))
-    if to != "armsight" and rig.left.plate is not None:
+    if to in ("ros", "opencv"):
+        rig.require_pair(f"a file of {to}")
+    if to != "armsight" and rig.is_pair and rig.left.plate is not None:
         rig, rms_px = pinhole_pair(rig)
         told.append(f"{to} knows no glass plate: written is the nearest pair of pinholes, {rms_px:.3f} px RMS off")
     write: Mapping[str, Callable[[], None]] = {
@@ -151,8 +153,10 @@ def convert_rig(
         "ros": lambda: _rig_to_ros(outs, rig),
         "opencv": lambda: rig_to_opencv(outs[0], rig),
         "kalibr": lambda: rig_to_kalibr(outs[0], rig),
-        "colmap": lambda: cameras_to_colmap(outs[0], [rig.left, rig.right]),
+        "colmap": lambda: cameras_to_colmap(outs[0], [one.camera for one in rig.cameras]),
     }
+    if to == "kalibr" and not rig.is_pair:
+        told.append(f"Kalibr has no names: cam0 ... are {', '.join(rig.names)}")
     write[to]()
     return _done(kind, to, outs, note="; ".join(told))
 

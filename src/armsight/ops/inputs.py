@@ -91,8 +91,8 @@ def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> Array | N
 
 
 def rig(name: str, value: Any, given: Given, undo: ExitStack) -> Rig:
-    """Return a rig, or that of a rig.yaml. Raises BadFile."""
-    return record_of(name, value, Rig, read_rig)
+    """Return a pair of cameras, or that of a rig.yaml. Raises BadFile; UsageError for another rig."""
+    return record_of(name, value, Rig, read_rig).require_pair(name)
 
 
 def camera(name: str, value: Any, given: Given, undo: ExitStack) -> Camera:

@@ -163,4 +163,9 @@ def doctor(
             cure="Give --rig and --depth (in m; again for the far end of a volume)",
         )
     failed = compiled_now(progress) if compile_ahead else []
-    return looked_at(None if rig is None else rig_resolution(read_zoom_rig(rig), depths, sigma_px, accuracy_m), failed)
+    return looked_at(
+        None
+        if rig is None
+        else rig_resolution(read_zoom_rig(rig).require_pair(str(rig)), depths, sigma_px, accuracy_m),
+        failed,
+    )

@@ -1,19 +1,18 @@
 """Pixel <-> ray: cameras, rigs, triangulation."""
 
 from armsight.optics.camera import FISHEYE_INTRINSICS, INTRINSICS, SIDES, WIDEST_RAD, Camera, LensKind, Plate
-from armsight.optics.parallelism import Parallelism, Resolution, mean_axes, moved_rig, parallelism, resolution
+from armsight.optics.mounted import MOST_CAMERAS, MountedCamera, MountedZoom, require_camera_name
+from armsight.optics.parallelism import Parallelism, Resolution, mean_axes, parallelism, resolution
 from armsight.optics.rig import (
+    PLACE,
     RIG_PARAMETERS,
     RIGHT_POSE,
-    MountedZoom,
     PackedRig,
     Rig,
-    RigAtZoom,
     RigKind,
-    at_zoom,
     converged_rig,
+    moved_rig,
     parallel_rig,
-    with_zoom,
 )
 from armsight.optics.triangulate import (
     Triangulation,
@@ -24,10 +23,13 @@ from armsight.optics.triangulate import (
     triangulate_closed,
 )
 from armsight.optics.zoom import LeftOut, ZoomLens, ZoomSetting, ZoomState
+from armsight.optics.zoom_rig import RigAtZoom, Zooms, at_zoom, with_zoom
 
 __all__ = [
     "FISHEYE_INTRINSICS",
     "INTRINSICS",
+    "MOST_CAMERAS",
+    "PLACE",
     "RIGHT_POSE",
     "RIG_PARAMETERS",
     "SIDES",
@@ -35,6 +37,7 @@ __all__ = [
     "Camera",
     "LeftOut",
     "LensKind",
+    "MountedCamera",
     "MountedZoom",
     "PackedRig",
     "Parallelism",
@@ -48,6 +51,7 @@ __all__ = [
     "ZoomLens",
     "ZoomSetting",
     "ZoomState",
+    "Zooms",
     "at_zoom",
     "converged_rig",
     "epipolar_chi2",
@@ -56,6 +60,7 @@ __all__ = [
     "moved_rig",
     "parallel_rig",
     "parallelism",
+    "require_camera_name",
     "resolution",
     "triangulate",
     "triangulate_closed",

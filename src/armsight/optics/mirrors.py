@@ -245,4 +245,5 @@ def pinhole_pair(rig: Rig, depths_m: ArrayLike = (0.4, 0.6, 0.8)) -> tuple[Rig, 
         raise NotConverged("no pair of pinholes is near this mirror rig", cure="Check the plate's thickness and index")
     T_rig_left = rig.T_rig_left * RigidTransform.from_translation(centre)
     rms = float(np.sqrt(np.mean((misses(fit.shared).reshape(-1, 2) ** 2).sum(axis=1))))
-    return replace(rig, left=lens, T_rig_left=T_rig_left, covariance=None), rms
+    cameras = (replace(rig.cameras[0], camera=lens, T_rig_camera=T_rig_left), rig.cameras[1])
+    return replace(rig, cameras=cameras, covariance=None), rms

@@ -5,19 +5,17 @@ With standard deviations from the calibration.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.defaults import SPOT_STD_PX
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.optics.camera import INTRINSICS, SIDES
-from armsight.optics.rig import RIGHT_POSE, Rig
+from armsight.optics.rig import RIGHT_POSE, Rig, moved_rig
 from armsight.optics.triangulate import triangulate
 from armsight.records import NamedCovariance, frozen_array
 from armsight.records.checks import Shape
@@ -60,7 +58,7 @@ _SCALARS = ("convergence_rad", "vertical_rad", "vertical_px", "roll_rad", "heigh
 
 def parallelism(rig: Rig, depths_m: ArrayLike = (0.5, 1.0, 2.0, 4.0)) -> Parallelism:
     """Return the alignment report of a pair; standard deviations to first order from the rig's covariance."""
-    depths = frozen_array("depths_m", np.atleast_1d(depths_m), (None,))
+    rig, depths = rig.pair(), frozen_array("depths_m", np.atleast_1d(depths_m), (None,))
     values = _measures(rig, depths)
     std = None if rig.covariance is None else _deviations(rig, rig.covariance, depths)
     n = len(_SCALARS)
@@ -71,19 +69,6 @@ def parallelism(rig: Rig, depths_m: ArrayLike = (0.5, 1.0, 2.0, 4.0)) -> Paralle
         std=None if std is None else dict(zip(_SCALARS, std[:n].tolist(), strict=True)),
         gap_px_std=None if std is None else std[n:],
     )
-
-
-def moved_rig(rig: Rig, step: Array) -> Rig:
-    """Return the rig with its parameters moved by step (26,); the right pose as t + dt, Exp(dw) R."""
-    n = len(INTRINSICS)
-    cameras = [
-        replace(camera, intrinsics=camera.intrinsics + part)
-        for camera, part in ((rig.left, step[:n]), (rig.right, step[n : 2 * n]))
-    ]
-    dt, dw = step[2 * n : 2 * n + 3], step[2 * n + 3 :]
-    T = rig.T_rig_right
-    turned = RigidTransform.from_components(np.asarray(T.translation) + dt, Rotation.from_rotvec(dw) * T.rotation)
-    return Rig(kind=rig.kind, left=cameras[0], right=cameras[1], T_rig_left=rig.T_rig_left, T_rig_right=turned)
 
 
 def _measures(rig: Rig, depths: Array) -> Array:
@@ -156,6 +141,7 @@ def resolution(rig: Rig, depth_m: float, sigma_px: float = SPOT_STD_PX) -> Resol
             consequence="There is no resolution",
             cure="Give both above zero",
         )
+    rig = rig.pair()
     axes = mean_axes(rig)  # columns: along the baseline, square to it, mean optical axis
     middle = 0.5 * (np.asarray(rig.T_rig_left.translation) + np.asarray(rig.T_rig_right.translation))
     point = middle + depth_m * axes[:, 2]

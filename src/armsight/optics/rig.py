@@ -1,21 +1,24 @@
-"""Two cameras and where they stand, as arrays for compiled code as well, at one zoom, and the papers' rigs by name."""
+"""Cameras and where they stand, each by its name, as arrays for compiled code as well, and the papers' rigs by name."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import NoneType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import pose_from_rotvec
+from armsight.geometry.poses import skew
 from armsight.optics.camera import INTRINSICS, SIDES, Camera
 from armsight.optics.kernels.camera import project_many
-from armsight.optics.zoom import SURE, ZoomLens, ZoomState
+from armsight.optics.mounted import MountedCamera, MountedZoom, place_of, require_names, with_each
 from armsight.records import (
     CameraTiming,
     NamedCovariance,
@@ -28,115 +31,264 @@ from armsight.records import (
     require_numbers,
 )
 
-RIGHT_POSE = tuple(f"right.{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
-"""Names of the pose parameters in a rig's covariance: T_rig_right moved as t + dt, Exp(dw) R."""
+PLACE = ("tx", "ty", "tz", "rx", "ry", "rz")
+"""A mounted camera's pose in a rig's covariance: T_rig_camera moved as t + dt (m), Exp(dw) R (rad)."""
+
+RIGHT_POSE = tuple(f"right.{name}" for name in PLACE)
+"""Names of the pose parameters in a pair's covariance."""
 
 RIG_PARAMETERS = tuple(f"{side}.{name}" for side in SIDES for name in INTRINSICS) + RIGHT_POSE
-"""All 26 parameters that a rig of two pinholes may name in its covariance, in the order of moved_rig; of any rig see
+"""All 26 parameters that a pair of pinholes may name in its covariance, in the order of moved_rig; of any rig see
 Rig.parameters."""
 
 
 class RigKind(StrEnum):
-    """Two real cameras, or one camera that sees twice through mirrors."""
+    """Two real cameras, left and right; one camera that sees twice through mirrors; or any other cameras."""
 
     STEREO = "stereo"
     MIRROR = "mirror"
+    CAMERAS = "cameras"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MountedZoom:
-    """The zoom lens of a rig's camera; at: the zoom that the rig was calibrated at and its `left` or `right` is of."""
-
-    lens: ZoomLens
-    at: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, init=False)
 class Rig(Saveable):
-    """Left and right camera, each with its pose in the rig's axes.
+    """One to eight cameras in an order, each by its name, with its pose in the rig's axes.
 
-    covariance: of the calibration, named '<side>.<intrinsic>' (px) and 'right.tx|ty|tz' (m), 'right.rx|ry|rz'
-    (rad) for the pose T_rig_right of a rig whose reference is the left camera; None where not known. noise: of the grey
-    levels of the left and the right camera, where known; timing: when their lines are exposed. Optics makes no use of
-    either. zoom: the lenses' settings, where they zoom; optics.zoom_rig.at_zoom gives the rig at one of each.
-    found: what was worked out once from the fields above (its packed form); never part of the rig's value.
+    covariance: of the calibration, named '<name>.<intrinsic>' (px) and '<name>.tx|ty|tz' (m), '<name>.rx|ry|rz' (rad)
+    for the poses of all cameras but the first, which is held: its pose need not be the identity; None where not known.
+    Names that are missing were held too. Optics makes no use of the cameras' noise and timing;
+    optics.zoom_rig.at_zoom gives the rig at one setting of each zoom lens. found: what was worked out once from the
+    fields above (its packed form); never part of the rig's value.
     """
 
     kind: RigKind
-    left: Camera
-    right: Camera
-    T_rig_left: RigidTransform
-    T_rig_right: RigidTransform
+    cameras: tuple[MountedCamera, ...]
     covariance: NamedCovariance | None = None
     rms_px: float | None = None
-    noise: tuple[NoiseModel | None, NoiseModel | None] = (None, None)
-    timing: tuple[CameraTiming | None, CameraTiming | None] = (None, None)
-    zoom: tuple[MountedZoom | None, MountedZoom | None] = (None, None)
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", one_of(RigKind, "kind", self.kind))
-        for name in SIDES:
-            require_kind(name, self.camera(name), Camera)
-            require_kind(f"T_rig_{name}", self.T_rig_camera(name), RigidTransform)
+    def __init__(  # noqa: PLR0913  # a pair's, each by its keyword
+        self,
+        *,
+        kind: RigKind | str | None = None,
+        cameras: Sequence[MountedCamera] | None = None,
+        covariance: NamedCovariance | None = None,
+        rms_px: float | None = None,
+        left: Camera | None = None,
+        right: Camera | None = None,
+        T_rig_left: RigidTransform | None = None,
+        T_rig_right: RigidTransform | None = None,
+        noise: Sequence[NoiseModel | None] | None = None,
+        timing: Sequence[CameraTiming | None] | None = None,
+        zoom: Sequence[MountedZoom | None] | None = None,
+    ) -> None:
+        """Take the cameras; or of a pair left, right and their poses.
+
+        What is given beside cameras takes the place of theirs: noise, timing and zoom of all, in their order. Raises
+        Inconsistent for other than one to eight names, each once, a kind that is not of these cameras, and a covariance
+        of other parameters.
+        """
+        pair = zip(SIDES, (left, right), (T_rig_left, T_rig_right), strict=True)
+        given = {side: {"camera": camera, "T_rig_camera": T} for side, camera, T in pair}
+        require_kind("cameras", cameras, tuple, list, NoneType, cure="Give a tuple of MountedCamera, or left and right")
+        if cameras is None:
+            cameras = [MountedCamera(name=side, **values) for side, values in given.items()]  # type: ignore[arg-type]  # checked there
+        else:
+            for one in cameras:
+                require_kind("one of cameras", one, MountedCamera)
+            for side, values in given.items():
+                some = {name: value for name, value in values.items() if value is not None}
+                if some:
+                    k = place_of(cameras, side)
+                    cameras = (*cameras[:k], replace(cameras[k], **some), *cameras[k + 1 :])  # type: ignore[arg-type]
+        lists = {"noise": noise, "timing": timing, "zoom": zoom}
+        mounted = with_each(cameras, {name: values for name, values in lists.items() if values is not None})
+        set_ = object.__setattr__
+        set_(self, "cameras", mounted)
+        set_(self, "kind", _kind(kind, self.names))
+        set_(self, "covariance", covariance)
+        set_(self, "rms_px", rms_px)
+        set_(self, "found", {})
+        self._check()
+
+    def _check(self) -> None:
+        require_names(self.names)
         require_kind("covariance", self.covariance, NamedCovariance, NoneType)
         require_numbers(self, "rms_px")
-        for name, kind in (("noise", NoiseModel), ("timing", CameraTiming), ("zoom", MountedZoom)):
-            pair = getattr(self, name)
-            require_kind(name, pair, tuple, cure="Give (left, right), None where not known")
-            if len(pair) != len(SIDES):
-                raise UsageError(
-                    f"{name} has {len(pair)} entries", consequence="A rig has two cameras", cure="Give two"
-                )
-            for side, each in zip(SIDES, pair, strict=True):
-                require_kind(f"{name} of the {side} camera", each, kind, NoneType)
+        unknown = set(self.covariance.names if self.covariance else ()) - set(self.parameters)
+        if unknown:
+            raise Inconsistent(
+                f"the rig's covariance names {', '.join(sorted(unknown)[:3])}, and its cameras {', '.join(self.names)} "
+                "have no such parameter",
+                consequence="The rig would be taken as better known than it is",
+                cure="Name each NAME.fx ... of its camera, and NAME.tx ... NAME.rz of every camera but the first",
+            )
+        plate = next((one.name for one in self.cameras if one.camera.plate is not None), None)
+        if plate is not None and self.kind is RigKind.CAMERAS:
+            raise Inconsistent(
+                f"the camera {plate} looks through a glass plate, and the rig is no mirror rig",
+                cure="Leave the plate away; a mirror rig has the views left and right alone",
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The cameras' names, in their order."""
+        return tuple(one.name for one in self.cameras)
+
+    @property
+    def is_pair(self) -> bool:
+        """Whether its cameras are left and right, in this order."""
+        return self.names == SIDES
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """The 26 parameters that its covariance may name, in the order of moved_rig: the places of RIG_PARAMETERS."""
-        return tuple(f"{side}.{name}" for side in SIDES for name in self.camera(side).names) + RIGHT_POSE
+        """The 16 V - 6 parameters that the covariance of V cameras may name, in the order of moved_rig.
+
+        Of a pair the places of RIG_PARAMETERS.
+        """
+        lenses = [f"{one.name}.{name}" for one in self.cameras for name in one.camera.names]
+        return (*lenses, *(f"{one.name}.{name}" for one in self.cameras[1:] for name in PLACE))
+
+    @property
+    def left(self) -> Camera:
+        """The camera called left. Raises UsageError where there is none."""
+        return self.camera("left")
+
+    @property
+    def right(self) -> Camera:
+        """The camera called right. Raises UsageError where there is none."""
+        return self.camera("right")
+
+    @property
+    def T_rig_left(self) -> RigidTransform:
+        """The left camera's pose in rig axes. Raises UsageError where there is none."""
+        return self.T_rig_camera("left")
+
+    @property
+    def T_rig_right(self) -> RigidTransform:
+        """The right camera's pose in rig axes. Raises UsageError where there is none."""
+        return self.T_rig_camera("right")
 
     @property
     def baseline_m(self) -> float:
-        """Distance between the two centres of projection in m."""
+        """Distance of left's and right's centres of projection in m. Raises UsageError where there are none."""
         return float(np.linalg.norm(self.T_rig_right.translation - self.T_rig_left.translation))
 
-    def camera(self, side: str) -> Camera:
-        """Return the camera of 'left' or 'right'."""
-        _require_side(side)
-        return self.left if side == "left" else self.right
+    @property
+    def noise(self) -> tuple[NoiseModel | None, ...]:
+        """The noise of each camera's grey levels, where known."""
+        return tuple(one.noise for one in self.cameras)
 
-    def T_rig_camera(self, side: str) -> RigidTransform:
-        """Return the pose of the 'left' or 'right' camera in rig axes."""
-        _require_side(side)
-        return self.T_rig_left if side == "left" else self.T_rig_right
+    @property
+    def timing(self) -> tuple[CameraTiming | None, ...]:
+        """When each camera's lines are exposed, where known."""
+        return tuple(one.timing for one in self.cameras)
 
-    def project(self, points_m: ArrayLike) -> tuple[Array, Array]:
-        """Return the left and right pixels (n, 2) of points (n, 3) or one (3,) in rig axes, in m.
+    @property
+    def zoom(self) -> tuple[MountedZoom | None, ...]:
+        """The settings of each camera's lens, where it zooms."""
+        return tuple(one.zoom for one in self.cameras)
+
+    def camera(self, name: str) -> Camera:
+        """Return the camera of a name. Raises UsageError where there is none."""
+        return self.cameras[place_of(self.cameras, name)].camera
+
+    def T_rig_camera(self, name: str) -> RigidTransform:
+        """Return the pose of the camera of a name in rig axes. Raises UsageError where there is none."""
+        return self.cameras[place_of(self.cameras, name)].T_rig_camera
+
+    def with_each(self, **values: Sequence[Any]) -> Rig:
+        """Return the rig with other values of its cameras: fields of MountedCamera, by camera in the rig's order."""
+        return replace(self, cameras=with_each(self.cameras, values))
+
+    def only(self, *names: str) -> Rig:
+        """Return the rig of these cameras in this order; the first is the one that the covariance holds.
+
+        The rig's axes stay. Raises UsageError for a camera that is not there.
+        """
+        if names == self.names:
+            return self
+        cameras = tuple(self.cameras[place_of(self.cameras, name)] for name in names)
+        rig = Rig(cameras=cameras, rms_px=self.rms_px)
+        return replace(rig, covariance=None if self.covariance is None else _held(self, self.covariance, rig))
+
+    def pair(self) -> Rig:
+        """Return the rig of its cameras left and right alone. Raises UsageError where it has none."""
+        if self.is_pair:
+            return self
+        found = self.found.get("pair")
+        if not isinstance(found, Rig):
+            found = self.found["pair"] = self.only(*SIDES)
+        return found
+
+    def require_pair(self, what: str) -> Rig:
+        """Return itself; raise UsageError where its cameras are not left and right alone, which `what` needs."""
+        if self.is_pair:
+            return self
+        raise UsageError(
+            f"{what} takes a rig of the cameras left and right, and this one has {', '.join(self.names)}",
+            consequence="Nothing is done",
+            cure="Give the rig.yaml of a pair: `armsight calibrate stereo` makes one",
+        )
+
+    def project(self, points_m: ArrayLike) -> tuple[Array, ...]:
+        """Return the pixels (n, 2) in each camera, in their order, of points (n, 3) or one (3,) in rig axes, in m.
 
         NaN behind a camera, beyond its widest_rad and where a point is NaN. Raises Inconsistent for any other shape.
         """
         X = checked_rows("points_m", points_m, 3, nan=True)
-        packed = PackedRig.of(self)
-        left, right = np.empty((len(X), 2)), np.empty((len(X), 2))
-        project_many(packed.k[0], packed.R[0], packed.t[0], X, left)
-        project_many(packed.k[1], packed.R[1], packed.t[1], X, right)
-        return left, right
+        packed, out = PackedRig.of(self), tuple(np.empty((len(X), 2)) for _ in self.cameras)
+        for k, pixels in enumerate(out):
+            project_many(*packed.camera(k), X, pixels)
+        return out
 
 
-def _require_side(side: str) -> None:
-    if side not in SIDES:
-        raise UsageError(
-            f"there is no camera {side!r}", consequence="None is given", cure=f"Use one of: {', '.join(SIDES)}"
-        )
+def _kind(kind: RigKind | str | None, names: tuple[str, ...]) -> RigKind:
+    """Return the kind of a rig of these cameras; Inconsistent where it cannot be the one that is given."""
+    own = RigKind.STEREO if names == SIDES else RigKind.CAMERAS
+    if kind is None:
+        return own
+    given = one_of(RigKind, "kind", kind)
+    if (given is RigKind.CAMERAS) is (own is RigKind.CAMERAS):
+        return given
+    raise Inconsistent(
+        f"a rig of kind {given.value} whose cameras are {', '.join(names)}",
+        consequence="It is open which rig is meant",
+        cure="A stereo or mirror rig has left and right, in this order, any other is of kind cameras; or leave it away",
+    )
+
+
+def _held(rig: Rig, known: NamedCovariance, new: Rig) -> NamedCovariance:
+    """Return a rig's covariance as that of some of its cameras, whose first one is held in place of the rig's first.
+
+    With all axes as they are: the whole is moved back by what the new first camera b is moved, dt_i - dt_b -
+    dw_b x (t_i - t_b) and dw_i - dw_b of each.
+    """
+    names, wanted = rig.parameters, new.parameters
+    J = np.zeros((len(wanted), len(names)))
+    for row, name in enumerate(wanted):
+        if name in names:
+            J[row, names.index(name)] = 1.0
+    first = new.cameras[0]
+    if first.name != rig.cameras[0].name:
+        b = names.index(f"{first.name}.tx")
+        for k, one in enumerate(new.cameras[1:]):
+            row = len(INTRINSICS) * len(new.cameras) + len(PLACE) * k
+            apart = np.asarray(one.T_rig_camera.translation) - np.asarray(first.T_rig_camera.translation)
+            J[row : row + 6, b : b + 6] -= np.eye(6)
+            J[row : row + 3, b + 3 : b + 6] += skew(apart)
+    J = J[:, [names.index(name) for name in known.names]]
+    free = np.flatnonzero(J.any(axis=1))
+    return NamedCovariance(names=tuple(wanted[i] for i in free), matrix=J[free] @ known.matrix @ J[free].T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PackedRig:
-    """Intrinsics and plates k (2, 12); R (2, 3, 3), t (2, 3) with p_camera = R p_rig + t; baseline (3,) m.
+    """Intrinsics and plates k (V, 12); R (V, 3, 3), t (V, 3) with p_camera = R p_rig + t; first index: the camera.
 
-    First index: left, right. covariance: (26, 26) of Rig.parameters where the calibration brings one, zero for the
-    parameters it held fixed; (0, 0) where the rig is taken as exact.
+    baseline (3,): from the first camera to the second in rig axes, in m; zero where there is one alone. covariance:
+    (16 V - 6, 16 V - 6) of Rig.parameters where the calibration brings one, zero for the parameters it held fixed;
+    (0, 0) where the rig is taken as exact.
     """
 
     k: Array
@@ -150,9 +302,9 @@ class PackedRig:
         """The cameras as compiled code takes them, a RigK: a plain tuple is handed to it in half the time."""
         return self.k, self.R, self.t
 
-    def camera(self, side: int) -> tuple[Array, Array, Array]:
-        """Return one of them, a CameraK; side 0: left, 1: right."""
-        return self.k[side], self.R[side], self.t[side]
+    def camera(self, index: int) -> tuple[Array, Array, Array]:
+        """Return one of them, a CameraK."""
+        return self.k[index], self.R[index], self.t[index]
 
     @classmethod
     def of(cls, rig: Rig) -> PackedRig:
@@ -164,12 +316,13 @@ class PackedRig:
 
     @classmethod
     def _pack(cls, rig: Rig) -> PackedRig:
-        poses = [rig.T_rig_camera(side).inv() for side in SIDES]
+        poses, V = [one.T_rig_camera.inv() for one in rig.cameras], len(rig.cameras)
+        first, second = rig.cameras[0].T_rig_camera, rig.cameras[min(1, V - 1)].T_rig_camera
         return cls(
-            k=frozen_array("k", [rig.camera(side).packed for side in SIDES], (2, 12)),
-            R=frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (2, 3, 3)),
-            t=frozen_array("t", [pose.translation for pose in poses], (2, 3)),
-            baseline=frozen_array("baseline", rig.T_rig_right.translation - rig.T_rig_left.translation, (3,)),
+            k=frozen_array("k", [one.camera.packed for one in rig.cameras], (V, 12)),
+            R=frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (V, 3, 3)),
+            t=frozen_array("t", [pose.translation for pose in poses], (V, 3)),
+            baseline=frozen_array("baseline", second.translation - first.translation, (3,)),
             covariance=frozen_array("covariance", _covariance(rig), (None, None)),
         )
 
@@ -182,6 +335,24 @@ def _covariance(rig: Rig) -> Array:
     out = np.zeros((len(names), len(names)))
     out[np.ix_(named, named)] = rig.covariance.block(tuple(names[i] for i in named))
     return out
+
+
+def moved_rig(rig: Rig, step: Array) -> Rig:
+    """Return the rig, without covariance, its parameters moved by step (16 V - 6,); poses as t + dt, Exp(dw) R."""
+    V, n = len(rig.cameras), len(INTRINSICS)
+    lenses, places = step[: n * V].reshape(V, n), step[n * V :].reshape(V - 1, 6)
+    poses = [rig.cameras[0].T_rig_camera]
+    for one, move in zip(rig.cameras[1:], places, strict=True):
+        T = one.T_rig_camera
+        turned = Rotation.from_rotvec(move[3:]) * T.rotation
+        poses.append(RigidTransform.from_components(np.asarray(T.translation) + move[:3], turned))
+    cameras = tuple(
+        MountedCamera(
+            name=one.name, camera=replace(one.camera, intrinsics=one.camera.intrinsics + lens), T_rig_camera=T
+        )
+        for one, lens, T in zip(rig.cameras, lenses, poses, strict=True)
+    )
+    return Rig(kind=rig.kind, cameras=cameras)
 
 
 def parallel_rig(camera: Camera, baseline_m: float, right: Camera | None = None) -> Rig:
@@ -227,146 +398,3 @@ def converged_rig(
         T_rig_left=pose_from_rotvec([-half, 0.0, 0.0], [0.0, beta1_rad, 0.0]),
         T_rig_right=pose_from_rotvec([half, 0.0, 0.0], [0.0, beta2_rad, 0.0]),
     )
-
-
-SAME_FOCAL = 2e-3
-"""Share by which a lens's focal length may differ from the rig's at the same zoom, beyond what both claim: motors come
-back to a setting to about a thousandth."""
-
-Zooms = tuple[float | None, float | None]
-"""The zoom of the left and of the right camera; None for a camera without zoom."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RigAtZoom:
-    """A rig without zoom settings, as it is at one setting of each lens; states: left and right, None without zoom."""
-
-    rig: Rig
-    states: tuple[ZoomState | None, ZoomState | None]
-
-
-def with_zoom(rig: Rig, lenses: tuple[ZoomLens | None, ZoomLens | None], at: Zooms) -> Rig:
-    """Return a rig that was calibrated at the zooms `at`, with the settings of its lenses.
-
-    Raises Inconsistent for a mirror rig, a lens of another image size, and a setting at which the lens has clearly
-    another focal length than the rig; NotEnoughData for one outside a lens's range.
-    """
-    if rig.kind is RigKind.MIRROR:
-        raise Inconsistent("a mirror rig is one camera that sees twice; it takes no zoom settings")
-    mounted = tuple(
-        None if lens is None else _mounted(rig, side, lens, value)
-        for side, lens, value in zip(SIDES, lenses, at, strict=True)
-    )
-    return replace(rig, zoom=(mounted[0], mounted[1]))
-
-
-def at_zoom(rig: Rig, zoom: Zooms) -> RigAtZoom:
-    """Return the rig at one setting of each lens.
-
-    A side that stands where the rig was calibrated keeps that calibration. Of the others the intrinsics are the lens's,
-    with its covariance, independent of the rig's; the place of the right camera keeps the rig's covariance, and moves
-    with the pupils where the settings tell these. Raises UsageError where a zoom is missing, or given for a camera that
-    has none; NotEnoughData as ZoomLens.at.
-    """
-    states: list[ZoomState | None] = []
-    moved: dict[str, ZoomState] = {}
-    for side, mounted, value in zip(SIDES, rig.zoom, zoom, strict=True):
-        state = None if mounted is None else mounted.lens.at(_required(side, mounted, value))
-        if mounted is None and value is not None:
-            raise UsageError(
-                f"a zoom is given for the {side} camera, and the rig's file has no zoom settings of it",
-                consequence="Nobody knows what the lens does there",
-                cure=f"Leave --zoom-{side} away, or add the settings with armsight calibrate zoom-rig",
-            )
-        states.append(state)
-        if state is not None and mounted is not None and not _is_at(mounted, state.zoom):
-            moved[side] = state
-    return RigAtZoom(rig=_moved(rig, moved), states=(states[0], states[1]))
-
-
-def _required(side: str, mounted: MountedZoom, value: float | None) -> float:
-    if value is not None:
-        return value
-    low, high = mounted.lens.zooms[[0, -1]]
-    raise UsageError(
-        f"the rig's {side} camera has a zoom lens, and its zoom is not given",
-        consequence="Its focal length is open",
-        cure=f"Give --zoom-{side} with the value that the lens stood at, {low:g} to {high:g}; for a command that takes "
-        "none, make the file of one setting with armsight convert rig --zoom-left --zoom-right",
-    )
-
-
-def _is_at(mounted: MountedZoom, zoom: float) -> bool:
-    """Tell whether a zoom is the one at which the rig was calibrated."""
-    return abs(zoom - mounted.at) <= 1e-9 * max(abs(zoom), float(np.ptp(mounted.lens.zooms)))
-
-
-def _mounted(rig: Rig, side: str, lens: ZoomLens, at: float | None) -> MountedZoom:
-    if at is None:
-        raise UsageError(
-            f"it is not said at which zoom the {side} camera stood when the rig was calibrated",
-            cure=f"Give --zoom-{side}",
-        )
-    camera, state = rig.camera(side), lens.at(at)
-    if lens.size != (camera.width, camera.height):
-        raise Inconsistent(
-            f"the {side} lens's settings are of {lens.size[0]}x{lens.size[1]} px, the rig's camera has "
-            f"{camera.width}x{camera.height} px",
-            consequence="They are not of one camera",
-            cure="Calibrate lens and rig at one resolution",
-        )
-    name = f"{side}.fx"
-    known = 0.0 if rig.covariance is None else rig.covariance.std().get(name, 0.0)
-    doubt = float(np.hypot(state.covariance.std()["fx"], known))
-    gap = abs(float(state.camera.intrinsics[0] - camera.intrinsics[0]))
-    if gap > SURE * doubt + SAME_FOCAL * camera.intrinsics[0]:
-        raise Inconsistent(
-            f"at zoom {at:g} the {side} lens's focal length is {state.camera.intrinsics[0]:.1f} px, in the rig it is "
-            f"{camera.intrinsics[0]:.1f} px (standard deviation of the difference {doubt:.2g} px)",
-            consequence="The settings are of another camera, or the rig was calibrated at another zoom",
-            cure=f"Check the file of the {side} lens, left and right, and --zoom-{side}",
-        )
-    return MountedZoom(lens=lens, at=at)
-
-
-def _moved(rig: Rig, moved: dict[str, ZoomState]) -> Rig:
-    """Return the rig without settings, the sides in moved as their states say."""
-    plain = replace(rig, zoom=(None, None))
-    if not moved:
-        return plain
-    cameras = {side: moved[side].camera if side in moved else rig.camera(side) for side in SIDES}
-    poses = {side: rig.T_rig_camera(side) for side in SIDES}
-    pupils = np.zeros((3, 3))
-    for side, mounted in zip(SIDES, rig.zoom, strict=True):
-        if side in moved and mounted is not None:
-            there = mounted.lens.at(mounted.at)
-            shift = RigidTransform.from_translation([0.0, 0.0, moved[side].pupil_m - there.pupil_m])
-            axis = poses[side].rotation.as_matrix()[:, 2]
-            pupils += (moved[side].pupil_std_m ** 2 + there.pupil_std_m**2) * np.outer(axis, axis)
-            poses[side] = poses[side] * shift
-    return replace(
-        plain,
-        left=cameras["left"],
-        right=cameras["right"],
-        T_rig_left=poses["left"],
-        T_rig_right=poses["right"],
-        covariance=_zoomed_covariance(rig.covariance, moved, pupils),
-    )
-
-
-def _zoomed_covariance(known: NamedCovariance | None, moved: dict[str, ZoomState], pupils_m2: Array) -> NamedCovariance:
-    """Return the covariance of what the rig keeps, of the lenses at their zooms, and of the pupils' way."""
-    names = () if known is None else known.names
-    kept = tuple(name for name in names if name.split(".")[0] not in moved or name in RIGHT_POSE)
-    kept += tuple(name for name in RIGHT_POSE[:3] if name not in kept)
-    both = kept + tuple(f"{side}.{name}" for side in moved for name in INTRINSICS)
-    matrix = np.zeros((len(both), len(both)))
-    if known is not None:
-        here = [i for i, name in enumerate(kept) if name in names]
-        matrix[np.ix_(here, here)] = known.block(tuple(kept[i] for i in here))
-    rows = [kept.index(name) for name in RIGHT_POSE[:3]]
-    matrix[np.ix_(rows, rows)] += pupils_m2
-    for i, state in enumerate(moved.values()):
-        at = slice(len(kept) + i * len(INTRINSICS), len(kept) + (i + 1) * len(INTRINSICS))
-        matrix[at, at] = state.covariance.matrix
-    return NamedCovariance(names=both, matrix=matrix)

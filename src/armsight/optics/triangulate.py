@@ -106,7 +106,7 @@ def _triangulate(
     likeliest: bool,
 ) -> Triangulation:
     require_kind("rig", rig, Rig)
-    packed = PackedRig.of(rig)
+    packed = PackedRig.of(rig.pair())
     left, right = (
         checked_rows("uv_left_px", uv_left_px, 2, nan=True),
         checked_rows("uv_right_px", uv_right_px, 2, nan=True),
@@ -143,7 +143,7 @@ def epipolar_distance(rig: Rig, left_px: ArrayLike, right_px: ArrayLike) -> Arra
     left_px, right_px: (n, 2) as seen, with distortion; the line is the tangent of the epipolar curve at the
     pixel. NaN where a pixel has no ray. For a parallel pair both are the difference of the rows.
     """
-    packed = PackedRig.of(rig)
+    packed = PackedRig.of(rig.pair())
     rays = [_rays(packed, side, px) for side, px in enumerate((left_px, right_px))]
     if len(rays[0][0]) != len(rays[1][0]):
         raise Inconsistent(f"{len(rays[0][0])} left pixels with {len(rays[1][0])} right ones", cure="Give pairs")

@@ -285,8 +285,10 @@ def validated(model: type[Model], content: Mapping[str, Any], where: str) -> Mod
         details = error.errors(include_url=False)
         messages = [_message(model, detail) for detail in details[:MAX_SHOWN]]
         more = f" (and {len(details) - MAX_SHOWN} more)" if len(details) > MAX_SHOWN else ""
+        newer = any(detail["loc"] == ("version",) for detail in details)
+        cure = "Update armsight where the file is of a newer one, or correct it there" if newer else "Correct it there"
         raise BadFile(
-            f"{where}: " + "; ".join(messages) + more, consequence="The file is not used", cure="Correct it there"
+            f"{where}: " + "; ".join(messages) + more, consequence="The file is not used", cure=cure
         ) from error
     except RecursionError as error:
         raise BadFile(f"{where}: nested too deeply", consequence="The file is not used") from error
@@ -305,7 +307,8 @@ def _message(model: type[BaseModel], detail: Any) -> str:
     if kind == "finite_number":
         return f"{key} is {value}, which is not a finite number"
     if detail["loc"] == ("version",):
-        return f"version {_short(value)} is not known here, this armsight reads version 1"
+        last = max(typing.get_args(model.model_fields["version"].annotation))
+        return f"version {_short(value)} is not known here, this armsight reads version {'1 to ' * (last > 1)}{last}"
     message = str(detail["msg"])
     shown = "" if isinstance(value, dict | list) else f", not {_short(value)}"
     return f"{key}: {message[:1].lower() + message[1:]}{shown}"

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.columns import POSE6
 from armsight.errors import BadFile
-from armsight.optics import SIDES, Camera, MountedZoom, Plate, Rig, RigKind, at_zoom
+from armsight.optics import Camera, MountedCamera, MountedZoom, Plate, Rig, RigKind, Zooms, at_zoom
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel, Saveable
 from armsight.store.codec import (
     CovarianceModel,
@@ -39,7 +41,7 @@ from armsight.store.zoom import (
 
 
 def add_noise(path: Path, noise: Mapping[str, NoiseModel], *, inputs: Sequence[Path] = ()) -> None:
-    """Write the noise into a camera.yaml (side "") or a rig.yaml (sides left, right); all else in it stays.
+    """Write the noise into a camera.yaml (side "") or a rig.yaml (by camera); all else in it stays.
 
     The file must have been read before, as what it is: nothing is checked here.
     """
@@ -47,7 +49,7 @@ def add_noise(path: Path, noise: Mapping[str, NoiseModel], *, inputs: Sequence[P
     for side, one in noise.items():
         camera = content["cameras"][side] if side else content
         camera["noise"] = mapping(one)
-    origin = {name: content.pop(name, None) for name in ("format", "version", *Origin.model_fields)}
+    origin = {name: content.pop(name, None) for name in ("format", *Origin.model_fields) if name != "version"}
     write_document(path, str(origin["format"]), content, inputs, earlier=origin["inputs"] or ())
 
 
@@ -81,11 +83,22 @@ class SidesModel(Strict):
 
 
 class RigModel(Origin):
-    """rig.yaml."""
+    """rig.yaml of a pair."""
 
     format: Literal["armsight/rig"] = "armsight/rig"
     kind: Literal["stereo", "mirror"]
     cameras: SidesModel
+    rms_px: Finite | None = None
+    covariance: CovarianceModel | None = None
+
+
+class CamerasModel(Origin):
+    """rig.yaml of any other cameras, in the rig's order."""
+
+    format: Literal["armsight/rig"] = "armsight/rig"
+    version: Literal[2]  # type: ignore[assignment]  # of the same key
+    kind: Literal["cameras"]
+    cameras: dict[str, RigCameraModel]
     rms_px: Finite | None = None
     covariance: CovarianceModel | None = None
 
@@ -111,45 +124,55 @@ class CameraFile:
     timing: CameraTiming | None = None
 
 
-def _rig(model: RigModel) -> Rig:
-    left, right = model.cameras.left, model.cameras.right
+def _rig(model: RigModel | CamerasModel) -> Rig:
+    cameras = dict(model.cameras)  # left and right first, as the model has them
     rig = Rig(
         kind=RigKind(model.kind),
-        left=left.camera(),
-        right=right.camera(),
-        T_rig_left=left.T_rig_camera.pose(),
-        T_rig_right=right.T_rig_camera.pose(),
+        cameras=tuple(
+            MountedCamera(
+                name=name,
+                camera=one.camera(),
+                T_rig_camera=one.T_rig_camera.pose(),
+                noise=_noise(one),
+                timing=_timing(one),
+                zoom=_zoom(one),
+            )
+            for name, one in cameras.items()
+        ),
         covariance=model.covariance.covariance() if model.covariance else None,
         rms_px=model.rms_px,
-        noise=(_noise(left), _noise(right)),
-        timing=(_timing(left), _timing(right)),
-        zoom=(_zoom(left), _zoom(right)),
     )
-    if not rig.baseline_m >= SMALLEST_BASELINE_M:
-        raise BadFile(
-            "both cameras stand at the same place",
-            consequence="Such a rig sees no depth",
-            cure="Check T_rig_camera of both cameras: xyz_m is in metres",
-        )
+    for first, second in combinations(rig.cameras, 2):
+        apart = second.T_rig_camera.translation - first.T_rig_camera.translation
+        if not float(np.linalg.norm(apart)) >= SMALLEST_BASELINE_M:
+            which = "both cameras" if rig.is_pair else f"the cameras {first.name} and {second.name}"
+            raise BadFile(
+                f"{which} stand at the same place",
+                consequence="Such a rig sees no depth",
+                cure="Check T_rig_camera of both cameras: xyz_m is in metres",
+            )
     return rig
 
 
 def rig_mapping(rig: Rig) -> dict[str, Any]:
-    """Return the rig as rig.yaml's structure, without format, version and origin."""
+    """Return the rig as rig.yaml's structure, without format and origin, and without the version of a pair."""
     return {
+        **({} if rig.is_pair else {"version": 2}),
         "kind": rig.kind.value,
-        "cameras": {
-            side: {
-                **camera_mapping(rig.camera(side)),
-                "T_rig_camera": pose_mapping(rig.T_rig_camera(side)),
-                **({} if noise is None else {"noise": mapping(noise)}),
-                **({} if timing is None else {"timing": timing_mapping(timing)}),
-                **({} if zoom is None else {"zoom": {"at": zoom.at, "settings": settings_mapping(zoom.lens)}}),
-            }
-            for side, noise, timing, zoom in zip(SIDES, rig.noise, rig.timing, rig.zoom, strict=True)
-        },
+        "cameras": {one.name: _mounted_mapping(one) for one in rig.cameras},
         "rms_px": rig.rms_px,
         "covariance": covariance_mapping(rig.covariance) if rig.covariance else None,
+    }
+
+
+def _mounted_mapping(one: MountedCamera) -> dict[str, Any]:
+    zoom = None if one.zoom is None else {"at": one.zoom.at, "settings": settings_mapping(one.zoom.lens)}
+    return {
+        **camera_mapping(one.camera),
+        "T_rig_camera": pose_mapping(one.T_rig_camera),
+        **({} if one.noise is None else {"noise": mapping(one.noise)}),
+        **({} if one.timing is None else {"timing": timing_mapping(one.timing)}),
+        **({} if zoom is None else {"zoom": zoom}),
     }
 
 
@@ -159,18 +182,38 @@ def camera_mapping(camera: Camera) -> dict[str, Any]:
     return {"width": camera.width, "height": camera.height, **intrinsics_mapping(camera), **plate}
 
 
-RIG_YAML: Kind[Rig] = Kind(name="rig", model=RigModel, record=_rig, content=rig_mapping)
+RIG_YAML: Kind[Rig] = Kind(name="rig", model=RigModel, record=_rig, content=rig_mapping, later=(CamerasModel,))
 rig_from_mapping, write_rig = RIG_YAML.parse, RIG_YAML.write
-read_zoom_rig = RIG_YAML.read
-"""Of a rig with all zoom settings it has."""
+
+ALONE = "camera"
+"""Name of the camera of a rig that is a camera.yaml."""
 
 
-def read_rig(path: Path, zoom: tuple[float | None, float | None] = (None, None)) -> Rig:
-    """Return the rig in a rig.yaml, at these zooms of the left and right camera where they have zoom lenses.
+def read_zoom_rig(path: Path) -> Rig:
+    """Return the rig in a rig.yaml with all zoom settings it has; of a camera.yaml the rig of that camera alone.
 
-    Raises BadFile where it is none; UsageError, NotEnoughData where the zooms do not fit, see optics.at_zoom.
+    Raises BadFile where it is neither.
     """
-    return at_zoom(read_zoom_rig(path), zoom).rig
+    content = read_yaml(path)
+    if content.get("format") != CAMERA_YAML.format:
+        return RIG_YAML.read(path)
+    file = read_camera_file(path)
+    mounted = MountedCamera(
+        name=ALONE, camera=file.camera, T_rig_camera=RigidTransform.identity(), noise=file.noise, timing=file.timing
+    )
+    known = file.covariance
+    named = known and NamedCovariance(names=tuple(f"{ALONE}.{name}" for name in known.names), matrix=known.matrix)
+    return Rig(cameras=(mounted,), covariance=named, rms_px=file.rms_px)
+
+
+def read_rig(path: Path, zoom: Zooms = (), *, any_cameras: bool = False) -> Rig:
+    """Return the rig in a rig.yaml, at these zooms of its cameras where they have zoom lenses.
+
+    Raises BadFile where it is none; UsageError where it is no pair, unless any_cameras; UsageError, NotEnoughData where
+    the zooms do not fit, see optics.at_zoom.
+    """
+    rig = read_zoom_rig(path)
+    return at_zoom(rig if any_cameras else rig.require_pair(str(path)), zoom).rig
 
 
 def _camera(model: CameraModel) -> CameraFile:

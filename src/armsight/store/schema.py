@@ -44,7 +44,7 @@ def write_document(
     *,
     earlier: Sequence[Mapping[str, str]] = (),
 ) -> None:
-    """Write a YAML file of ours: format, version, content without None, and where it comes from.
+    """Write a YAML file of ours: format, version (1, if content says no other), content without None, and origin.
 
     earlier: inputs as the file held them before, kept in front of the new ones.
     """
@@ -86,14 +86,16 @@ def read_document(path: Path, format_: str) -> dict[str, Any]:
 class Kind(Generic[Record]):
     """A kind of YAML file of ours, `format: armsight/NAME`: the keys it may have, and how record and file differ.
 
-    record: of a model that holds the file's keys. content: the keys that a record is written with, without format,
-    version and origin; those that are None are left out.
+    record: of a model that holds the file's keys. content: the keys that a record is written with, without format and
+    origin; those that are None are left out. later: the models of later versions of the file, from 2 on, whose content
+    says its `version`.
     """
 
     name: str
     model: type[Origin]
     record: Callable[[Any], Record]
     content: Callable[[Any], Mapping[str, Any]]
+    later: tuple[type[Origin], ...] = ()
 
     @property
     def format(self) -> str:
@@ -102,7 +104,9 @@ class Kind(Generic[Record]):
 
     def parse(self, content: Mapping[str, Any], where: str = "") -> Record:
         """Return what a file's structure describes; BadFile, with where and the key, where it cannot be."""
-        model = validated(self.model, content, where or self.name)
+        version, models = content.get("version"), (self.model, *self.later)
+        at = min(version, len(models)) - 1 if type(version) is int and version > 0 else 0
+        model = validated(models[at], content, where or self.name)
         with named(where or self.name):
             return self.record(model)
 

@@ -226,7 +226,7 @@ REFUSED_RIGS = {
     "fraction of a pixel": ("cameras.left.width", 640.5, "cameras.left.width"),
     "short list": ("cameras.left.distortion", [0.0] * 4, ("cameras.left", "distortion", "pinhole")),
     "kind": ("kind", "trinocular", ("stereo", "mirror")),
-    "version of the future": ("version", 2, "version"),
+    "version of the future": ("version", 3, ("version 3", "1 to 2", "Update")),
     "focal length": ("cameras.left.fx", -800.0, "focal lengths"),
     "no rotation": ("cameras.right.T_rig_camera.quat_xyzw", [1.0, 1.0, 0.0, 0.0], "quaternion"),
     "no baseline": ("cameras.right.T_rig_camera.xyz_m", [0.0, 0.0, 0.0], "same place"),

@@ -83,7 +83,7 @@ def _baseline(plan: Plan) -> Plan:
 
 def _cameras(change: Callable[[Camera], Camera]) -> Callable[[Plan], Plan | None]:
     def made(plan: Plan) -> Plan | None:
-        return replace(plan, rig=replace(plan.rig, left=change(plan.rig.left), right=change(plan.rig.right)))
+        return replace(plan, rig=plan.rig.with_each(camera=[change(one.camera) for one in plan.rig.cameras]))
 
     return made
 

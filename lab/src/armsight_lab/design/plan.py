@@ -171,7 +171,7 @@ def _rig(job: DesignJob) -> Rig:
     for camera in (rig.left, rig.right):
         _require_shape(camera, focal_px, job.size)
     cameras = [_other(camera, focal_px, job.size) for camera in (rig.left, rig.right)]
-    rig = replace(rig, left=cameras[0], right=cameras[1])
+    rig = rig.with_each(camera=cameras)
     if rig.kind is RigKind.MIRROR and all(camera.plate is None for camera in cameras):
         raise Inconsistent(
             f"{job.rig}: a mirror rig without a glass plate",
@@ -196,7 +196,7 @@ def at_baseline(rig: Rig, factor: float) -> Rig:
         RigidTransform.from_components(np.asarray(T.translation) + np.array([sign * more, 0.0, -more]), T.rotation)
         for sign, T in ((-1.0, rig.T_rig_left), (1.0, rig.T_rig_right))
     ]
-    return replace(rig, T_rig_left=moved[0], T_rig_right=moved[1])
+    return rig.with_each(T_rig_camera=moved)
 
 
 def _planned(job: DesignJob, focal_px: float | None) -> Rig:

@@ -143,7 +143,7 @@ def _expected(rig: Rig, views: PlannedViews) -> tuple[Observations, Bundle]:
     board, poses, n = views.board, views.T_rig_board, len(views)
     middle = board.xyz_m.mean(axis=0)
     points = (poses.rotation.as_matrix() @ board.xyz_m.T).transpose(0, 2, 1) + poses.translation[:, None]
-    bare = replace(rig, left=replace(rig.left, plate=None), right=replace(rig.right, plate=None))
+    bare = rig.with_each(camera=[replace(one.camera, plate=None) for one in rig.cameras])
     uv = np.stack([seen.reshape(n, -1, 2) for seen in bare.project(points.reshape(-1, 3))], axis=1)  # (G, 2, n, 2)
     size = np.array([[rig.camera(side).width, rig.camera(side).height] for side in SIDES])[None, :, None]
     seen = np.asarray(np.isfinite(uv).all(axis=3) & (uv >= 0.0).all(axis=3) & (uv <= size - 1.0).all(axis=3))

@@ -18,7 +18,7 @@ from armsight.calibrate.cameras.kernels import matrices_of
 from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Inconsistent
 from armsight.geometry.kernels import rotvec
-from armsight.optics import Camera, LensKind, Rig, RigKind
+from armsight.optics import PLACE, Camera, LensKind, Rig, RigKind
 from armsight.records import NamedCovariance, Target
 from armsight.records.views import symmetries
 
@@ -213,18 +213,15 @@ def of_one_lens(covariance: NamedCovariance) -> NamedCovariance:
 
 
 def in_frame(rig: Rig, T_new_rig: RigidTransform) -> Rig:
-    """Return the rig with its axes moved: poses, and the covariance of T_rig_right."""
+    """Return the rig with its axes moved: the poses, and their covariance."""
     covariance = rig.covariance
     if covariance is not None:
         turn = np.eye(len(covariance.names))
         R = T_new_rig.rotation.as_matrix()
-        for block in (("tx", "ty", "tz"), ("rx", "ry", "rz")):
-            at = [covariance.names.index(f"right.{name}") for name in block]
-            turn[np.ix_(at, at)] = R
+        for one in rig.cameras[1:]:
+            for block in (PLACE[:3], PLACE[3:]):
+                at = [covariance.names.index(f"{one.name}.{name}") for name in block]
+                turn[np.ix_(at, at)] = R
         covariance = NamedCovariance(names=covariance.names, matrix=turn @ covariance.matrix @ turn.T)
-    return replace(
-        rig,
-        T_rig_left=T_new_rig * rig.T_rig_left,
-        T_rig_right=T_new_rig * rig.T_rig_right,
-        covariance=covariance,
-    )
+    moved = rig.with_each(T_rig_camera=[T_new_rig * one.T_rig_camera for one in rig.cameras])
+    return replace(moved, covariance=covariance)

@@ -13,8 +13,7 @@ from armsight.arrays import Array
 from armsight.calibrate.identify.kernels import see_many
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting.groups import whitener
-from armsight.optics import SIDES, PackedRig, Rig, triangulate
-from armsight.optics.parallelism import moved_rig
+from armsight.optics import SIDES, PackedRig, Rig, moved_rig, triangulate
 from armsight.records import frozen_array
 
 FEWEST = 3

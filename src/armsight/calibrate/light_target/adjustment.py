@@ -13,9 +13,8 @@ from armsight.calibrate.light_target.frames import Layout
 from armsight.fitting import Evaluation, Fit, Problem, solve
 from armsight.fitting.groups import whitener, without
 from armsight.geometry.poses import skew
-from armsight.optics import RIG_PARAMETERS, PackedRig, Rig
+from armsight.optics import RIG_PARAMETERS, PackedRig, Rig, moved_rig
 from armsight.optics.kernels.light_image import see_both
-from armsight.optics.parallelism import moved_rig
 
 POSE = ("tx_m", "ty_m", "tz_m", "rx_rad", "ry_rad", "rz_rad")
 

@@ -139,7 +139,7 @@ def _calibrated(
         notes.append("the two views are not those of one lens through flat mirrors: each has its own intrinsics")
     chosen = tied if one_lens else free
     pair = judged(chosen, options, n_pairs=len(left), rejected=rejected, advice=[*advice, *notes])
-    rig = replace(pair.rig, kind=RigKind.MIRROR, left=replace(pair.rig.left, plate=plate))
+    rig = replace(pair.rig.with_each(camera=(replace(pair.rig.left, plate=plate), pair.rig.right)), kind=RigKind.MIRROR)
     return MirrorCalibration(
         rig=in_frame(rig, _camera_frame(rig)),
         pair=pair,

@@ -164,7 +164,7 @@ def mirrors_from_target(
         local.append(np.concatenate([T.translation, T.rotation.as_rotvec()]))
     used, fit = _fit(design, observations, np.array(local))
     pair = _as_pair(used, fit)
-    rig = replace(pair.rig, kind=RigKind.MIRROR, left=design.left, right=design.right)
+    rig = replace(pair.rig.with_each(camera=(design.left, design.right)), kind=RigKind.MIRROR)
     return MirrorCalibration(
         rig=in_frame(rig, design.T_rig_left), pair=pair, seen_m=None, seen_std_m=None, one_lens=True, advice=pair.advice
     )
@@ -220,7 +220,7 @@ def _fitted(rig: Rig, observations: Observations, poses: Array) -> Rig:
     used, fit = _fit(rig, observations, poses)
     overall = rms(residuals_px(used, fit), used.weight > 0.0)
     found = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)
-    return replace(found, kind=RigKind.MIRROR, left=rig.left, right=rig.right)
+    return replace(found.with_each(camera=(rig.left, rig.right)), kind=RigKind.MIRROR)
 
 
 def _fit(rig: Rig, observations: Observations, poses: Array) -> tuple[Observations, Fit]:

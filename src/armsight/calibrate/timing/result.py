@@ -71,7 +71,7 @@ class TimingResult(Output, Saveable):
             found if before is None else replace(found, exposure_s=before.exposure_s)
             for found, before in zip(self.cameras(), self.given.timing, strict=True)
         )
-        return replace(self.given, timing=(left, right))
+        return self.given.with_each(timing=(left, right))
 
     def cameras(self) -> tuple[CameraTiming, CameraTiming]:
         """Return the timing of the left and the right camera as files hold it."""

@@ -119,7 +119,7 @@ def _in_units(setup: Setup) -> list[OtherSetup]:
             RigidTransform.from_components(T.translation * size_m, T.rotation)
             for T in (rig.T_rig_left, rig.T_rig_right)
         )
-        narrower = replace(rig, T_rig_left=left, T_rig_right=right, covariance=None)
+        narrower = replace(rig.with_each(T_rig_camera=(left, right)), covariance=None)
         out.append(
             OtherSetup(
                 setup=replace(setup, rig=narrower),
@@ -205,7 +205,7 @@ def _of_other_size(setup: Setup) -> list[OtherSetup]:
     camera = rig.camera(first)
     return [
         OtherSetup(
-            setup=replace(setup, rig=replace(rig, left=left, right=right, covariance=None)),
+            setup=replace(setup, rig=replace(rig.with_each(camera=(left, right)), covariance=None)),
             words=f"The principal point lies at the image's edge (cx {camera.intrinsics[2]:.1f} of {camera.width} px, "
             f"{' and '.join(off)}): the intrinsics are of images {1.0 / factor:.3g} times as large",
             cure=f"Multiply fx, fy, cx and cy of the {' and '.join(off)} camera in the rig's file by {factor:.4g}, or "

@@ -144,7 +144,7 @@ class Setup:
     sides: tuple[SpotSettings, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "packed", PackedRig.of(self.rig))
+        object.__setattr__(self, "packed", PackedRig.of(self.rig.require_pair("measuring")))
         object.__setattr__(self, "model", TargetModel.of(self.target))
         object.__setattr__(self, "covariance", _joint_covariance(self.packed, self.target.covariance))
         if self.target.colour is not None and self.settings.colour is None:

@@ -134,10 +134,10 @@ def _sides(out: Path, side: str | None) -> dict[str, tuple[int, int] | None]:
     rig = read_zoom_rig(out)
     if rig.kind is RigKind.MIRROR:  # one camera, seen twice; a view may be a part of its image
         return dict.fromkeys(SIDES)
-    if side not in SIDES:
+    if side not in rig.names:
         raise UsageError(
-            f"{out} holds two cameras, and it is not said which one the frames are of",
-            cure="Add --side left or --side right",
+            f"{out} holds the cameras {', '.join(rig.names)}, and it is not said which one the frames are of",
+            cure=f"Add --side with one of {', '.join(rig.names)}",
         )
     return {side: _size(rig.camera(side))}
 
@@ -151,13 +151,13 @@ def _from_file(path: Path, side: str | None) -> NoiseResult:
     content = read_yaml(path)
     if content.get("format") == RIG_YAML.format:
         rig = read_zoom_rig(path)
-        if rig.kind is not RigKind.MIRROR and side not in SIDES:
+        if rig.kind is not RigKind.MIRROR and side not in rig.names:
             raise UsageError(
-                f"{path} holds two cameras, and it is not said whose noise is meant",
+                f"{path} holds the cameras {', '.join(rig.names)}, and it is not said whose noise is meant",
                 cure="Add --side where the noise goes into a rig.yaml; for a camera.yaml give still frames",
             )
-        at = SIDES.index(side) if side in SIDES else 0
-        noise, size = rig.noise[at], _size(rig.camera(SIDES[at]))
+        at = rig.names.index(side) if side in rig.names else 0
+        noise, size = rig.noise[at], _size(rig.cameras[at].camera)
     elif is_zoom_camera(content):
         zoomed = read_zoom_camera(path)
         noise, size = zoomed.noise, zoomed.lens.size

@@ -172,7 +172,8 @@ def lit_design(built: CellMirrors, camera: Camera | None, *, image: bool) -> Rig
             cure=f"Give {' and '.join(f'{name} ({what})' for name, what in missing.items())}",
         )
     design = _mirrors(built, built.baseline_m, None).rig(camera)
-    return replace(design, left=replace(design.left, plate=None)) if built.plate_m == 0.0 else design
+    bare = design.with_each(camera=[replace(one.camera, plate=None) for one in design.cameras])
+    return bare if built.plate_m == 0.0 else design
 
 
 def _mirrors(built: CellMirrors, baseline_m: float, plate: Plate | None) -> Mirrors:

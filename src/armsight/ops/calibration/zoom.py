@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from armsight.ops.conversion import ConvertOutput
-from armsight.optics import INTRINSICS, SIDES, at_zoom
+from armsight.optics import INTRINSICS, at_zoom
 from armsight.records import NamedCovariance
 from armsight.store import read_zoom_camera, read_zoom_rig, write_camera, write_rig
 
@@ -36,7 +36,7 @@ def fix_rig(source: Path, out: Path, zoom: tuple[float | None, float | None]) ->
     write_rig(out, found.rig, inputs=[source])
     changes = [
         f"{side} at zoom {state.zoom:g}, {_how(state.interpolated)}"
-        for side, state in zip(SIDES, found.states, strict=True)
+        for side, state in zip(found.rig.names, found.states, strict=True)
         if state is not None
     ]
     return _converted(out, "; ".join(changes))

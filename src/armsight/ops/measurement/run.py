@@ -27,7 +27,7 @@ from armsight.ops.sources.frames import (
     FrameTimes,
     recordings_in,
 )
-from armsight.optics import SIDES, Rig, at_zoom
+from armsight.optics import Rig, at_zoom
 from armsight.records import Frame, PoseStatus, Progress, Target
 from armsight.records.checks import wide_rig
 from armsight.store import World, parse_board, read_target, read_zoom_rig
@@ -228,8 +228,8 @@ def about_pairs(
 
 def zoomed_rig(path: Path, zoom: tuple[float | None, float | None]) -> tuple[Rig, Zoomed]:
     """Return the rig in a file at these zooms. Raises as store.read_rig."""
-    found = at_zoom(read_zoom_rig(path), zoom)
-    states = zip(SIDES, found.states, strict=True)
+    found = at_zoom(read_zoom_rig(path).require_pair(str(path)), zoom)
+    states = zip(found.rig.names, found.states, strict=True)
     return found.rig, {side: state for side, state in states if state is not None}
 
 

@@ -1,9 +1,9 @@
 """Kalibr's camchain YAML.
 
-Cameras cam0, cam1, each with camera_model pinhole, intrinsics [fu, fv, pu, pv] in px, distortion_model radtan with
-[k1, k2, p1, p2] or equidistant with
-[k1, k2, k3, k4], resolution [width, height]; cam1's T_cn_cnm1 (4 x 4, metres) takes points of cam0 into cam1. What
-Kalibr adds (rostopic, T_cam_imu, cam_overlaps, timeshift_cam_imu) is not used. Other models are refused by name.
+Cameras cam0, cam1 ... in a chain, each with camera_model pinhole, intrinsics [fu, fv, pu, pv] in px, distortion_model
+radtan with [k1, k2, p1, p2] or equidistant with [k1, k2, k3, k4], resolution [width, height]; camN's T_cn_cnm1 (4 x 4,
+metres) takes points of the camera before it into camN. What Kalibr adds (rostopic, T_cam_imu,
+cam_overlaps, timeshift_cam_imu) is not used. Other models are refused by name.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile, Inconsistent
-from armsight.optics import Camera, LensKind, Rig, RigKind
+from armsight.optics import SIDES, Camera, LensKind, MountedCamera, Rig
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
 from armsight.store.foreign.numbers import (
@@ -65,9 +65,9 @@ def kalibr_camera(content: Mapping[str, Any], name: str, where: str) -> Camera:
 
 
 def rig_from_kalibr(path: Path, *, unit_m: float | None = None) -> Rig:
-    """Return the rig of a camchain of two cameras: cam0 left, cam1 right, the rig's axes those of cam0.
+    """Return the rig of a camchain, the rig's axes those of cam0: left and right where it has two, else cam0, cam1 ...
 
-    unit_m: the length of its unit in metres. Raises BadFile where the file has another number of cameras, another model
+    unit_m: the length of its unit in metres. Raises BadFile where the file has more cameras than a rig, another model
     or no T_cn_cnm1.
     """
     return kalibr_rig(read_yaml(path), str(path), unit_m)
@@ -75,26 +75,33 @@ def rig_from_kalibr(path: Path, *, unit_m: float | None = None) -> Rig:
 
 def kalibr_rig(content: Mapping[str, Any], where: str, unit_m: float | None = None) -> Rig:
     """Return the rig of a camchain's content; see rig_from_kalibr."""
-    names = sorted(key for key in content if key.startswith("cam") and key[3:].isdecimal())
-    if names != ["cam0", "cam1"]:
+    found = {int(key[3:]): key for key in content if key.startswith("cam") and key[3:].isdecimal()}
+    links = [found[k] for k in sorted(found)]
+    if links != [f"cam{k}" for k in range(len(links))] or not links:
         raise BadFile(
-            f"{where}: a chain of the cameras {', '.join(names) or 'none'}",
-            consequence="A rig has two cameras, cam0 and cam1",
-            cure="Cut the chain down to the pair that is meant",
+            f"{where}: a chain of the cameras {', '.join(links) or 'none'}",
+            consequence="Each camera's pose is told from the one before it, cam0 first",
+            cure="Number the cameras from cam0 on, and leave none out",
         )
-    block_name = f"{where}, cam1"
-    T = matrix_at(_block(content, "cam1", where), "T_cn_cnm1", (4, 4), block_name)
+    T, cameras = RigidTransform.identity(), []
+    for name, link in zip(SIDES if len(links) == len(SIDES) else links, links, strict=True):
+        if link != "cam0":
+            step = _step(content, link, where, unit_m)
+            T = step if link == "cam1" else T * step  # by the identity a pose would be rounded
+        cameras.append(MountedCamera(name=name, camera=kalibr_camera(content, link, where), T_rig_camera=T))
+    with named(where):
+        return Rig(cameras=cameras)
+
+
+def _step(content: Mapping[str, Any], link: str, where: str, unit_m: float | None) -> RigidTransform:
+    """Return the pose of a chain's camera in the axes of the one before it."""
+    block_name = f"{where}, {link}"
+    T = matrix_at(_block(content, link, where), "T_cn_cnm1", (4, 4), block_name)
     if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 0.0:
         raise BadFile(
             f"{block_name}: T_cn_cnm1 does not end with the row 0, 0, 0, 1", consequence="The file is not used"
         )
-    return Rig(
-        kind=RigKind.STEREO,
-        left=kalibr_camera(content, "cam0", where),
-        right=kalibr_camera(content, "cam1", where),
-        T_rig_left=RigidTransform.identity(),
-        T_rig_right=placed(rotation_of(T[:3, :3], "T_cn_cnm1", block_name), T[:3, 3], block_name, unit_m),
-    )
+    return placed(rotation_of(T[:3, :3], "T_cn_cnm1", block_name), T[:3, 3], block_name, unit_m)
 
 
 def kalibr_mapping(camera: Camera) -> dict[str, Any]:
@@ -123,14 +130,14 @@ def camera_to_kalibr(path: Path, camera: Camera) -> None:
 
 
 def rig_to_kalibr(path: Path, rig: Rig) -> None:
-    """Write a camchain of the pair; Inconsistent where radtan cannot say a camera."""
-    R, t = relative(rig.T_rig_left, rig.T_rig_right)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
-    content = {
-        "cam0": {"cam_overlaps": [1], **kalibr_mapping(rig.left)},
-        "cam1": {"T_cn_cnm1": T.tolist(), "cam_overlaps": [0], **kalibr_mapping(rig.right)},
-    }
+    """Write a camchain of the rig's cameras in their order; Inconsistent where radtan cannot say a camera."""
+    content: dict[str, Any] = {}
+    for k, one in enumerate(rig.cameras):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = relative(rig.cameras[max(k - 1, 0)].T_rig_camera, one.T_rig_camera)
+        beside = [j for j in (k - 1, k + 1) if 0 <= j < len(rig.cameras)]
+        step = {} if k == 0 else {"T_cn_cnm1": T.tolist()}
+        content[f"cam{k}"] = {**step, "cam_overlaps": beside, **kalibr_mapping(one.camera)}
     write_text(path, dump_yaml(content))
 
 
