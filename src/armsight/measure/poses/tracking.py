@@ -169,10 +169,6 @@ def next_track(
         velocity = (positions - track.xyz_m) / (t_s - track.t_s)
     elif track is not None:
         names, positions, velocity = _carry_on(track, t_s, names, positions)
-    reach = SPOT_REACH * max(size for spots in views for size in spots.size_px.tolist())
-    innovation = (
-        FIRST_WINDOW_PX if innovation_px is None else min(LEAST_WINDOW_PX + 2.0 * innovation_px, FIRST_WINDOW_PX)
-    )
     return trusted(
         Track,
         t_s=t_s,
@@ -180,11 +176,19 @@ def next_track(
         names=names,
         xyz_m=positions,
         velocity_m_s=velocity,
-        half_window_px=ceil(reach + innovation),
+        half_window_px=half_window_px(views, innovation_px),
         complete=whole,
         motion=step.motion,
         doubted=False,
     )
+
+
+def half_window_px(views: Sequence[Spots], innovation_px: float | None) -> int:
+    """Return the half window for such spots, which were that far from where they were expected (None: nowhere)."""
+    reach = SPOT_REACH * max(size for spots in views for size in spots.size_px.tolist())
+    if innovation_px is None:
+        return ceil(reach + FIRST_WINDOW_PX)
+    return ceil(reach + min(LEAST_WINDOW_PX + 2.0 * innovation_px, FIRST_WINDOW_PX))
 
 
 def _carry_on(

@@ -344,7 +344,7 @@ def neg2_log_likelihood(rig, lights, views, Rp, tp):
     uv, cov = views
     X, radius, normal = lights
     n = X.shape[0]
-    residual = np.empty((n, 2, 2))
+    residual = np.empty(uv.shape)
     W = np.empty_like(cov)
     if not weights(cov, 0.0, W):
         return np.inf
