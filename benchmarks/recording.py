@@ -25,11 +25,11 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from armsight.drivers import Skew
+from armsight.drivers import RecordedMoments, Skew
 from armsight.errors import BadFile
 from armsight.ops.recording.record import RecordJob, record_pairs
 from armsight.ops.simulation.cells import load_cell
-from armsight.ops.sources.frames import RecordedFrames, RecordedPairs
+from armsight.ops.sources.frames import RecordedFrames
 from armsight.records import Frame
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter, repair
 from bench import machine, table
@@ -110,7 +110,7 @@ class Memory:
 def check(path: Path, images: list[tuple[np.ndarray, np.ndarray]], most: int = 200) -> int:
     """Return how many of the first pairs come back bit for bit."""
     same = 0
-    with RecordedPairs(RecordedFrames(str(path), "left"), RecordedFrames(str(path), "right")) as pairs:
+    with RecordedMoments(RecordedFrames(str(path), "left"), RecordedFrames(str(path), "right")) as pairs:
         for (left, right), _ in zip(pairs, range(most), strict=False):
             a, b = images[left.sequence % len(images)]
             same += bool(np.array_equal(left.image, a) and np.array_equal(right.image, b))

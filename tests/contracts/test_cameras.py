@@ -21,13 +21,13 @@ import yaml
 from armsight.clock import ManualClock
 from armsight.drivers import (
     DeviceLock,
-    FilePairs,
+    FileMoments,
     ImageFolder,
+    OneImage,
     OpenCvCamera,
     Replay,
     ReplayRobot,
     RobotState,
-    SplitImages,
     VideoFile,
     open_source,
 )
@@ -101,12 +101,12 @@ class TestFolder(CameraContract):
 
 class TestFilePairs(TestFolder):
     def make(self) -> CameraCase:
-        return CameraCase(source=FilePairs(folder(self.place / "left"), folder(self.place / "right")), moves=True)
+        return CameraCase(source=FileMoments(folder(self.place / "left"), folder(self.place / "right")), moves=True)
 
 
 class TestSplitImages(TestFolder):
     def make(self) -> CameraCase:
-        return CameraCase(source=SplitImages(folder(self.place / "both"), (32, 48), (32, 48)), moves=True)
+        return CameraCase(source=OneImage(folder(self.place / "both"), (32, 48), (32, 48)), moves=True)
 
 
 class TestVideo(TestFolder):

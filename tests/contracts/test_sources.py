@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import FilePairs, ImageFolder, LivePairs, OpenCvCamera, SplitImages, VideoFile
+from armsight.drivers import FileMoments, ImageFolder, OneImage, OpenCvCamera, TimedMoments, VideoFile
 from armsight.drivers.protocols import FrameSource, PairSource
 from armsight.errors import ArmsightError
 
@@ -148,22 +148,22 @@ def test_what_is_not_there_is_said_on_opening(lost: FrameSource) -> None:
     assert info.value.cure
 
 
-def files_in_pairs(folder: Path) -> FilePairs:
+def files_in_pairs(folder: Path) -> FileMoments:
     folder.mkdir()
-    return FilePairs(make_folder(folder / "left"), make_folder(folder / "right"))
+    return FileMoments(make_folder(folder / "left"), make_folder(folder / "right"))
 
 
-def videos_in_pairs(folder: Path) -> FilePairs:
+def videos_in_pairs(folder: Path) -> FileMoments:
     folder.mkdir()
-    return FilePairs(make_video(folder / "left"), make_video(folder / "right"))
+    return FileMoments(make_video(folder / "left"), make_video(folder / "right"))
 
 
-def cameras_in_pairs(folder: Path) -> LivePairs:
-    return LivePairs(make_camera(folder / "0"), make_camera(folder / "1"), max_skew_s=1e9)
+def cameras_in_pairs(folder: Path) -> TimedMoments:
+    return TimedMoments(make_camera(folder / "0"), make_camera(folder / "1"), max_skew_s=1e9)
 
 
-def halves(folder: Path) -> SplitImages:
-    return SplitImages(make_folder(folder), (24, SHAPE[0]), (40, SHAPE[0]))
+def halves(folder: Path) -> OneImage:
+    return OneImage(make_folder(folder), (24, SHAPE[0]), (40, SHAPE[0]))
 
 
 PAIRS: dict[str, Callable[[Path], PairSource]] = {

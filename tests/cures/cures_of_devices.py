@@ -23,7 +23,7 @@ from cures_of_runs import BOARD, CAMERAS, DESIGN, FIND
 from armsight.app.live.measurement import LiveJob, require_kind
 from armsight.cli.serve import _of_robot
 from armsight.console.state import Console
-from armsight.drivers import CameraSettings, LivePairs
+from armsight.drivers import CameraSettings, TimedMoments
 from armsight.drivers.aravis import AravisCamera, _layout_of, _Stamps
 from armsight.drivers.rtde import link
 from armsight.kinematics import preset
@@ -66,7 +66,7 @@ def paired(max_skew_s):
                 yield Frame(image=np.zeros((4, 6), np.uint8), t_s=0.1 * k + self.late_s, sequence=k, source=self.name)
 
     def go():
-        with LivePairs(Came("left", 0.0), Came("right", 0.04), max_skew_s=max_skew_s) as pairs:
+        with TimedMoments(Came("left", 0.0), Came("right", 0.04), max_skew_s=max_skew_s) as pairs:
             return list(pairs)
 
     return go

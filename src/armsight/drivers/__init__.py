@@ -3,22 +3,14 @@
 from armsight._files import DeviceLock
 from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
-from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
-from armsight.drivers.opening import (
-    FilePairs,
-    Overlaid,
-    SplitImages,
-    ended_early,
-    is_live,
-    is_video,
-    open_pairs,
-    open_source,
-    open_split,
-)
+from armsight.drivers.live import OpenCvCamera, cameras_there
+from armsight.drivers.moments import FileMoments, Moment, Moments, OneImage
+from armsight.drivers.opening import is_live, is_video, open_moments, open_pairs, open_source
 from armsight.drivers.pace import Pace, Paced
 from armsight.drivers.protocols import PROVING, FrameSource, PairSource, Robot, RobotState, RobotTraits, Sent, listen
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile, cores, frame_period_s, ordered_map
+from armsight.drivers.timed_moments import MAX_SKEW_S, RecordedMoments, TimedMoments
 from armsight.records.result_parts import Skew
 from armsight.registry import CAMERAS, CELLS, PAPERS, ROBOTS, SCENARIOS, SETS, TWINS, folder, known, load
 
@@ -28,6 +20,7 @@ __all__ = [
     "CAMERAS",
     "CELLS",
     "FPS",
+    "MAX_SKEW_S",
     "PAPERS",
     "PROVING",
     "ROBOTS",
@@ -37,17 +30,19 @@ __all__ = [
     "CameraSettings",
     "Capture",
     "DeviceLock",
-    "FilePairs",
+    "FileMoments",
     "FrameSource",
     "ImageFolder",
     "ImageReading",
-    "LivePairs",
+    "Moment",
+    "Moments",
+    "OneImage",
     "OpenCvCamera",
-    "Overlaid",
     "Pace",
     "Paced",
     "PairSettings",
     "PairSource",
+    "RecordedMoments",
     "Replay",
     "ReplayRobot",
     "Robot",
@@ -55,13 +50,12 @@ __all__ = [
     "RobotTraits",
     "Sent",
     "Skew",
-    "SplitImages",
+    "TimedMoments",
     "VideoFile",
     "by_side",
     "cameras_there",
     "check_forward",
     "cores",
-    "ended_early",
     "folder",
     "frame_period_s",
     "is_live",
@@ -70,9 +64,9 @@ __all__ = [
     "list_images",
     "listen",
     "load",
+    "open_moments",
     "open_pairs",
     "open_source",
-    "open_split",
     "ordered_map",
     "read_image",
 ]

@@ -1,14 +1,11 @@
-"""Live cameras, read in threads of their own, and pairs of them matched by time stamp."""
+"""Live cameras, read in threads of their own."""
 
 from __future__ import annotations
 
-import math
 import queue
 import threading
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -26,10 +23,8 @@ from armsight.drivers.camera_settings import (
     check_settings,
     lock_settings,
 )
-from armsight.drivers.protocols import FrameSource
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
-from armsight.records.result_parts import Skew
 
 DEPTH = 4
 """Frames a live camera keeps for a slow reader; older ones are dropped, since a late frame is worth less."""
@@ -39,15 +34,6 @@ FAILED_READS = 3
 
 SILENCE_S = 3.0
 """No frame for so long means that the camera is lost; webcams take up to 2 s to deliver their first one."""
-
-MAX_SKEW_S = 1.0 / 60.0
-"""Half a frame at 30 a second: free-running cameras always have a partner within it."""
-
-UNPAIRED_LIMIT = 60
-"""Frames dropped one after the other for want of a partner before pairing is given up."""
-
-INTERVALS = 31
-"""Frames whose distances in time say how long a period of a camera is: a second of a webcam."""
 
 SETTLED = 30
 """Frames after which locked settings are looked at again: some cameras take to their automatics once frames flow."""
@@ -248,123 +234,3 @@ class OpenCvCamera(LiveCamera):
         if image.ndim == 3 and not self._colour:
             return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
         return image
-
-
-class _Period:
-    """How far apart the frames of a camera come, by their own stamps and numbers; infinite before the second one."""
-
-    def __init__(self) -> None:
-        self._last: Frame | None = None
-        self._each_s: deque[float] = deque(maxlen=INTERVALS)
-        self.s = math.inf
-
-    def see(self, frame: Frame | None) -> Frame | None:
-        """Take the next frame, and hand it on; frames that a slow reader missed are in its number."""
-        if frame is not None and self._last is not None and frame.sequence > self._last.sequence:
-            self._each_s.append((frame.t_s - self._last.t_s) / (frame.sequence - self._last.sequence))
-            self.s = float(np.median(self._each_s))
-        self._last = frame
-        return frame
-
-
-class LivePairs:
-    """Frames of two live cameras paired by time stamp, no further than max_skew_s and half a period of theirs apart.
-
-    Further apart, another frame is nearer: after one lost frame all later pairs would be of neighbours. The older of
-    two frames too far apart is dropped. Raises DeviceLost where a camera goes, DeviceFailed where the cameras' frames
-    never meet. short: the source that ended while the other went on for two frames and more.
-    """
-
-    def __init__(self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S) -> None:
-        self._left = left
-        self._right = right
-        self._max_skew_s = max_skew_s
-        self._stack = ExitStack()
-        self._sum_s = 0.0
-        self._largest_s = 0.0
-        self._n_pairs = 0
-        self._n_dropped = 0
-        self.short: FrameSource | None = None
-
-    @property
-    def name(self) -> str:
-        """Both cameras' names."""
-        return f"{self._left.name} + {self._right.name}"
-
-    @property
-    def total(self) -> int | None:
-        """None: it goes on until stopped."""
-        return None
-
-    @property
-    def n_dropped(self) -> int:
-        """Frames so far that had no partner."""
-        return self._n_dropped
-
-    @property
-    def skew(self) -> Skew | None:
-        """Right minus left over the pairs so far; None before the first."""
-        if not self._n_pairs:
-            return None
-        return Skew(
-            mean_s=self._sum_s / self._n_pairs,
-            largest_s=self._largest_s,
-            n_pairs=self._n_pairs,
-            n_dropped=self._n_dropped,
-        )
-
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            stack.enter_context(self._left)
-            stack.enter_context(self._right)
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.close()
-
-    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
-        lefts, rights, periods = iter(self._left), iter(self._right), (_Period(), _Period())
-
-        def next_left() -> Frame | None:
-            return periods[0].see(next(lefts, None))
-
-        def next_right() -> Frame | None:
-            return periods[1].see(next(rights, None))
-
-        left, right = next_left(), next_right()
-        dropped = 0
-        while left is not None and right is not None:
-            skew_s = right.t_s - left.t_s
-            if abs(skew_s) <= min(self._max_skew_s, 0.5 * periods[0].s, 0.5 * periods[1].s):
-                self._count(skew_s)
-                dropped = 0
-                yield left, right
-                left, right = next_left(), next_right()
-                continue
-            dropped += 1
-            self._n_dropped += 1
-            if dropped >= UNPAIRED_LIMIT:
-                raise self._never_meet(skew_s)
-            if skew_s > 0.0:
-                left = next_left()
-            else:
-                right = next_right()
-        if (left is None) != (right is None) and next(rights if left is None else lefts, None) is not None:
-            self.short = self._left if left is None else self._right
-
-    def _count(self, skew_s: float) -> None:
-        self._n_pairs += 1
-        self._sum_s += skew_s
-        if abs(skew_s) > abs(self._largest_s):
-            self._largest_s = skew_s
-
-    def _never_meet(self, skew_s: float) -> DeviceFailed:
-        return DeviceFailed(
-            f"{UNPAIRED_LIMIT} frames of {self.name} in a row had no partner within {self._max_skew_s * 1e3:.0f} ms "
-            f"(the last two were {skew_s * 1e3:.0f} ms apart)",
-            consequence="No pair can be measured",
-            cure="Set both cameras to the same frame rate, or allow more with --max-skew",
-        )

@@ -208,6 +208,27 @@ def lengths_of(texts: list[str] | tuple[str, ...]) -> list[tuple[str, str, float
     return found
 
 
+def cameras_of(texts: list[str] | tuple[str, ...]) -> dict[str, str]:
+    """Return source by camera of each 'NAME=SRC'. Raises UsageError, also for a name that is there twice."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, source = text.partition("=")
+        if not (name and equals and source):
+            raise UsageError(
+                f"--camera {text!r} is not NAME=SRC",
+                consequence="It is open which camera is meant",
+                cure="Write for instance --camera top=camera:2, the name as in rig.yaml",
+            )
+        if name in found:
+            raise UsageError(
+                f"two sources are given of the camera {name}: {found[name]} and {source}",
+                consequence="It is open which are its frames",
+                cure="Give each camera once, by its own name",
+            )
+        found[name] = source
+    return found
+
+
 def _length(text: str) -> float | None:
     try:
         return read_quantity(text, "m")

@@ -5,7 +5,7 @@ Each takes (name, value, given, undo), see `armsight.ops.action.Input`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike, fspath
@@ -154,6 +154,12 @@ def picture(name: str, value: Any, given: Given, undo: ExitStack) -> NDArray[np.
 def frames(name: str, value: Any, given: Given, undo: ExitStack) -> str:
     """Return frames as the command line names them; images of a program are written to a folder that goes again."""
     return undo.enter_context(Folder(limit=given.get("limit", given.get("frames")))).source(name, value)
+
+
+def cameras(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, str]:
+    """Return frames by camera, each as the command line names them. Raises UsageError."""
+    require_kind(name, value, Mapping, cure="Give {'left': ..., 'top': ...}, frames by the camera's name in the rig")
+    return {camera: frames(camera, each, given, undo) for camera, each in value.items()}
 
 
 def images(name: str, value: Any, given: Given, undo: ExitStack) -> str | list[Frame]:

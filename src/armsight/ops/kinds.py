@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeAlias
 
 from armsight.fields import Doc, Flag
 from armsight.ops.action import Input
-from armsight.ops.flags import BOARD, SRC
+from armsight.ops.flags import BOARD, SRC, cameras_of
 
 READERS = "armsight.ops.inputs"
 ROBOT_READERS = "armsight.ops.robot_inputs"
@@ -91,4 +91,11 @@ GuardLimits: TypeAlias = Annotated[
 Left: TypeAlias = Annotated[Any, Doc(f"Left frames: {SRC}."), FRAMES, Flag(metavar="SRC")]
 """Frames as the command line names them, or images in order."""
 Right: TypeAlias = Annotated[Any, Doc("Right frames, in step with the left ones."), FRAMES, Flag(metavar="SRC")]
+CamerasLike: TypeAlias = Annotated[
+    Any,
+    Doc("Frames of a camera by its name in rig.yaml; repeated. --left SRC is short for left=SRC."),
+    Input(f"{READERS}:cameras"),
+    Flag("--camera", metavar="NAME=SRC", read=cameras_of, repeated=True),
+]
+"""Frames by camera: {"left": ..., "top": ...}, each as Left takes them."""
 BothViews: TypeAlias = Annotated[Any, Doc("Frames with both views in one image."), FRAMES, Flag(metavar="SRC")]

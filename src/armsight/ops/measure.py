@@ -12,7 +12,7 @@ from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.file_names import MEASURED
 from armsight.ops.action import Input, action
 from armsight.ops.flags import Bits, CameraFlags, Cameras, Fps, Inverted, Limit, MaxSkew, Strict, Threshold
-from armsight.ops.kinds import FRAMES, READERS, AsFile, Left, Right
+from armsight.ops.kinds import FRAMES, READERS, AsFile, CamerasLike, Left, Right
 
 if TYPE_CHECKING:
     from armsight.drivers import PairSettings
@@ -46,6 +46,7 @@ def measure(
     left: Left = None,
     right: Right = None,
     *,
+    cameras: CamerasLike = None,
     out: Out = None,
     image: Annotated[
         Any,
@@ -106,6 +107,8 @@ def measure(
         Folders, patterns, videos, one recording as left, 'camera:NAME', lists of images, or iterables of Frame.
     out
         A folder; None writes nothing.
+    cameras
+        Instead: these by the cameras' names, {'left': ..., 'right': ...}.
     image
         Instead: images that hold both views of a mirror rig.
     times
@@ -143,11 +146,15 @@ def measure(
     from armsight.ops.measurement.run import about_pairs, run, target_of, zoomed_rig
     from armsight.ops.measurement.streams import FrameSources
     from armsight.ops.sources.bags import read_motion
+    from armsight.ops.sources.cameras import cameras_of, named_cameras
     from armsight.ops.sources.frames import frame_times
     from armsight.records import Silent
     from armsight.store import read_world
 
     settings, zoom, progress = camera_settings or AUTOMATIC, (zoom_left, zoom_right), progress or Silent()
+    wanted, (seen_by, zoomed) = target_of(target), zoomed_rig(rig, zoom)
+    if cameras:
+        left, right = cameras_of(seen_by.names, named_cameras(cameras, left, right)).values()
     sources = FrameSources(
         left=left,
         right=right,
@@ -161,22 +168,21 @@ def measure(
         settings=_with_zoom(settings, zoom) if set_zoom else settings,
         reading=ImageReading(bits=bits, strict=strict),
     )
-    wanted, (cameras, zoomed) = target_of(target), zoomed_rig(rig, zoom)
     place, colour = None if world is None else read_world(world), wanted.colour
     seen = None if mask is None else mask > 0
     spots = SpotSettings(threshold=threshold, inverted=inverted, mask=seen, colour=colour, method=method)
     setup = partial(
-        Setup, rig=cameras, target=wanted, settings=spots, slack_px=rig_slack_px(cameras) if zoomed else SLACK_PX
+        Setup, rig=seen_by, target=wanted, settings=spots, slack_px=rig_slack_px(seen_by) if zoomed else SLACK_PX
     )
     facts = [("rig's file", str(rig)), ("target's file", str(target))]
-    if sources.run_free(cameras, timing, stills=stills, rate_hz=rate_hz, at=at):
+    if sources.run_free(seen_by, timing, stills=stills, rate_hz=rate_hz, at=at):
         when = rate_hz if at is None else read_motion(at, origin_of=left or right).t_s
         return measure_free(
             setup(), sources, out, when=when, progress=progress, world=place, facts=facts, zoomed=zoomed
         )
     facts += [("place of the rig", str(world))] if place else []
     told = frame_times(left or image, times, fps)
-    pairs, overlaid = sources.pairs(cameras, told.times_s, colour=colour is not None)
+    pairs, overlaid = sources.pairs(seen_by, told.times_s, colour=colour is not None)
     about = about_pairs(sources, pairs.name, told, facts, zoomed, stills=stills)
     return run(setup(overlaid=overlaid), pairs, out, world=place, limit=frames, progress=progress, about=about)
 

@@ -222,11 +222,11 @@ class Rig(Saveable):
         return found
 
     def require_pair(self, what: str) -> Rig:
-        """Return itself; raise UsageError where its cameras are not left and right alone, which `what` needs."""
+        """Return itself; raise UsageError, beginning with `what`, where its cameras are not left and right alone."""
         if self.is_pair:
             return self
         raise UsageError(
-            f"{what} takes a rig of the cameras left and right, and this one has {', '.join(self.names)}",
+            f"{what}: a rig of the cameras left and right is wanted, and this one has {', '.join(self.names)}",
             consequence="Nothing is done",
             cure="Give the rig.yaml of a pair: `armsight calibrate stereo` makes one",
         )

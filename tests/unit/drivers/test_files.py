@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.drivers import FilePairs, ImageFolder, SplitImages, VideoFile, open_pairs, open_source, ordered_map
+from armsight.drivers import FileMoments, ImageFolder, OneImage, VideoFile, open_pairs, open_source, ordered_map
 from armsight.errors import BadImage, Inconsistent, UsageError
 from refusals import refuses
 
@@ -62,7 +62,7 @@ def test_frames_before_a_truncated_one_are_delivered(tmp_path: Path) -> None:
     ],
 )
 def test_unpaired_images_are_refused_before_anything_is_read(tmp_path: Path, left, right, text) -> None:
-    pairs = FilePairs(folder_of(tmp_path / "left", numbered(*left)), folder_of(tmp_path / "right", numbered(*right)))
+    pairs = FileMoments(folder_of(tmp_path / "left", numbered(*left)), folder_of(tmp_path / "right", numbered(*right)))
     with refuses(Inconsistent, text), pairs:
         pass
 
@@ -70,7 +70,7 @@ def test_unpaired_images_are_refused_before_anything_is_read(tmp_path: Path, lef
 def test_names_with_nothing_in_common_are_paired_by_position(tmp_path: Path) -> None:
     left = folder_of(tmp_path / "left", ["1700000001.png", "1700000101.png"])
     right = folder_of(tmp_path / "right", ["1700000003.png", "1700000104.png"])
-    with FilePairs(left, right) as pairs:
+    with FileMoments(left, right) as pairs:
         assert len(list(pairs)) == 2
     with (
         refuses(Inconsistent, "2 images", "1"),
@@ -137,10 +137,10 @@ def test_times_replace_the_rate_and_must_be_as_many_as_the_frames(tmp_path: Path
 
 def test_an_image_of_both_views_must_have_the_rig_s_size(tmp_path: Path) -> None:
     source = folder_of(tmp_path / "a", numbered(1))
-    with SplitImages(source, (30, 40), (30, 40)) as pairs:
+    with OneImage(source, (30, 40), (30, 40)) as pairs:
         ((left, right),) = list(pairs)
     assert left.image.shape == right.image.shape == (40, 30)
-    with SplitImages(source, (40, 40), (40, 40)) as pairs, refuses(Inconsistent, "60x40", "80x40"):
+    with OneImage(source, (40, 40), (40, 40)) as pairs, refuses(Inconsistent, "60x40", "80x40"):
         list(pairs)
 
 

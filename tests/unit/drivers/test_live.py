@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import LivePairs, OpenCvCamera, known, load
+from armsight.drivers import OpenCvCamera, TimedMoments, known, load
 from armsight.drivers import live as live_module
 from armsight.drivers.opening import CAMERAS
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
@@ -97,7 +97,7 @@ def test_a_silent_camera_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_frames_are_paired_with_the_nearest_and_the_skew_is_told() -> None:
     left = Scripted("left", [0.000, 0.033, 0.066, 0.100, 0.133])
     right = Scripted("right", [0.003, 0.036, 0.103, 0.136])  # one frame was dropped
-    with LivePairs(left, right, max_skew_s=0.010) as pairs:
+    with TimedMoments(left, right, max_skew_s=0.010) as pairs:
         got = [(one.t_s, two.t_s) for one, two in pairs]
         skew = pairs.skew
     assert got == [(0.000, 0.003), (0.033, 0.036), (0.100, 0.103), (0.133, 0.136)]
@@ -111,7 +111,7 @@ def test_frames_are_paired_with_the_nearest_and_the_skew_is_told() -> None:
 def test_a_lost_frame_at_60_a_second_does_not_shift_all_later_pairs(lost: int) -> None:
     times = [k / 60.0 for k in range(200)]
     right = Scripted("right", [t_s + 0.001 for k, t_s in enumerate(times) if k != lost])
-    with LivePairs(Scripted("left", times), right) as pairs:
+    with TimedMoments(Scripted("left", times), right) as pairs:
         late = [one.t_s for one, two in pairs if two.t_s - one.t_s > 0.002]
     assert len(late) <= 2 and all(t_s <= times[2] for t_s in late)  # until the period is known
 
@@ -120,7 +120,7 @@ def test_cameras_that_never_meet_are_a_failure_and_not_a_pair() -> None:
     left = Scripted("left", [0.1 * i for i in range(100)])
     right = Scripted("right", [0.1 * i + 0.05 for i in range(100)])
     with (
-        LivePairs(left, right, max_skew_s=0.010) as pairs,
+        TimedMoments(left, right, max_skew_s=0.010) as pairs,
         refuses(DeviceFailed, "partner", "10 ms"),
     ):
         list(pairs)

@@ -17,7 +17,7 @@ from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_v
 from armsight.arrays import Mask
 from armsight.clock import Clock
 from armsight.control.session.channels import JointTrack
-from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, Skew, by_side, is_live
+from armsight.drivers import AUTOMATIC, PairSettings, PairSource, Skew, by_side, is_live
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Measured, Setup, Track, lost_pair, measure_pair
 from armsight.measure.settings import SpotSettings
@@ -26,7 +26,7 @@ from armsight.ops.measurement.outputs import moved_pose
 from armsight.ops.measurement.run import target_of
 from armsight.ops.simulation.following import when_heard
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.frames import open_pairs, open_source
+from armsight.ops.sources.frames import open_pairs, open_source, overlaid
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, Spots, TargetPose
@@ -289,7 +289,7 @@ def _opened(job: LiveJob, colour: bool) -> PairSource:
     if not job.complex:
         return open_pairs(job.left, job.right, colour=colour, fps=job.fps, settings=job.camera_settings)
     asked, _ = by_side(job.camera_settings)
-    return Overlaid(open_source(job.left, colour=colour, fps=job.fps, settings=asked))
+    return overlaid(open_source(job.left, colour=colour, fps=job.fps, settings=asked))
 
 
 def mask_of(width: int, height: int, rectangles: tuple[Rectangle, ...]) -> Mask:

@@ -137,7 +137,7 @@ def _sides(out: Path, side: str | None) -> dict[str, tuple[int, int] | None]:
     if side not in rig.names:
         raise UsageError(
             f"{out} holds the cameras {', '.join(rig.names)}, and it is not said which one the frames are of",
-            cure=f"Add --side with one of {', '.join(rig.names)}",
+            cure="Add " + " or ".join(f"--side {name}" for name in rig.names),
         )
     return {side: _size(rig.camera(side))}
 

@@ -15,6 +15,7 @@ from armsight.calibrate.timing.stamps import FEWEST_FRAMES, camera_clock
 from armsight.drivers import (
     AS_THEY_ARE,
     AUTOMATIC,
+    MAX_SKEW_S,
     CameraSettings,
     ImageReading,
     PairSettings,
@@ -22,7 +23,6 @@ from armsight.drivers import (
     by_side,
     is_live,
 )
-from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.begin import AnyFrame, SpotFrame
 from armsight.ops.sources.frames import camera_source, complex_pairs, is_recording, open_pairs, open_source

@@ -13,8 +13,7 @@ from typing import Annotated
 
 from armsight._files import real_path
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Skew, is_live
-from armsight.drivers.live import MAX_SKEW_S
+from armsight.drivers import AUTOMATIC, MAX_SKEW_S, CameraSettings, PairSource, Skew, is_live
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import RIG, TARGET

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 import cv2
 import numpy as np
@@ -24,24 +24,21 @@ from armsight.drivers import (
     AS_THEY_ARE,
     AUTOMATIC,
     FPS,
+    MAX_SKEW_S,
     CameraSettings,
     FrameSource,
     ImageReading,
-    LivePairs,
-    Overlaid,
+    OneImage,
     PairSettings,
     PairSource,
-    Skew,
-    SplitImages,
+    RecordedMoments,
     VideoFile,
     by_side,
-    ended_early,
     frame_period_s,
     is_video,
     list_images,
 )
-from armsight.drivers.live import MAX_SKEW_S
-from armsight.errors import DeviceFailed, Inconsistent, UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.ops.sources.bags import BagFrames
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame
@@ -118,65 +115,6 @@ class RecordedFrames:
             yield _converted(frame, self._colour)
 
 
-class RecordedPairs:
-    """Pairs of one recording or bag, or of two of them or two videos, matched by time."""
-
-    def __init__(
-        self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S, end_together: bool = False
-    ) -> None:
-        """end_together: one that ends before the other is refused there."""
-        self._left = left
-        self._right = right
-        self._pairs = LivePairs(left, right, max_skew_s=max_skew_s)
-        self._end_together = end_together
-
-    @property
-    def name(self) -> str:
-        """The recording's name, or both."""
-        return self._left.name if self._left.name == self._right.name else self._pairs.name
-
-    @property
-    def total(self) -> int | None:
-        """The smaller of both counts."""
-        counts = [count for count in (self._left.total, self._right.total) if count is not None]
-        return min(counts) if len(counts) == 2 else None
-
-    @property
-    def skew(self) -> Skew | None:
-        """Right minus left over the pairs so far; None before the first."""
-        return self._pairs.skew
-
-    def __enter__(self) -> Self:
-        self._pairs.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._pairs.__exit__(kind, error, trace)
-
-    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
-        try:
-            yield from self._pairs
-        except DeviceFailed as error:  # the rule is that of live cameras, the cause is in the file
-            raise _apart(error.cause) from error
-        if self._pairs.skew is None and self._pairs.n_dropped:
-            raise _apart(f"no frame of {self.name} has a partner of its time")
-        short, skew = self._pairs.short, self._pairs.skew
-        if self._end_together and short is not None and skew is not None:
-            raise ended_early(short, self._right if short is self._left else self._left, skew.n_pairs)
-
-
-def _apart(cause: str) -> Inconsistent:
-    """Return the refusal of frames that never meet."""
-    return Inconsistent(
-        cause,
-        consequence="Nobody can say which frames were taken together",
-        cure="Check that both cameras were recorded on one clock, or allow more with --max-skew; with --fps, frames of "
-        "two videos are paired by their number",
-    )
-
-
 def open_source(
     text: str,
     *,
@@ -190,11 +128,11 @@ def open_source(
 ) -> FrameSource:
     """Return the source that a text names as drivers.open_source does, or one camera of a recording."""
     if is_recording(text):
-        _require_as_recorded(text, fps, times_s, settings)
+        require_as_recorded(text, fps, times_s, settings)
         reading.require_none(text)
         return RecordedFrames(text, colour=colour)
     if is_bag(text):
-        _require_as_recorded(text, fps, times_s, settings)
+        require_as_recorded(text, fps, times_s, settings)
         reading.require_none(text)
         return BagFrames(text, colour=colour)
     return drivers.open_source(
@@ -249,18 +187,18 @@ def open_pairs(
     for text in (*recorded, *bags, *((left,) if left is not None and is_video(left) else ())):
         reading.require_none(text)
     if recorded and (left is None or right is None or len(recorded) == 2):
-        _require_as_recorded(recorded[0], fps, times_s, settings)
+        require_as_recorded(recorded[0], fps, times_s, settings)
         ends = RecordedFrames(recorded[0], "left", colour=colour), RecordedFrames(recorded[-1], "right", colour=colour)
-        return RecordedPairs(*ends, max_skew_s=max_skew_s)
+        return cast(PairSource, RecordedMoments(*ends, max_skew_s=max_skew_s))
     if left is None or right is None:
         raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
     if recorded or len(bags) == 1:
         kind = "a recording" if recorded else "of a bag"
         raise UsageError(f"{left} and {right} cannot be paired: one is {kind}, the other is not")
     if bags and left != right:
-        _require_as_recorded(left, fps, times_s, settings)
+        require_as_recorded(left, fps, times_s, settings)
         sides = BagFrames(left, colour=colour), BagFrames(right, colour=colour, origin_of=left)
-        return RecordedPairs(*sides, max_skew_s=max_skew_s)
+        return cast(PairSource, RecordedMoments(*sides, max_skew_s=max_skew_s))
     if fps is None and times_s is None and is_video(left) and is_video(right) and left != right:
         return _video_pairs(left, right, colour, max_skew_s, settings)
     return drivers.open_pairs(
@@ -275,16 +213,16 @@ def open_pairs(
     )
 
 
-def _video_pairs(left: str, right: str, colour: bool, max_skew_s: float, settings: PairSettings) -> RecordedPairs:
+def _video_pairs(left: str, right: str, colour: bool, max_skew_s: float, settings: PairSettings) -> PairSource:
     """Return the pairs of two videos, matched by their stamps. Raises UsageError for settings of live cameras."""
     for asked in by_side(settings):
         asked.require_none(left)
     skew_s = min(max_skew_s, 0.5 * min(frame_period_s(left), frame_period_s(right)))
     sides = (VideoFile(left, colour=colour), VideoFile(right, colour=colour))
-    return RecordedPairs(*sides, max_skew_s=skew_s, end_together=True)
+    return cast(PairSource, RecordedMoments(*sides, max_skew_s=skew_s, end_together=True))
 
 
-def _require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:
+def require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:
     """Raise UsageError where times are given for a recording or a bag, or settings for the cameras in it."""
     for asked in by_side(settings):
         asked.require_none(text)
@@ -305,6 +243,11 @@ def _converted(frame: Frame, colour: bool) -> Frame:
     )
 
 
+def overlaid(images: FrameSource) -> PairSource:
+    """Return the pairs in images that hold both views one upon the other."""
+    return cast(PairSource, OneImage(images))
+
+
 def complex_pairs(open_images: Callable[[], FrameSource], rig: Rig) -> tuple[PairSource, bool]:
     """Return the pairs in complex images, not yet open, and whether both views lie one upon the other in them.
 
@@ -312,15 +255,15 @@ def complex_pairs(open_images: Callable[[], FrameSource], rig: Rig) -> tuple[Pai
     side by side. Raises Inconsistent for any other size.
     """
     if rig.kind is RigKind.MIRROR:
-        return Overlaid(open_images()), True
+        return overlaid(open_images()), True
     left, right = ((camera.width, camera.height) for camera in (rig.left, rig.right))
     with open_images() as frames:
         first = next(iter(frames), None)
     if first is not None and left == right == (first.width, first.height):
-        return Overlaid(open_images()), True
+        return overlaid(open_images()), True
     if first is not None:
         _require_both(first, left, right)
-    return SplitImages(open_images(), left, right), False
+    return cast(PairSource, OneImage(open_images(), left, right)), False
 
 
 def _require_both(frame: Frame, left: tuple[int, int], right: tuple[int, int]) -> None:
