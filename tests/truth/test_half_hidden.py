@@ -144,7 +144,7 @@ def test_a_light_taken_together_with_what_touches_it_is_left_out_however_little_
     right = replace(found.right, uv_px=at, covariance_px2=cov, size_px=size)
     solved = solving.solve_spots(SETUP, 0.0, found.names, found.left, found.right)
     frames = tuple(Frame(image=image, t_s=0.0, sequence=0, source="drawn") for image in images)
-    _, out = solving.compare(SETUP, solved, found.left, right, frames)
+    _, out = solving.compare(SETUP, solved.points.xyz_m, solved.T, (found.left, right), frames)
     assert out[:, :, solving.outlines.ODD].any(axis=0).tolist() == [True, False, False]
 
 
