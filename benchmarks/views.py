@@ -12,8 +12,10 @@ own way, by which a light must be seen by both.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2
@@ -23,10 +25,12 @@ from armsight.measure.poses.moments import measure_moment
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.views import measure_views
 from armsight.records import PoseStatus
-from bench import machine, table, test_scene
+from bench import machine, table
 
-world = test_scene("camera_ring")
-scene = test_scene("test_views")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from tests.truth import camera_ring as world
+from tests.truth import test_views as scene
 
 SCENES = ((0.0, 0), (0.2, 0), (0.2, 2))
 WRONG = float(chi2.isf(1e-8, 6))

@@ -16,6 +16,7 @@ from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.views import measure_views
 from armsight.optics import Camera, MountedCamera, Rig
 from armsight.records import Frame, NamedCovariance, PoseStatus, Spots, spot_target, unmeasured_target
+from refusals import names_it, refuses
 
 SIGMA_PX = 0.05
 FLAT = LIGHTS[:5] * [1.0, 1.0, 0.0]
@@ -225,14 +226,14 @@ def test_pictures_are_tracked_a_lost_camera_is_left_and_a_half_hidden_light_goes
     assert measured.pose.status is PoseStatus.OK and mahalanobis2(measured, T) < WRONG
     sights = shown(measured, 6, 3)
     assert not sights[2, 0] and sights[2, 1:].all() and sights[:, 0].sum() == 5
-    assert measured.notes == ("C half hidden from one camera, and left out of its view",)
+    assert len(measured.notes) == 1 and names_it(measured.notes[0], "C")
 
 
 def test_what_needs_two_cameras_is_refused_by_other_rigs() -> None:
     setup = setup_of(ring(3))
-    with pytest.raises(UsageError, match="2 frames for a rig of 3 cameras"):
+    with refuses(UsageError, 2, 3):
         require_views(setup, 2)
-    with pytest.raises(UsageError, match="three and more lights at known places"):
+    with refuses(UsageError, 3, "target.yaml"):
         require_views(Setup(setup.rig, unmeasured_target(), many=True), 3)
-    with pytest.raises(UsageError, match="left and right"):
+    with refuses(UsageError, "left", "c0"):
         Setup(setup.rig, setup.target)

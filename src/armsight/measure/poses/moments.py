@@ -14,7 +14,7 @@ from armsight.arrays import Array
 from armsight.errors import Unseen, UsageError
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
-from armsight.measure.poses.pipeline import NOT_OF_THE_RIG, check_size, doubted, measure_pair
+from armsight.measure.poses.pipeline import NOT_OF_THE_RIG, check_size, measure_pair
 from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import MOST_UNNAMED
@@ -50,7 +50,7 @@ def measure_moment(setup: Setup, frames: Sequence[Frame | None], track: Track | 
     if measured is None:
         seen = [_spots(setup, s, frame) for s, frame in enumerate(frames)]
         measured = measure_views(setup, t_s, seen, track, frames)
-    return doubted(measured)
+    return measured
 
 
 def require_views(setup: Setup, n: int) -> None:

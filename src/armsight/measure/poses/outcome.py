@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from armsight.errors import Unseen
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.pose import lost, no_points
 from armsight.measure.poses.setup import TargetModel
-from armsight.records import NotSeen, Points, Spots, TargetPose, freeze
+from armsight.records import NotSeen, Points, PoseStatus, Spots, TargetPose, freeze
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,6 +106,14 @@ def lost_moment(t_s: float, seen: tuple[Spots, ...], missed: NotSeen, track: Tra
         track=track,
         cause=missed.cause,
     )
+
+
+def doubted(measured: Measured) -> Measured:
+    """Return what was measured; doubtful where the spots fit the target by far not as well as they claim."""
+    if measured.pose.status is not PoseStatus.OK or measured.cause is not Unseen.BEYOND_CLAIMS:
+        return measured
+    why = "the spots fit the target, but by far not as well as they claim"
+    return replace(measured, pose=replace(measured.pose, status=PoseStatus.DOUBTFUL, why=why))
 
 
 PREDICTION_RATIO = 3.0

@@ -12,7 +12,7 @@ from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
 from armsight.measure.poses.from_spots import measure_among, measure_spots
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.outcome import Measured, Track, lost_moment
+from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_seen
@@ -39,7 +39,6 @@ NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring s
 _MASK = "mask the background, lower the exposure, or give the target one more light"
 FIT_SHARE = 0.15
 """Share of a deadline that is for measuring the chosen lights of an image."""
-_BEYOND = "the spots fit the target, but by far not as well as they claim"
 
 
 def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = None) -> Measured:
@@ -56,13 +55,6 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     measured = _measure(setup, left, right, track)
     # a board is judged corner by corner: of real ones print and lens leave more than the corners' noise
     return measured if setup.target.is_board else doubted(measured)
-
-
-def doubted(measured: Measured) -> Measured:
-    """Return what was measured; doubtful where the spots fit the target by far not as well as they claim."""
-    if measured.pose.status is not PoseStatus.OK or measured.cause is not Unseen.BEYOND_CLAIMS:
-        return measured
-    return replace(measured, pose=replace(measured.pose, status=PoseStatus.DOUBTFUL, why=_BEYOND))
 
 
 def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Measured:

@@ -23,7 +23,7 @@ from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import one_view as kernels
 from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.poses.kernels.pose_ambiguity import POSSIBLE
-from armsight.measure.poses.outcome import Assignment, Measured, Track, lost_moment
+from armsight.measure.poses.outcome import Assignment, Measured, Track, doubted, lost_moment
 from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
 from armsight.measure.poses.pose import PoseSolution, lost, no_points
 from armsight.measure.poses.setup import Setup, fit_limit
@@ -51,6 +51,9 @@ MOST_COMBINATIONS = 50_000
 ROOM = 16
 """Namings by one view that are kept."""
 
+CONVINCING = 0.7
+"""Share of the sights that could be at most with which a hypothesis is taken before all sources are asked: two lights
+and a reflection fit some arrangement, and a worse one than another pair of views has."""
 CONFIRMED = 0.01
 """How often, at most, a spot lies where a pose of chance expects a light: ten spots in a hundredth of a picture."""
 ALONE_BY_CHANCE = 1e-4
@@ -101,18 +104,22 @@ def measure_views(
     near where the track expects them, so that the pose must go on from its motion.
     """
     seen = tuple(seen)
-    missed = NotSeen("no spots enough to name the target's lights by", Unseen.LIGHTS_MISSING)
-    for ways in _sources(setup, t_s, seen, track):
-        found = [done for way in ways if (done := completed(setup, seen, way)) is not None]
+    found: list[Hypothesis] = []
+    most = sum(min(len(spots), len(setup.model)) for spots in seen)
+
+    def decided() -> Measured:
         chosen = _choose(setup, found)
         if isinstance(chosen, NotSeen):
-            missed = chosen if found else missed
-            continue
-        measured = _judged(setup, t_s, seen, chosen, track, frames, in_windows=in_windows)
-        if measured.pose.status is PoseStatus.OK:
-            return measured
-        missed = measured.missed
-    return lost_moment(t_s, seen, missed, track)
+            return lost_moment(t_s, seen, chosen, track)
+        return doubted(_judged(setup, t_s, seen, chosen, track, frames, in_windows=in_windows))
+
+    for ways in _sources(setup, t_s, seen, track):
+        found += [done for way in ways if (done := completed(setup, seen, way)) is not None]
+        if max((way.n for way in found), default=0) >= CONVINCING * most:
+            measured = decided()
+            if measured.pose.status is PoseStatus.OK:
+                return measured
+    return decided()
 
 
 def _sources(setup: Setup, t_s: float, seen: tuple[Spots, ...], track: Track | None) -> Iterator[list[Hypothesis]]:
@@ -155,8 +162,7 @@ def _by_pair(setup: Setup, seen: tuple[Spots, ...], a: int, b: int) -> list[Hypo
     pairs = pair_spots(pair.packed, left, right, setup.slack_px)
     if not len(pairs.index):
         return []
-    crowded = max(len(left), len(right)) > len(setup.model)
-    match = match_known(pair, left, right, pairs, arrangements=AS_FOUND if crowded else 0)
+    match = match_known(pair, left, right, pairs, arrangements=AS_FOUND)
     ways = []
     for one in (match.best,) if match.best is not None else match.alternatives:
         rows = np.full((len(setup.model), len(seen)), -1, np.intp)
