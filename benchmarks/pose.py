@@ -20,6 +20,7 @@ from armsight.geometry import pose_difference, pose_from_quat
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.pipeline import Measured, Setup, measure_pair, warm_up
+from armsight.measure.poses.pose import UNKNOWN
 from armsight.optics import SIDES, Camera, PackedRig, Rig, converged_rig
 from armsight.records import PoseStatus, Spots, Target, spot_target, unmeasured_target
 from armsight.store import rig_from_mapping
@@ -241,7 +242,7 @@ def time(repeats: int) -> None:
             "two frames -> pose with covariance, tracked": tracked,
             "match and pose of spots found": lambda: measure_spots(setup, 0.0, seen.left_seen, seen.right_seen),
             "compiled: points, maximum likelihood, covariance": lambda: kernels.solve_named(
-                packed.arrays, (uv, cov), 0.06, (setup.model.xyz_m, flat, normal), *room
+                packed.arrays, (uv, cov), 0.06, (setup.model.xyz_m, flat, normal), UNKNOWN, *room
             ),
             "peer: OpenCV triangulation + Kabsch (matched, no covariance)": lambda: peer(
                 seen.left.uv_px, seen.right.uv_px, model, P

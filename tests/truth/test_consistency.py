@@ -315,9 +315,9 @@ def test_total_covariance_of_a_calibration_and_a_target_drawn_from_theirs() -> N
 
 
 def test_residuals_of_one_frame_widen_its_pose() -> None:
-    assert misfit_factor(6.0, 3) == 1.0 and misfit_factor(12.0, 3) == 1.0
-    assert misfit_factor(chi2_law.ppf(0.99, 6), 3) == pytest.approx(1.0, abs=0.01)
-    assert misfit_factor(10.0 * chi2_law.ppf(0.99, 10), 4) == pytest.approx(10.0, rel=0.01)
+    assert misfit_factor(6.0, 6) == 1.0 and misfit_factor(12.0, 6) == 1.0
+    assert misfit_factor(chi2_law.ppf(0.99, 6), 6) == pytest.approx(1.0, abs=0.01)
+    assert misfit_factor(10.0 * chi2_law.ppf(0.99, 10), 8) == pytest.approx(10.0, rel=0.01)
     setup = Setup(RIG, TARGET)
     views = [spots(uv, np.random.default_rng(9), 0.05, 0.05) for uv in World(lights=1.005 * X).see(0.0, Motion(9))]
     good = [spots(uv, np.random.default_rng(9), 0.05, 0.05) for uv in World().see(0.0, Motion(9))]

@@ -106,7 +106,7 @@ def test_without_the_look_at_outlines_the_same_pictures_give_a_wrong_pose(monkey
     def blind(view: np.ndarray, *_: object) -> int:
         return int(solving.outlines.NO_DOUBT)
 
-    monkeypatch.setattr(solving.outlines, "compare_lights", blind)
+    monkeypatch.setattr(solving.outlines, "judge_lights", blind)
     found = measured(FOUND)
     assert found.pose.status is not PoseStatus.LOST and mahalanobis2(found) > WITHIN
 
@@ -127,7 +127,7 @@ def test_what_both_views_lack_a_little_makes_the_pose_more_uncertain(
 ) -> None:
     cut = {light: (angle, share * RADIUS_PX)}
     assert mahalanobis2(measured((cut, cut))) < WITHIN
-    monkeypatch.setattr(solving.outlines, "compare_lights", lambda *_: int(solving.outlines.NO_DOUBT))
+    monkeypatch.setattr(solving.outlines, "judge_lights", lambda *_: int(solving.outlines.NO_DOUBT))
     assert mahalanobis2(measured((cut, cut))) > WITHIN
 
 
@@ -144,7 +144,7 @@ def test_a_light_taken_together_with_what_touches_it_is_left_out_however_little_
     right = replace(found.right, uv_px=at, covariance_px2=cov, size_px=size)
     solved = solving.solve_spots(SETUP, 0.0, found.names, found.left, found.right)
     frames = tuple(Frame(image=image, t_s=0.0, sequence=0, source="drawn") for image in images)
-    _, out = solving.compare(SETUP, solved, found.left, right, frames)
+    _, out = solving.compare(SETUP, solved.points.xyz_m, solved.T, (found.left, right), frames)
     assert out[:, :, solving.outlines.ODD].any(axis=0).tolist() == [True, False, False]
 
 
@@ -230,7 +230,7 @@ def test_a_beacon_is_placed_as_surely_as_its_outlines_allow(
 ) -> None:
     within = float(chi2.isf(1e-3, 3))
     assert beacon(cuts, shade=shade)[0] < within
-    monkeypatch.setattr(solving.outlines, "compare_lights", lambda *_: int(solving.outlines.NO_DOUBT))
+    monkeypatch.setattr(solving.outlines, "judge_lights", lambda *_: int(solving.outlines.NO_DOUBT))
     assert beacon(cuts, shade=shade)[0] > within
 
 

@@ -173,7 +173,7 @@ def _deviations(rig: Rig, packed: PackedRig, points: Array, sigma_px: float) -> 
         return np.full(3, np.inf)
     of_rig = np.zeros_like(spots)
     if packed.covariance.size:
-        A = np.empty((len(points), 3, rig_covariance.PARAMETERS))
+        A = np.empty((len(points), 3, len(packed.covariance)))
         both = np.tile(cov, (len(points), 2, 1, 1))
         rig_covariance.point_slopes(packed.arrays, both, points, spots, A)
         of_rig = A @ packed.covariance @ A.transpose(0, 2, 1)

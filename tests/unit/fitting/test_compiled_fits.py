@@ -18,6 +18,7 @@ from armsight.geometry import pose_from_rotvec
 from armsight.kinematics import fk, preset, solve_numeric
 from armsight.measure.boards.kernels import subpixel
 from armsight.measure.poses.kernels import pose as pose_kernels
+from armsight.measure.poses.pose import UNKNOWN
 from armsight.measure.spots.kernels import light_models
 from armsight.measure.spots.kernels.columns import Picture
 from armsight.measure.spots.kernels.leastsquares import fit_model
@@ -107,7 +108,7 @@ def test_the_pose_of_a_target_is_the_engines() -> None:
     packed, n = PackedRig.of(RIG), len(X)
     T, C, residual = np.empty((4, 4)), np.empty((6, 6)), np.zeros((n, 2, 2))
     state, _, chi2 = pose_kernels.solve_named(
-        packed.arrays, (uv, cov), 0.0, (X, np.zeros((n, 2)), np.array([0.0, 0.0, 1.0])),
+        packed.arrays, (uv, cov), 0.0, (X, np.zeros((n, 2)), np.array([0.0, 0.0, 1.0])), UNKNOWN,
         np.empty((n, 3)), np.empty((n, 3, 3)), T, C, residual,
     )  # fmt: skip
     assert state == pose_kernels.SOLVED

@@ -220,7 +220,7 @@ class LiveMeasurement:
                 left = right = find_spots(pair[0].image, self._sides[0], pace)
             else:
                 left, right = pace.both(lambda side: find_spots(pair[side].image, self._sides[side], pace))
-            return replace(lost_pair(pair, NOT_CALIBRATED), left_seen=left, right_seen=right)
+            return replace(lost_pair(pair, NOT_CALIBRATED), seen=(left, right))
         try:
             return measure_pair(setup, *pair, track)
         except Inconsistent as error:

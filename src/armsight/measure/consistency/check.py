@@ -17,14 +17,14 @@ from armsight.errors import Unseen
 from armsight.measure.consistency import kernels
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE, causes_of
 from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, Consistency, Finding, judge
-from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of, stacked
+from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of
 from armsight.measure.consistency.other_setups import what_fits
 from armsight.measure.motion.estimate import Filtered, Start
 from armsight.measure.motion.states import View
 from armsight.measure.poses.correspondence import match_known
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pairs import pair_spots
-from armsight.measure.poses.pose import NamedSpots, solve_pose
+from armsight.measure.poses.pose import NamedSpots, solve_pose, stack_spots
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.tracking import expected
 from armsight.records import PoseStatus, TargetPose
@@ -163,12 +163,12 @@ def refit(setup: Setup, measured: Measured) -> Measured | None:
             continue
         index = pairs.index[best.pair]
         at_left, at_right = left.take(index[:, 0]), right.take(index[:, 1])
-        uv, cov = stacked(at_left, at_right)
+        uv, cov = stack_spots((at_left, at_right))
         X = model.xyz_m[[model.names.index(name) for name in best.names]]
         spots = NamedSpots(best.names, X, uv, cov, radius_m=np.zeros((len(X), 2)), normal=model.normal)
         solved = solve_pose(setup.packed, t_s, spots, limit=np.inf)
         if solved.pose.status is PoseStatus.OK:
-            return replace(measured, pose=solved.pose, left=at_left, right=at_right, names=best.names)
+            return replace(measured, pose=solved.pose, spots=(at_left, at_right), names=best.names)
     return None
 
 

@@ -10,12 +10,11 @@ import numpy as np
 
 from armsight.arrays import Array, Index
 from armsight.measure.consistency import kernels
-from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.pose import stack_spots
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.tracking import positions_of
 from armsight.optics import RIG_PARAMETERS
-from armsight.records import Spots
 
 MOST_LIGHTS = 12
 """Lights up to which each one's place is a parameter; of larger targets and boards only the scale is."""
@@ -260,7 +259,7 @@ def frame_of(setup: Setup, measured: Measured) -> Frame | None:
     else:
         index_of = {name: i for i, name in enumerate(names)}
         lights = np.array([index_of[name] for name in measured.names])
-    uv, cov = stacked(measured.left, measured.right)
+    uv, cov = stack_spots((measured.left, measured.right))
     variances = np.diag(pose.covariance)
     return Frame(
         t_s=pose.t_s,
@@ -272,13 +271,6 @@ def frame_of(setup: Setup, measured: Measured) -> Frame | None:
         positions_m=positions_of(setup, pose.T_parent_target),
         claimed=(float(variances[:3].sum()), float(variances[3:].sum())),
     )
-
-
-def stacked(left: Spots, right: Spots) -> tuple[Array, Array]:
-    """Return pixels (n, 2, 2) and covariances (n, 2, 2, 2) [spot, side] of spots in the same order."""
-    uv, cov = np.empty((len(left), 2, 2)), np.empty((len(left), 2, 2, 2))
-    pose_kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
-    return uv, cov
 
 
 def velocity_of(before: Frame | None, frame: Frame, after: Frame | None) -> Array:

@@ -3,8 +3,8 @@
 With the pose fitted, residuals r (predicted minus seen) know of a parameter's error only what the pose cannot take
 over: b = D'Wr and N = D'WD - B'H^-1 B with D the pixels' derivatives by the parameters, G by the pose, W the inverse of
 the spots' covariances, H = G'WG, B = G'WD. Summed over frames they are all that a fit of the parameters to every
-residual, each frame's pose free, would need. The parameters are the rig's 26, the target's m (by its basis), and the
-time by which the right camera exposes later.
+residual, each frame's pose free, would need. The parameters are the rig's 16 v - 6, the target's m (by its basis), and
+the times by which the cameras but the first expose later.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ from armsight.fitting.kernels import invert_spd
 from armsight.geometry.kernels import copy_2, multiply
 from armsight.measure.motion.kernels.state import STATE, N, P, R, state_at
 from armsight.measure.motion.kernels.views import ViewK, innovation_covariance, observe, select
-from armsight.measure.poses.kernels.rig_covariance import PARAMETERS, add_information, light_slopes, place_slopes
+from armsight.measure.poses.kernels.rig_covariance import add_information, light_slopes, n_parameters, place_slopes
 from armsight.optics.kernels.camera import RigK
-from armsight.optics.kernels.triangulation import invert_2
-
-DELAY = -1  # the delay's column, the last one
+from armsight.optics.kernels.triangulation import invert_2, missing
 
 
 class LightsK(NamedTuple):
@@ -36,13 +34,14 @@ class LightsK(NamedTuple):
 def frame_evidence(rig, target, T, cov, residual, velocity, N, b, S, C):
     """Fill N (q, q), b (q,), S (6, q) = d pose / d parameters, C (6, 6) = H^-1; return chi-square, -1 where singular.
 
-    rig, target: as RigK, LightsK, the n lights seen; under T (4, 4), with cov (n, 2, 2, 2), residual (n, 2, 2).
+    rig, target: as RigK, LightsK, the n lights seen; under T (4, 4), with cov (n, v, 2, 2), residual (n, v, 2).
     velocity (n, 3) of the lights in rig axes, m/s; 0 where not known.
     """
     rig, target = RigK(*rig), LightsK(*target)
     X, basis = target
     n, m = X.shape[0], basis.shape[2]
-    q = PARAMETERS + m + 1
+    own = n_parameters(rig)
+    q = own + m + cov.shape[1] - 1
     B = np.zeros((6, q))
     H = np.zeros((6, 6))
     g = np.zeros(6)
@@ -50,7 +49,7 @@ def frame_evidence(rig, target, T, cov, residual, velocity, N, b, S, C):
     p = np.empty(3)
     J = np.empty((2, 3))
     E = np.empty((2, 3))
-    D = np.empty((2, PARAMETERS))
+    D = np.empty((2, own))
     W = np.empty((2, 2))
     G = np.empty((2, 6))
     row = np.zeros((2, q))
@@ -58,19 +57,22 @@ def frame_evidence(rig, target, T, cov, residual, velocity, N, b, S, C):
     b[:] = 0.0
     chi2 = 0.0
     for light in range(n):
-        for s in range(2):
+        for s in range(cov.shape[1]):
+            if missing(cov[light, s]):
+                continue
             if not (light_slopes(rig, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
                 return -1.0
             place_slopes(J, T, E)
             copy_2(D, row)
             for i in range(2):
-                for j in range(m):
-                    row[i, PARAMETERS + j] = 0.0
-            add_by_basis(E, basis[light], row[:, PARAMETERS:])
-            for i in range(2):
-                v = velocity[light]
-                # exposed later, the right camera sees the light where its velocity has taken it by then
-                row[i, DELAY] = J[i, 0] * v[0] + J[i, 1] * v[1] + J[i, 2] * v[2] if s == 1 else 0.0
+                for j in range(own, q):
+                    row[i, j] = 0.0
+            add_by_basis(E, basis[light], row[:, own:])
+            if s > 0:
+                for i in range(2):
+                    v = velocity[light]
+                    # exposed later, a camera sees the light where its velocity has taken it by then
+                    row[i, own + m + s - 1] = J[i, 0] * v[0] + J[i, 1] * v[1] + J[i, 2] * v[2]
             r = residual[light, s]
             x = W[0, 0] * r[0] + W[0, 1] * r[1]
             y = W[1, 0] * r[0] + W[1, 1] * r[1]
@@ -123,7 +125,8 @@ def view_slopes(predicted, filtered, rig, s, view, light, basis, H, A, e):
     here = np.empty(2)
     J = np.empty((2, 3))
     E = np.empty((2, 3))
-    D = np.empty((2, PARAMETERS))
+    own = n_parameters(rig)
+    D = np.empty((2, own))
     G = np.empty((2, 6))
     for j in range(light.shape[0]):
         at, tau = view.X[j], view.tau[j]
@@ -142,7 +145,7 @@ def view_slopes(predicted, filtered, rig, s, view, light, basis, H, A, e):
             return False
         place_slopes(J, T, E)
         copy_2(D, A[2 * j : 2 * j + 2])
-        add_by_basis(E, basis[light[j]], A[2 * j : 2 * j + 2, PARAMETERS:])
+        add_by_basis(E, basis[light[j]], A[2 * j : 2 * j + 2, own:])
     return True
 
 

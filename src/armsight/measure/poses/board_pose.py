@@ -9,10 +9,10 @@ import numpy as np
 from armsight.arrays import Array, Index
 from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.measure.boards import find_board, find_two_boards
-from armsight.measure.poses.outcome import Measured
-from armsight.measure.poses.pose import NamedSpots, lost, no_points, solve_pose
+from armsight.measure.poses.outcome import Measured, lost_moment
+from armsight.measure.poses.pose import NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup
-from armsight.records import BoardView, Frame, PoseStatus, Spots, TargetKind
+from armsight.records import BoardView, Frame, NotSeen, PoseStatus, Spots, TargetKind
 
 LEAST_POINTS = 4
 """Points of a board seen by both cameras below which its pose is not asked for."""
@@ -58,7 +58,7 @@ def pose_of_views(setup: Setup, left: BoardView, right: BoardView, t_s: float) -
         exchanged = _fit(setup, t_s, index, np.ascontiguousarray(uv[:, ::-1]), np.ascontiguousarray(cov[:, ::-1]))
         if exchanged.pose.status is PoseStatus.OK:
             raise swapped()
-    return replace(measured, left_seen=_all(left), right_seen=_all(right))
+    return replace(measured, seen=(_all(left), _all(right)))
 
 
 def _fit(setup: Setup, t_s: float, index: Index, uv: Array, cov: Array) -> Measured:
@@ -94,11 +94,9 @@ def _fit(setup: Setup, t_s: float, index: Index, uv: Array, cov: Array) -> Measu
     return Measured(
         pose=solved.pose,
         points=solved.points,
-        left=_spots(uv[kept, 0], cov[kept, 0]),
-        right=_spots(uv[kept, 1], cov[kept, 1]),
+        spots=(_spots(uv[kept, 0], cov[kept, 0]), _spots(uv[kept, 1], cov[kept, 1])),
         names=names,
-        left_seen=Spots.none(),
-        right_seen=Spots.none(),
+        seen=(Spots.none(),) * 2,
         notes=tuple(f"{name} left out: it does not fit the others" for name in dropped),
         cause=solved.cause,
     )
@@ -136,14 +134,4 @@ def _spots(uv: Array, cov: Array) -> Spots:
 
 
 def _lost(t_s: float, why: str, cause: Unseen) -> Measured:
-    none = Spots.none()
-    return Measured(
-        pose=lost(t_s, why),
-        points=no_points(),
-        left=none,
-        right=none,
-        names=(),
-        left_seen=none,
-        right_seen=none,
-        cause=cause,
-    )
+    return lost_moment(t_s, (Spots.none(),) * 2, NotSeen(why, cause))

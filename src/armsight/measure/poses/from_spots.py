@@ -14,9 +14,9 @@ from armsight.errors import Unseen
 from armsight.measure.poses.beacon import by_chance_in_order, match_beacon, match_by_position, match_few_of_size
 from armsight.measure.poses.board_pose import swapped
 from armsight.measure.poses.correspondence import AS_FOUND, match_known
-from armsight.measure.poses.outcome import Assignment, Match, Measured, Prediction, Track
+from armsight.measure.poses.outcome import Assignment, Match, Measured, Prediction, Track, lost_moment
 from armsight.measure.poses.pairs import Pairs, pair_spots
-from armsight.measure.poses.pose import PoseSolution, lost, no_points, position_only, solve_points
+from armsight.measure.poses.pose import PoseSolution, position_only, solve_points
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist
 from armsight.measure.poses.solving import (
@@ -67,29 +67,27 @@ def measure_among(
             _refuse_swapped(setup, left, right)
         chosen = picked or setup.settings.colour is not None
         missed = match.missed if chosen and match.why else explain(setup, left, right, pairs, match.missed)
-        return lost_moment(t_s, left, right, missed, track), 1.0
+        return lost_moment(t_s, (left, right), missed, track), 1.0
     i, j = pairs.index[match.best.pair].T
     look = _look(setup, t_s, match.best.names, (take_spots(left, i), take_spots(right, j)), seen)
     if isinstance(look, NotSeen):
-        return lost_moment(t_s, left, right, look, track), 1.0
+        return lost_moment(t_s, (left, right), look, track), 1.0
     names, solved, matched = look.names, look.solved, (look.left, look.right)
     if against := impossible(setup, names, solved, *matched):
-        return lost_moment(t_s, left, right, against, track), 1.0
+        return lost_moment(t_s, (left, right), against, track), 1.0
     step = continuation(setup, track, t_s, solved)
     if track is not None and doubtful(setup, track, t_s, solved, step):
-        return lost_moment(t_s, left, right, NotSeen(_DOUBTFUL, Unseen.MOTION), replace(track, doubted=True)), 1.0
+        return lost_moment(t_s, (left, right), NotSeen(_DOUBTFUL, Unseen.MOTION), replace(track, doubted=True)), 1.0
     misfit = 0.0 if setup.overlaid or picked else misfit_chi2(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
     measured = Measured(
         pose=solved.pose,
         points=solved.points,
-        left=matched[0],
-        right=matched[1],
+        spots=matched,
         names=names,
-        left_seen=left,
-        right_seen=right,
-        track=next_track(setup, t_s, solved, *matched, track, step),
+        seen=(left, right),
+        track=next_track(setup, t_s, solved, matched, track, step),
         notes=left_out_notes(setup, solved, left, right),
         cause=solved.cause,
     )
@@ -157,39 +155,21 @@ def _ambiguous(
     alternatives = _poses(setup, t_s, left, right, pairs, match.alternatives)
     same = all(set(a.pair.tolist()) == set(first.pair.tolist()) for a in match.alternatives)
     if not same:
-        return replace(lost_moment(t_s, left, right, match.missed, track), alternatives=alternatives)
+        return replace(lost_moment(t_s, (left, right), match.missed, track), alternatives=alternatives)
     names = ("?",) * len(first.pair)
     seen = solve_points(setup.packed, names, pairs.uv_px[first.pair], pairs.cov_px2[first.pair])
     if isinstance(seen, NotSeen):
-        return replace(lost_moment(t_s, left, right, match.missed, track), alternatives=alternatives)
+        return replace(lost_moment(t_s, (left, right), match.missed, track), alternatives=alternatives)
     index = pairs.index[first.pair]
     return Measured(
         pose=position_only(t_s, seen, match.why),
         points=seen.points,
-        left=take_spots(left, index[:, 0]),
-        right=take_spots(right, index[:, 1]),
+        spots=(take_spots(left, index[:, 0]), take_spots(right, index[:, 1])),
         names=names,
-        left_seen=left,
-        right_seen=right,
+        seen=(left, right),
         track=track,
         alternatives=alternatives,
         cause=match.cause,
-    )
-
-
-def lost_moment(t_s: float, left: Spots, right: Spots, missed: NotSeen, track: Track | None) -> Measured:
-    """Return a lost moment; the track, as old as it is, may still help the next one."""
-    none = Spots.none()
-    return Measured(
-        pose=lost(t_s, missed.why),
-        points=no_points(),
-        left=none,
-        right=none,
-        names=(),
-        left_seen=left,
-        right_seen=right,
-        track=track,
-        cause=missed.cause,
     )
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armsight.arrays import Array, Index
+from armsight.arrays import Array, Index, Mask
 from armsight.errors import Unseen
 from armsight.measure.motion.estimate import MotionFilter
+from armsight.measure.poses.pose import lost, no_points
 from armsight.measure.poses.setup import TargetModel
-from armsight.records import NotSeen, Points, Spots, TargetPose, freeze
+from armsight.records import NotSeen, Points, PoseStatus, Spots, TargetPose, freeze
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,10 +46,11 @@ class Track:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured:
-    """Everything found in one pair of frames.
+    """Everything found at one moment, by view in the rig's order.
 
-    points: in rig axes, each triangulated by itself. left, right: the matched spots, in the order of names.
-    left_seen, right_seen: all that were found (in the windows only, where tracked). track: for the next call.
+    points: in rig axes, each triangulated by itself; a light that one view alone shows has none. spots: the matched
+    ones of each view, in the order of names; sights (n, v): which view shows which light, None where each shows all.
+    seen: all that were found (in the windows only, where tracked). track: for the next call.
     alternatives: the poses of all assignments that fit, where names are ambiguous. notes: what was left out, and why.
     busy: more than lights was bright, and the spots were chosen from many candidates. cause: of a pose that is not
     whole, as far as something of its own helps against it; the pose has the words.
@@ -56,11 +58,10 @@ class Measured:
 
     pose: TargetPose
     points: Points
-    left: Spots
-    right: Spots
+    spots: tuple[Spots, ...]
     names: tuple[str, ...]
-    left_seen: Spots
-    right_seen: Spots
+    seen: tuple[Spots, ...]
+    sights: Mask | None = None
     track: Track | None = None
     alternatives: tuple[TargetPose, ...] = ()
     notes: tuple[str, ...] = ()
@@ -69,9 +70,50 @@ class Measured:
     cause: Unseen = Unseen.OTHER
 
     @property
+    def left(self) -> Spots:
+        """The matched spots of a pair's left view."""
+        return self.spots[0]
+
+    @property
+    def right(self) -> Spots:
+        """The matched spots of a pair's right view."""
+        return self.spots[1]
+
+    @property
+    def left_seen(self) -> Spots:
+        """All spots of a pair's left view."""
+        return self.seen[0]
+
+    @property
+    def right_seen(self) -> Spots:
+        """All spots of a pair's right view."""
+        return self.seen[1]
+
+    @property
     def missed(self) -> NotSeen:
         """Why the pose is not whole."""
         return NotSeen(self.pose.why, self.cause)
+
+
+def lost_moment(t_s: float, seen: tuple[Spots, ...], missed: NotSeen, track: Track | None = None) -> Measured:
+    """Return a lost moment; the track, as old as it is, may still help the next one."""
+    return Measured(
+        pose=lost(t_s, missed.why),
+        points=no_points(),
+        spots=(Spots.none(),) * len(seen),
+        names=(),
+        seen=seen,
+        track=track,
+        cause=missed.cause,
+    )
+
+
+def doubted(measured: Measured) -> Measured:
+    """Return what was measured; doubtful where the spots fit the target by far not as well as they claim."""
+    if measured.pose.status is not PoseStatus.OK or measured.cause is not Unseen.BEYOND_CLAIMS:
+        return measured
+    why = "the spots fit the target, but by far not as well as they claim"
+    return replace(measured, pose=replace(measured.pose, status=PoseStatus.DOUBTFUL, why=why))
 
 
 PREDICTION_RATIO = 3.0

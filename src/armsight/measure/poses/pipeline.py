@@ -10,9 +10,9 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
-from armsight.measure.poses.from_spots import lost_moment, measure_among, measure_spots
+from armsight.measure.poses.from_spots import measure_among, measure_spots
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.outcome import Measured, Track
+from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_seen
@@ -25,10 +25,8 @@ from armsight.records import (
     Frame,
     NamedCovariance,
     NotSeen,
-    Points,
     PoseStatus,
     Spots,
-    TargetPose,
     spot_target,
     unmeasured_target,
 )
@@ -41,7 +39,6 @@ NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring s
 _MASK = "mask the background, lower the exposure, or give the target one more light"
 FIT_SHARE = 0.15
 """Share of a deadline that is for measuring the chosen lights of an image."""
-_BEYOND = "the spots fit the target, but by far not as well as they claim"
 
 
 def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = None) -> Measured:
@@ -56,14 +53,8 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     """
     check_sizes(setup.rig, left, right)
     measured = _measure(setup, left, right, track)
-    if (
-        setup.target.is_board
-    ):  # judged corner by corner: of real boards print and lens leave more than the corners' noise
-        return measured
-    pose = measured.pose
-    if pose.status is not PoseStatus.OK or measured.cause is not Unseen.BEYOND_CLAIMS:
-        return measured
-    return replace(measured, pose=replace(pose, status=PoseStatus.DOUBTFUL, why=_BEYOND))
+    # a board is judged corner by corner: of real ones print and lens leave more than the corners' noise
+    return measured if setup.target.is_board else doubted(measured)
 
 
 def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Measured:
@@ -172,7 +163,7 @@ def _measure_chosen(
 ) -> Measured:
     """Measure the chosen candidates; return the pose, or that it may be one of chance."""
     if late := _late(setup, among, chosen):
-        return lost_moment(t_s, Spots.none(), Spots.none(), NotSeen(late, Unseen.DEADLINE), track)
+        return lost_moment(t_s, (Spots.none(),) * 2, NotSeen(late, Unseen.DEADLINE), track)
     seen_left, seen_right = _spots_of(setup, left, right, chosen)
     measured, chance = measure_among(setup, t_s, seen_left, seen_right, track, among, frames)
     measured = replace(measured, busy=among.arrangements != AS_FOUND)
@@ -185,7 +176,7 @@ def _measure_chosen(
         f"{among.bright} bright spots: {len(measured.names)} of them fit the target, but no better than some would by "
         f"chance; {_MASK}"
     )
-    return replace(lost_moment(t_s, seen_left, seen_right, NotSeen(why, Unseen.CROWD), track), busy=measured.busy)
+    return replace(lost_moment(t_s, (seen_left, seen_right), NotSeen(why, Unseen.CROWD), track), busy=measured.busy)
 
 
 def warm_up() -> None:
@@ -248,9 +239,9 @@ def check_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
 def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
     """Return the pose from windows around the predicted spots; None where not every one of them is found and fits."""
     n, packed = len(track.names), setup.packed
-    predicted, at_left, at_right = np.empty((n, 3)), np.empty((n, 2)), np.empty((n, 2))
+    predicted, (at_left, at_right) = np.empty((n, 3)), (at := np.empty((2, n, 2)))
     dt = t_s - track.t_s
-    if not kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, dt, predicted, at_left, at_right):
+    if not kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, dt, predicted, at):
         return None
     if setup.overlaid:
         both = _in_windows(left, np.concatenate([at_left, at_right]), track.half_window_px, setup.sides[0])
@@ -269,16 +260,14 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     step = continuation(setup, track, t_s, solved)
     if not step.likely or (track.motion is None and jumped(setup, track, t_s, solved)):
         return None
-    innovation = kernels.largest_innovation(left_seen.uv_px, at_left, right_seen.uv_px, at_right)
+    innovation = max(map(kernels.largest_innovation, (left_seen.uv_px, right_seen.uv_px), at))
     return Measured(
         pose=solved.pose,
         points=solved.points,
-        left=left_seen,
-        right=right_seen,
+        spots=(left_seen, right_seen),
         names=track.names,
-        left_seen=left_seen,
-        right_seen=right_seen,
-        track=next_track(setup, t_s, solved, left_seen, right_seen, track, step, innovation),
+        seen=(left_seen, right_seen),
+        track=next_track(setup, t_s, solved, (left_seen, right_seen), track, step, innovation),
         tracked=True,
         cause=solved.cause,
     )
@@ -325,14 +314,4 @@ class TargetTracker:
 
 def lost_pair(pair: tuple[Frame, Frame], why: str, cause: Unseen = Unseen.OTHER) -> Measured:
     """Return the record of a pair that gave nothing."""
-    none = Spots.none()
-    return Measured(
-        pose=TargetPose(t_s=0.5 * (pair[0].t_s + pair[1].t_s), status=PoseStatus.LOST, parent="rig", why=why),
-        points=Points(names=(), xyz_m=np.empty((0, 3)), covariance_m2=np.empty((0, 3, 3))),
-        left=none,
-        right=none,
-        names=(),
-        left_seen=none,
-        right_seen=none,
-        cause=cause,
-    )
+    return lost_moment(0.5 * (pair[0].t_s + pair[1].t_s), (Spots.none(),) * 2, NotSeen(why, cause))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import permutations
 
@@ -11,7 +12,7 @@ from armsight.arrays import Array, Mask
 from armsight.errors import Degenerate
 from armsight.geometry import align_points
 from armsight.measure.settings import BATCH, Pace, SpotSettings
-from armsight.optics import INTRINSICS, RIG_PARAMETERS, PackedRig, Rig, mean_axes, moved_rig
+from armsight.optics import INTRINSICS, PackedRig, Rig, mean_axes, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 from armsight.records import NoiseModel, Target, frozen_array
 
@@ -38,9 +39,9 @@ FACING = 0.9
 class TargetModel:
     """names; xyz_m (m, 3); distance_m (m, m); normal (3,) of the plane; radius_m of a flat light, 0 where not used.
 
-    lean (3,): radius_m along the normal. limits (m + 1,): fit_limit of each number of spots. one_sided: the lights
-    share a plane square to z, and are seen from its -z side only (z points away from the camera, as w does in Pachidis
-    2005, eqs. 7-8, and as z of a printed board does).
+    lean (3,): radius_m along the normal. limits (m + 1,): fit_limit of each number of spots seen twice. one_sided: the
+    lights share a plane square to z, and are seen from its -z side only (z points away from the camera, as w does in
+    Pachidis 2005, eqs. 7-8, and as z of a printed board does).
     """
 
     names: tuple[str, ...]
@@ -79,13 +80,13 @@ class TargetModel:
             radius_m=radius_m,
             lean=frozen_array("lean", radius_m * normal, (3,)),
             one_sided=one_sided,
-            limits=frozen_array("limits", [fit_limit(n) for n in range(len(X) + 1)], (None,)),
+            limits=frozen_array("limits", [fit_limit(2 * n) for n in range(len(X) + 1)], (None,)),
         )
 
 
-def fit_limit(n_spots: int) -> float:
-    """Return the largest chi-square of n named spots in two views, 4 n - 6 degrees of freedom (Wilson-Hilferty)."""
-    dof = max(4 * n_spots - 6, 1)
+def fit_limit(n_sights: int) -> float:
+    """Return the largest chi-square of n sights of named lights, 2 n - 6 degrees of freedom (Wilson-Hilferty)."""
+    dof = max(2 * n_sights - 6, 1)
     spread = 2.0 / (9.0 * dof)
     return float(dof * (1.0 - spread + FIT_SIGMA * np.sqrt(spread)) ** 3)
 
@@ -123,10 +124,11 @@ class Setup:
     before a match is doubted. A colour of the target is looked for unless the settings name their own. Raises
     Degenerate for a measured target whose spots (three or more) lie on one line. overlaid: one image holds both views,
     one upon the other (a mirror rig's complex image); it is then given as the left and as the right frame. covariance:
-    of RIG_PARAMETERS and of the target's positions, (26 + 3 m, 26 + 3 m), (26, 26) where the target is taken as exact,
+    of the rig's q parameters and of the target's positions, (q + 3 m, q + 3 m), (q, q) where the target is exact,
     (0, 0) where the rig is as well. Both are taken as independent. sides: the settings of each camera, with the gain of
-    its noise where the rig knows it, and with its own of masks (left, right), (h, w), in place of the settings' one.
-    pace: how long a pair may take, and on how many cores.
+    its noise where the rig knows it, and with its own of masks, (h, w), in place of the settings' one.
+    pace: how long a moment may take, and on how many cores. many: whether rigs of other cameras than left and right are
+    taken, which `measure_moment` and `measure_views` alone can use.
     """
 
     rig: Rig
@@ -134,27 +136,44 @@ class Setup:
     settings: SpotSettings = field(default_factory=SpotSettings)
     slack_px: float = SLACK_PX
     overlaid: bool = False
-    masks: tuple[Mask | None, Mask | None] = (None, None)
+    masks: tuple[Mask | None, ...] = ()
     pace: Pace = BATCH
+    many: bool = False
     packed: PackedRig = field(init=False, repr=False)
     model: TargetModel = field(init=False, repr=False)
     covariance: Array = field(init=False, repr=False)
 
-    sides: tuple[SpotSettings, SpotSettings] = field(init=False, repr=False)
+    sides: tuple[SpotSettings, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "packed", PackedRig.of(self.rig.require_pair("measuring")))
+        object.__setattr__(self, "packed", PackedRig.of(self.rig if self.many else self.rig.require_pair("measuring")))
         object.__setattr__(self, "model", TargetModel.of(self.target))
-        object.__setattr__(self, "covariance", _joint_covariance(self.packed.covariance, self.target.covariance))
+        object.__setattr__(self, "covariance", _joint_covariance(self.packed, self.target.covariance))
         if self.target.colour is not None and self.settings.colour is None:
             object.__setattr__(self, "settings", replace(self.settings, colour=self.target.colour))
-        own = [self.settings if mask is None else replace(self.settings, mask=mask) for mask in self.masks]
+        masks = self.masks or (None,) * len(self.rig.noise)
+        own = [self.settings if mask is None else replace(self.settings, mask=mask) for mask in masks]
         sides = tuple(_with_noise(one, noise) for one, noise in zip(own, self.rig.noise, strict=True))
         object.__setattr__(self, "sides", sides)
 
+    def pair(self, a: int, b: int) -> Setup:
+        """Return the setup of two of the rig's cameras, for naming: without the rig's covariance, in the same axes."""
+        packed, at = self.packed, [a, b]
+        centres = [-packed.R[s].T @ packed.t[s] for s in at]
+        of_two = PackedRig(
+            k=frozen_array("k", packed.k[at], (2, 12)),
+            R=frozen_array("R", packed.R[at], (2, 3, 3)),
+            t=frozen_array("t", packed.t[at], (2, 3)),
+            baseline=frozen_array("baseline", centres[1] - centres[0], (3,)),
+            covariance=np.empty((0, 0)),
+        )
+        out = copy(self)
+        object.__setattr__(out, "packed", of_two)
+        return out
+
     def covariance_of(self, names: tuple[str, ...]) -> Array:
         """Return the covariance of the rig's parameters and of these lights' positions, in their order."""
-        n = len(RIG_PARAMETERS)
+        n = n_parameters(self.packed)
         if names == self.model.names or len(self.covariance) <= n:
             return self.covariance
         lights = np.array([self.model.names.index(name) for name in names])
@@ -164,8 +183,13 @@ class Setup:
         return out
 
 
-def _joint_covariance(rig: Array, target: Array | None) -> Array:
-    n = len(RIG_PARAMETERS)
+def n_parameters(packed: PackedRig) -> int:
+    """Return how many parameters the calibration of a rig has: all intrinsics, and all poses but the first."""
+    return (len(INTRINSICS) + 6) * len(packed.k) - 6
+
+
+def _joint_covariance(packed: PackedRig, target: Array | None) -> Array:
+    rig, n = packed.covariance, n_parameters(packed)
     if target is None:
         return rig
     out = np.zeros((n + len(target), n + len(target)))

@@ -5,6 +5,7 @@ Lights that are covered are told by their outlines, and taken with more doubt or
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,8 @@ from armsight.measure.poses.kernels.rig_covariance import MAX_DOUBTFUL_SIGMA
 from armsight.measure.poses.outcome import Assignment
 from armsight.measure.poses.pairs import Pairs
 from armsight.measure.poses.pose import (
+    TWO,
+    UNKNOWN,
     NamedSpots,
     PoseSolution,
     fit_pose,
@@ -28,11 +31,13 @@ from armsight.measure.poses.pose import (
     solve_frame,
     solve_points,
     solve_pose,
+    stack_spots,
     with_covariance,
 )
-from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.setup import Setup, fit_limit
+from armsight.measure.spots.kernels.outline import OUTLINE as OUTLINE_ROW
 from armsight.optics import PackedRig
-from armsight.records import Frame, NotSeen, PoseStatus, Spots, frozen_array
+from armsight.records import Frame, NotSeen, PoseStatus, Spots
 
 TIGHT_PX = 0.05
 """What a good calibration leaves; residuals beyond it are reason enough to try left and right exchanged."""
@@ -47,34 +52,40 @@ def solve_assignment(
 
 
 class Views(NamedTuple):
-    """Spots of n lights as [spot, side]: uv_px (n, 2, 2), cov_px2 (n, 2, 2, 2).
+    """Spots of n lights as [light, view]: uv_px (n, v, 2), cov_px2 (n, v, 2, 2), see NamedSpots.
 
-    radius_m (n, 2): of the flat light where the spot is its outline, else 0.
+    radius_m (n, v): of the flat light where the spot is its outline, else 0. start (4, 4): where a fit begins.
     """
 
     uv_px: Array
     cov_px2: Array
     radius_m: Array
+    start: Array = UNKNOWN
+
+    @property
+    def sights(self) -> Mask:
+        """Which view shows which light, (n, v)."""
+        return np.asarray(np.isfinite(self.cov_px2[..., 0, 0]))
 
 
 def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots) -> PoseSolution:
     """Return the pose of three or more named spots (the frame of an unmeasured target), or the place of fewer."""
-    return _solve_views(setup, t_s, names, _views(setup, left, right))
+    return solve_views(setup, t_s, names, views_of(setup, (left, right)))
 
 
-def _views(setup: Setup, left: Spots, right: Spots) -> Views:
-    """Return the spots of both sides, in doubt by what perspective may do to outlines of unknown size."""
-    radius_m, n = setup.model.radius_m, len(left)
-    views = Views(np.empty((n, 2, 2)), np.empty((n, 2, 2, 2)), _radii(radius_m, left, right))
-    kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, *views[:2])
+def views_of(setup: Setup, spots: Sequence[Spots]) -> Views:
+    """Return the spots of all views, in doubt by what perspective may do to outlines of unknown size."""
+    radius_m = setup.model.radius_m
+    views = Views(*stack_spots(spots), _radii(radius_m, spots))
     if radius_m <= 0.0:
-        add_outline_shift(setup.packed, left, right, views.cov_px2)
+        add_outline_shift(setup.packed, spots, views.cov_px2)
     return views
 
 
-def _solve_views(setup: Setup, t_s: float, names: tuple[str, ...], views: Views) -> PoseSolution:
+def solve_views(setup: Setup, t_s: float, names: tuple[str, ...], views: Views) -> PoseSolution:
+    """Return the pose of named spots in all views; see solve_spots."""
     model, packed = setup.model, setup.packed
-    uv, cov, _ = views
+    uv, cov, _, start = views
     if len(names) < 3:
         seen = solve_points(packed, names, uv, cov)
         if isinstance(seen, NotSeen):
@@ -88,36 +99,38 @@ def _solve_views(setup: Setup, t_s: float, names: tuple[str, ...], views: Views)
         )
     if not setup.target.model_known:
         return solve_frame(packed, t_s, names, uv, cov)
-    limit, slack_px, covariance = _rules(setup, names)
-    spots = _named_spots(setup, names, views)
-    return solve_pose(packed, t_s, spots, limit=limit, slack_px=slack_px, covariance=covariance)
+    limit, slack_px, covariance = _rules(setup, names, views)
+    spots = named_spots(setup, names, views)
+    return solve_pose(packed, t_s, spots, limit=limit, slack_px=slack_px, covariance=covariance, start=start)
 
 
-def _named_spots(setup: Setup, names: tuple[str, ...], views: Views) -> NamedSpots:
+def named_spots(setup: Setup, names: tuple[str, ...], views: Views) -> NamedSpots:
     """Return the spots with where their lights are on the target."""
     model = setup.model
     rows = model.xyz_m if names == model.names else model.xyz_m[[model.names.index(name) for name in names]]
-    return NamedSpots(names, rows, *views, model.normal)
+    return NamedSpots(names, rows, *views[:3], model.normal)
 
 
-def _rules(setup: Setup, names: tuple[str, ...]) -> tuple[float, float, Array]:
+def _rules(setup: Setup, names: tuple[str, ...], views: Views) -> tuple[float, float, Array]:
     """Return the limit, the slack and the covariance by which solve_pose judges these lights."""
-    return float(setup.model.limits[len(names)]), setup.slack_px, setup.covariance_of(names)
+    two = views.uv_px.shape[1] == TWO
+    limit = float(setup.model.limits[len(names)]) if two else fit_limit(int(views.sights.sum()))
+    return limit, setup.slack_px, setup.covariance_of(names)
 
 
 def _matrix_of(setup: Setup, names: tuple[str, ...], views: Views) -> Array | None:
-    """Return the pose (4, 4) of _solve_views alone; None where it is not whole."""
+    """Return the pose (4, 4) of solve_views alone; None where it is not whole."""
     if len(names) < 3 or not setup.target.model_known:
-        return _solve_views(setup, 0.0, names, views).T
-    fit = fit_pose(setup.packed, _named_spots(setup, names, views), *_rules(setup, names))
+        return solve_views(setup, 0.0, names, views).T
+    fit = fit_pose(setup.packed, named_spots(setup, names, views), *_rules(setup, names, views), views.start)
     return fit.T if fit.state == kernels.SOLVED else None
 
 
-def _radii(radius_m: float, left: Spots, right: Spots) -> Array:
-    """Return (n, 2): the radius of the flat light where the spot is its outline, else 0."""
-    radius = np.zeros((len(left), 2))
+def _radii(radius_m: float, views: Sequence[Spots]) -> Array:
+    """Return (n, v): the radius of the flat light where the spot is its outline, else 0."""
+    radius = np.zeros((len(views[0]), len(views)))
     if radius_m > 0.0:
-        for side, spots in enumerate((left, right)):
+        for side, spots in enumerate(views):
             radius[[kind == OUTLINE for kind in spots.model], side] = radius_m
     return radius
 
@@ -126,8 +139,7 @@ def misfit_chi2(solved: PoseSolution, left: Spots, right: Spots) -> float:
     """Return chi-square of the residuals with TIGHT_PX beside the spots' own standard deviations."""
     if solved.T is None:
         return 0.0
-    uv, cov = np.empty((len(left), 2, 2)), np.empty((len(left), 2, 2, 2))
-    kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
+    uv, cov = stack_spots((left, right))
     return float(kernels.slack_chi2(np.array(solved.pose.residual_px).reshape(uv.shape), cov, TIGHT_PX**2))
 
 
@@ -146,12 +158,12 @@ BLOOM_PX = 2.0
 """Ratio and px by which flat lights may look larger or smaller than their diameter says: tilt, blur and bloom."""
 
 
-def add_outline_shift(packed: PackedRig, left: Spots, right: Spots, cov: Array) -> None:
-    """Widen cov (n, 2, 2, 2) by how far the perspective may shift a flat light's outline that is not corrected for.
+def add_outline_shift(packed: PackedRig, views: Sequence[Spots], cov: Array) -> None:
+    """Widen cov (n, v, 2, 2) by how far the perspective may shift a flat light's outline that is not corrected for.
 
     The centre of a disc's image is off by r^2 sin a cos a / f, r in px, at a tilt of a.
     """
-    for side, spots in enumerate((left, right)):
+    for side, spots in enumerate(views):
         for i, kind in enumerate(spots.model):
             if kind == OUTLINE:
                 shift = OUTLINE_SHARE * spots.size_px[i] ** 2 / packed.k[side][0]
@@ -197,8 +209,6 @@ SHARES = (1.0, 0.5, 0.25)
 LITTLE_WIDER = 1.5
 """Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
 
-UNKNOWN = frozen_array("UNKNOWN", np.zeros((4, 4)), (4, 4))
-"""A pose that tells nothing of how lights lean."""
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""
 TOUCH_SIZES = 3.0
@@ -234,12 +244,12 @@ def solve_seen(
         return Observation(names, left, right, solved)
     if n == 1 and setup.settings.colour is not None:  # outlines are of all colours together, its spot is of one
         return Observation(names, left, right, solved)
-    verdict, out = compare(setup, solved, left, right, frames)
+    verdict, out = compare(setup, solved.points.xyz_m, solved.T, (left, right), frames)
     if verdict == outlines.NO_DOUBT:
         return Observation(names, left, right, solved)
     odd: Mask = np.asarray(out[:, :, outlines.ODD].any(axis=0))
     if not odd.any():
-        widened = widen(setup, t_s, names, left, right, solved, out)
+        widened = widen(setup, t_s, names, views_of(setup, (left, right)), solved, out)
         if widened is not None:
             return Observation(names, left, right, widened)
         odd[np.argmax(out[:, :, [outlines.UU, outlines.VV]].sum(axis=(0, 2)))] = True
@@ -253,37 +263,40 @@ def solve_seen(
 
 
 def compare(
-    setup: Setup, solved: PoseSolution, left: Spots, right: Spots, frames: tuple[Frame, Frame]
+    setup: Setup, P: Array, T: Array | None, views: Sequence[Spots], frames: Sequence[Frame | None]
 ) -> tuple[int, Array]:
-    """Return the verdict on the lights' outlines and what was found of each, (2, n, FINDING)."""
-    out = np.zeros((2, len(left), outlines.FINDING))
-    verdict = outlines.compare_lights(
-        (channels(frames[0]), channels(frames[1])),
-        setup.settings.options,
-        setup.packed.arrays,
-        solved.points.xyz_m,
-        UNKNOWN if solved.T is None else solved.T,
-        setup.model.lean,
-        (left.uv_px, left.covariance_px2, sizes(left, overlaid=setup.overlaid)),
-        (right.uv_px, right.covariance_px2, sizes(right, overlaid=setup.overlaid)),
-        out,
-    )
-    return int(verdict), out
+    """Return the verdict on the outlines of lights at P (n, 3) and what was found of each, (v, n, FINDING).
+
+    views: each one's spots in the order of P, of size 0 where it shows none.
+    """
+    rig, n, v = setup.packed.arrays, len(P), len(views)
+    T = UNKNOWN if T is None else T
+    shape = np.empty((v, n, OUTLINE_ROW)), np.empty((v, n, OUTLINE_ROW))  # its own, and the others'
+    found, sigma, out = np.empty((v, n, 3)), np.empty((v, n)), np.zeros((v, n, outlines.FINDING))
+    for s, (frame, spots) in enumerate(zip(frames, views, strict=True)):
+        if frame is None:
+            shape[0][s], shape[1][s], found[s], sigma[s] = 0.0, 0.0, 0.0, 0.0
+            continue
+        seen = spots.uv_px, spots.covariance_px2, sizes(spots, overlaid=setup.overlaid)
+        outlines.look_at_view(
+            channels(frame), setup.settings.options, rig, s, P, T, setup.model.lean, seen, *shape, found, sigma
+        )
+    return int(outlines.judge_lights(rig, P, *shape, found, sigma, out)), out
 
 
 def widen(
-    setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots, solved: PoseSolution, found: Array
+    setup: Setup, t_s: float, names: tuple[str, ...], views: Views, solved: PoseSolution, found: Array
 ) -> PoseSolution | None:
-    """Return the solved pose, as uncertain as its lights' centres may be off: found (2, n, FINDING).
+    """Return the solved pose, as uncertain as its lights' centres may be off: found (v, n, FINDING).
 
     Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a
     light is nearly free, poses bend too much for slopes. None where the rotation or the place is not known then.
     """
-    T, own, views = solved.T, solved.pose.covariance, _views(setup, left, right)
+    T, own = solved.T, solved.pose.covariance
     if T is None or own is None:
         hidden = found[:, :, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]
         views.cov_px2[:] += hidden.swapaxes(0, 1)
-        placed = _solve_views(setup, t_s, names, views)
+        placed = solve_views(setup, t_s, names, views)
         return None if placed.pose.status is PoseStatus.LOST else placed
     C = np.array(own)
     sides, lights = np.nonzero(found[:, :, outlines.UU] + found[:, :, outlines.VV] > 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import ceil
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.outcome import Prediction, Track
-from armsight.measure.poses.pose import PoseSolution
+from armsight.measure.poses.pose import TWO, PoseSolution
 from armsight.measure.poses.setup import Setup
 from armsight.records import Spots, trusted
 
@@ -150,8 +151,7 @@ def next_track(
     setup: Setup,
     t_s: float,
     solved: PoseSolution,
-    left: Spots,
-    right: Spots,
+    views: Sequence[Spots],
     track: Track | None,
     step: Continuation,
     innovation_px: float | None = None,
@@ -159,7 +159,7 @@ def next_track(
     """Return where the lights are and how fast they go; lights not seen go on as they went."""
     if "?" in solved.points.names:
         return None
-    whole = len(solved.points) == len(setup.model)
+    whole = len(solved.points) == len(setup.model) if len(views) == TWO else solved.T is not None
     if solved.T is not None and setup.target.model_known:
         names, positions = setup.model.names, positions_of(setup, solved.T)
     else:
@@ -169,10 +169,6 @@ def next_track(
         velocity = (positions - track.xyz_m) / (t_s - track.t_s)
     elif track is not None:
         names, positions, velocity = _carry_on(track, t_s, names, positions)
-    reach = SPOT_REACH * max(*left.size_px.tolist(), *right.size_px.tolist())
-    innovation = (
-        FIRST_WINDOW_PX if innovation_px is None else min(LEAST_WINDOW_PX + 2.0 * innovation_px, FIRST_WINDOW_PX)
-    )
     return trusted(
         Track,
         t_s=t_s,
@@ -180,11 +176,19 @@ def next_track(
         names=names,
         xyz_m=positions,
         velocity_m_s=velocity,
-        half_window_px=ceil(reach + innovation),
+        half_window_px=half_window_px(views, innovation_px),
         complete=whole,
         motion=step.motion,
         doubted=False,
     )
+
+
+def half_window_px(views: Sequence[Spots], innovation_px: float | None) -> int:
+    """Return the half window for such spots, which were that far from where they were expected (None: nowhere)."""
+    reach = SPOT_REACH * float(max(size for spots in views for size in spots.size_px.tolist()))
+    if innovation_px is None:
+        innovation_px = FIRST_WINDOW_PX
+    return ceil(reach + min(LEAST_WINDOW_PX + 2.0 * innovation_px, FIRST_WINDOW_PX))
 
 
 def _carry_on(

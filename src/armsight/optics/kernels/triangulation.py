@@ -1,6 +1,7 @@
-"""Compiled: rays of pixels and how far two of them are from meeting; points from pairs of pixels, with covariances.
+"""Compiled: rays of pixels and how far two of them are from meeting; points from pixels, with covariances.
 
-Points are found in closed form and by maximum likelihood.
+Points are found in closed form and by maximum likelihood, from any number of views of a rig. A view that does not show
+a point has an infinite covariance there (`missing`), and counts for nothing.
 """
 
 from __future__ import annotations
@@ -46,6 +47,30 @@ def centre_of(R, t, c):
 
 
 @lean_kernel
+def missing(S):
+    """Tell whether a view does not show a light: the covariance S (2, 2) of its spot there is infinite."""
+    return S[0, 0] == np.inf
+
+
+@lean_kernel
+def n_sights(cov):
+    """Return how many of the views with cov (v, 2, 2) show a light."""
+    n = 0
+    for s in range(cov.shape[0]):
+        n += not missing(cov[s])
+    return n
+
+
+@lean_kernel
+def first_centre(rig, cov, c):
+    """Fill c (3,) with the centre of the first camera that shows a light, seen with cov (v, 2, 2)."""
+    s = 0
+    while missing(cov[s]):
+        s += 1
+    centre_of(rig.R[s], rig.t[s], c)
+
+
+@lean_kernel
 def _parallel(rays):
     """Tell whether two rays (2, 3) are parallel to rounding."""
     cross2 = (
@@ -60,17 +85,24 @@ def _parallel(rays):
 
 @inner_kernel
 def triangulate_linear_point(rig, uv, cov, X, S):
-    """Fill X (3,), S (3, 3) from the pixels uv (2, 2) of both sides with cov (2, 2, 2); return the verdict.
+    """Fill X (3,), S (3, 3) from the pixels uv (v, 2) of all views with cov (v, 2, 2); return the verdict.
 
-    Linear least squares of x (r3 X + t3) = r1 X + t1 and the same in y, in normalised coordinates of both views.
+    Linear least squares of x (r3 X + t3) = r1 X + t1 and the same in y, in normalised coordinates of the views.
     """
     k, R, t = rig
-    A = np.empty((4, 3))
-    b = np.empty(4)
-    xy = np.empty((2, 2))
-    J = np.empty((2, 2, 2))
-    rays = np.empty((2, 3))
-    for s in range(2):
+    views = uv.shape[0]
+    if n_sights(cov) < 2:
+        return PARALLEL
+    A = np.zeros((2 * views, 3))
+    b = np.zeros(2 * views)
+    xy = np.empty((views, 2))
+    J = np.empty((views, 2, 2))
+    rays = np.empty((2, 3))  # the first one, and the latest
+    parallel = True
+    first = views
+    for s in range(views):
+        if missing(cov[s]):
+            continue
         if not undistort_point(k[s], uv[s, 0], uv[s, 1], xy[s], J[s]):
             return NO_RAY
         # rows weighted by depth, not in px: a start (Hartley and Zisserman 2004, section 12.2)
@@ -78,13 +110,16 @@ def triangulate_linear_point(rig, uv, cov, X, S):
             for j in range(3):
                 A[2 * s + c, j] = R[s, c, j] - xy[s, c] * R[s, 2, j]
             b[2 * s + c] = xy[s, c] * t[s, 2] - t[s, c]
+        first = min(first, s)
+        at = 0 if s == first else 1
         for j in range(3):
-            rays[s, j] = R[s, 0, j] * xy[s, 0] + R[s, 1, j] * xy[s, 1] + R[s, 2, j]
-    if _parallel(rays):
+            rays[at, j] = R[s, 0, j] * xy[s, 0] + R[s, 1, j] * xy[s, 1] + R[s, 2, j]
+        parallel &= s == first or _parallel(rays)
+    if parallel:
         return PARALLEL
     H = np.zeros((3, 3))
     g = np.zeros(3)
-    for r in range(4):
+    for r in range(2 * views):
         for i in range(3):
             g[i] -= A[r, i] * b[r]
             for j in range(3):
@@ -94,8 +129,10 @@ def triangulate_linear_point(rig, uv, cov, X, S):
         return PARALLEL
     S[:] = 0.0
     behind = False
-    G = np.empty((3, 2))  # d X / d pixel of one side
-    for s in range(2):
+    G = np.empty((3, 2))  # d X / d pixel of one view
+    for s in range(views):
+        if missing(cov[s]):
+            continue
         z = R[s, 2, 0] * X[0] + R[s, 2, 1] * X[1] + R[s, 2, 2] * X[2] + t[s, 2]
         behind |= not z > 0.0
         for i in range(3):
@@ -110,7 +147,7 @@ def triangulate_linear_point(rig, uv, cov, X, S):
             for j in range(3):
                 S[i, j] += gx * G[j, 0] + gy * G[j, 1]
     centre = np.empty(3)
-    centre_of(R[0], t[0], centre)
+    first_centre(rig, cov, centre)
     if _undetermined(X, S, centre):
         return PARALLEL
     return BEHIND if behind else FOUND
@@ -125,7 +162,9 @@ def _point_normal(rig, uv, W, X, H, g):
     p = np.empty(2)
     J = np.empty((2, 3))
     cost = 0.0
-    for s in range(2):
+    for s in range(uv.shape[0]):
+        if W[s, 0, 0] == 0.0:
+            continue
         if not see_point(k[s], R[s], t[s], X, p, J):
             return np.inf
         rx = p[0] - uv[s, 0]
@@ -155,14 +194,25 @@ def invert_2(S, out):
     return True
 
 
+@lean_kernel
+def view_weights(cov, W):
+    """Fill W (v, 2, 2) with the inverses of cov (v, 2, 2), zero where a view is missing; False where one has none."""
+    for s in range(cov.shape[0]):
+        if missing(cov[s]):
+            W[s] = 0.0
+        elif not invert_2(cov[s], W[s]):
+            return False
+    return True
+
+
 @inner_kernel
 def triangulate_ml_point(rig, uv, cov, X, S):
-    """Fill X (3,), S (3, 3) at the least whitened reprojection error; return (verdict, chi-square, 1 dof)."""
+    """Fill X (3,), S (3, 3) at the least whitened reprojection error; return (verdict, chi-square)."""
     verdict = triangulate_linear_point(rig, uv, cov, X, S)
     if verdict != FOUND:
         return verdict, np.nan
-    W = np.empty((2, 2, 2))
-    if not (invert_2(cov[0], W[0]) and invert_2(cov[1], W[1])):
+    W = np.empty_like(cov)
+    if not view_weights(cov, W):
         return NO_RAY, np.nan
     H = np.empty((3, 3))
     g = np.empty(3)
@@ -192,7 +242,7 @@ def triangulate_ml_point(rig, uv, cov, X, S):
                 break
             damping = max(10.0 * damping, 1e-4)
     centre = np.empty(3)
-    centre_of(rig.R[0], rig.t[0], centre)
+    first_centre(rig, cov, centre)
     if not invert_spd(H, S) or _undetermined(X, S, centre):
         return PARALLEL, np.nan
     return FOUND, cost
@@ -200,12 +250,12 @@ def triangulate_ml_point(rig, uv, cov, X, S):
 
 @kernel
 def triangulate_rows(rig, uv, cov, likeliest, X, S, chi2, verdict):
-    """Triangulate uv (n, 2, 2) [point, side] with cov (n, 2, 2, 2) into X (n, 3), S (n, 3, 3); NaN where refused.
+    """Triangulate uv (n, v, 2) [point, view] with cov (n, v, 2, 2) into X (n, 3), S (n, 3, 3); NaN where refused.
 
     likeliest: by maximum likelihood; else the linear closed form.
     """
     rig = RigK(*rig)
-    W = np.empty((2, 2, 2))
+    W = np.empty(cov.shape[1:])
     H = np.empty((3, 3))
     g = np.empty(3)
     for i in range(uv.shape[0]):
@@ -213,7 +263,7 @@ def triangulate_rows(rig, uv, cov, likeliest, X, S, chi2, verdict):
             verdict[i], chi2[i] = triangulate_ml_point(rig, uv[i], cov[i], X[i], S[i])
         else:
             verdict[i] = triangulate_linear_point(rig, uv[i], cov[i], X[i], S[i])
-            if verdict[i] == FOUND and invert_2(cov[i, 0], W[0]) and invert_2(cov[i, 1], W[1]):
+            if verdict[i] == FOUND and view_weights(cov[i], W):
                 chi2[i] = _point_normal(rig, uv[i], W, X[i], H, g)
         if verdict[i] != FOUND:
             X[i] = np.nan

@@ -29,6 +29,7 @@ from armsight.optics.kernels.triangulation import (
     BEHIND,
     FOUND,
     epipolar_residual,
+    missing,
     quadratic_form_2,
     rays_in_rig,
     triangulate_linear_point,
@@ -336,14 +337,14 @@ SLACKS = np.array([0.02, 0.05, 0.1, 0.2, 0.3])  # px
 
 @kernel
 def neg2_log_likelihood(rig, lights, views, Rp, tp):
-    """Return -2 log likelihood of the spots uv (n, 2, 2), cov (n, 2, 2, 2) of a target at the pose Rp, tp.
+    """Return -2 log likelihood of the spots uv (n, v, 2), cov (n, v, 2, 2) of a target at the pose Rp, tp.
 
     rig, lights: as RigK, Lights. With the slack of SLACKS that suits it best: what the calibration adds is not known.
     """
     uv, cov = views
     X, radius, normal = lights
     n = X.shape[0]
-    residual = np.empty((n, 2, 2))
+    residual = np.empty(uv.shape)
     W = np.empty_like(cov)
     if not weights(cov, 0.0, W):
         return np.inf
@@ -355,7 +356,9 @@ def neg2_log_likelihood(rig, lights, views, Rp, tp):
     for slack in SLACKS:
         total = 0.0
         for i in range(n):
-            for s in range(2):
+            for s in range(cov.shape[1]):
+                if missing(cov[i, s]):
+                    continue
                 a = cov[i, s, 0, 0] + slack * slack
                 b = cov[i, s, 0, 1]
                 c = cov[i, s, 1, 1] + slack * slack

@@ -13,15 +13,15 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
-from armsight.measure.spots.kernels.outline import AREA, EDGE_X, EDGE_Y, MOMENTS, OUTLINE, RING, XX, XY, YY, outline
+from armsight.measure.spots.kernels.outline import AREA, EDGE_X, EDGE_Y, MOMENTS, RING, XX, XY, YY, outline
 from armsight.optics.kernels.camera import CameraK, RigK
 
 GATE_PX = 0.25
 WIDER_PX = 0.5
-"""How far (px, both views together) a light's radius along one direction may fall short of the others', and exceed it:
+"""How far (px, all views together) a light's radius along one direction may fall short of the others', and exceed it:
 of whole lights of 810 composites 98 % are narrower by less than 0.19 px in one view."""
 BOTH_PX = 0.1
-"""The same in each of both views: a soft edge narrows a light by little, but in both of them."""
+"""The same in each of two views: a soft edge narrows a light by little, but in both of them."""
 CUT = 2.5
 """Standard deviation of the centre, in px, for each px^2 over the others' radius that a light's second moment falls
 short: of 395 half-hidden lights of composites the centres are off by 2.1 in the middle, by 3.2 at nine tenths."""
@@ -268,16 +268,15 @@ def outlines_of(image, flip, camera, P, lean, spots, outlines, sigma, work):
 
 
 @inner_kernel
-def compare_views(rig, p, outlines, side, mean, d, found):
-    """Compare a light at p (3,), beside which there is none to compare it with, with itself in the other view.
+def compare_views(rig, p, outlines, side, other, mean, d, found):
+    """Compare a light at p (3,), beside which there is none to compare it with, with itself in another view.
 
-    outlines (2, OUTLINE): its own. Fills mean (OUTLINE,) with what the view of `side` would show of the other one's
+    outlines (v, OUTLINE): its own. Fills mean (OUTLINE,) with what the view of `side` would show of the other one's
     outline if it faced that camera, and found (3,) as compare_view does. Where an edge runs through the light it may
     lack the same in both views: it is then compared with a round one as large as it is long.
     """
     k, R, t = rig
-    other = 1 - side
-    if not (outlines[0, AREA] > 0.0 and outlines[1, AREA] > 0.0):
+    if not (outlines[side, AREA] > 0.0 and outlines[other, AREA] > 0.0):
         return
     z = R[side, 2, 0] * p[0] + R[side, 2, 1] * p[1] + R[side, 2, 2] * p[2] + t[side, 2]
     a = (R[side, 0, 0] * p[0] + R[side, 0, 1] * p[1] + R[side, 0, 2] * p[2] + t[side, 0]) / z
@@ -313,17 +312,27 @@ def compare_views(rig, p, outlines, side, mean, d, found):
 
 @lean_kernel
 def judge_light(outlines, mean, sigma, found, out):
-    """Fill out (2, FINDING) for a light from its outline, that of the others, and found (compare_view), in both views.
+    """Fill out (v, FINDING) for a light from its outline, that of the others, and found (compare_view), in all views.
 
-    Returns NO_DOUBT, DOUBT or ODD_ONE.
+    A light that is odd is so in those views in which it looks it. Returns NO_DOUBT, DOUBT or ODD_ONE.
     """
-    if found[0, 2] + found[1, 2] >= 1.0:
-        out[0, ODD] = 1.0
+    odd = 0.0
+    short = 0.0
+    long = 0.0
+    in_views = 0
+    for side in range(found.shape[0]):
+        odd += found[side, 2]
+        short += found[side, 0] ** 2
+        long += found[side, 1] ** 2
+        in_views += found[side, 0] > BOTH_PX
+    if odd >= 1.0:
+        for side in range(found.shape[0]):
+            out[side, ODD] = 1.0 if found[side, 2] > 0.0 else 0.0
         return ODD_ONE
-    narrower = found[0, 0] ** 2 + found[1, 0] ** 2 > GATE_PX**2 or min(found[0, 0], found[1, 0]) > BOTH_PX
-    wider = found[0, 1] ** 2 + found[1, 1] ** 2 > WIDER_PX**2
+    narrower = short > GATE_PX**2 or in_views > 1
+    wider = long > WIDER_PX**2
     verdict = NO_DOUBT
-    for side in range(2):
+    for side in range(found.shape[0]):
         if (narrower and found[side, 0] > 0.0) or (wider and found[side, 1] > 0.0):
             doubt_light(outlines[side], mean[side], sigma[side], narrower, wider, out[side])
         if mean[side, AREA] > 0.0:
@@ -333,34 +342,62 @@ def judge_light(outlines, mean, sigma, found, out):
     return verdict
 
 
-@kernel
-def compare_lights(images, options, rig, P, T, lean, left, right, out):
-    """Compare a target's lights in both images (h, w, c); return NO_DOUBT, DOUBT or ODD_ONE.
+@lean_kernel
+def nearest_view(rig, p, outlines, sigma, side):
+    """Return the view that sees a light at p (3,) from nearest to where `side` does, and its whole outline; -1 where
+    there is none. outlines (v, OUTLINE), sigma (v,): its own."""
+    R, t = rig.R, rig.t
+    nearest = -1
+    most = -2.0
+    for other in range(sigma.shape[0]):
+        if other == side or not outlines[other, AREA] > 0.0 or not sigma[other] <= COMPARABLE_PX:
+            continue
+        along = 0.0
+        a2 = 0.0
+        b2 = 0.0
+        for i in range(3):  # from the light to either centre of projection, -R' t
+            a = -p[i] - (R[side, 0, i] * t[side, 0] + R[side, 1, i] * t[side, 1] + R[side, 2, i] * t[side, 2])
+            b = -p[i] - (R[other, 0, i] * t[other, 0] + R[other, 1, i] * t[other, 1] + R[other, 2, i] * t[other, 2])
+            along += a * b
+            a2 += a * a
+            b2 += b * b
+        along /= sqrt(a2 * b2)
+        if along > most:
+            most = along
+            nearest = other
+    return nearest
 
-    rig: as a RigK; P (n, 3): the lights in rig axes; T (4, 4): the target's pose,
-    zero where it is not known; lean (3,): the radius of flat lights times their normal in target axes, zero where they
-    are not known to be flat. left, right: as SpotsK, in the order of P. Fills out (2, n, FINDING), zero before.
+
+@kernel
+def look_at_view(image, options, rig, s, P, T, lean, spots, outlines, mean, found, sigma):
+    """Compare a target's lights in the image (h, w, c) of view s: one at a time, as a tuple's length is compiled in.
+
+    rig: as a RigK; P (n, 3): the lights in rig axes; T (4, 4): the target's pose, zero where it is not known; lean
+    (3,): the radius of flat lights times their normal in target axes, zero where they are not known to be flat. spots:
+    as SpotsK, in the order of P, of size 0 where the view shows none. Fills the rows s of outlines and mean (v, n,
+    OUTLINE), found (v, n, 3) and sigma (v, n).
     """
-    rig, left, right = RigK(*rig), SpotsK(*left), SpotsK(*right)
-    n = P.shape[0]
-    flip = np.uint8(options[col.O_FLIP])
-    outlines = np.empty((2, n, OUTLINE))
-    mean = np.empty((2, n, OUTLINE))
-    found = np.empty((2, n, 3))
-    sigma = np.empty((2, n))
+    rig, spots = RigK(*rig), SpotsK(*spots)
     work = np.empty((2, RING))
     turned = np.empty(3)
     for i in range(3):
         turned[i] = T[i, 0] * lean[0] + T[i, 1] * lean[1] + T[i, 2] * lean[2]
-    cameras = CameraK(rig.k[0], rig.R[0], rig.t[0]), CameraK(rig.k[1], rig.R[1], rig.t[1])
-    outlines_of(images[0], flip, cameras[0], P, turned, left, outlines[0], sigma[0], work)
-    compare_view(outlines[0], left.size, sigma[0], mean[0], work[0], found[0])
-    outlines_of(images[1], flip, cameras[1], P, turned, right, outlines[1], sigma[1], work)
-    compare_view(outlines[1], right.size, sigma[1], mean[1], work[0], found[1])
+    camera = CameraK(rig.k[s], rig.R[s], rig.t[s])
+    outlines_of(image, np.uint8(options[col.O_FLIP]), camera, P, turned, spots, outlines[s], sigma[s], work)
+    compare_view(outlines[s], spots.size, sigma[s], mean[s], work[0], found[s])
+
+
+@kernel
+def judge_lights(rig, P, outlines, mean, found, sigma, out):
+    """Fill out (v, n, FINDING), zero before, from what look_at_view found; return NO_DOUBT, DOUBT or ODD_ONE."""
+    rig = RigK(*rig)
+    d = np.empty(3)
     verdict = NO_DOUBT
-    for i in range(n):
-        for side in range(2):
-            if mean[side, i, AREA] == 0.0 and sigma[1 - side, i] <= COMPARABLE_PX:
-                compare_views(rig, P[i], outlines[:, i], side, mean[side, i], work[0], found[side, i])
+    for i in range(P.shape[0]):
+        for side in range(sigma.shape[0]):
+            if mean[side, i, AREA] == 0.0:
+                other = nearest_view(rig, P[i], outlines[:, i], sigma[:, i], side)
+                if other >= 0:
+                    compare_views(rig, P[i], outlines[:, i], side, other, mean[side, i], d, found[side, i])
         verdict = max(verdict, judge_light(outlines[:, i], mean[:, i], sigma[:, i], found[:, i], out[:, i]))
     return verdict

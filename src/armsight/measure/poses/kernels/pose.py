@@ -1,6 +1,7 @@
-"""Compiled pose of named spots seen by both cameras: Kabsch start, maximum likelihood, covariance.
+"""Compiled pose of named spots seen by a rig's cameras: start, maximum likelihood of all sights, covariance.
 
-Views are indexed [spot, side]. A pose is Rp (3, 3), tp (3,) with p_rig = Rp p_target + tp.
+Spots are indexed [light, view], for any number of views. Where a view does not show a light the spot's uv is NaN, its
+covariance infinite and its weight zero. A pose is Rp (3, 3), tp (3,) with p_rig = Rp p_target + tp.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from armsight.fitting.kernels import diagonalise, invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2, copy_3, cross, dot, rotate_left, sandwich
 from armsight.optics.kernels.camera import CameraK, RigK, see_point
 from armsight.optics.kernels.light_image import see_light
-from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_ml_point
+from armsight.optics.kernels.triangulation import FOUND, invert_2, missing, triangulate_ml_point
 
 SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5
 
@@ -26,7 +27,7 @@ SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none
 class Lights(NamedTuple):
     """The n named lights of a target: X (n, 3) m, in its axes.
 
-    radius (n, 2): of a flat light whose outline the spot of that side is, in m, else 0; normal (3,): of their plane.
+    radius (n, v): of a flat light whose outline the spot of that view is, in m, else 0; normal (3,): of their plane.
     """
 
     X: Any
@@ -35,7 +36,7 @@ class Lights(NamedTuple):
 
 
 class Observations(NamedTuple):
-    """What both cameras saw of n lights: uv (n, 2, 2) px, W (n, 2, 2, 2) the inverse of each spot's covariance."""
+    """What the v cameras saw of n lights: uv (n, v, 2) px, W (n, v, 2, 2) the inverse of each spot's covariance."""
 
     uv: Any
     W: Any
@@ -112,9 +113,9 @@ def kabsch(X, P, R, t):
 
 @lean_kernel
 def pose_normal(rig, lights, seen, Rp, tp, H, g, residual, work):
-    """Fill H (6, 6), g (6,), residual (n, 2, 2) of chi-square / 2 at the pose Rp, tp; return chi-square.
+    """Fill H (6, 6), g (6,), residual (n, v, 2) of chi-square / 2 at the pose Rp, tp; return chi-square.
 
-    The pose moves as t + dt, Exp(dw) R in rig axes. Infinite where a spot is behind a camera.
+    The pose moves as t + dt, Exp(dw) R in rig axes. Infinite where a light is behind a camera that shows it.
     """
     X, normal = lights.X, lights.normal
     q, p, m, px, J, G, WG = work
@@ -129,7 +130,11 @@ def pose_normal(rig, lights, seen, Rp, tp, H, g, residual, work):
         for i in range(3):
             q[i] = Rp[i, 0] * X[n, 0] + Rp[i, 1] * X[n, 1] + Rp[i, 2] * X[n, 2]
             p[i] = q[i] + tp[i]
-        for s in range(2):
+        for s in range(seen.uv.shape[1]):
+            if seen.W[n, s, 0, 0] == 0.0:
+                residual[n, s, 0] = 0.0
+                residual[n, s, 1] = 0.0
+                continue
             if not see_light(CameraK(rig.k[s], rig.R[s], rig.t[s]), p, lights.radius[n, s], m, px, J):
                 return np.inf
             rx = px[0] - seen.uv[n, s, 0]
@@ -163,7 +168,7 @@ def pose_normal(rig, lights, seen, Rp, tp, H, g, residual, work):
 def refine_pose(rig, lights, seen, Rp, tp, H, residual):
     """Move Rp, tp to the least chi-square from where they are; return (state, chi-square).
 
-    H (6, 6) and residual (n, 2, 2) are left at the minimum. Levenberg-Marquardt, damped after Nielsen.
+    H (6, 6) and residual (n, v, 2) are left at the minimum. Levenberg-Marquardt, damped after Nielsen.
     """
     g = np.empty(6)
     H2 = np.empty((6, 6))
@@ -210,10 +215,13 @@ def refine_pose(rig, lights, seen, Rp, tp, H, residual):
 
 @inner_kernel
 def weights(cov, slack2, W):
-    """Fill W (n, 2, 2, 2) with the inverse of cov + slack2 I; False where one is not positive."""
+    """Fill W (n, v, 2, 2) with the inverse of cov + slack2 I, zero where it is missing; False where one has none."""
     S = np.empty((2, 2))
     for n in range(cov.shape[0]):
-        for s in range(2):
+        for s in range(cov.shape[1]):
+            if missing(cov[n, s]):
+                W[n, s] = 0.0
+                continue
             copy_2(cov[n, s], S)
             S[0, 0] += slack2
             S[1, 1] += slack2
@@ -224,12 +232,14 @@ def weights(cov, slack2, W):
 
 @kernel
 def slack_chi2(residual, cov, slack2):
-    """Return the sum of squares of residual (n, 2, 2), whitened with cov (n, 2, 2, 2) + slack2 I."""
+    """Return the sum of squares of residual (n, v, 2), whitened with cov (n, v, 2, 2) + slack2 I."""
     S = np.empty((2, 2))
     W = np.empty((2, 2))
     total = 0.0
     for n in range(residual.shape[0]):
-        for s in range(2):
+        for s in range(residual.shape[1]):
+            if missing(cov[n, s]):
+                continue
             copy_2(cov[n, s], S)
             S[0, 0] += slack2
             S[1, 1] += slack2
@@ -242,23 +252,33 @@ def slack_chi2(residual, cov, slack2):
 
 @kernel
 def triangulate_all(rig, uv, cov, P, S):
-    """Fill P (n, 3), S (n, 3, 3) by maximum likelihood; return whether all n are points."""
+    """Fill P (n, 3), S (n, 3, 3) by maximum likelihood, NaN where there is none; return whether all n are points."""
     rig = RigK(*rig)
+    whole = True
     for n in range(uv.shape[0]):
         verdict, _ = triangulate_ml_point(rig, uv[n], cov[n], P[n], S[n])
         if verdict != FOUND:
-            return False
-    return True
+            P[n] = np.nan
+            S[n] = np.nan
+            whole = False
+    return whole
 
 
 @kernel
 def point_residuals(rig, uv, P, residual):
-    """Fill residual (n, 2, 2) = image of P (n, 3) minus uv (n, 2, 2); False where a point is behind a camera."""
+    """Fill residual (n, v, 2) = image of P (n, 3) minus uv (n, v, 2); False where a point is behind a camera.
+
+    Zero where uv is NaN.
+    """
     k, R, t = rig
     seen = np.empty(2)
     J = np.empty((2, 3))
     for n in range(P.shape[0]):
-        for s in range(2):
+        for s in range(uv.shape[1]):
+            if np.isnan(uv[n, s, 0]):
+                residual[n, s, 0] = 0.0
+                residual[n, s, 1] = 0.0
+                continue
             if not see_point(k[s], R[s], t[s], P[n], seen, J):
                 return False
             residual[n, s, 0] = seen[0] - uv[n, s, 0]
@@ -267,24 +287,24 @@ def point_residuals(rig, uv, P, residual):
 
 
 @kernel
-def stack_views(uv_left, cov_left, uv_right, cov_right, uv, cov):
-    """Fill uv (n, 2, 2) and cov (n, 2, 2, 2) [spot, side] from two lists of spots in the same order."""
+def stack_view(uv_view, cov_view, s, uv, cov):
+    """Fill uv (n, v, 2) and cov (n, v, 2, 2) [light, view] of view s from its spots, in the lights' order."""
     for i in range(uv.shape[0]):
         for a in range(2):
-            uv[i, 0, a] = uv_left[i, a]
-            uv[i, 1, a] = uv_right[i, a]
+            uv[i, s, a] = uv_view[i, a]
             for b in range(2):
-                cov[i, 0, a, b] = cov_left[i, a, b]
-                cov[i, 1, a, b] = cov_right[i, a, b]
+                cov[i, s, a, b] = cov_view[i, a, b]
 
 
 @inner_kernel
-def solve_named(rig, views, slack2, lights, P, S, T, C, residual):
-    """Pose of a target from its n named spots: a RigK, uv (n, 2, 2) and cov (n, 2, 2, 2), a slack in px^2, and Lights.
+def solve_named(rig, views, slack2, lights, start, P, S, T, C, residual):
+    """Pose of a target from its n named spots: a RigK, uv (n, v, 2) and cov (n, v, 2, 2), a slack in px^2, and Lights.
 
+    start (4, 4): a pose to begin with; lights then count that have no point by themselves, as of one sight. Zero where
+    there is none: each light must have a point.
     Returns (state, chi-square with slack, chi-square of the spots' own noise). Fills the points each by itself
     P (n, 3), S (n, 3, 3), the pose T (4, 4), its covariance C (6, 6) (translation, rotation vector; rig axes), residual
-    (n, 2, 2) in px. Arrays are filled, not returned: handing one back costs as much as the algebra.
+    (n, v, 2) in px. Arrays are filled, not returned: handing one back costs as much as the algebra.
     """
     uv, cov = views
     X, radius, normal = lights
@@ -296,9 +316,16 @@ def solve_named(rig, views, slack2, lights, P, S, T, C, residual):
     if not weights(cov, 0.0, W):
         return NO_WEIGHT, np.inf, np.inf
     # with the plain tuple, as Python calls it: one compilation serves both
-    if not triangulate_all(rig, uv, cov, P, S):
+    whole = triangulate_all(rig, uv, cov, P, S)
+    if start[3, 3] != 0.0:
+        for i in range(3):
+            for j in range(3):
+                Rp[i, j] = start[i, j]
+            tp[i] = start[i, 3]
+    elif whole:
+        kabsch(lights.X, P, Rp, tp)
+    else:
         return NO_POINT, np.inf, np.inf
-    kabsch(lights.X, P, Rp, tp)
     state, chi2 = refine_pose(RigK(*rig), lights, Observations(uv, W), Rp, tp, H, residual)
     if state == SOLVED and not invert_spd(H, C):
         state = OPEN
@@ -320,30 +347,29 @@ def transform_lights(T, X, positions):
 
 
 @kernel
-def predict_views(rig, positions, velocity, dt, predicted, uv_left, uv_right):
-    """Fill predicted (n, 3) with positions + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a
-    camera."""
+def predict_views(rig, positions, velocity, dt, predicted, uv):
+    """Fill predicted (n, 3) with positions + dt velocity, uv (v, n, 2) with its images, NaN behind a camera; return
+    whether none is."""
     k, R, t = rig
     J = np.empty((2, 3))
+    whole = True
     for n in range(positions.shape[0]):
         for i in range(3):
             predicted[n, i] = positions[n, i] + dt * velocity[n, i]
-        if not see_point(k[0], R[0], t[0], predicted[n], uv_left[n], J):
-            return False
-        if not see_point(k[1], R[1], t[1], predicted[n], uv_right[n], J):
-            return False
-    return True
+        for s in range(uv.shape[0]):
+            if not see_point(k[s], R[s], t[s], predicted[n], uv[s, n], J):
+                uv[s, n] = np.nan
+                whole = False
+    return whole
 
 
 @kernel
-def largest_innovation(uv_left, expected_left, uv_right, expected_right):
-    """Return the largest distance along one axis between seen and expected pixels (n, 2) of both sides."""
+def largest_innovation(uv, expected):
+    """Return the largest distance along one axis between seen and expected pixels (n, 2) of a view."""
     innovation = 0.0
-    for n in range(uv_left.shape[0]):
+    for n in range(uv.shape[0]):
         for i in range(2):
-            innovation = max(
-                innovation, abs(uv_left[n, i] - expected_left[n, i]), abs(uv_right[n, i] - expected_right[n, i])
-            )
+            innovation = max(innovation, abs(uv[n, i] - expected[n, i]))
     return innovation
 
 

@@ -24,7 +24,7 @@ from armsight.measure.poses.kernels.pose import (
     weights,
 )
 from armsight.optics.kernels.camera import RigK
-from armsight.optics.kernels.triangulation import invert_2
+from armsight.optics.kernels.triangulation import invert_2, missing
 
 POSSIBLE = 25.0
 """Rise of chi-square (one quantity) up to which another pose is possible: five standard deviations."""
@@ -218,13 +218,14 @@ def free_beside(axis):
 
 @inner_kernel
 def looks(rig, Rp, centre, plane, C):
-    """Return turns (3, 3) from the tilt Rp and shares (3, m) of each to look at.
+    """Return turns (v + 1, 3) from the tilt Rp and shares (v + 1, m) of each to look at.
 
-    To the mirror image in either camera, that itself first, and along the least certain turn of C (6, 6) both ways.
+    To the mirror image in each camera, that itself first, and along the least certain turn of C (6, 6) both ways.
     """
-    turns = np.empty((3, 3))
-    shares = np.empty((3, LOOK_STEPS))
-    for s in range(2):
+    views = rig.k.shape[0]
+    turns = np.empty((views + 1, 3))
+    shares = np.empty((views + 1, LOOK_STEPS))
+    for s in range(views):
         mirrored_turn(rig.R[s], rig.t[s], Rp, centre, plane, turns[s])
         for j in range(LOOK_STEPS):
             shares[s, j] = 1.0 if j == 0 else 1.25 * j / (LOOK_STEPS - 1)
@@ -232,10 +233,10 @@ def looks(rig, Rp, centre, plane, C):
     copy_2(C[3:, 3:], tilts)
     values, vectors = np.linalg.eigh(tilts)
     for i in range(3):
-        turns[2, i] = sqrt(max(values[2], 0.0)) * vectors[i, 2]
+        turns[views, i] = sqrt(max(values[2], 0.0)) * vectors[i, 2]
     for j in range(LOOK_STEPS):  # from half way outwards, then from there inwards
         step = (j // 2 + LOOK_STEPS // 4) % (LOOK_STEPS // 2) + 1
-        shares[2, j] = FARTHEST * (2.0 * step / LOOK_STEPS) * (1.0 if j % 2 == 0 else -1.0)
+        shares[views, j] = FARTHEST * (2.0 * step / LOOK_STEPS) * (1.0 if j % 2 == 0 else -1.0)
     return turns, shares
 
 
@@ -272,7 +273,7 @@ def fold(rig, lights, views, T, factor, C):
     W = np.empty_like(cov)
     X = lights[0].copy()  # writable as in the search: one compilation serves both
     lights, seen = Lights(X, lights[1], lights[2]), Observations(uv, W)
-    residual = np.empty((X.shape[0], 2, 2))
+    residual = np.empty(uv.shape)
     Rp, tp = np.empty((3, 3)), np.empty(3)
     split(T, Rp, tp)
     R2, t2, turn = np.empty((3, 3)), np.empty(3), np.empty(3)
@@ -287,7 +288,8 @@ def fold(rig, lights, views, T, factor, C):
     base = pose_normal(rig, lights, seen, Rp, tp, H, np.empty(6), residual, work)
     most = 1.0
     turns, shares = looks(rig, Rp, centre, plane_normal(lights), C)
-    for s in range(3):
+    last = turns.shape[0] - 1
+    for s in range(last + 1):
         angle = sqrt(dot(turns[s], turns[s]))
         if angle < LEAST_TURN:
             continue
@@ -298,7 +300,7 @@ def fold(rig, lights, views, T, factor, C):
             copy_1(turns[s], turn)
             scale(turn, shares[s, j])
             turned_about(Rp, tp, centre, turn, R2, t2)
-            if s < 2 and j == 0:  # the mirrored tilt: to the least chi-square near it
+            if s < last and j == 0:  # the mirrored tilt: to the least chi-square near it
                 state, least = refine_pose(rig, lights, seen, R2, t2, H, residual)
                 rise = least - base if state == SOLVED else np.inf
             else:
@@ -306,9 +308,9 @@ def fold(rig, lights, views, T, factor, C):
             if rise < POSSIBLE * factor:
                 difference(Rp, tp, R2, t2, d)
                 most = max(most, reach_out(C, d, rise / factor))
-            if s < 2 and j == 0 and (most == 1.0 or not rise < POSSIBLE * factor):
+            if s < last and j == 0 and (most == 1.0 or not rise < POSSIBLE * factor):
                 break  # there is no other tilt, or it does not fit
-            if s == 2 and j == 1 and most == 1.0:
+            if s == last and j == 1 and most == 1.0:
                 break  # first order holds to either side
     return most
 
@@ -322,19 +324,22 @@ def one_astray(rig, lights, views, T, chi2, C):
     """
     rig, lights = RigK(*rig), Lights(*lights)
     uv, cov = views
-    n = uv.shape[0]
+    views = uv.shape[1]
+    n = uv.shape[0] * views
     W, W2 = np.empty_like(cov), np.empty((2, 2))
     seen = Observations(uv, W)
     if not weights(cov, 0.0, W):
         return
-    cost = np.full(2 * n, np.inf)
-    spread = np.zeros((2 * n, 6, 6))
-    H, residual, d = np.empty((6, 6)), np.empty((n, 2, 2)), np.empty(6)
+    cost = np.full(n, np.inf)
+    spread = np.zeros((n, 6, 6))
+    H, residual, d = np.empty((6, 6)), np.empty(uv.shape), np.empty(6)
     R0, t0 = np.empty((3, 3)), np.empty(3)
     R2, t2, wide = np.empty((3, 3)), np.empty(3), np.empty((2, 2))
     split(T, R0, t0)
-    for j in range(2 * n):
-        i, s = j // 2, j % 2
+    for j in range(n):
+        i, s = j // views, j % views
+        if missing(cov[i, s]):
+            continue
         copy_2(R0, R2)
         copy_1(t0, t2)
         copy_2(W[i, s], W2)
@@ -350,12 +355,12 @@ def one_astray(rig, lights, views, T, chi2, C):
         difference(R0, t0, R2, t2, d)
         add_outer(d, 1.0, spread[j])
     best = chi2
-    for j in range(2 * n):
+    for j in range(n):
         best = min(best, cost[j])
     total = exp(-0.5 * (chi2 - best))
-    for j in range(2 * n):
+    for j in range(n):
         total += exp(-0.5 * (cost[j] - best))
-    for j in range(2 * n):
+    for j in range(n):
         odds = exp(-0.5 * (cost[j] - best)) / total
         for a in range(6):
             for b in range(6):

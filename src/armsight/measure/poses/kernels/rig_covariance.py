@@ -1,7 +1,8 @@
 """Compiled share of the rig's calibration and of the target's measures in the uncertainty of poses and points.
 
-A calibration is wrong in the same way in every frame. Its 26 parameters (left and right intrinsics, then T_rig_right as
-t + dt, Exp(dw) R) and the positions of the target's lights carry over to whatever is fitted to the pixels:
+A calibration is wrong in the same way in every frame. Its 16 v - 6 parameters (the intrinsics of all v cameras, then
+the pose in the rig of each but the first, as t + dt, Exp(dw) R) and the positions of the target's lights carry over to
+whatever is fitted to the pixels:
 d fit = -H^-1 G' W D d parameters, with G and D the derivatives of the pixels by the fit and by the parameters.
 """
 
@@ -11,19 +12,26 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel, lean_kernel
+from armsight._numba import inline_kernel, inner_kernel, kernel, lean_kernel
 from armsight.geometry.kernels import copy_2, dot, multiply, sandwich
 from armsight.measure.poses.kernels.pose import SOLVED, solve_named
 from armsight.measure.poses.kernels.pose_ambiguity import PLAIN, depth_chi2, fold, one_astray, scale
 from armsight.optics.kernels.camera import RigK, intrinsics_jacobian, see_point
-from armsight.optics.kernels.triangulation import centre_of, invert_2
+from armsight.optics.kernels.triangulation import centre_of, invert_2, missing, n_sights
 
-PARAMETERS = 26
+INTRINSICS, POSE = 10, 6
+
+
+@inline_kernel
+def n_parameters(rig):
+    """Return how many parameters the calibration of a rig has."""
+    views = rig.k.shape[0]
+    return INTRINSICS * views + POSE * (views - 1)
 
 
 @inner_kernel
 def pixel_slopes(rig, p, s, uv, J, D):
-    """Fill J (2, 3) = d pixel / d point and D (2, 26) = d pixel / d parameters of side s; False behind the camera."""
+    """Fill J (2, 3) = d pixel / d point and D (2, q) = d pixel / d parameters of view s; False behind the camera."""
     k, R, t = rig
     if not see_point(k[s], R[s], t[s], p, uv, J):
         return False
@@ -31,25 +39,26 @@ def pixel_slopes(rig, p, s, uv, J, D):
     x = R[s, 0, 0] * p[0] + R[s, 0, 1] * p[1] + R[s, 0, 2] * p[2] + t[s, 0]
     y = R[s, 1, 0] * p[0] + R[s, 1, 1] * p[1] + R[s, 1, 2] * p[2] + t[s, 1]
     z = R[s, 2, 0] * p[0] + R[s, 2, 1] * p[1] + R[s, 2, 2] * p[2] + t[s, 2]
-    intrinsics_jacobian(k[s], x, y, z, D[:, 10 * s : 10 * s + 10])
-    if s == 1:
+    intrinsics_jacobian(k[s], x, y, z, D[:, INTRINSICS * s : INTRINSICS * (s + 1)])
+    if s > 0:
+        at = INTRINSICS * k.shape[0] + POSE * (s - 1)
         q = np.empty(3)
         centre_of(R[s], t[s], q)
         for i in range(3):
             q[i] = p[i] - q[i]
         for i in range(2):
             for j in range(3):
-                D[i, 20 + j] = -J[i, j]
+                D[i, at + j] = -J[i, j]
             # d p_camera = R' (q x dw)
-            D[i, 23] = J[i, 1] * q[2] - J[i, 2] * q[1]
-            D[i, 24] = J[i, 2] * q[0] - J[i, 0] * q[2]
-            D[i, 25] = J[i, 0] * q[1] - J[i, 1] * q[0]
+            D[i, at + 3] = J[i, 1] * q[2] - J[i, 2] * q[1]
+            D[i, at + 4] = J[i, 2] * q[0] - J[i, 0] * q[2]
+            D[i, at + 5] = J[i, 0] * q[1] - J[i, 1] * q[0]
     return True
 
 
 @inner_kernel
 def light_slopes(rig, T, X, p, s, uv, J, D, G):
-    """Fill D (2, 26) as pixel_slopes and G (2, 6) = d pixel / d pose for the light X (3,) under T (4, 4); p (3,) too.
+    """Fill D (2, q) as pixel_slopes and G (2, 6) = d pixel / d pose for the light X (3,) under T (4, 4); p (3,) too.
 
     J (2, 3) = d pixel / d p, p the light in rig axes. False behind the camera.
     """
@@ -78,14 +87,14 @@ def place_slopes(J, T, E):
 
 @kernel
 def carry_to_pose(rig, cov, X, T, covariance, C, residual, systematic):
-    """Carry the covariance of rig and target to the pose T (4, 4) of X (n, 3), seen with cov (n, 2, 2, 2).
+    """Carry the covariance of rig and target to the pose T (4, 4) of X (n, 3), seen with cov (n, v, 2, 2).
 
-    covariance (26 + m, 26 + m): of the rig's parameters and, m = 3 n or 0, of the positions X. C (6, 6): of the spots'
+    covariance (q + m, q + m): of the rig's parameters and, m = 3 n or 0, of the positions X. C (6, 6): of the spots'
     noise alone. Fills systematic (6, 6) = A covariance A' with d pose = A d parameters, A = -C G' W D, and returns
-    the chi-square of residual (n, 2, 2) with these parameters free within their covariance (a Gaussian prior each).
+    the chi-square of residual (n, v, 2) with these parameters free within their covariance (a Gaussian prior each).
     """
     rig = RigK(*rig)
-    n, size = X.shape[0], covariance.shape[0]
+    n, size, own = X.shape[0], covariance.shape[0], n_parameters(rig)
     B = np.zeros((6, size))  # G' W D
     N = np.zeros((size, size))  # D' W D
     b = np.zeros(size)  # D' W r
@@ -93,20 +102,22 @@ def carry_to_pose(rig, cov, X, T, covariance, C, residual, systematic):
     p = np.empty(3)
     J = np.empty((2, 3))
     E = np.empty((2, 3))
-    D = np.empty((2, PARAMETERS))
+    D = np.empty((2, own))
     W = np.empty((2, 2))
     G = np.empty((2, 6))
     row = np.zeros((2, size))
     chi2 = 0.0
     for light in range(n):
-        for s in range(2):
+        for s in range(cov.shape[1]):
+            if missing(cov[light, s]):
+                continue
             if not (light_slopes(rig, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
                 continue
             row[:] = 0.0
             copy_2(D, row)
-            if size > PARAMETERS:
+            if size > own:
                 place_slopes(J, T, E)
-                copy_2(E, row[:, PARAMETERS + 3 * light :])
+                copy_2(E, row[:, own + 3 * light :])
             r = residual[light, s]
             chi2 += r[0] * (W[0, 0] * r[0] + W[0, 1] * r[1]) + r[1] * (W[1, 0] * r[0] + W[1, 1] * r[1])
             add_information(row, W, G, r, B, N, b)
@@ -166,18 +177,21 @@ def marginal_chi2(chi2, N, b, covariance):
 
 @kernel
 def point_slopes(rig, cov, P, S, A):
-    """Fill A (n, 3, 26): how points P (n, 3), fitted with cov (n, 2, 2, 2) to S (n, 3, 3), follow the parameters."""
+    """Fill A (n, 3, q): how points P (n, 3), fitted with cov (n, v, 2, 2) to S (n, 3, 3), follow the parameters."""
     rig = RigK(*rig)
     uv = np.empty(2)
     J = np.empty((2, 3))
-    D = np.empty((2, PARAMETERS))
+    own = n_parameters(rig)
+    D = np.empty((2, own))
     W = np.empty((2, 2))
-    B = np.empty((3, PARAMETERS))
+    B = np.empty((3, own))
     for n in range(P.shape[0]):
         B[:] = 0.0
-        for s in range(2):
+        for s in range(cov.shape[1]):
+            if missing(cov[n, s]):
+                continue
             if pixel_slopes(rig, P[n], s, uv, J, D) and invert_2(cov[n, s], W):
-                for j in range(PARAMETERS):
+                for j in range(own):
                     x = W[0, 0] * D[0, j] + W[0, 1] * D[1, j]
                     y = W[1, 0] * D[0, j] + W[1, 1] * D[1, j]
                     for i in range(3):
@@ -210,20 +224,20 @@ factor of two in variance, so that a frame alone proves little."""
 
 
 @inner_kernel
-def misfit_factor(chi2, n_spots):
-    """Return the factor on a pose's variance for residuals of n spots with this chi-square: 1 where they can be noise.
+def misfit_factor(chi2, n_seen):
+    """Return the factor on a pose's variance for residuals of n sights with this chi-square: 1 where they can be noise.
 
-    From the point that one frame in a hundred passes by noise alone it grows with chi-square (4 n - 6 degrees of
+    From the point that one frame in a hundred passes by noise alone it grows with chi-square (2 n - 6 degrees of
     freedom; Wilson-Hilferty).
     """
-    dof = max(4 * n_spots - 6, 1)
+    dof = max(2 * n_seen - 6, 1)
     spread = 2.0 / (9.0 * dof)
     usual = dof * (1.0 - spread + MISFIT_SIGMA * sqrt(spread)) ** 3
     return max(1.0, chi2 / usual)
 
 
 @kernel
-def solve_whole(rig, views, rules, lights, covariance, points, pose, residual):
+def solve_whole(rig, views, rules, lights, start, covariance, points, pose, residual):
     """Pose of a target from its n named spots; arguments and what is filled as of solve_named, and of carry_to_pose.
 
     rules: slack in px^2, and the largest chi-square, slack included, that is believed. covariance: of size 0 where rig
@@ -233,7 +247,7 @@ def solve_whole(rig, views, rules, lights, covariance, points, pose, residual):
     slack2, limit = rules
     P, S = points
     T, C, systematic = pose
-    state, wide, chi2 = solve_named(rig, views, slack2, lights, P, S, T, C, residual)
+    state, wide, chi2 = solve_named(rig, views, slack2, lights, start, P, S, T, C, residual)
     if state != SOLVED:
         return state, 1.0, NO_DOUBT
     if not wide <= limit:
@@ -242,14 +256,19 @@ def solve_whole(rig, views, rules, lights, covariance, points, pose, residual):
     if covariance.size > 0:
         chi2 = carry_to_pose(rig, views[1], X, T, covariance, C, residual, systematic)
     lights = (X.copy(), radius, normal)  # writable as in solve_named: one compilation serves both
-    factor = misfit_factor(chi2, X.shape[0])
+    cov = views[1]
+    sights = 0
+    for i in range(cov.shape[0]):
+        sights += n_sights(cov[i])
+    factor = misfit_factor(chi2, sights)
     doubt = NO_DOUBT
     for i in range(6):
         scale(C[i], factor)
     if factor > 1.0:
         one_astray(rig, lights, views, T, chi2, C)
         doubt = ONE_OFF
-    if depth_chi2(P, S) < PLAIN * factor:
+    # with other than two cameras no one line of sight stands for all of them
+    if cov.shape[1] != 2 or depth_chi2(P, S) < PLAIN * factor:
         folded = fold(rig, lights, views, T, factor, C)
         if doubt == NO_DOUBT and folded > FOLDED_FROM:
             doubt = FOLDED

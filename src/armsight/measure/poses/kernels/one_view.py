@@ -1,0 +1,409 @@
+"""Compiled: a light's spot in a view by the pose that others gave, and poses by the spots of one view alone.
+
+The latter by three spots and three lights (perspective-three-point): Grunert's quartic as in Haralick, Lee, Ottenberg
+and Nolle 1994, equations 9 and 10, over combinations, of which those count that explain a fourth light and more.
+"""
+
+from __future__ import annotations
+
+from math import acos, cos, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armsight._numba import inner_kernel, kernel, lean_kernel
+from armsight.fitting.kernels import invert_spd
+from armsight.geometry.kernels import copy_1, copy_2, cross, dot
+from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, refine_pose, weights
+from armsight.measure.poses.kernels.pose_ambiguity import LEAST_TURN, mirrored_turn, plane_normal, split, turned_about
+from armsight.measure.poses.kernels.rig_covariance import light_slopes, n_parameters
+from armsight.optics.kernels.camera import RigK, undistort_point
+from armsight.optics.kernels.triangulation import invert_2
+
+NONE, TWO = -1, -2
+"""Of a light in a view: no spot lies within its gate, or more than one."""
+
+
+@inner_kernel
+def add_image(rig, T, X, p, s, covariance, C, uv, S, work):
+    """Fill uv (2,) with the image of a light in view s, and add to S (2, 2) what pose and calibration leave in it.
+
+    T (4, 4), C (6, 6): the pose; covariance (q + m, q + m), or of size 0: the rig's parameters' part of it is used, as
+    if pose and view were independent. False behind the camera.
+    """
+    J, D, G = work
+    if not light_slopes(rig, T, X, p, s, uv, J, D, G):
+        return False
+    for i in range(2):
+        for j in range(2):
+            for a in range(6):
+                S[i, j] += G[i, a] * (
+                    C[a, 0] * G[j, 0]
+                    + C[a, 1] * G[j, 1]
+                    + C[a, 2] * G[j, 2]
+                    + C[a, 3] * G[j, 3]
+                    + C[a, 4] * G[j, 4]
+                    + C[a, 5] * G[j, 5]
+                )
+    if covariance.size == 0:
+        return True
+    for a in range(D.shape[1]):
+        if D[0, a] == 0.0 and D[1, a] == 0.0:
+            continue
+        for b in range(D.shape[1]):
+            both = covariance[a, b]
+            for i in range(2):
+                for j in range(2):
+                    S[i, j] += D[i, a] * both * D[j, b]
+    return True
+
+
+@kernel
+def complete_view(rig, s, X, T, C, covariance, spots, slack2, gate, rows):
+    """Fill rows (n,): the one spot of view s within the gate of each light X (n, 3) under the pose T, C; NONE or TWO.
+
+    spots: uv (k, 2) px, cov (k, 2, 2). gate: squared standard deviations of the pose, the calibration, the spot and
+    slack2 (px^2) together. A spot that two lights would take is of neither.
+    """
+    rig = RigK(*rig)
+    uv, cov = spots
+    at, p = np.empty(2), np.empty(3)
+    work = np.empty((2, 3)), np.empty((2, n_parameters(rig))), np.empty((2, 6))
+    S, wide, W = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
+    for n in range(X.shape[0]):
+        rows[n] = NONE
+        S[:] = 0.0
+        S[0, 0] = slack2
+        S[1, 1] = slack2
+        if not add_image(rig, T, X[n], p, s, covariance, C, at, S, work):
+            continue
+        for k in range(uv.shape[0]):
+            for i in range(2):
+                for j in range(2):
+                    wide[i, j] = S[i, j] + cov[k, i, j]
+            if not invert_2(wide, W):
+                continue
+            x, y = uv[k, 0] - at[0], uv[k, 1] - at[1]
+            if x * (W[0, 0] * x + W[0, 1] * y) + y * (W[1, 0] * x + W[1, 1] * y) <= gate:
+                rows[n] = k if rows[n] == NONE else TWO
+    for n in range(X.shape[0]):
+        for other in range(n):
+            if rows[n] >= 0 and rows[n] == rows[other]:
+                rows[n] = TWO
+                rows[other] = TWO
+
+
+@lean_kernel
+def real_cubic_root(b, c, d):
+    """Return the largest real root of x^3 + b x^2 + c x + d."""
+    p = c - b * b / 3.0
+    q = 2.0 * b**3 / 27.0 - b * c / 3.0 + d
+    disc = 0.25 * q * q + p**3 / 27.0
+    if disc > 0.0:
+        root = sqrt(disc)
+        u, v = -0.5 * q + root, -0.5 * q - root
+        x = np.cbrt(u) + np.cbrt(v)
+    elif p == 0.0:
+        x = 0.0
+    else:
+        x = 2.0 * sqrt(-p / 3.0) * cos(acos(min(max(1.5 * q / p * sqrt(-3.0 / p), -1.0), 1.0)) / 3.0)
+    return x - b / 3.0
+
+
+@lean_kernel
+def real_quartic_roots(a, roots):
+    """Fill roots with the real ones of a[4] x^4 + ... + a[0] (Ferrari), each polished by Newton; return how many."""
+    if not abs(a[4]) > 0.0:
+        return 0
+    b, c, d, e = a[3] / a[4], a[2] / a[4], a[1] / a[4], a[0] / a[4]
+    p = c - 0.375 * b * b
+    q = d - 0.5 * b * c + 0.125 * b**3
+    r = e - 0.25 * b * d + b * b * c / 16.0 - 3.0 * b**4 / 256.0
+    m = real_cubic_root(p, 0.25 * p * p - r, -0.125 * q * q)  # of the resolvent
+    n = 0
+    if m > 1e-14:
+        root = sqrt(2.0 * m)
+        for sign in (-1.0, 1.0):
+            square = -(2.0 * p + 2.0 * m + sign * 2.0 * q / root)
+            # a double root is hardly ever exactly one: what is a little below zero counts as such
+            if square > -1e-9 * (abs(p) + m):
+                half = 0.5 * sqrt(max(square, 0.0))
+                roots[n] = 0.5 * sign * root - half
+                roots[n + 1] = 0.5 * sign * root + half
+                n += 2
+    else:  # biquadratic
+        disc = 0.25 * p * p - r
+        if disc >= 0.0:
+            for sign in (-1.0, 1.0):
+                square = -0.5 * p + sign * sqrt(disc)
+                if square >= 0.0:
+                    roots[n] = -sqrt(square)
+                    roots[n + 1] = sqrt(square)
+                    n += 2
+    for i in range(n):
+        x = roots[i] - 0.25 * b
+        for _ in range(3):
+            slope = ((4.0 * x + 3.0 * b) * x + 2.0 * c) * x + d
+            if slope != 0.0:
+                x -= ((((x + b) * x + c) * x + d) * x + e) / slope
+        roots[i] = x
+    return n
+
+
+@inner_kernel
+def frame_of(a, b, c, F):
+    """Fill F (3, 3), columns, with axes along a to b and in the plane of a, b, c; False where they are on one line."""
+    x, y, z = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        x[i] = b[i] - a[i]
+        y[i] = c[i] - a[i]
+    cross(x, y, z)
+    length, across = sqrt(dot(x, x)), sqrt(dot(z, z))
+    if not across > 1e-9 * length * sqrt(dot(y, y)):
+        return False
+    for i in range(3):
+        x[i] /= length
+        z[i] /= across
+    cross(z, x, y)
+    for i in range(3):
+        F[i, 0] = x[i]
+        F[i, 1] = y[i]
+        F[i, 2] = z[i]
+    return True
+
+
+@inner_kernel
+def poses_by_three(X, rays, poses):
+    """Fill poses (4, 3, 4), camera from target, by which the lights X (3, 3) lie on unit rays (3, 3); return how many.
+
+    Distances s, u s, v s of the three: v by the quartic, u and s by what is left.
+    """
+    a2 = (X[1, 0] - X[2, 0]) ** 2 + (X[1, 1] - X[2, 1]) ** 2 + (X[1, 2] - X[2, 2]) ** 2
+    b2 = (X[0, 0] - X[2, 0]) ** 2 + (X[0, 1] - X[2, 1]) ** 2 + (X[0, 2] - X[2, 2]) ** 2
+    c2 = (X[0, 0] - X[1, 0]) ** 2 + (X[0, 1] - X[1, 1]) ** 2 + (X[0, 2] - X[1, 2]) ** 2
+    alpha, beta, gamma = dot(rays[1], rays[2]), dot(rays[0], rays[2]), dot(rays[0], rays[1])  # cosines
+    if not b2 > 0.0:
+        return 0
+    k, m = (a2 - c2) / b2, (a2 + c2) / b2
+    A, roots = np.empty(5), np.empty(4)
+    A[4] = (k - 1.0) ** 2 - 4.0 * c2 / b2 * alpha**2
+    A[3] = 4.0 * (k * (1.0 - k) * beta - (1.0 - m) * alpha * gamma + 2.0 * c2 / b2 * alpha**2 * beta)
+    A[2] = 2.0 * (
+        k * k
+        - 1.0
+        + 2.0 * k * k * beta**2
+        + 2.0 * (b2 - c2) / b2 * alpha**2
+        - 4.0 * m * alpha * beta * gamma
+        + 2.0 * (b2 - a2) / b2 * gamma**2
+    )
+    A[1] = 4.0 * (-k * (1.0 + k) * beta + 2.0 * a2 / b2 * gamma**2 * beta - (1.0 - m) * alpha * gamma)
+    A[0] = (1.0 + k) ** 2 - 4.0 * a2 / b2 * gamma**2
+    F, E, P = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    found = 0
+    if not frame_of(X[0], X[1], X[2], F):
+        return 0
+    for i in range(real_quartic_roots(A, roots)):
+        v = roots[i]
+        below = 2.0 * (gamma - v * alpha)
+        square = 1.0 + v * v - 2.0 * v * beta
+        if not (v > 0.0 and square > 0.0 and abs(below) > 1e-12):
+            continue
+        u = ((k - 1.0) * v * v - 2.0 * k * beta * v + 1.0 + k) / below
+        s = sqrt(b2 / square)
+        if not u > 0.0:
+            continue
+        for j in range(3):
+            P[0, j] = s * rays[0, j]
+            P[1, j] = u * s * rays[1, j]
+            P[2, j] = v * s * rays[2, j]
+        if not frame_of(P[0], P[1], P[2], E):
+            continue
+        for r in range(3):
+            poses[found, r, 3] = P[0, r]
+            for j in range(3):
+                poses[found, r, j] = dot(E[r], F[j])
+                poses[found, r, 3] -= poses[found, r, j] * X[0, j]
+        found += 1
+    return found
+
+
+class Named(NamedTuple):
+    """Hypotheses, best first: names (h, m) the spot of each light or -1, n (h,) how many have one, cost (h,) px^2, and
+    poses (h, 3, 4), camera from target."""
+
+    names: Any
+    n: Any
+    cost: Any
+    poses: Any
+
+
+@lean_kernel
+def explain_spots(X, pose, xy, focal, reach, names, used):
+    """Fill names (m,) with the spot nearest to each light's image, within reach (px) and of one light alone, or -1.
+
+    Returns how many have one, and the squares of their distances (px^2) together; 0 where a light is behind.
+    """
+    for k in range(xy.shape[0]):
+        used[k] = -1
+    n = 0
+    cost = 0.0
+    for i in range(X.shape[0]):
+        names[i] = -1
+        x = dot(pose[0, :3], X[i]) + pose[0, 3]
+        y = dot(pose[1, :3], X[i]) + pose[1, 3]
+        z = dot(pose[2, :3], X[i]) + pose[2, 3]
+        if not z > 0.0:
+            return 0, np.inf
+        nearest = reach * reach
+        for k in range(xy.shape[0]):
+            off = focal * focal * ((xy[k, 0] - x / z) ** 2 + (xy[k, 1] - y / z) ** 2)
+            if off < nearest:
+                nearest = off
+                names[i] = k
+        if names[i] < 0:
+            continue
+        if used[names[i]] >= 0:  # the other light keeps it: a better naming has it right
+            names[i] = -1
+            continue
+        used[names[i]] = i
+        n += 1
+        cost += nearest
+    return n, cost
+
+
+@lean_kernel
+def move(best, source, to):
+    """Copy a hypothesis from one place to another."""
+    copy_1(best.names[source], best.names[to])
+    best.n[to] = best.n[source]
+    best.cost[to] = best.cost[source]
+    copy_2(best.poses[source], best.poses[to])
+
+
+@lean_kernel
+def same_names(a, b):
+    """Tell whether two namings (m,) are one."""
+    differ = 0
+    for i in range(a.shape[0]):
+        differ += a[i] != b[i]
+    return differ == 0
+
+
+@lean_kernel
+def keep_named(found, names, n, cost, pose, best):
+    """Insert a hypothesis, more spots first, then less cost; the same names once. Return how many are kept."""
+    for h in range(found):
+        if same_names(best.names[h], names):
+            if cost >= best.cost[h]:
+                return found
+            for i in range(h, found - 1):
+                move(best, i + 1, i)
+            found -= 1
+            break
+    at = found
+    while at > 0 and (best.n[at - 1] < n or (best.n[at - 1] == n and best.cost[at - 1] > cost)):
+        at -= 1
+    room = best.n.shape[0]
+    if at == room:
+        return found
+    found = min(found + 1, room)
+    for i in range(found - 1, at, -1):
+        move(best, i - 1, i)
+    copy_1(names, best.names[at])
+    best.n[at] = n
+    best.cost[at] = cost
+    copy_2(pose, best.poses[at])
+    return found
+
+
+@inner_kernel
+def settle(rig, lights, seen, Rp, tp, T, C):
+    """Fill T (4, 4), C (6, 6) with the pose of least chi-square near Rp, tp; return that, infinite where none is."""
+    H, residual = np.empty((6, 6)), np.empty(seen.uv.shape)
+    state, chi2 = refine_pose(rig, lights, seen, Rp, tp, H, residual)
+    T[:] = 0.0
+    T[3, 3] = 1.0
+    copy_2(Rp, T[:3, :3])
+    copy_1(tp, T[:3, 3])
+    return chi2 if state == SOLVED and invert_spd(H, C) else np.inf
+
+
+@kernel
+def tilts(rig, lights, views, start, T, C, chi2):
+    """Fill T (h, 4, 4), C (h, 6, 6), chi2 (h,): the pose near start (4, 4), and near its mirror images.
+
+    One mirror image about the line of sight of each camera, of the first h - 1; infinite chi-square where there is no
+    pose. C is of the spots' noise, to first order. rig, lights, views: as solve_named takes them.
+    """
+    rig = RigK(*rig)
+    uv, cov = views
+    X, radius, normal = lights
+    W = np.empty_like(cov)
+    lights, seen = Lights(X.copy(), radius, normal), Observations(uv, W)
+    Rp, tp, R2, t2 = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
+    chi2[:] = np.inf
+    split(start, Rp, tp)
+    if not weights(cov, 0.0, W):
+        return
+    chi2[0] = settle(rig, lights, seen, Rp, tp, T[0], C[0])
+    centre, turn, plane = np.zeros(3), np.empty(3), plane_normal(lights)
+    for i in range(X.shape[0]):
+        for a in range(3):
+            centre[a] += (dot(Rp[a], X[i]) + tp[a]) / X.shape[0]
+    for s in range(chi2.shape[0] - 1):
+        mirrored_turn(rig.R[s], rig.t[s], Rp, centre, plane, turn)
+        if dot(turn, turn) > LEAST_TURN**2:
+            turned_about(Rp, tp, centre, turn, R2, t2)
+            chi2[s + 1] = settle(rig, lights, seen, R2, t2, T[s + 1], C[s + 1])
+
+
+@kernel
+def name_by_one_view(k, X, uv, rules, best):
+    """Fill best, as Named, with the ways in which the spots uv (c, 2) of one view may be the lights X (m, 3).
+
+    k (12,): the camera. rules: reach (px) of a light's image, the fewest lights that count, and the most combinations
+    looked at. Returns (how many, combinations looked at, whether that ended the search). It ends as well after a
+    combination of spots by which all of them, or all lights, are explained: other names for the same spots are then
+    among its own, as each combination of spots is tried with all lights.
+    """
+    reach, fewest, most = rules
+    best = Named(*best)
+    c, m = uv.shape[0], X.shape[0]
+    xy, rays = np.empty((c, 2)), np.empty((c, 3))
+    J = np.empty((2, 2))
+    for i in range(c):
+        if not undistort_point(k, uv[i, 0], uv[i, 1], xy[i], J):
+            xy[i] = np.nan
+        length = sqrt(1.0 + xy[i, 0] ** 2 + xy[i, 1] ** 2)
+        rays[i, 0] = xy[i, 0] / length
+        rays[i, 1] = xy[i, 1] / length
+        rays[i, 2] = 1.0 / length
+    three, at, poses = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3, 4))
+    names, used = np.empty(m, np.intp), np.empty(c, np.intp)
+    found = looked = np.int64(0)
+    for a in range(c):
+        for b in range(a + 1, c):
+            for d in range(b + 1, c):
+                copy_1(rays[a], at[0])
+                copy_1(rays[b], at[1])
+                copy_1(rays[d], at[2])
+                for i in range(m):
+                    copy_1(X[i], three[0])
+                    for j in range(m):
+                        if j == i:
+                            continue
+                        copy_1(X[j], three[1])
+                        for g in range(m):
+                            if g in (i, j):
+                                continue
+                            copy_1(X[g], three[2])
+                            looked += 1
+                            if looked > most:
+                                return found, looked, True
+                            for h in range(poses_by_three(three, at, poses)):
+                                n, cost = explain_spots(X, poses[h], xy, k[0], reach, names, used)
+                                if n >= fewest:
+                                    found = keep_named(found, names, n, cost, poses[h], best)
+                if found and best.n[0] >= min(c, m):
+                    return found, looked, False
+    return found, looked, False

@@ -1,0 +1,109 @@
+"""One moment of any number of cameras -> the target's pose: frames, or nothing of a camera, in the rig's order.
+
+Two cameras go their own way, `pipeline.measure_pair`. What other numbers of cameras cannot do is refused here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from armsight.arrays import Array
+from armsight.errors import Unseen, UsageError
+from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.outcome import Measured, Track, lost_moment
+from armsight.measure.poses.pipeline import NOT_OF_THE_RIG, check_size, measure_pair
+from armsight.measure.poses.pose import TWO
+from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.shortlist import MOST_UNNAMED
+from armsight.measure.poses.tracking import MAX_GAP_S, half_window_px
+from armsight.measure.poses.views import measure_views
+from armsight.measure.spots import find_candidates, track_spots
+from armsight.records import Frame, NotSeen, PoseStatus, Spots
+
+
+def measure_moment(setup: Setup, frames: Sequence[Frame | None], track: Track | None = None) -> Measured:
+    """Return the target's pose from the frames of one moment, None where a camera has none.
+
+    A light counts that one camera shows, but for a rig of two: see measure_pair. Raises UsageError for a target that
+    needs two cameras, where the frames are not one for each camera, and as measure_pair.
+    """
+    require_views(setup, len(frames))
+    there = [frame for frame in frames if frame is not None]
+    if not there:
+        raise UsageError("a moment without any frame", consequence="It has no time", cure="Leave it out")
+    t_s = float(np.mean([frame.t_s for frame in there]))
+    for name, frame in zip(setup.rig.names, frames, strict=True):
+        if frame is not None:
+            check_size(setup.rig, name, frame, NOT_OF_THE_RIG)
+    if len(frames) == TWO:
+        left, right = frames
+        if left is None or right is None:
+            why = "one of the two cameras has no picture"
+            return lost_moment(t_s, (Spots.none(),) * TWO, NotSeen(why, Unseen.UNREADABLE), track)
+        return measure_pair(setup, left, right, track)
+    if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
+        track = None
+    measured = _by_windows(setup, frames, t_s, track) if track is not None and track.complete else None
+    if measured is None:
+        seen = [_spots(setup, s, frame) for s, frame in enumerate(frames)]
+        measured = measure_views(setup, t_s, seen, track, frames)
+    return measured
+
+
+def require_views(setup: Setup, n: int) -> None:
+    """Raise UsageError where n frames are not the rig's, or where other than two cameras cannot measure the target."""
+    v = len(setup.rig.cameras)
+    if v == TWO:
+        setup.rig.require_pair("measuring by two cameras")
+    if n != v:
+        raise UsageError(f"{n} frames for a rig of {v} cameras", cure="Give one for each, None where there is none")
+    known = setup.target.model_known and not setup.target.is_board and len(setup.model) >= 3
+    if v != TWO and (not known or setup.overlaid):
+        raise UsageError(
+            f"a rig of {v} cameras measures targets of three and more lights at known places",
+            consequence="Boards, beacons and lights nobody has measured need a rig of two cameras",
+            cure="Measure with two of the cameras, or give the places of the lights in target.yaml",
+        )
+
+
+def _spots(setup: Setup, s: int, frame: Frame | None) -> Spots:
+    """Return the spots of a view: all, or the strongest where much is bright."""
+    if frame is None:
+        return Spots.none()
+    found = find_candidates(frame.image, setup.sides[s], setup.pace)
+    return found.measure(found.positions() if found.quiet else found.positions(MOST_UNNAMED))
+
+
+def _by_windows(setup: Setup, frames: Sequence[Frame | None], t_s: float, track: Track) -> Measured | None:
+    """Return the pose from what is found in windows around the predicted spots; None where that is too little.
+
+    Windows are where a light is expected inside a picture: what is not found there need not be, it may be hidden, and
+    what is found may be another light's. So the spots are named as those of whole pictures are.
+    """
+    n, v, packed = len(track.names), len(frames), setup.packed
+    predicted, at = np.empty((n, 3)), np.empty((v, n, 2))
+    kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, t_s - track.t_s, predicted, at)
+    seen = [_in_view(setup, s, frame, at[s], track.half_window_px) for s, frame in enumerate(frames)]
+    measured = measure_views(setup, t_s, seen, track, frames, in_windows=True)
+    if measured.pose.status is not PoseStatus.OK or measured.track is None or measured.sights is None:
+        return None
+    lights, innovation = np.array([track.names.index(name) for name in measured.names]), 0.0
+    for s, spots in enumerate(measured.spots):
+        if len(spots):
+            there = np.ascontiguousarray(at[s][lights[measured.sights[:, s]]])
+            innovation = max(innovation, kernels.largest_innovation(spots.uv_px, there))
+    window = half_window_px(measured.spots, innovation)
+    return replace(measured, tracked=True, track=replace(measured.track, half_window_px=window))
+
+
+def _in_view(setup: Setup, s: int, frame: Frame | None, at: Array, half_px: int) -> Spots:
+    """Return the spots found in windows around those of at (n, 2) inside a picture."""
+    if frame is None:
+        return Spots.none()
+    inside = ((at > 0.0) & (at < [frame.width - 1.0, frame.height - 1.0])).all(axis=1)
+    if not inside.any():
+        return Spots.none()
+    return track_spots(frame.image, at[inside], half_px, setup.sides[s])[0]

@@ -1,0 +1,406 @@
+"""From the spots of any number of cameras to the target's pose, every sight of every light counted.
+
+Names come from the track, from the best pair of views, or from one view alone; each such hypothesis is completed in all
+views by projection, and all their sights are judged together. A rig of two cameras has its own way: `from_spots`, by
+which a light must be seen twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from armsight.arrays import Array, Index
+from armsight.errors import Unseen
+from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE, HIDDEN, RIVAL, match_known
+from armsight.measure.poses.kernels import correspondence as likelihood
+from armsight.measure.poses.kernels import hidden as outlines
+from armsight.measure.poses.kernels import one_view as kernels
+from armsight.measure.poses.kernels import pose as pose_kernels
+from armsight.measure.poses.kernels.pose_ambiguity import POSSIBLE
+from armsight.measure.poses.outcome import Assignment, Measured, Track, doubted, lost_moment
+from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
+from armsight.measure.poses.pose import PoseSolution, lost, no_points
+from armsight.measure.poses.setup import Setup, fit_limit
+from armsight.measure.poses.solving import (
+    Views,
+    compare,
+    named_spots,
+    solve_views,
+    views_of,
+    why_hidden,
+    widen,
+)
+from armsight.measure.poses.tracking import continuation, doubtful, next_track, positions_of
+from armsight.records import Frame, NotSeen, PoseStatus, Spots
+
+FEWEST = 4
+"""Sights without which there is no pose: three fix it, and a fourth is the least that can speak against it."""
+
+MOST_ALONE = 12
+"""Spots of a view up to which its lights are named by it alone, as rpg_monocular_pose_estimator does."""
+REACH_PX = 3.0
+"""How far a light's image may be off under a pose by three spots, whose noise grows with the way to the others."""
+MOST_COMBINATIONS = 50_000
+"""Combinations of three spots and three lights looked at; 0.1 s."""
+ROOM = 16
+"""Namings by one view that are kept."""
+
+CONVINCING = 0.7
+"""Share of the sights that could be at most with which a hypothesis is taken before all sources are asked: two lights
+and a reflection fit some arrangement, and a worse one than another pair of views has."""
+CONFIRMED = 0.01
+"""How often, at most, a spot lies where a pose of chance expects a light: ten spots in a hundredth of a picture."""
+ALONE_BY_CHANCE = 1e-4
+"""Expected number of namings of chance by one view from which none is believed."""
+LEAST_RMS_PX = 0.15
+"""Residuals below which a naming by one view gains nothing more against chance."""
+
+ELSEWHERE = 18.4
+"""-2 log of the density of a spot that is of no light, anywhere in 100 by 100 px: the cost to leave one unnamed."""
+
+_ROUNDS = 3
+MOVED = "the lights are not where the target's motion puts them; the next moment tells"
+
+
+class Hypothesis(NamedTuple):
+    """Which spot of each view each light is, rows (m, v), -1 for none, and the pose T (4, 4), C (6, 6) that says so.
+
+    chi2: of all sights, slack included. chance: expected number of others by chance; of one named by a view `alone` how
+    many combinations were looked at. score: -2 log likelihood, less what the sights would cost as spots of no light.
+    """
+
+    rows: Index
+    T: Array
+    C: Array
+    chi2: float
+    chance: float = 0.0
+    alone: int = -1
+    score: float = np.inf
+
+    @property
+    def n(self) -> int:
+        """How many sights it has."""
+        return int((self.rows >= 0).sum())
+
+
+def measure_views(
+    setup: Setup,
+    t_s: float,
+    seen: Sequence[Spots],
+    track: Track | None = None,
+    frames: Sequence[Frame | None] | None = None,
+    *,
+    in_windows: bool = False,
+) -> Measured:
+    """Return the pose of a target of three known lights or more from all spots of the views, in the rig's order.
+
+    frames: the images, to compare the lights' outlines; None where a view has none. in_windows: the spots are those
+    near where the track expects them, so that the pose must go on from its motion.
+    """
+    seen = tuple(seen)
+    found: list[Hypothesis] = []
+    most = sum(min(len(spots), len(setup.model)) for spots in seen)
+
+    def decided() -> Measured:
+        chosen = _choose(setup, found)
+        if isinstance(chosen, NotSeen):
+            return lost_moment(t_s, seen, chosen, track)
+        return doubted(_judged(setup, t_s, seen, chosen, track, frames, in_windows=in_windows))
+
+    for ways in _sources(setup, t_s, seen, track):
+        found += [done for way in ways if (done := completed(setup, seen, way)) is not None]
+        if max((way.n for way in found), default=0) >= CONVINCING * most:
+            measured = decided()
+            if measured.pose.status is PoseStatus.OK:
+                return measured
+    return decided()
+
+
+def _sources(setup: Setup, t_s: float, seen: tuple[Spots, ...], track: Track | None) -> Iterator[list[Hypothesis]]:
+    """Give the hypotheses of one source after the other: the track, pairs of views, views alone."""
+    m, v = len(setup.model), len(seen)
+    start = None if track is None else by_track(setup, t_s, track)
+    if start is not None:
+        yield [start]
+    for a, b in _pairs(setup, seen):
+        yield _by_pair(setup, seen, a, b)
+    for s in sorted(range(v), key=lambda s: -min(len(seen[s]), m)):
+        if FEWEST <= len(seen[s]) <= MOST_ALONE:
+            yield _by_one(setup, seen, s)
+
+
+def by_track(setup: Setup, t_s: float, track: Track) -> Hypothesis | None:
+    """Return the hypothesis, of no spots yet, that the target goes on from its motion; None where that is not known."""
+    if track.motion is None:
+        return None
+    state, rows = track.motion.at(t_s), np.full((len(setup.model), len(setup.packed.k)), -1, np.intp)
+    return Hypothesis(rows, state.T_rig_target, np.array(state.C[:6, :6]), np.inf)
+
+
+def _pairs(setup: Setup, seen: tuple[Spots, ...]) -> list[tuple[int, int]]:
+    """Return the pairs of views that may see three lights both, best first: most lights, then the widest angle."""
+    m, R = len(setup.model), setup.packed.R
+    possible = [p for p in combinations(range(len(seen)), 2) if min(len(seen[p[0]]), len(seen[p[1]])) >= 3]
+
+    def rank(pair: tuple[int, int]) -> tuple[bool, int, float]:
+        a, b = pair
+        n = len(seen[a]), len(seen[b])
+        return max(n) > m, -min(*n, m), float(abs(R[a][2] @ R[b][2]))
+
+    return sorted(possible, key=rank)
+
+
+def _by_pair(setup: Setup, seen: tuple[Spots, ...], a: int, b: int) -> list[Hypothesis]:
+    """Return the hypotheses by two views, as a rig of these two cameras has them."""
+    pair, left, right = setup.pair(a, b), seen[a], seen[b]
+    pairs = pair_spots(pair.packed, left, right, setup.slack_px)
+    if not len(pairs.index):
+        return []
+    match = match_known(pair, left, right, pairs, arrangements=AS_FOUND)
+    ways = []
+    for one in (match.best,) if match.best is not None else match.alternatives:
+        rows = np.full((len(setup.model), len(seen)), -1, np.intp)
+        rows[[setup.model.names.index(name) for name in one.names]] = _only(len(seen), (a, b), pairs.index[one.pair])
+        ways += _tilts(setup, seen, Hypothesis(rows, _matrix(one), np.eye(6), np.inf, match.chance))
+    return ways
+
+
+def _only(v: int, at: tuple[int, ...], index: Index) -> Index:
+    """Return rows (n, v) with index (n, len(at)) at these views."""
+    rows = np.full((len(index), v), -1, np.intp)
+    rows[:, at] = index
+    return rows
+
+
+def _matrix(one: Assignment) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = one.R, one.t_m
+    return T
+
+
+def _by_one(setup: Setup, seen: tuple[Spots, ...], s: int) -> list[Hypothesis]:
+    """Return the hypotheses by one view, as far as they are not expected by chance."""
+    X, spots, packed = setup.model.xyz_m, seen[s], setup.packed
+    m = len(X)
+    room = np.empty((ROOM, m), np.intp), np.empty(ROOM, np.intp), np.empty(ROOM), np.empty((ROOM, 3, 4))
+    found, looked, cut = kernels.name_by_one_view(
+        packed.k[s], X, spots.uv_px, (REACH_PX, FEWEST, MOST_COMBINATIONS), room
+    )
+    ways: list[Hypothesis] = []
+    if cut:
+        return ways
+    back = np.eye(4)  # rig from camera
+    back[:3, :3], back[:3, 3] = packed.R[s].T, -packed.R[s].T @ packed.t[s]
+    found = int(np.count_nonzero(room[1][:found] >= room[1][0] - 1)) if found else 0  # others are no rivals
+    for names, pose in zip(room[0][:found], room[3][:found], strict=True):
+        rows = np.full((m, len(seen)), -1, np.intp)
+        rows[:, s] = names
+        way = Hypothesis(rows, back @ np.vstack([pose, [0.0, 0.0, 0.0, 1.0]]), np.eye(6), np.inf, looked, s)
+        ways += _tilts(setup, seen, way)
+    return ways
+
+
+def _by_chance(setup: Setup, spots: Spots, n: int, looked: float, chi2: float) -> float:
+    """Return how many namings by one view would by chance explain n lights so well, as a share of what is believed.
+
+    None where all lights are seen and nothing else is bright.
+    """
+    m, c = len(setup.model), len(spots)
+    if n == m == c:
+        return 0.0
+    rms = max(np.sqrt(chi2 / n) * setup.slack_px, LEAST_RMS_PX)
+    area = max(float(np.prod(np.ptp(spots.uv_px, axis=0))), 1.0)
+    near = min(c * pi * (2.0 * rms) ** 2 / area, 1.0)
+    return float(BY_CHANCE / ALONE_BY_CHANCE * looked * near ** (n - 3) / HIDDEN ** (m - n))
+
+
+def _tilts(setup: Setup, seen: tuple[Spots, ...], way: Hypothesis, *, mirrored: bool = True) -> list[Hypothesis]:
+    """Return a hypothesis refined by its own sights, and the mirrored tilts that fit these as well."""
+    names, views = _views(setup, seen, way.rows, way.T)
+    h = len(seen) + 1 if mirrored else 1
+    Ts, Cs, chi2 = np.empty((h, 4, 4)), np.empty((h, 6, 6)), np.empty(h)
+    spots = named_spots(setup, names, views)
+    args = setup.packed.arrays, (spots.xyz_m[:], spots.radius_m, spots.normal), views[:2]
+    kernels.tilts(*args, views.start, Ts, Cs, chi2)
+    found: list[Hypothesis] = []
+    for i in np.argsort(chi2):
+        if not chi2[i] <= chi2.min() + POSSIBLE or not np.isfinite(chi2[i]):
+            break
+        if not any(np.abs(Ts[i][:3, :3] - other.T[:3, :3]).max() < 1e-3 for other in found):
+            neg2 = likelihood.neg2_log_likelihood(*args, Ts[i][:3, :3].copy(), Ts[i][:3, 3].copy())
+            wide = _slack_chi2(setup, spots.xyz_m, views, Ts[i])
+            found.append(way._replace(T=Ts[i], C=Cs[i], chi2=wide, score=float(neg2) - ELSEWHERE * way.n))
+    return found
+
+
+def _slack_chi2(setup: Setup, X: Array, views: Views, T: Array) -> float:
+    """Return chi-square of the sights of lights X (n, 3) under a pose, slack included."""
+    residual, P = np.empty(views.uv_px.shape), np.empty((len(X), 3))
+    pose_kernels.transform_lights(T, X, P)
+    if not pose_kernels.point_residuals(setup.packed.arrays, views.uv_px, P, residual):
+        return np.inf
+    return float(pose_kernels.slack_chi2(residual, views.cov_px2, setup.slack_px**2))
+
+
+def _views(setup: Setup, seen: Sequence[Spots], rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
+    """Return the names and the spots of the lights that some view shows."""
+    lights = np.flatnonzero((rows >= 0).any(axis=1))
+    names = tuple(setup.model.names[i] for i in lights.tolist())
+    views = views_of(setup, [spots.take(at) for spots, at in _per_view(seen, rows[lights])])
+    views.uv_px[rows[lights] < 0] = np.nan
+    views.cov_px2[rows[lights] < 0] = np.inf
+    start = np.array(start)
+    start.setflags(write=False)  # as UNKNOWN: one compilation serves both
+    return names, views._replace(start=start)
+
+
+def _per_view(seen: Sequence[Spots], rows: Index) -> list[tuple[Spots, Index]]:
+    """Return each view's spots and the place in them of each light, with a spot to stand for those it does not show."""
+    return [
+        (spots, np.maximum(rows[:, s], 0)) if len(spots) else (_NO_SPOT, np.zeros(len(rows), np.intp))
+        for s, spots in enumerate(seen)
+    ]
+
+
+_NO_SPOT = Spots.of_centres(np.zeros((1, 2)), np.eye(2))
+
+
+def completed(setup: Setup, seen: tuple[Spots, ...], way: Hypothesis) -> Hypothesis | None:
+    """Return the hypothesis with all sights that its pose finds, refined by them; None where they do not agree."""
+    rows, packed, own = way.rows.copy(), setup.packed, way.n
+    take = np.empty(len(rows), np.intp)
+    for _ in range(_ROUNDS):
+        before = rows.copy()
+        for s, spots in enumerate(seen):
+            kernels.complete_view(
+                packed.arrays,
+                s,
+                setup.model.xyz_m,
+                way.T,
+                way.C,
+                packed.covariance,
+                (spots.uv_px, spots.covariance_px2),
+                setup.slack_px**2,
+                PAIR_GATE,
+                take,
+            )
+            new = (rows[:, s] < 0) & (take >= 0) & ~np.isin(take, rows[:, s])
+            rows[new, s] = take[new]
+        if (rows == before).all():
+            break
+        if (rows >= 0).sum() < FEWEST or (rows >= 0).any(axis=1).sum() < 3:
+            return None
+        refined = _tilts(setup, seen, way._replace(rows=rows.copy()), mirrored=False)
+        if not refined:
+            return None
+        way = refined[0]
+    if way.n < FEWEST or not way.chi2 <= fit_limit(way.n):
+        return None
+    chance = way.chance
+    if way.alone >= 0:
+        own = int((way.rows[:, way.alone] >= 0).sum())
+        chance = _by_chance(setup, seen[way.alone], own, way.chance, way.chi2)
+    return way._replace(chance=chance * CONFIRMED ** (way.n - own))
+
+
+def _choose(setup: Setup, found: list[Hypothesis]) -> Hypothesis | NotSeen:
+    """Return the likeliest hypothesis, where none nearly as likely has other names for the same spots."""
+    found = [way for way in found if _faces(setup, way)]
+    if not found:
+        return NotSeen("no arrangement of the spots is the target's", Unseen.LIGHTS_MISSING)
+    best = min(found, key=lambda way: way.score)
+    for other in found:
+        both = (best.rows >= 0) & (other.rows >= 0) & (best.rows != other.rows)
+        if both.any() and other.score < best.score + RIVAL:
+            return NotSeen("ambiguous: several assignments of names fit equally well", Unseen.AMBIGUOUS)
+    if best.chance >= BY_CHANCE:
+        why = f"{best.n} sights fit the target, but no better than some would by chance"
+        return NotSeen(why, Unseen.CROWD)
+    return best
+
+
+def _faces(setup: Setup, way: Hypothesis) -> bool:
+    """Whether the views that see lights of a one-sided target see its front."""
+    if not setup.model.one_sided:
+        return True
+    R, t = setup.packed.R, setup.packed.t
+    eyes = [-R[s].T @ t[s] for s in np.flatnonzero((way.rows >= 0).any(axis=0))]
+    return all(way.T[:3, 2] @ (way.T[:3, 3] - eye) > 0.0 for eye in eyes)
+
+
+def _judged(
+    setup: Setup,
+    t_s: float,
+    seen: tuple[Spots, ...],
+    way: Hypothesis,
+    track: Track | None,
+    frames: Sequence[Frame | None] | None,
+    *,
+    in_windows: bool = False,
+) -> Measured:
+    """Return the pose of a hypothesis by all its sights, half-hidden lights left out of the view that shows them so."""
+    rows, solved, hidden = _looked_at(setup, t_s, seen, way, frames)
+    if solved.T is None or solved.pose.status is not PoseStatus.OK:
+        missed = NotSeen(why_hidden(hidden, PoseStatus.LOST), Unseen.HALF_HIDDEN) if hidden else solved.missed
+        return lost_moment(t_s, seen, missed, track)
+    step = continuation(setup, track, t_s, solved)
+    if in_windows and not step.likely:
+        return lost_moment(t_s, seen, NotSeen(MOVED, Unseen.MOTION), track)
+    if track is not None and doubtful(setup, track, t_s, solved, step):
+        return lost_moment(t_s, seen, NotSeen(MOVED, Unseen.MOTION), replace(track, doubted=True))
+    lights = np.flatnonzero((rows >= 0).any(axis=1))
+    spots = tuple(one.take(r[r >= 0]) for one, r in zip(seen, rows[lights].T, strict=True))
+    return Measured(
+        pose=solved.pose,
+        points=solved.points,
+        spots=spots,
+        names=tuple(setup.model.names[i] for i in lights.tolist()),
+        seen=seen,
+        sights=rows[lights] >= 0,
+        track=next_track(setup, t_s, solved, spots, track, step),
+        notes=tuple(f"{name} half hidden from one camera, and left out of its view" for name in hidden),
+        cause=solved.cause,
+    )
+
+
+def _looked_at(
+    setup: Setup, t_s: float, seen: tuple[Spots, ...], way: Hypothesis, frames: Sequence[Frame | None] | None
+) -> tuple[Index, PoseSolution, tuple[str, ...]]:
+    """Return the sights that are whole, what is solved from them, and the lights that are half hidden in a view."""
+    rows, start, hidden = way.rows.copy(), np.array(way.T), list[str]()
+    while True:
+        if (rows >= 0).sum() < FEWEST or (rows >= 0).any(axis=1).sum() < 3:
+            why = "too few lights are seen as a whole"
+            return rows, PoseSolution(pose=lost(t_s, why), points=no_points(), cause=Unseen.HALF_HIDDEN), tuple(hidden)
+        names, views = _views(setup, seen, rows, start)
+        solved = solve_views(setup, t_s, names, views)
+        if frames is None or solved.T is None:
+            return rows, solved, tuple(hidden)
+        lights = np.flatnonzero((rows >= 0).any(axis=1))
+        shown = [spots.take(at) for spots, at in _per_view(seen, rows[lights])]
+        shown = [_unseen(spots, rows[lights, s] < 0) for s, spots in enumerate(shown)]
+        verdict, out = compare(setup, positions_of(setup, solved.T)[lights], solved.T, shown, frames)
+        if verdict == outlines.NO_DOUBT:
+            return rows, solved, tuple(hidden)
+        odd = out[:, :, outlines.ODD] > 0.0  # (v, n)
+        if not odd.any():
+            widened = widen(setup, t_s, names, views, solved, out)
+            if widened is not None:
+                return rows, widened, tuple(hidden)
+            doubt = out[:, :, [outlines.UU, outlines.VV]].sum(axis=2)
+            odd = doubt == doubt.max()
+        hidden += [names[i] for i in np.flatnonzero(odd.any(axis=0)).tolist()]
+        kept = rows[lights]
+        kept[odd.T] = -1
+        rows[lights] = kept
+
+
+def _unseen(spots: Spots, which: Array) -> Spots:
+    """Return the spots with size 0, of which no outline is looked at, where a view shows none."""
+    return replace(spots, size_px=np.where(which, 0.0, spots.size_px)) if which.any() else spots

@@ -1,0 +1,239 @@
+"""Poses by one, three, four and eight cameras in a world of its own: bounds, ellipsoids, names, single sights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import chi2 as chi2_law
+from tests.truth.camera_ring import CENTRE, FOCAL, K1, LIGHTS, SIZE, Ring, look, pose, ring
+
+from armsight.errors import UsageError
+from armsight.measure.poses.kernels import one_view
+from armsight.measure.poses.moments import measure_moment, require_views
+from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.views import measure_views
+from armsight.optics import Camera, MountedCamera, Rig
+from armsight.records import Frame, NamedCovariance, PoseStatus, Spots, spot_target, unmeasured_target
+from refusals import names_it, refuses
+
+SIGMA_PX = 0.05
+FLAT = LIGHTS[:5] * [1.0, 1.0, 0.0]
+CUT_PX = 2.2
+WRONG = chi2_law.isf(1e-8, 6)
+
+
+def setup_of(world: Ring, X: np.ndarray = LIGHTS, covariance: NamedCovariance | None = None) -> Setup:
+    camera = Camera.pinhole(*SIZE, FOCAL, FOCAL, *CENTRE, distortion=(K1, 0.0, 0.0, 0.0, 0.0))
+    names = ("left", "right") if len(world) == 2 else [f"c{s}" for s in range(len(world))]
+    mounted = [
+        MountedCamera(
+            name=name, camera=camera, T_rig_camera=RigidTransform.from_components(t, Rotation.from_matrix(R)).inv()
+        )
+        for name, R, t in zip(names, world.R, world.t, strict=True)
+    ]
+    target = spot_target({c: tuple(x) for c, x in zip("ABCDEF", X.tolist(), strict=False)})
+    return Setup(Rig(cameras=mounted, covariance=covariance), target, many=True)
+
+
+def spots(uv: np.ndarray) -> Spots:
+    return Spots.of_centres(uv, SIGMA_PX**2 * np.eye(2)) if len(uv) else Spots.none()
+
+
+def difference(found: np.ndarray, T: np.ndarray) -> np.ndarray:
+    turn = Rotation.from_matrix(found[:3, :3] @ T[:3, :3].T).as_rotvec()
+    return np.concatenate([found[:3, 3] - T[:3, 3], turn])
+
+
+def mahalanobis2(measured: Measured, T: np.ndarray) -> float:
+    found, C = measured.pose.T_parent_target, measured.pose.covariance
+    assert found is not None and C is not None
+    d = difference(found, T)
+    return float(d @ np.linalg.solve(C, d))
+
+
+def shown(measured: Measured, m: int, v: int) -> np.ndarray:
+    out = np.zeros((m, v), bool)
+    assert measured.sights is not None
+    out[["ABCDEF".index(name) for name in measured.names]] = measured.sights
+    return out
+
+
+@pytest.mark.parametrize("views", [1, 3, 4, 8])
+def test_poses_reach_the_bound_and_ellipsoids_hold_the_truth(views: int) -> None:
+    """Lights hidden by a fifth (of one camera none), two reflections beside the target in every other moment."""
+    rng, world, n = np.random.default_rng(views), ring(views), 120
+    setup, q, squares = setup_of(world), [], []
+    for i in range(n):
+        T = pose(rng)
+        seen = look(world, LIGHTS, T, rng, hidden=0.0 if views == 1 else 0.2, reflections=i % 2 * 2)
+        measured = measure_views(setup, 0.0, [spots(uv) for uv in seen.uv])
+        if measured.pose.status is not PoseStatus.OK:
+            continue
+        q.append(mahalanobis2(measured, T))
+        bound = np.diag(world.bound(LIGHTS, T, shown(measured, 6, views), SIGMA_PX))
+        squares.append(difference(np.asarray(measured.pose.T_parent_target), T) ** 2 / bound)
+    assert len(q) >= (0.75 if views == 1 else 0.97) * n
+    assert max(q) < WRONG
+    inside = (np.array(q) < chi2_law.ppf(0.95, 6)).mean()
+    assert abs(inside - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / len(q))
+    assert abs(np.mean(squares) - 1.0) < 5.0 * np.sqrt(2.0 / (6.0 * len(q)))
+
+
+def test_a_light_that_one_camera_alone_sees_has_no_point_but_counts() -> None:
+    rng, world = np.random.default_rng(1), ring(3)
+    setup = setup_of(world)
+    for _ in range(10):
+        T = pose(rng)
+        seen = look(world, LIGHTS, T, rng)
+        before = measure_views(setup, 0.0, [spots(uv) for uv in seen.uv])
+        # A, B, C by both of the first two; D, E, F by the third alone
+        kept = [uv[(light < 3) == (s < 2)] for s, (uv, light) in enumerate(zip(seen.uv, seen.light, strict=True))]
+        measured = measure_views(setup, 0.0, [spots(uv) for uv in kept])
+        assert before.pose.status is measured.pose.status is PoseStatus.OK
+        assert measured.points.names == ("A", "B", "C") and measured.names == tuple("ABCDEF")
+        assert shown(measured, 6, 3).sum(axis=1).tolist() == [2, 2, 2, 1, 1, 1]
+        assert mahalanobis2(measured, T) < WRONG
+        alone = measure_views(setup, 0.0, [*(spots(uv) for uv in kept[:2]), Spots.none()])
+        if alone.pose.status is PoseStatus.OK:
+            C, D = measured.pose.covariance, alone.pose.covariance
+            assert C is not None and D is not None
+            assert np.trace(C[3:, 3:]) < 0.5 * np.trace(D[3:, 3:])
+
+
+def test_a_camera_without_spots_is_not_counted() -> None:
+    rng, world = np.random.default_rng(2), ring(4)
+    T = pose(rng)
+    uv = look(world, LIGHTS, T, rng).uv
+    measured = measure_views(setup_of(world), 0.0, [spots(uv[0]), Spots.none(), spots(uv[2]), spots(uv[3])])
+    assert measured.pose.status is PoseStatus.OK and mahalanobis2(measured, T) < WRONG
+    assert shown(measured, 6, 4).any(axis=0).tolist() == [True, False, True, True]
+    assert len(measured.pose.residual_px) == 2 * shown(measured, 6, 4).sum()
+
+
+def test_completion_takes_one_spot_and_none_of_two() -> None:
+    """Light A has a second spot beside its own in the view that is completed; light B's own is missing, another far."""
+    rng, world = np.random.default_rng(3), ring(3)
+    setup, T = setup_of(world), pose(rng, tilt_rad=0.1)
+    uv = world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3])[:, 2]
+    uv = np.vstack([uv, uv[0] + [0.4, 0.2], uv[1] + [6.0, 0.0]])[[0, 2, 3, 4, 5, 6, 7]]
+    rows = np.empty(6, np.intp)
+    found = spots(uv)
+    one_view.complete_view(
+        setup.packed.arrays, 2, setup.model.xyz_m, T, 1e-10 * np.eye(6), setup.packed.covariance,
+        (found.uv_px, found.covariance_px2), 0.01, 16.0, rows,
+    )  # fmt: skip
+    assert rows.tolist() == [one_view.TWO, one_view.NONE, 1, 2, 3, 4]
+
+
+def test_a_spot_that_two_lights_would_take_is_of_neither() -> None:
+    world = ring(1)
+    X = np.vstack([LIGHTS, LIGHTS[0] + [1e-4, 0.0, 0.0]])
+    setup, T = setup_of(world), pose(np.random.default_rng(4), tilt_rad=0.1)
+    found, rows = spots(world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3])[:, 0]), np.empty(7, np.intp)
+    one_view.complete_view(
+        setup.packed.arrays, 0, X, T, 1e-10 * np.eye(6), setup.packed.covariance,
+        (found.uv_px, found.covariance_px2), 0.01, 16.0, rows,
+    )  # fmt: skip
+    assert rows.tolist() == [one_view.TWO, 1, 2, 3, 4, 5, one_view.TWO]
+
+
+def test_three_spots_give_the_pose_among_at_most_four() -> None:
+    rng, missed = np.random.default_rng(5), 0
+    for _ in range(300):
+        X, T = rng.normal(0.0, 0.05, (3, 3)), np.eye(4)
+        T[:3, :3], T[:3, 3] = (
+            Rotation.random(random_state=rng).as_matrix(),
+            rng.uniform([-0.3, -0.2, 0.5], [0.3, 0.2, 2.0]),
+        )
+        P = X @ T[:3, :3].T + T[:3, 3]
+        poses = np.empty((4, 3, 4))
+        n = one_view.poses_by_three(X, P / np.linalg.norm(P, axis=1)[:, None], poses)
+        missed += min((float(np.abs(one - T[:3]).max()) for one in poses[:n]), default=1.0) > 1e-6
+    assert missed <= 9, "where two solutions meet or three lights are on a line"
+
+
+@pytest.mark.parametrize("camera", [1, 2])
+def test_what_one_cameras_place_leaves_in_the_pose_is_what_moving_it_does(camera: int) -> None:
+    """Only this camera's tx, ty, tz are uncertain: the systematic covariance is that of poses with it moved."""
+    rng, world, step = np.random.default_rng(6), ring(3), 1e-4
+    T = pose(rng)
+    uv = world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3])
+    names = tuple(f"c{camera}.{axis}" for axis in ("tx", "ty", "tz"))
+    covariance = NamedCovariance(names=names, matrix=step**2 * np.eye(3))
+    seen = [spots(uv[:, s]) for s in range(3)]
+    measured = measure_views(setup_of(world, covariance=covariance), 0.0, seen)
+    expected = np.zeros((6, 6))
+    for axis in np.eye(3):
+        ends = []
+        for sign in (1.0, -1.0):
+            t = world.t.copy()
+            t[camera] -= world.R[camera] @ (sign * step * axis)
+            found = measure_views(setup_of(Ring(world.R, t)), 0.0, seen).pose.T_parent_target
+            assert found is not None
+            ends.append(difference(found, T))
+        d = 0.5 * (ends[0] - ends[1])
+        expected += np.outer(d, d)
+    found = measured.pose.systematic_covariance
+    assert found is not None
+    assert (np.abs(found - expected) < 0.02 * np.sqrt(np.outer(np.diag(expected), np.diag(expected)))).all()
+
+
+def test_one_camera_before_a_flat_target_calls_no_flipped_tilt_ok() -> None:
+    rng, world = np.random.default_rng(7), ring(1)
+    setup, ok = setup_of(world, FLAT), 0
+    for _ in range(60):
+        T = pose(rng)
+        measured = measure_views(setup, 0.0, [spots(uv) for uv in look(world, FLAT, T, rng, sigma_px=2 * SIGMA_PX).uv])
+        ok += measured.pose.status is PoseStatus.OK
+        assert measured.pose.status is not PoseStatus.OK or mahalanobis2(measured, T) < 4 * WRONG
+    assert ok > 20
+
+
+def draw(world: Ring, T: np.ndarray, rng: np.random.Generator, cut: tuple[int, int] | None = None) -> list[Frame]:
+    """Pictures of all cameras; of one light (light, view) an edge hides a part."""
+    frames = []
+    for s, uv in enumerate(np.swapaxes(world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3]), 0, 1)):
+        image = np.full((720, 1280), 12.0)
+        for light, (u, v) in enumerate(uv):
+            a, b = int(u), int(v)
+            y, x = np.mgrid[b - 15 : b + 16, a - 15 : a + 16]
+            disc = 200.0 * np.clip(5.5 - np.hypot(x - u, y - v), 0.0, 1.0)
+            image[b - 15 : b + 16, a - 15 : a + 16] += np.where((light, s) == cut, disc * (x < u + CUT_PX), disc)
+        image += rng.normal(0.0, 1.0, image.shape)
+        frames.append(Frame(image=np.clip(image, 0, 255).astype(np.uint8), t_s=0.0, sequence=0, source=f"view {s}"))
+    return frames
+
+
+def test_pictures_are_tracked_a_lost_camera_is_left_and_a_half_hidden_light_goes_from_its_view_alone() -> None:
+    rng, world = np.random.default_rng(8), ring(3)
+    setup, T = setup_of(world), pose(rng, tilt_rad=0.1)
+    track = None
+    for number in range(3):
+        T[0, 3] += 0.001
+        frames: list[Frame | None] = [
+            Frame(image=f.image, t_s=0.01 * number, sequence=number, source=f.source) for f in draw(world, T, rng)
+        ]
+        if number == 2:
+            frames[1] = None
+        measured = measure_moment(setup, frames, track)
+        track = measured.track
+        assert measured.pose.status is PoseStatus.OK, measured.pose.why
+        assert measured.tracked == (number > 0) and mahalanobis2(measured, T) < WRONG
+        assert shown(measured, 6, 3).any(axis=0).tolist() == [True, number < 2, True]
+    measured = measure_moment(setup, draw(world, T, rng, cut=(2, 0)))
+    assert measured.pose.status is PoseStatus.OK and mahalanobis2(measured, T) < WRONG
+    sights = shown(measured, 6, 3)
+    assert not sights[2, 0] and sights[2, 1:].all() and sights[:, 0].sum() == 5
+    assert len(measured.notes) == 1 and names_it(measured.notes[0], "C")
+
+
+def test_what_needs_two_cameras_is_refused_by_other_rigs() -> None:
+    setup = setup_of(ring(3))
+    with refuses(UsageError, 2, 3):
+        require_views(setup, 2)
+    with refuses(UsageError, 3, "target.yaml"):
+        require_views(Setup(setup.rig, unmeasured_target(), many=True), 3)
+    with refuses(UsageError, "left", "c0"):
+        Setup(setup.rig, setup.target)
