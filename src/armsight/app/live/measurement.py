@@ -247,7 +247,7 @@ class LiveMeasurement:
 
     def _setup_of(
         self, look: DetectionSettings, sizes: tuple[tuple[int, int], ...]
-    ) -> tuple[Setup | None, tuple[SpotSettings, SpotSettings]]:
+    ) -> tuple[Setup | None, tuple[SpotSettings, ...]]:
         settings, overlaid = self._settings(look), self._job.complex
         names = (COMPLEX, COMPLEX) if overlaid else SIDES
         left, right = (
