@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Inconsistent
 from armsight.kinematics import pose
 from armsight.store.arm_file import arm_from_mapping
-from armsight_sim.arms import Drive, FlangeLimits, Servo, SimArm, SimJoint, covered
+from armsight_sim.arms import Drive, FlangeLimits, Servo, SimArm, SimJoint, covering
 from armsight_sim.motions import Drawn, HandJitter, Jumping, Turntable, Waypoints
 from armsight_sim.scenario_builder import robotics
 from armsight_sim.scenario_schema import Scenario
@@ -106,7 +106,7 @@ def test_a_flange_is_cut_to_its_speed_and_turning_rate() -> None:
 def test_a_link_is_a_capsule_before_the_light(eye: tuple, light: tuple, hides: bool) -> None:
     frames = np.array([np.eye(4), np.eye(4)])
     frames[1, 2, 3] = 1.0
-    assert covered(frames, [0.1], np.array(eye), np.array(light)) is hides
+    assert covering(frames, [0.1], np.array(eye), np.array(light)) == (0 if hides else None)
 
 
 def drive(lag_s: float = 0.1, speed: float = 100.0, step: float = 0.0) -> Drive:
