@@ -112,6 +112,6 @@ def test_a_height_that_is_not_needed_is_refused():
 
 def test_a_height_in_millimetres_taken_as_metres_is_refused():
     poses = scara(np.random.default_rng(3))
-    with refuses(Inconsistent, "height is given as 12 m", "12mm"):
+    with refuses(Inconsistent, "height", "12 m", "12mm"):
         calibrate_hand_eye(*poses, setup="eye-in-hand", target_height_m=12.0)
     assert calibrate_hand_eye(*poses, setup="eye-in-hand", target_height_m=0.012).std["z_m"] < 1e-3

@@ -41,6 +41,8 @@ HALVED = 0.5
 """Share of the scatter to which a richer kind takes it where what it adds is plain before touches are left out."""
 SEEN = 0.95
 """Chance that what a richer kind adds is smaller if it is not there; below, it is not tried on touches left out."""
+DOUBTED = 0.5
+"""The same, from which deviations hold what an unproved kind would change: servos' scales of 1 % were hidden at 0.9."""
 
 
 def calibrate_touched(
@@ -159,7 +161,7 @@ def _plain(levels: Sequence[_Level]) -> _Level:
 def _chosen(model: TouchModel, levels: list[_Level], tolerance: Tolerance) -> _Level:
     """Return the richest level that misses touches left out by less than the one before it that does; tries them."""
     for k, one in enumerate(levels):
-        if k < len((NOMINAL, CORRECTED)) or _seen(levels[1], one):
+        if k < len((NOMINAL, CORRECTED)) or _seen(levels[1], one, SEEN):
             levels[k] = replace(one, left_m=_left_out(model, one, tolerance))
     best = levels[0]
     for richer in levels[1:]:
@@ -169,7 +171,7 @@ def _chosen(model: TouchModel, levels: list[_Level], tolerance: Tolerance) -> _L
     return best
 
 
-def _seen(plain: _Level, richer: _Level) -> bool:
+def _seen(plain: _Level, richer: _Level, chance: float) -> bool:
     """Whether what a richer kind adds is not nothing: Wald's test of all of it."""
     fit = richer.fitted.fit
     more = set(richer.offered) - set(plain.offered)
@@ -177,7 +179,7 @@ def _seen(plain: _Level, richer: _Level) -> bool:
     if fit.covariance is None or not names:
         return False
     added: Array = np.array([fit.value(x) for x in names])
-    return float(added @ np.linalg.solve(fit.covariance.block(names), added)) > float(chi2_ppf(SEEN, len(names)))
+    return float(added @ np.linalg.solve(fit.covariance.block(names), added)) > float(chi2_ppf(chance, len(names)))
 
 
 def _fits(model: TouchModel, full: TouchFit) -> bool:
@@ -233,13 +235,12 @@ def _left_out(model: TouchModel, one: _Level, tolerance: Tolerance) -> Array:
 
 
 def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
-    model, best, touches = judged.model, judged.best.fitted, judged.model.touches
-    arm_model = model.arm_model
+    model, best = judged.model, judged.best.fitted
+    touches, arm_model = model.touches, model.arm_model
     covariance, fitted = _covariance(judged), _fitted(arm_model, best, touches, tolerance)
     at_limit = limits_reached(arm_model, fitted.p, judged.free, tolerance)
-    before_m, after_m = (fit.misses_m(model, judged.given) for fit in (judged.levels[0].fitted, best))
-    cross = tuple(Errors.of(one.left_m) for one in (judged.levels[0], judged.best))
-    gross = gross_rows(judged.every, best)
+    before_m, after_m = (one.fitted.misses_m(model, judged.given) for one in (judged.levels[0], judged.best))
+    gross, cross = gross_rows(judged.every, best), [Errors.of(x.left_m) for x in (judged.levels[0], judged.best)]
     return ArmResult(
         arm=_arm(arm_model, best, covariance),
         points=_points(judged, fitted.p),
@@ -315,10 +316,10 @@ def _covariance(judged: _Judged) -> NamedCovariance | None:
     names = tuple(name for name in found.names if name in ours)
     if not names:
         return None
-    # scales or sag that are seen and not proved may be there all the same: what they would change is not known better
+    # scales or sag that are not proved may be there all the same: what they would change is not known better
     matrix, richer = found.block(names), judged.levels[judged.levels.index(judged.best) + 1 :]
     for one in richer if judged.gain else ():
-        if len(one.left_m):
+        if _seen(judged.best, one, DOUBTED):
             off = np.array([one.fitted.fit.value(x) - judged.best.fitted.fit.value(x) for x in names])
             matrix = matrix + np.outer(off, off)
     return NamedCovariance(names=names, matrix=matrix)
