@@ -156,7 +156,7 @@ class LiveMeasurement:
         self._paced = pairs is None and not job.live
         self._look = DetectionSettings()
         self._setup: Setup | None = None
-        self._sides = (SpotSettings(), SpotSettings())
+        self._sides: tuple[SpotSettings, ...] = (SpotSettings(), SpotSettings())
         self._sizes: tuple[tuple[int, int], ...] = ()
         self._counts = dict.fromkeys(PoseStatus, 0)
         self._done_s: deque[float] = deque()
