@@ -13,7 +13,8 @@ from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight_sim.arms import SimArm, covering
 from armsight_sim.scenario_builder import robotics
-from armsight_sim.scenario_schema import RobotMotion, Scenario, SwingKeys, WayKeys
+from armsight_sim.scenario_motions import RobotMotion, SwingKeys, WayKeys
+from armsight_sim.scenario_schema import Scenario
 from armsight_sim.twins.base import clipped, twin_arm, twin_home
 
 RADIUS_M = 0.045

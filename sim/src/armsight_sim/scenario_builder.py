@@ -18,16 +18,8 @@ from armsight_sim.rigs import SIDES
 from armsight_sim.robot import SimRobot
 from armsight_sim.scenario_cameras import events_of, make_cameras, set_room, with_zoom, zero_jumps
 from armsight_sim.scenario_keys import checked_room
-from armsight_sim.scenario_schema import (
-    ArcKeys,
-    EdgeKeys,
-    RestKeys,
-    Scenario,
-    SweepsKeys,
-    SwingKeys,
-    TargetKeys,
-    WayKeys,
-)
+from armsight_sim.scenario_motions import ArcKeys, EdgeKeys, RestKeys, SweepsKeys, SwingKeys, WayKeys
+from armsight_sim.scenario_schema import Scenario, TargetKeys
 from armsight_sim.scene import Light, Path, Rest
 from armsight_sim.world import Carried, Timing, World
 

@@ -25,6 +25,10 @@ class Path(Protocol):
         ...
 
 
+ALL_BEFORE_IT_DEG = 90.0
+"""Of a light that is seen from all before it: how far from where it faces."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rest:
     """A path that stays at one pose T_world_target."""
@@ -90,7 +94,7 @@ class Light:
     diameter_m: float | None = None
     facing: tuple[float, float, float] = (0.0, 0.0, -1.0)
     bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    wide_deg: float = 90.0
+    wide_deg: float = ALL_BEFORE_IT_DEG
 
     def __post_init__(self) -> None:
         if not (self.level >= 0.0 and self.sigma_px >= LEAST_SIGMA_PX):

@@ -87,14 +87,12 @@ class CyclicRobot(ABC):
     @property
     def state(self) -> RobotState:
         """What it can do just now."""
-        reading = self._reading
-        if not self._open or reading is None:
+        if not self._open or (reading := self._reading) is None:
             return RobotState.CLOSED
         if self._lost or self._silent():
             return RobotState.LOST
-        if self._stopped:
-            return RobotState.STOPPED
-        return RobotState.MOVING if self._off(reading) > REST else RobotState.READY
+        moves = RobotState.MOVING if self._off(reading) > REST else RobotState.READY
+        return RobotState.STOPPED if self._stopped else moves
 
     @property
     def why(self) -> str:
@@ -140,11 +138,9 @@ class CyclicRobot(ABC):
         """Return the newest reading. Raises DeviceFailed where closed, DeviceLost, StaleData."""
         reading = self._linked("read")
         if (age_s := self._clock.now_s() - reading.t_s) > self._times.stale_s:
-            raise StaleData(
-                f"{self.name}: the newest reading is {age_s:.3f} s old",
-                consequence="Where the arm is now is not known",
-                cure="Stop the robot and look at its controller",
-            )
+            old = f"{self.name}: the newest reading is {age_s:.3f} s old"
+            cure = "Stop the robot and look at its controller"
+            raise StaleData(old, consequence="Where the arm is now is not known", cure=cure)
         return reading
 
     def step_joints(self, step: Array) -> Sent:

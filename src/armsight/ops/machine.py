@@ -163,9 +163,5 @@ def doctor(
             cure="Give --rig and --depth (in m; again for the far end of a volume)",
         )
     failed = compiled_now(progress) if compile_ahead else []
-    return looked_at(
-        None
-        if rig is None
-        else rig_resolution(read_zoom_rig(rig).require_pair(str(rig)), depths, sigma_px, accuracy_m),
-        failed,
-    )
+    pair = None if rig is None else read_zoom_rig(rig).require_pair(str(rig))
+    return looked_at(None if pair is None else rig_resolution(pair, depths, sigma_px, accuracy_m), failed)

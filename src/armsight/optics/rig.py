@@ -92,23 +92,27 @@ class Rig(Saveable):
         given = {side: {"camera": camera, "T_rig_camera": T} for side, camera, T in pair}
         require_kind("cameras", cameras, tuple, list, NoneType, cure="Give a tuple of MountedCamera, or left and right")
         if cameras is None:
-            cameras = [MountedCamera(name=side, **values) for side, values in given.items()]  # type: ignore[arg-type]  # checked there
+            cameras = [MountedCamera(name=side, **own) for side, own in given.items()]  # type: ignore[arg-type]  # checked there
         else:
             for one in cameras:
                 require_kind("one of cameras", one, MountedCamera)
-            for side, values in given.items():
-                some = {name: value for name, value in values.items() if value is not None}
+            for side, own in given.items():
+                some = {name: value for name, value in own.items() if value is not None}
                 if some:
                     k = place_of(cameras, side)
                     cameras = (*cameras[:k], replace(cameras[k], **some), *cameras[k + 1 :])  # type: ignore[arg-type]
-        lists = {"noise": noise, "timing": timing, "zoom": zoom}
-        mounted = with_each(cameras, {name: values for name, values in lists.items() if values is not None})
-        set_ = object.__setattr__
-        set_(self, "cameras", mounted)
-        set_(self, "kind", _kind(kind, self.names))
-        set_(self, "covariance", covariance)
-        set_(self, "rms_px", rms_px)
-        set_(self, "found", {})
+        lists = (("noise", noise), ("timing", timing), ("zoom", zoom))
+        mounted = with_each(cameras, {name: values for name, values in lists if values is not None})
+        made = _kind(kind, tuple(one.name for one in mounted))
+        values: dict[str, object] = {
+            "cameras": mounted,
+            "kind": made,
+            "covariance": covariance,
+            "rms_px": rms_px,
+            "found": {},
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
         self._check()
 
     def _check(self) -> None:

@@ -80,18 +80,12 @@ class MarkerCorners:
         n = len(index)
         covariance, quality, size = np.empty((n, 2, 2)), np.empty((n, 4)), np.ones(n)
         for _ in range(2):
-            smooth, _ = fit_map(grid, uv)
+            smooth = fit_map(grid, uv)[0]
             E, Q = smooth.derivatives(grid)
-            steps, clear = np.linalg.norm(E, axis=1), EVERYTHING
-            size, short = steps.max(axis=1), steps.min(axis=1)
-            reach = np.clip(MARGIN_SHARE * margin, LEAST_HALF_PX / size, MOST_HALF_PX / size)
-            if in_white:
-                reach = np.maximum(reach, np.minimum(REACH, PAST_MARKS_PX / short))
-                clear = max(LEAST_SHARE * margin, margin - BLUR_PX / float(np.median(short)))
+            size, reach, clear = _windows(E, margin, in_white)
             start = smooth(grid)
-            uv, covariance, quality, _ = fit_corners(
-                image, start, E, Q, reach, signs(start, E), ALONE, LAST_STEP_PX, TRIALS, clear
-            )
+            among = signs(start, E), ALONE, LAST_STEP_PX, TRIALS, clear
+            uv, covariance, quality, _ = fit_corners(image, start, E, Q, reach, *among)
         _, distance = fit_map(grid, uv)
         good = (quality[:, 0] > self.explained) & (distance < self.off_grid * size)
         if good.any():
@@ -292,3 +286,14 @@ def _refined_tags(image: Grey, board: Target, index: Index, uv: Array, border: i
         signs=lambda *_: sign,
         source=source,
     )
+
+
+def _windows(E: Array, margin: float, in_white: bool) -> tuple[Array, Array, float]:
+    """Return each corner's largest step in px, how far its window reaches, and what lies clear of marks (steps)."""
+    steps, clear = np.linalg.norm(E, axis=1), EVERYTHING
+    size, short = steps.max(axis=1), steps.min(axis=1)
+    reach = np.clip(MARGIN_SHARE * margin, LEAST_HALF_PX / size, MOST_HALF_PX / size)
+    if in_white:
+        reach = np.maximum(reach, np.minimum(REACH, PAST_MARKS_PX / short))
+        clear = max(LEAST_SHARE * margin, margin - BLUR_PX / float(np.median(short)))
+    return size, reach, clear

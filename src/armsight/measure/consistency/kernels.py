@@ -64,9 +64,7 @@ def frame_evidence(rig, target, T, cov, residual, velocity, N, b, S, C):
                 return -1.0
             place_slopes(J, T, E)
             copy_2(D, row)
-            for i in range(2):
-                for j in range(own, q):
-                    row[i, j] = 0.0
+            row[:, own:] = 0.0  # of the light before
             add_by_basis(E, basis[light], row[:, own:])
             if s > 0:
                 for i in range(2):

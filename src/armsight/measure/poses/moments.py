@@ -12,7 +12,7 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.errors import Unseen, UsageError
-from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
 from armsight.measure.poses.pipeline import NOT_OF_THE_RIG, check_size, measure_pair
 from armsight.measure.poses.pose import TWO

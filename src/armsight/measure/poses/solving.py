@@ -271,6 +271,7 @@ def compare(
     """
     rig, n, v = setup.packed.arrays, len(P), len(views)
     T = UNKNOWN if T is None else T
+    lean = T[:3, 0] * setup.model.lean[0] + T[:3, 1] * setup.model.lean[1] + T[:3, 2] * setup.model.lean[2]
     shape = np.empty((v, n, OUTLINE_ROW)), np.empty((v, n, OUTLINE_ROW))  # its own, and the others'
     found, sigma, out = np.empty((v, n, 3)), np.empty((v, n)), np.zeros((v, n, outlines.FINDING))
     for s, (frame, spots) in enumerate(zip(frames, views, strict=True)):
@@ -278,9 +279,8 @@ def compare(
             shape[0][s], shape[1][s], found[s], sigma[s] = 0.0, 0.0, 0.0, 0.0
             continue
         seen = spots.uv_px, spots.covariance_px2, sizes(spots, overlaid=setup.overlaid)
-        outlines.look_at_view(
-            channels(frame), setup.settings.options, rig, s, P, T, setup.model.lean, seen, *shape, found, sigma
-        )
+        filled = shape[0][s], shape[1][s], found[s], sigma[s : s + 1]
+        outlines.look_at_view(channels(frame), setup.settings.options, setup.packed.camera(s), P, lean, seen, *filled)
     return int(outlines.judge_lights(rig, P, *shape, found, sigma, out)), out
 
 

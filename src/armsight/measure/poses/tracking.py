@@ -11,7 +11,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
-from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Prediction, Track
 from armsight.measure.poses.pose import TWO, PoseSolution
 from armsight.measure.poses.setup import Setup

@@ -23,19 +23,12 @@ from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import one_view as kernels
 from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.poses.kernels.pose_ambiguity import POSSIBLE
+from armsight.measure.poses.kernels.tracking import transform_lights
 from armsight.measure.poses.outcome import Assignment, Measured, Track, doubted, lost_moment
 from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
 from armsight.measure.poses.pose import PoseSolution, lost, no_points
 from armsight.measure.poses.setup import Setup, fit_limit
-from armsight.measure.poses.solving import (
-    Views,
-    compare,
-    named_spots,
-    solve_views,
-    views_of,
-    why_hidden,
-    widen,
-)
+from armsight.measure.poses.solving import Views, compare, named_spots, solve_views, views_of, why_hidden, widen
 from armsight.measure.poses.tracking import continuation, doubtful, next_track, positions_of
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
 
@@ -242,7 +235,7 @@ def _tilts(setup: Setup, seen: tuple[Spots, ...], way: Hypothesis, *, mirrored: 
 def _slack_chi2(setup: Setup, X: Array, views: Views, T: Array) -> float:
     """Return chi-square of the sights of lights X (n, 3) under a pose, slack included."""
     residual, P = np.empty(views.uv_px.shape), np.empty((len(X), 3))
-    pose_kernels.transform_lights(T, X, P)
+    transform_lights(T, X, P)
     if not pose_kernels.point_residuals(setup.packed.arrays, views.uv_px, P, residual):
         return np.inf
     return float(pose_kernels.slack_chi2(residual, views.cov_px2, setup.slack_px**2))

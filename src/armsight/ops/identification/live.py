@@ -195,8 +195,7 @@ def _check_range(robot: Robot, limits: Array) -> None:
     told = RobotTraits.of(robot).joint_range
     if told is None:
         return
-    for j, (low, high) in enumerate(limits):
-        lower, upper = told[0][j], told[1][j]
+    for j, (low, high, lower, upper) in enumerate(zip(*limits.T, *told, strict=True)):
         if low < lower - RANGE_SPARE or high > upper + RANGE_SPARE:
             raise UsageError(
                 f"joint {j + 1} is to go from {low:.4g} to {high:.4g}, and {robot.name} takes it from {lower:.4g} to "

@@ -21,7 +21,7 @@ from armsight.records import Frame, NamedCovariance, Progress, Spots, spot_targe
 
 FIRST_TIME = "compiling (only this first time, about a minute)"
 READY = "preparing"
-LAST_COMPILED = ("locate.locate_near", "pose.predict_views", "levels.step_poses")
+LAST_COMPILED = ("locate.locate_near", "tracking.predict_views", "levels.step_poses")
 """Kernels that a tracked pair needs last, in each of the parts of the measurement."""
 
 

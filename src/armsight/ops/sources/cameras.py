@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from armsight import drivers
 from armsight.drivers import (
@@ -82,6 +82,19 @@ def cameras_of(names: Sequence[str], given: Mapping[str, str]) -> dict[str, str]
     return {name: given[name] for name in names}
 
 
+def _kind_of(texts: Sequence[str]) -> Callable[[str], bool]:
+    """Return what tells the kind of all sources. Raises UsageError for sources of unlike kinds."""
+    kinds = [next(kind for kind in KINDS if kind(text)) for text in texts]
+    other = next((text for text, one in zip(texts, kinds, strict=True) if one is not kinds[0]), None)
+    if other is not None:
+        raise UsageError(
+            f"{texts[0]} and {other} cannot be put together: one is live, recorded or of a bag, the other is not",
+            consequence="Their times are of different clocks",
+            cure="Give sources of one kind",
+        )
+    return kinds[0]
+
+
 def open_cameras(
     cameras: Mapping[str, str],
     *,
@@ -98,15 +111,7 @@ def open_cameras(
     their stamps. A recording that names no camera gives each its own. Raises UsageError for sources of unlike kinds.
     """
     texts, names = list(cameras.values()), tuple(cameras)
-    kinds = [next(kind for kind in KINDS if kind(text)) for text in texts]
-    first, kind = texts[0], kinds[0]
-    other = next((text for text, one in zip(texts, kinds, strict=True) if one is not kind), None)
-    if other is not None:
-        raise UsageError(
-            f"{first} and {other} cannot be put together: one is live, recorded or of a bag, the other is not",
-            consequence="Their times are of different clocks",
-            cure="Give sources of one kind",
-        )
+    first, kind = texts[0], _kind_of(texts)
     videos = fps is None and times_s is None and len(texts) > 1 and all(map(is_video, texts))
     if kind in (is_live, bool) and not videos:
         return drivers.open_moments(

@@ -94,7 +94,7 @@ def triangulate_linear_point(rig, uv, cov, X, S):
     if n_sights(cov) < 2:
         return PARALLEL
     A = np.zeros((2 * views, 3))
-    b = np.zeros(2 * views)
+    H, g = np.zeros((3, 3)), np.zeros(3)
     xy = np.empty((views, 2))
     J = np.empty((views, 2, 2))
     rays = np.empty((2, 3))  # the first one, and the latest
@@ -109,7 +109,11 @@ def triangulate_linear_point(rig, uv, cov, X, S):
         for c in range(2):
             for j in range(3):
                 A[2 * s + c, j] = R[s, c, j] - xy[s, c] * R[s, 2, j]
-            b[2 * s + c] = xy[s, c] * t[s, 2] - t[s, c]
+            b = xy[s, c] * t[s, 2] - t[s, c]
+            for i in range(3):
+                g[i] -= A[2 * s + c, i] * b
+                for j in range(3):
+                    H[i, j] += A[2 * s + c, i] * A[2 * s + c, j]
         first = min(first, s)
         at = 0 if s == first else 1
         for j in range(3):
@@ -117,13 +121,6 @@ def triangulate_linear_point(rig, uv, cov, X, S):
         parallel &= s == first or _parallel(rays)
     if parallel:
         return PARALLEL
-    H = np.zeros((3, 3))
-    g = np.zeros(3)
-    for r in range(2 * views):
-        for i in range(3):
-            g[i] -= A[r, i] * b[r]
-            for j in range(3):
-                H[i, j] += A[r, i] * A[r, j]
     P = np.empty((3, 3))
     if not (solve_damped(H, g, 0.0, X) and invert_spd(H, P)):
         return PARALLEL

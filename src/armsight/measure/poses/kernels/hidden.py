@@ -347,14 +347,11 @@ def nearest_view(rig, p, outlines, sigma, side):
     """Return the view that sees a light at p (3,) from nearest to where `side` does, and its whole outline; -1 where
     there is none. outlines (v, OUTLINE), sigma (v,): its own."""
     R, t = rig.R, rig.t
-    nearest = -1
-    most = -2.0
+    nearest, most = -1, -2.0
     for other in range(sigma.shape[0]):
         if other == side or not outlines[other, AREA] > 0.0 or not sigma[other] <= COMPARABLE_PX:
             continue
-        along = 0.0
-        a2 = 0.0
-        b2 = 0.0
+        along = a2 = b2 = 0.0
         for i in range(3):  # from the light to either centre of projection, -R' t
             a = -p[i] - (R[side, 0, i] * t[side, 0] + R[side, 1, i] * t[side, 1] + R[side, 2, i] * t[side, 2])
             b = -p[i] - (R[other, 0, i] * t[other, 0] + R[other, 1, i] * t[other, 1] + R[other, 2, i] * t[other, 2])
@@ -369,22 +366,17 @@ def nearest_view(rig, p, outlines, sigma, side):
 
 
 @kernel
-def look_at_view(image, options, rig, s, P, T, lean, spots, outlines, mean, found, sigma):
-    """Compare a target's lights in the image (h, w, c) of view s: one at a time, as a tuple's length is compiled in.
+def look_at_view(image, options, camera, P, lean, spots, outlines, mean, found, sigma):
+    """Compare a target's lights in the image (h, w, c) of a view: one at a time, as a tuple's length is compiled in.
 
-    rig: as a RigK; P (n, 3): the lights in rig axes; T (4, 4): the target's pose, zero where it is not known; lean
-    (3,): the radius of flat lights times their normal in target axes, zero where they are not known to be flat. spots:
-    as SpotsK, in the order of P, of size 0 where the view shows none. Fills the rows s of outlines and mean (v, n,
-    OUTLINE), found (v, n, 3) and sigma (v, n).
+    camera: as a CameraK; P (n, 3): the lights in rig axes; lean (3,): the radius of flat lights times their normal in
+    rig axes, zero where they are not known to be flat. spots: as SpotsK, in the order of P, of size 0 where the view
+    shows none. Fills outlines and mean (n, OUTLINE), found (n, 3) and sigma (n,).
     """
-    rig, spots = RigK(*rig), SpotsK(*spots)
+    spots = SpotsK(*spots)
     work = np.empty((2, RING))
-    turned = np.empty(3)
-    for i in range(3):
-        turned[i] = T[i, 0] * lean[0] + T[i, 1] * lean[1] + T[i, 2] * lean[2]
-    camera = CameraK(rig.k[s], rig.R[s], rig.t[s])
-    outlines_of(image, np.uint8(options[col.O_FLIP]), camera, P, turned, spots, outlines[s], sigma[s], work)
-    compare_view(outlines[s], spots.size, sigma[s], mean[s], work[0], found[s])
+    outlines_of(image, np.uint8(options[col.O_FLIP]), CameraK(*camera), P, lean, spots, outlines, sigma, work)
+    compare_view(outlines, spots.size, sigma, mean, work[0], found)
 
 
 @kernel
