@@ -2,6 +2,7 @@
 
 from armsight.optics.camera import FISHEYE_INTRINSICS, INTRINSICS, SIDES, WIDEST_RAD, Camera, LensKind, Plate
 from armsight.optics.mounted import MOST_CAMERAS, MountedCamera, MountedZoom, require_camera_name
+from armsight.optics.paper_rigs import converged_rig, parallel_rig
 from armsight.optics.parallelism import Parallelism, Resolution, mean_axes, parallelism, resolution
 from armsight.optics.rig import (
     PLACE,
@@ -10,9 +11,7 @@ from armsight.optics.rig import (
     PackedRig,
     Rig,
     RigKind,
-    converged_rig,
     moved_rig,
-    parallel_rig,
 )
 from armsight.optics.triangulate import (
     Triangulation,

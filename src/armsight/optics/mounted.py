@@ -79,8 +79,9 @@ def place_of(cameras: Sequence[MountedCamera], name: str) -> int:
     return names.index(name)
 
 
-def with_each(cameras: Sequence[MountedCamera], values: Mapping[str, Sequence[Any]]) -> tuple[MountedCamera, ...]:
-    """Return the cameras with other values of some fields, given for each of them; UsageError for another number."""
+def with_each(cameras: Sequence[MountedCamera], given: Mapping[str, Sequence[Any] | None]) -> tuple[MountedCamera, ...]:
+    """Return the cameras with other values of the fields that are given, one each; UsageError for another number."""
+    values = {name: each for name, each in given.items() if each is not None}
     for name, each in values.items():
         require_kind(name, each, tuple, list, cure="Give a tuple, one of each camera in order, None where not known")
         if len(each) != len(cameras):

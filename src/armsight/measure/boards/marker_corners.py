@@ -77,8 +77,6 @@ class MarkerCorners:
         white, from its place and the picture's step per grid step (n, 2, 2). in_white: the marks lie in the white
         fields, all of them behind the margin, and a window may run past it. Raises BadImage where too few are sharp.
         """
-        n = len(index)
-        covariance, quality, size = np.empty((n, 2, 2)), np.empty((n, 4)), np.ones(n)
         for _ in range(2):
             smooth = fit_map(grid, uv)[0]
             E, Q = smooth.derivatives(grid)
@@ -95,7 +93,8 @@ class MarkerCorners:
             good &= variance < ALIKE**2 * np.median(variance[good])
         if np.count_nonzero(good) < self.least:
             raise unused_image(
-                f"{source}: {np.count_nonzero(good)} of {n} corners of the {self.board} are sharp enough to be placed",
+                f"{source}: {np.count_nonzero(good)} of {len(good)} corners of the {self.board} are sharp enough to be "
+                "placed",
                 cure=self.cure,
             )
         return BoardView(
