@@ -279,7 +279,7 @@ def compare(
             shape[0][s], shape[1][s], found[s], sigma[s] = 0.0, 0.0, 0.0, 0.0
             continue
         seen = spots.uv_px, spots.covariance_px2, sizes(spots, overlaid=setup.overlaid)
-        filled = shape[0][s], shape[1][s], found[s], sigma[s : s + 1]
+        filled = shape[0][s], shape[1][s], found[s], sigma[s]
         outlines.look_at_view(channels(frame), setup.settings.options, setup.packed.camera(s), P, lean, seen, *filled)
     return int(outlines.judge_lights(rig, P, *shape, found, sigma, out)), out
 
