@@ -246,6 +246,19 @@ class Model:
     def ik(self, T_base_flange: RigidTransform, near: np.ndarray) -> np.ndarray:
         return small_arm().reach((T_base_flange * self.longer.inv()).as_matrix(), near)
 
+    def flange(self, q: np.ndarray) -> np.ndarray:
+        return self.fk(q).as_matrix()
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        steps = [(self.flange(q + 1e-6 * e) - self.flange(q - 1e-6 * e)) / 2e-6 for e in np.eye(len(q))]
+        R = self.flange(q)[:3, :3]
+        turns = [step[:3, :3] @ R.T for step in steps]
+        return np.array([[*step[:3, 3], W[2, 1], W[0, 2], W[1, 0]] for step, W in zip(steps, turns, strict=True)]).T
+
+    @property
+    def ranges(self) -> np.ndarray:
+        return np.array([[-np.inf], [np.inf]]).repeat(6, axis=1)
+
 
 class AlterPair(Pair):
     """... on a pseudo terminal; longer: of Model, None for an application without the arm's geometry."""
