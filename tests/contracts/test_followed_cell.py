@@ -226,6 +226,6 @@ def test_an_arm_that_no_camera_would_see_is_refused(monkeypatch: pytest.MonkeyPa
         with_arm("webcam-cell", "irb120", "0,2.5,0,0,0,0")
     with refuses(UsageError, "on the arm"):
         with_arm("pachidis2005-static", "irb120", None)
-    monkeypatch.setattr("armsight_sim.refit.covered", lambda *_: True)
+    monkeypatch.setattr("armsight_sim.refit.covering", lambda *_: 0)
     with refuses(Inconsistent, "hides its flange"):
         with_arm("webcam-cell", "irb120", None)
