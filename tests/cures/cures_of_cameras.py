@@ -26,11 +26,18 @@ def zooms(focals, pupils=()):
 
 FOCALS = {100: 400, 200: 460, 300: 540}
 SIDE = "width: 320, height: 240, " + LENS.format(400)
-TIMED = "".join(
-    f"  {side}: {{{SIDE}, T_rig_camera: {{xyz_m: [{x}, 0, 0], quat_xyzw: [0, 0, 0, 1]}},\n"
-    "    timing: {delay_s: 0.0002}}\n"
-    for side, x in (("left", 0.0), ("right", 0.1))
-)
+
+
+def placed(**x_m):
+    """Return the cameras of a rig, by name, where along x each stands."""
+    return "".join(
+        f"  {name}: {{{SIDE}, T_rig_camera: {{xyz_m: [{x}, 0, 0], quat_xyzw: [0, 0, 0, 1]}},\n"
+        "    timing: {delay_s: 0.0002}}\n"
+        for name, x in x_m.items()
+    )
+
+
+RIG = "format: armsight/rig\nversion: {}\nkind: {}\ncameras:\n{}"
 FILES = {
     "rational.yml": "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n"
     "camera_matrix: [[300, 0, 320], [0, 300, 240], [0, 0, 1]]\n"
@@ -41,7 +48,9 @@ FILES = {
     "lens.yaml": zooms(FOCALS),
     "two.yaml": zooms({100: 400, 200: 460}),
     "mixed.yaml": zooms(FOCALS, {100: 0.01}),
-    "timed.yaml": f"format: armsight/rig\nversion: 1\nkind: stereo\ncameras:\n{TIMED}",
+    "timed.yaml": RIG.format(1, "stereo", placed(left=0.0, right=0.1)),
+    "three.yaml": RIG.format(2, "cameras", placed(left=0.0, right=0.1, top=0.2)),
+    "newer.yaml": SMALL.replace("version: 1", "version: 9") + PLAIN,
     "board.yaml": "format: armsight/target\nversion: 1\nkind: checkerboard\ncolumns: 7\nrows: 5\nsquare_m: 0.02\n",
     "empty.mcap": "",
 }
@@ -53,6 +62,8 @@ ZOOM_RIG = "calibrate zoom-rig --rig rig.yaml -o z.yaml"
 ZOOMED = f"{ZOOM_RIG} --left lens.yaml --zoom-left 100"
 SIDES = "--left left --right right"
 MEASURE = f"measure --rig rig.yaml --target target.yaml {SIDES} -o m"
+OF_CAMERAS = "measure --rig rig.yaml --target target.yaml -o m"
+OF_NAMED = f"{OF_CAMERAS} --camera left=left --camera right=right"
 OF_TIMED = "measure --rig timed.yaml --target target.yaml -o m"
 RECORD = f"record {SIDES} -o a.mcap"
 MIRRORS = f"calibrate mirrors {BOARD} -o x.yaml --every 2"
@@ -76,7 +87,7 @@ TRIED = {
         f"{NOISE} none.yaml",
         f"{NOISE} small.yaml",
     ),
-    ("ops/calibration/camera_noise.py", "Add --side left or"): (f"{NOISE} rig.yaml", "{} --side left"),
+    ("ops/calibration/camera_noise.py", "Add {}"): (f"{NOISE} rig.yaml", "{} --side left"),
     ("ops/calibration/camera_noise.py", "Leave --side away"): (
         f"{NOISE} small.yaml --side left",
         f"{NOISE} small.yaml",
@@ -94,14 +105,27 @@ TRIED = {
     ),
     ("ops/calibrate_cameras.py", "Give --lens with"): (f"{CAMERA} --lens oval", f"{CAMERA} --lens pinhole"),
     ("calibrate/cameras/zoom.py", "Give --left, --right or both"): (ZOOM_RIG, ZOOMED),
-    ("optics/rig.py", "Give --zoom-{}"): (f"{ZOOM_RIG} --left lens.yaml", "{} --zoom-left 100"),
-    ("optics/rig.py", "Check the file of the"): (f"{ZOOM_RIG} --left lens.yaml --zoom-left 300", ZOOMED),
-    ("optics/rig.py", "with the value that the lens stood at"): (
+    ("optics/zoom_rig.py", "Give --zoom-{}"): (f"{ZOOM_RIG} --left lens.yaml", "{} --zoom-left 100"),
+    ("optics/zoom_rig.py", "Check the file of the"): (f"{ZOOM_RIG} --left lens.yaml --zoom-left 300", ZOOMED),
+    ("optics/zoom_rig.py", "with the value that the lens stood at"): (
         f"{ZOOMED} && {MEASURE.replace('rig.yaml', 'z.yaml')}",
         f"{MEASURE.replace('rig.yaml', 'z.yaml')} --zoom-left 100 && "
         "convert rig z.yaml -o fixed.yaml --zoom-left 100 && doctor --rig fixed.yaml",
     ),
-    ("optics/rig.py", "away, or add the settings"): (
+    ("optics/rig.py", "Give the rig.yaml of a pair"): (
+        "doctor --rig three.yaml",
+        f"{STEREO} && doctor --rig c.yaml",
+    ),
+    ("ops/flags.py", "Write for instance --camera"): (f"{OF_CAMERAS} --camera left", OF_NAMED),
+    ("ops/sources/cameras.py", "Leave --{} or --camera {}= away"): (
+        f"{MEASURE} --camera left=left",
+        f"{MEASURE} && {OF_NAMED} --overwrite",
+    ),
+    ("store/codec.py", "Update armsight where the file is"): (
+        "convert camera newer.yaml --to opencv -o one.yml",
+        "convert camera small.yaml --to opencv -o one.yml",
+    ),
+    ("optics/zoom_rig.py", "away, or add the settings"): (
         f"{MEASURE} --zoom-left 100",
         f"{MEASURE} && {ZOOMED} && {MEASURE.replace('rig.yaml', 'z.yaml')} --zoom-left 100 --overwrite",
     ),

@@ -227,7 +227,7 @@ TRIED = {
         lambda: _settings_of_one(zoomed_to(100.0, 200.0), "a.png"),
         lambda: [_settings_of_one(zoomed_to(100.0, 100.0), "a.png"), _settings_of_one(AUTOMATIC, "a.png")],
     ),
-    ("ops/sources/frames.py", "or allow more with --max-skew; with --fps"): (
+    ("drivers/timed_moments.py", "or allow more with --max-skew; with --fps"): (
         (apart(0.04), f"{TWO}"),
         f"{TWO} --max-skew 0.05 --overwrite",
     ),

@@ -209,7 +209,10 @@ FISHEYE = Camera.fisheye(width=640, height=480, fx=300.0, fy=300.0, cx=320.0, cy
 EXPOSED = CameraSettings(exposure_s=0.01)
 
 TRIED = {
-    ("drivers/live.py", "or allow more with --max-skew"): (paired(0.01), paired(0.05)),
+    ("drivers/timed_moments.py", "Set both cameras to the same frame rate, or allow more with --max-skew"): (
+        paired(0.01),
+        paired(0.05),
+    ),
     ("drivers/aravis.py", "Give --pixel-format with one of"): (set_to("Mono12"), set_to("Mono8")),
     ("drivers/aravis.py", "Stop the other program"): (controlled(mine=False), controlled(mine=True)),
     ("drivers/aravis.py", "Leave its pixel format and size"): (sent(rows=3), sent(rows=4)),

@@ -31,6 +31,19 @@ IN_TESTS = {
     ("calibrate/arm/points.py", "armsight measure"): (
         f"{REPORTS}test_touched.py::test_touched_points_are_named_and_touching_is_the_cure"
     ),
+    ("calibrate/arm/touch/model.py", "Give reading_m in m"): (
+        "tests/truth/test_touch.py::test_gauges_read_in_millimetres_and_columns_exchanged_are_refused"
+    ),
+    ("calibrate/handeye/one_axis.py", "Give metres, or the unit with the number"): (
+        "tests/truth/test_handeye_one_axis.py::test_a_height_in_millimetres_taken_as_metres_is_refused"
+    ),
+    ("drivers/timed_moments.py", "Set all cameras to one frame rate and one clock"): (
+        "tests/unit/drivers/test_moments.py::test_a_camera_apart_is_told_with_its_cure_and_each_cure_keeps_it"
+    ),
+    ("ops/identification/live.py", "for it in --limits, or less"): (
+        "tests/unit/app/test_identify_live.py::"
+        "test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_moves"
+    ),
     ("calibrate/arm/senses.py", "Change the sign of {} in the arm"): (
         f"{REPORTS}test_senses.py::test_a_joint_that_counts_the_other_way_is_named_and_the_cure_works"
     ),
@@ -192,6 +205,9 @@ IN_TESTS = {
     ),
     ("drivers/servo_bus/robot.py", "or signs and zero_steps"): (
         "tests/contracts/test_servo_bus.py::test_a_direction_that_is_not_the_files_is_refused_and_signs_are_the_cure"
+    ),
+    ("calibrate/cameras/extended.py", "calibrate it again with --again"): (
+        "tests/truth/test_many_cameras.py::test_a_rig_that_is_no_longer_so_is_not_built_on_until_it_is_mended"
     ),
 }
 """By module and words of the cure: the test that follows it, or shows the new data that it asks for."""

@@ -211,6 +211,7 @@ def test_gauges_read_in_millimetres_and_columns_exchanged_are_refused():
     read = np.concatenate([np.zeros(n), 1e3 * travel])
     with refuses(Inconsistent, "dial", "reading_m in m"):
         calibrate_touched(arm, touched(q, named, kinds, (), read), tolerance=TOLERANCE)
+    assert calibrate_touched(arm, touched(q, named, kinds, (), 1e-3 * read), tolerance=TOLERANCE).free
     with refuses(Inconsistent, "exchanged columns"):
         calibrate_touched(arm, touched(q[:, [0, 2, 1, 3, 4, 5]], named, kinds, (), 1e-3 * read), tolerance=TOLERANCE)
 

@@ -119,13 +119,13 @@ class Moments(ABC):
         """Go on without a camera and tell it; raise why where too few are left."""
         if not self._partial or len(self.sources) - len(self.lost) - 1 < self.fewest:
             raise why
-        self._leave(k, why.cause)
+        self._leave(k, why.cause, why.cure)
 
-    def _leave(self, k: int, cause: str) -> None:
-        """Tell that a camera shows nothing more."""
+    def _leave(self, k: int, cause: str, cure: str = "") -> None:
+        """Tell that a camera shows nothing more, and what would keep it."""
         self.lost[self.names[k]] = cause
         left = ", ".join(name for name in self.names if name not in self.lost)
-        self._tell(f"the camera {self.names[k]} is lost: {cause}; left are {left}")
+        self._tell(f"the camera {self.names[k]} is lost: {cause}; left are {left}" + (f". {cure}" if cure else ""))
 
 
 class FileMoments(Moments):

@@ -296,6 +296,9 @@ def test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_m
     with refuses(UsageError, "joint 3", "1.6", "1.2", "0.3000:1.2000"):
         cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9,0.3:1.6"))
     assert not cell.asked
+    named = read_limits("-0.5:5.2,-0.4:1.9,0.3000:1.2000")
+    plan = cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True, limits=named).plan
+    assert len(plan.sweeps) == 3
     first = FirstJoints(robot=cell.robot, m=2)
     assert np.array_equal(first.joint_range, np.array(told)[:, :2])  # type: ignore[arg-type]
 

@@ -9,7 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.drivers import FileMoments, ImageFolder, ImageReading, Moment, RecordedMoments, TimedMoments, open_moments
+from armsight.drivers import (
+    MAX_SKEW_S,
+    FileMoments,
+    ImageFolder,
+    ImageReading,
+    Moment,
+    RecordedMoments,
+    TimedMoments,
+    open_moments,
+)
 from armsight.errors import DeviceLost, Inconsistent, UsageError
 from armsight.ops.flags import cameras_of as read_cameras
 from armsight.ops.sources.cameras import cameras_of, named_cameras, open_cameras
@@ -119,6 +128,21 @@ def test_a_clock_seconds_apart_is_told_or_refused() -> None:
     assert "from theirs" in told[0]
     with refuses(Inconsistent, "2", "60 moments", "one clock"):
         read(RecordedMoments(*cameras(), names=NAMES))
+
+
+def test_a_camera_apart_is_told_with_its_cure_and_each_cure_keeps_it() -> None:
+    def lost(late_s: float, max_skew_s: float = MAX_SKEW_S) -> list[str]:
+        told: list[str] = []
+        times = ([0.1 * k + late for k in range(100)] for late in (0.0, 0.002, late_s))
+        cameras = [Camera(str(j), each) for j, each in enumerate(times)]
+        read(TimedMoments(*cameras, names=NAMES, tell=told.append, max_skew_s=max_skew_s))
+        return told
+
+    (told,) = lost(0.04)
+    assert "camera c" in told
+    assert told.endswith("Set all cameras to one frame rate and one clock, or allow more with --max-skew")
+    assert not lost(0.004)
+    assert not lost(0.04, max_skew_s=0.05)
 
 
 def folder_of(path: Path, numbers: tuple[int, ...], broken: tuple[int, ...] = ()) -> ImageFolder:
