@@ -9,6 +9,7 @@ import cures_of_cells
 import cures_of_devices
 import cures_of_followers
 import cures_of_lights
+import cures_of_many_cameras
 import cures_of_motions
 import cures_of_robots
 import cures_of_runs
@@ -28,6 +29,7 @@ PARTS = (
     cures_of_lights,
     cures_of_scenes,
     cures_of_followers,
+    cures_of_many_cameras,
 )
 FILES = {name: text for part in PARTS for name, text in part.FILES.items()}
 TRIED = {entry: trial for part in PARTS for entry, trial in part.TRIED.items()}

@@ -210,11 +210,14 @@ def test_a_camera_beside_a_rig_is_placed_within_its_claim_and_the_others_stay(
         assert abs(chi2 - len(used)) < 3.3 * np.sqrt(2.0 * len(used))
 
 
-def test_a_rig_that_is_no_longer_so_is_not_built_on(four: Ring, standing: Rig) -> None:
+def test_a_rig_that_is_no_longer_so_is_not_built_on_until_it_is_mended(four: Ring, standing: Rig) -> None:
     b = moved(four.T[1], np.r_[0, 0, 0, 0, 0.02, 0])
     knocked = replace(four, T=np.array([b if c == 1 else T for c, T in enumerate(four.T)]))
-    with refuses(Inconsistent, "b"):
-        extend_rig(standing, "d", views(noisy(knocked, 19), C, SIGMA_PX), BOARD, FREE)
+    seen = views(noisy(knocked, 19), C, SIGMA_PX)
+    with refuses(Inconsistent, "--again b"):
+        extend_rig(standing, "d", seen, BOARD, FREE)
+    _, mended = extend_rig(standing, "b", seen, BOARD, FREE)
+    assert extend_rig(mended, "d", seen, BOARD, FREE)[1].names == C
 
 
 # what is refused

@@ -179,7 +179,7 @@ def images(name: str, value: Any, given: Given, undo: ExitStack) -> str | list[F
 
 def named_images(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, str | list[Frame]]:
     """Return images by the cameras' names, of NAME=SRC texts or of a mapping. Raises UsageError, BadImage."""
-    return {camera: images(f"{camera} images", one, given, undo) for camera, one in by_name(value).items()}
+    return {camera: images(f"{camera} images", one, given, undo) for camera, one in by_name(name, value).items()}
 
 
 def named_lenses(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, CameraFile | str]:
@@ -187,11 +187,12 @@ def named_lenses(name: str, value: Any, given: Given, undo: ExitStack) -> dict[s
     others by '', of a text without a name. Raises BadFile, UsageError."""
     found: dict[str, CameraFile | str] = {}
     texts = [value] if isinstance(value, str) else value
+    require_kind(name, texts, Mapping, list, tuple, cure="Give {'top': 'top.yaml'}, lenses by the camera's name")
     kinds = [] if isinstance(texts, Mapping) else [one for one in texts if "=" not in str(one)]
     if kinds:
         found[""] = kinds[-1]
         texts = [one for one in texts if one not in kinds]
-    for camera, one in by_name(texts).items():
+    for camera, one in by_name(name, texts).items():
         path = path_of(one)
         if path is not None:
             found[camera] = read_camera_file(path)
@@ -202,8 +203,9 @@ def named_lenses(name: str, value: Any, given: Given, undo: ExitStack) -> dict[s
     return found
 
 
-def by_name(value: Any) -> dict[str, object]:
+def by_name(name: str, value: Any) -> dict[str, object]:
     """Return a mapping as it is, and NAME=VALUE texts as one. Raises UsageError for a name given twice."""
+    require_kind(name, value, Mapping, list, tuple, cure="Give {'left': ..., 'top': ...}, each by the camera's name")
     if isinstance(value, Mapping):
         return dict(value)
     found: dict[str, object] = {}

@@ -295,6 +295,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "calibrate_hand_eye": (armsight.calibrate_hand_eye, {"T_base_flange": FLANGE, "T_camera_target": SEEN}),
     "calibrate_pivot": (armsight.calibrate_pivot, PAIR),
     "calibrate_camera": (armsight.calibrate_camera, {"images": [LEFT], "board": BOARD}),
+    "calibrate_cameras": (armsight.calibrate_cameras, {"cameras": {"a": [LEFT], "b": [RIGHT]}, "board": BOARD}),
     "calibrate_mirrors": (armsight.calibrate_mirrors, {"images": [LEFT], "board": BOARD}),
     "calibrate_stereo": (
         armsight.calibrate_stereo,
@@ -755,6 +756,44 @@ TABLE["calibrate_hand_eye"][1].update(
     setup=choice("eye-in-hand"),
     names=NAMES,
     camera_covariance=array(np.tile(1e-8 * np.eye(6), (len(SEEN), 1, 1)), more={"one": np.eye(6)}),
+)
+
+TABLE["calibrate_cameras"][1].update(
+    cameras=Arg(
+        good={"a": [LEFT], "b": [RIGHT]},
+        wrong={
+            "a number": 3,
+            "a text": "a",
+            "without names": ["images/left", "images/right"],
+            "images alone": [LEFT, RIGHT],
+            "one": {"a": [LEFT]},
+            "none": {},
+            "numbers": {"a": 1, "b": 2},
+            "numbers as names": {1: [LEFT], 2: [RIGHT]},
+            "floats": {"a": [LEFT * 1.0], "b": [RIGHT]},
+        },
+    ),
+    board=Arg(good=BOARD, wrong={"another": "chess", "a number": 3, "a list": [BOARD], "lights": TARGET}),
+    lenses=Arg(
+        good=None,
+        wrong={
+            "a number": 3,
+            "another kind": "oval",
+            "numbers": {"a": 3},
+            "nowhere": {"a": "no-such-file.yaml"},
+            "a rig": {"a": RIG},
+            "another camera's": {"c": CAMERA},
+        },
+    ),
+    rig=Arg(good=None, wrong=WRONG["RigLike"]),
+    add=Arg(good=None, wrong={"a number": 3, "without a rig": {"c": [LEFT]}, "numbers": {"c": 3}}),
+    again=Arg(good=None, wrong={**WRONG["str"], "without a rig": "a"}),
+    options=Arg(good=None, wrong={"a number": 3, "a dict": {}, "a text": "fisheye"}),
+    every=Arg(good=1, wrong={**WRONG["int"], "none": 0}),
+    frames=Arg(good=None, wrong={**WRONG["Limit"], "none": 0}),
+    detector=choice("auto"),
+    strict=Arg(good=False, wrong=WRONG["bool"]),
+    out=OUT,
 )
 
 TABLE["identify_arm"][1].update(

@@ -16,6 +16,7 @@ NEEDS_MORE = {
     **dict.fromkeys(
         (
             "calibrate_camera",
+            "calibrate_cameras",
             "calibrate_stereo",
             "calibrate_mirrors",
             "check_mirrors",

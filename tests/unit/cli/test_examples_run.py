@@ -42,6 +42,9 @@ NOT_HERE = {
 STAND_INS = (
     ("calibrate handeye", "checkerboard:9x6:0.025", "checkerboard:9x6:0.02"),
     ("", "circles:7x11:0.02", "checkerboard:7x5:0.02"),
+    ("calibrate cameras", "charuco:7x5:0.04:0.03:DICT_4X4_50", "checkerboard:7x5:0.02"),
+    ("calibrate cameras", "left.mp4 --camera right=right.mp4", "boards/left"),
+    ("calibrate cameras", "top.mp4", "boards/right"),
     ("report", "rig.report.html", "rig-before.report.html"),
     ("design --rig", "rig.yaml", "rig-before.yaml"),
     ("", "camera:0", "camera:sim:webcam-cell:left"),
@@ -120,6 +123,8 @@ def make_tables() -> None:
 def make_pictures(boards: Path, mirrors: Path) -> None:
     board = "--board checkerboard:7x5:0.02"
     run(f"calibrate stereo --left {boards}/left --right {boards}/right {board} -o rig-before.yaml")
+    run(f"calibrate camera {boards}/right {board} -o top.yaml")
+    Path("boards").symlink_to(boards)
     Path("handeye/images").symlink_to("photos")
     Path("mirrors").mkdir()
     Path("mirrors/board").symlink_to(mirrors)

@@ -57,7 +57,7 @@ def find_board(image: NDArray[np.uint8], board: Target, *, source: str = "", det
     size, mirrored, not there; Inconsistent where the target is not a board; UsageError for an unknown detector.
     """
     if detector not in DETECTORS:
-        raise UsageError(f"no detector is called {detector!r}; there are {', '.join(DETECTORS)}")
+        raise UsageError(f"no detector is called {detector!r}", cure=f"Use one of {', '.join(DETECTORS)}")
     source = source or "the image"
     grey = grey_image(image, source)
     poor = check_exposure(grey, source)

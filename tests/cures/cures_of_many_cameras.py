@@ -1,0 +1,87 @@
+"""Cures of rigs of some cameras: their names, what joins a rig or is placed anew, and lenses known before."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from armsight.calibrate.cameras.many_checks import KnownLens, require_lists, require_sizes
+from armsight.ops.calibration.many_cameras import Wanted, require_names
+from armsight.optics import Camera, parallel_rig
+from armsight.records import BoardView
+
+BOARD = "--board checkerboard:7x5:0.02 --frames 5"
+LEFT, RIGHT = "--camera left=boards/left", "--camera right=boards/right"
+RIG = parallel_rig(Camera.pinhole(320, 240, 400.0, 400.0, 160.0, 120.0), 0.1)
+BOTH = {"left": "l.mp4", "right": "r.mp4"}
+FILES = {}
+
+
+def wanted(cameras, **more):
+    """Return a call that asks whether this can be what is meant."""
+    none = {"rig": RIG, "add": None, "again": None, "lenses": {}, "hold_lenses": False}
+    return Wanted(cameras=cameras, **{**none, **more}).require
+
+
+def cameras(n):
+    """Return a call that checks the names of so many."""
+    return lambda: require_names({f"c{i}": f"{i}.mp4" for i in range(n)})
+
+
+def lists(lens):
+    """Return a call that checks the lists of two cameras and a lens by a name."""
+    seen = {
+        name: [BoardView(uv_px=np.eye(2) * size, index=np.arange(2), sigma_px=0.1, width=size, height=size, source="")]
+        for name, size in (("left", 10), ("right", 20))
+    }
+    return lambda: require_lists(seen, {lens: KnownLens(camera=RIG.left)}, None)
+
+
+def sizes(*size, lens="left"):
+    """Return a call that checks a lens of 320x240 px against images of this size."""
+    seen = SimpleNamespace(cameras=("left",), sizes=(size,))
+    return lambda: require_sizes(seen, {lens: KnownLens(camera=RIG.left)})
+
+
+TRIED = {
+    ("ops/calibration/many_cameras.py", "Repeat --camera NAME=SRC"): (
+        f"calibrate cameras {LEFT} {BOARD} -o c.yaml",
+        f"{{}} {RIGHT} && calibrate camera boards/left {BOARD} -o left.yaml",
+    ),
+    ("ops/calibration/many_cameras.py", "Leave some away; further ones"): (
+        cameras(9),
+        lambda: [cameras(7)(), cameras(2)()],
+    ),
+    ("ops/calibration/many_cameras.py", "Record them first (armsight record"): (
+        f"calibrate cameras --camera left=camera:0 --camera right=camera:1 {BOARD} -o c.yaml",
+        "record --left boards/left --right boards/right --frames 5 -o films.mcap && "
+        "convert recording films.mcap -o films && "
+        f"calibrate cameras --camera left=films/left --camera right=films/right {BOARD} -o c.yaml",
+    ),
+    ("ops/calibration/many_cameras.py", "Give one --add NAME=SRC"): (
+        wanted(BOTH),
+        lambda: [wanted(BOTH, add={"top": "t.mp4"})(), wanted(BOTH, again="right")()],
+    ),
+    ("ops/calibration/many_cameras.py", "=SRC beside the others"): (
+        wanted({"left": "l.mp4"}, again="right"),
+        wanted(BOTH, again="right"),
+    ),
+    ("ops/calibration/many_cameras.py", "with its images as --camera"): (
+        wanted({"left": "l.mp4"}, add={"right": "r.mp4"}),
+        lambda: [wanted(BOTH, again="right")(), wanted({"left": "l.mp4"}, add={"top": "r.mp4"})()],
+    ),
+    ("ops/calibration/many_cameras.py", "Use the rig's names, or --add"): (
+        wanted({"left": "l.mp4", "side": "r.mp4"}, again="left"),
+        lambda: [wanted(BOTH, again="left")(), wanted({"left": "l.mp4"}, add={"side": "r.mp4"})()],
+    ),
+    ("ops/calibration/many_cameras.py", "Give --rig rig.yaml"): (
+        wanted(BOTH, rig=None, add={"top": "t.mp4"}),
+        wanted(BOTH, add={"top": "t.mp4"}),
+    ),
+    ("calibrate/cameras/many_checks.py", "Use the names of --camera"): (lists("top"), lists("right")),
+    ("calibrate/cameras/many_checks.py", "px, or leave it away"): (
+        sizes(640, 480),
+        lambda: [sizes(320, 240)(), sizes(640, 480, lens="right")()],
+    ),
+}
