@@ -58,7 +58,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/serve.py:console": FLAGS,
         "cli/serve.py:serve": FLAGS,
         "cli/verify.py:verify": FLAGS,
-        "optics/rig.py:__init__": "a pair's cameras, poses and values, each by its keyword, as rigs are made everywhere",
+        "optics/rig.py:__init__": "a pair's cameras, poses and values, each by its keyword",
     },
     "dictionaries": {
         "ops/action.py": CALL,

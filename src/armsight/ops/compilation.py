@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.drivers import CELLS, known, load
 from armsight.errors import Cancelled
 from armsight.ops.demo import measure_pictures
-from armsight.ops.measurement.warm_up import compile_beside
+from armsight.ops.measurement.warm_up import compile_beside, compile_views
 from armsight.records import BoardView, Progress, Silent, Spots
 
 COMPILING = "compiling"
@@ -59,7 +59,7 @@ def poses() -> None:
 
     compile_beside()
     _far_away()
-    _three_views()
+    compile_views()
     camera = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0)
     rig = parallel_rig(camera, 0.1)
     left, right = rig.project(np.array([[0.0, 0.0, 0.5], [0.1, 0.1, 0.6]]))
@@ -382,24 +382,6 @@ def _far_away() -> None:
             Spots.of_centres(left, VARIANCE_PX2),
             Spots.of_centres(right, VARIANCE_PX2),
         )
-
-
-def _three_views() -> None:
-    """Measure a target by three cameras, then by one of them alone."""
-    from armsight.measure.poses.setup import Setup
-    from armsight.measure.poses.views import measure_views
-    from armsight.optics import Camera, MountedCamera, Rig
-    from armsight.records import spot_target
-
-    xyz_m = np.array([[-0.05, 0.0, 0.0], [0.05, 0.04, 0.01], [0.03, -0.04, 0.0], [-0.01, 0.05, 0.03]])
-    camera, place, cameras, seen = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), [0.05, 0.0, 0.5], [], []
-    for name, x_m in (("left", 0.0), ("right", 0.1), ("top", 0.05)):
-        T = RigidTransform.from_translation([x_m, 0.0, 0.0])
-        cameras.append(MountedCamera(name=name, camera=camera, T_rig_camera=T))
-        seen.append(Spots.of_centres(camera.project(T.inv().apply(xyz_m + place)), VARIANCE_PX2))
-    setup = Setup(Rig(cameras=cameras), spot_target(dict(zip("ABCD", xyz_m.tolist(), strict=True))), many=True)
-    measure_views(setup, 0.0, seen)
-    measure_views(setup, 0.0, [seen[0], Spots.none(), Spots.none()])
 
 
 class _Lines(Silent):

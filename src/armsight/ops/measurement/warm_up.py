@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from armsight.measure import settings
 from armsight.measure.consistency.evidence import Evidence
@@ -76,3 +77,19 @@ def _frame(uv_px: NDArray[np.float64]) -> Frame:
     y, x = np.mgrid[0:480, 0:640]
     image = sum(150.0 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 2.0) for u, v in uv_px).astype(np.uint8)
     return Frame(image=image, t_s=0.0, sequence=0, source="warm-up")
+
+
+def compile_views() -> None:
+    """Compile the poses of other rigs than pairs: by three cameras, then by one of them alone."""
+    from armsight.measure.poses.views import measure_views
+    from armsight.optics import MountedCamera, Rig
+
+    xyz_m = np.array([[-0.05, 0.0, 0.0], [0.05, 0.04, 0.01], [0.03, -0.04, 0.0], [-0.01, 0.05, 0.03]])
+    camera, place, cameras, seen = Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0), [0.05, 0.0, 0.5], [], []
+    for name, x_m in (("left", 0.0), ("right", 0.1), ("top", 0.05)):
+        T = RigidTransform.from_translation([x_m, 0.0, 0.0])
+        cameras.append(MountedCamera(name=name, camera=camera, T_rig_camera=T))
+        seen.append(Spots.of_centres(camera.project(T.inv().apply(xyz_m + place)), 0.01 * np.eye(2)))
+    setup = Setup(Rig(cameras=cameras), spot_target(dict(zip("ABCD", xyz_m.tolist(), strict=True))), many=True)
+    measure_views(setup, 0.0, seen)
+    measure_views(setup, 0.0, [seen[0], Spots.none(), Spots.none()])
