@@ -87,7 +87,7 @@ def test_measure_takes_a_setting(armsight: Any, scene: Any, rig: Path, tmp_path:
     done = armsight(*words, "--zoom-left", 100, "--zoom-right", 100, "--set-zoom")
     assert done.code == 2 and names_it(done.text, "--set-zoom", "live")
     done = armsight(*words, "--set-zoom")
-    assert done.code == 2 and names_it(done.json["error"]["cause"], "left", "zoom is not given")
+    assert done.code == 2 and names_it(done.json["error"]["cause"], "left", "zoom")
     assert "--zoom-left" in done.json["error"]["cure"]
 
 
