@@ -90,6 +90,7 @@ def test_lenses_known_before_move_within_their_doubt_and_the_middle_of_the_pictu
         e = errors(done, four)
         chi2.append(e @ np.linalg.solve(done.covariance.block(tuple(four.names(C))), e))
         assert all(done.covariance.std()[f"{name}.fx"] < 2.0 for name in C)
+        assert not any("exact" in one for one in done.advice)
     assert np.mean(chi2) == pytest.approx(58.0, abs=17.0)
     other = {**lenses, "b": known(replace(four, k=four.k * 1.05), 1, doubt)}
     with refuses(Inconsistent, "b"):
@@ -109,6 +110,7 @@ def test_delays_are_found_from_the_boards_motion_within_what_they_claim(four: Ri
     assert (np.abs(done.delays_s[1:] - late[1:]) < 3.5 * std + 2e-4).all()
     still = solve_cameras(views(uv, C, 0.3), BOARD, PLAIN, lenses=held(film))
     assert done.robust.fit.scale < 1.2 < still.robust.fit.scale
+    assert any("exact" in one and "a, b, c, d" in one for one in done.advice)
     places = np.linalg.norm([off(matrix(found), T)[:3] for found, T in zip(done.state.sides, film.T[1:], strict=True)])
     assert places < 2e-3
 

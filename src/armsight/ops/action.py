@@ -132,7 +132,8 @@ class Action(CommandTraits):
             if (outs := given.get(OUT)) is not None:
                 taken[OUT] = [Path(one) for one in outs] if isinstance(outs, list | tuple) else Path(outs)
             for name, value in given.items():
-                if name in self.inputs and value is not None:
+                needed = self.parameters[name].default is inspect.Parameter.empty  # its reader says what it takes
+                if name in self.inputs and (needed or value is not None):
                     taken[name] = self.inputs[name].object_of(name, value, taken, undo)
             if PROGRESS in self.parameters and taken.get(PROGRESS) is None:
                 taken[PROGRESS] = progress

@@ -773,7 +773,7 @@ TABLE["calibrate_cameras"][1].update(
             "floats": {"a": [LEFT * 1.0], "b": [RIGHT]},
         },
     ),
-    board=Arg(good=BOARD, wrong={"another": "chess", "a number": 3, "a list": [BOARD], "lights": TARGET}),
+    board=Arg(good=BOARD, wrong={"another": "chess", "a number": 3, "a list": [BOARD], "lights": TARGET, "none": None}),
     lenses=Arg(
         good=None,
         wrong={
