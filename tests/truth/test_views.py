@@ -118,25 +118,25 @@ def test_completion_takes_one_spot_and_none_of_two() -> None:
     setup, T = setup_of(world), pose(rng, tilt_rad=0.1)
     uv = world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3])[:, 2]
     uv = np.vstack([uv, uv[0] + [0.4, 0.2], uv[1] + [6.0, 0.0]])[[0, 2, 3, 4, 5, 6, 7]]
-    rows = np.empty(6, np.intp)
-    found = spots(uv)
-    one_view.complete_view(
-        setup.packed.arrays, 2, setup.model.xyz_m, T, 1e-10 * np.eye(6), setup.packed.covariance,
-        (found.uv_px, found.covariance_px2), 0.01, 16.0, rows,
-    )  # fmt: skip
-    assert rows.tolist() == [one_view.TWO, one_view.NONE, 1, 2, 3, 4]
+    assert complete(setup, setup.model.xyz_m, T, uv, 2) == [-1, -1, 1, 2, 3, 4]
+
+
+def complete(setup: Setup, X: np.ndarray, T: np.ndarray, uv: np.ndarray, view: int) -> list[int]:
+    """Which of the spots uv of one view each light is under a pose; other views show nothing."""
+    found, rows = spots(uv), np.full((len(X), len(setup.packed.k)), -1, np.intp)
+    first = np.array([0] * (view + 1) + [len(uv)] * (rows.shape[1] - view), np.intp)
+    near = (found.uv_px, found.covariance_px2, first), (0.01, 16.0)
+    assert one_view.complete(setup.packed.arrays, X, T, 1e-10 * np.eye(6), setup.packed.covariance, *near, rows)
+    assert (np.delete(rows, view, axis=1) == -1).all()
+    return list(rows[:, view].tolist())
 
 
 def test_a_spot_that_two_lights_would_take_is_of_neither() -> None:
     world = ring(1)
     X = np.vstack([LIGHTS, LIGHTS[0] + [1e-4, 0.0, 0.0]])
     setup, T = setup_of(world), pose(np.random.default_rng(4), tilt_rad=0.1)
-    found, rows = spots(world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3])[:, 0]), np.empty(7, np.intp)
-    one_view.complete_view(
-        setup.packed.arrays, 0, X, T, 1e-10 * np.eye(6), setup.packed.covariance,
-        (found.uv_px, found.covariance_px2), 0.01, 16.0, rows,
-    )  # fmt: skip
-    assert rows.tolist() == [one_view.TWO, 1, 2, 3, 4, 5, one_view.TWO]
+    uv = world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3])[:, 0]
+    assert complete(setup, X, T, uv, 0) == [-1, 1, 2, 3, 4, 5, -1]
 
 
 def test_three_spots_give_the_pose_among_at_most_four() -> None:
@@ -192,14 +192,14 @@ def test_one_camera_before_a_flat_target_calls_no_flipped_tilt_ok() -> None:
 
 
 def draw(world: Ring, T: np.ndarray, rng: np.random.Generator, cut: tuple[int, int] | None = None) -> list[Frame]:
-    """Pictures of all cameras; of one light (light, view) an edge hides a part."""
-    frames = []
-    for s, uv in enumerate(np.swapaxes(world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3]), 0, 1)):
-        image = np.full((720, 1280), 12.0)
+    """Pictures of all cameras; of one light (light, view) an edge hides a part. Lights of 14 mm are 5 px at 1.3 m."""
+    frames, P = [], LIGHTS @ T[:3, :3].T + T[:3, 3]
+    for s, uv in enumerate(np.swapaxes(world.pixels(P), 0, 1)):
+        image, depth_m = np.full((720, 1280), 12.0), P @ world.R[s][2] + world.t[s][2]
         for light, (u, v) in enumerate(uv):
             a, b = int(u), int(v)
             y, x = np.mgrid[b - 15 : b + 16, a - 15 : a + 16]
-            disc = 200.0 * np.clip(5.5 - np.hypot(x - u, y - v), 0.0, 1.0)
+            disc = 200.0 * np.clip(0.5 + 6.5 / depth_m[light] - np.hypot(x - u, y - v), 0.0, 1.0)
             image[b - 15 : b + 16, a - 15 : a + 16] += np.where((light, s) == cut, disc * (x < u + CUT_PX), disc)
         image += rng.normal(0.0, 1.0, image.shape)
         frames.append(Frame(image=np.clip(image, 0, 255).astype(np.uint8), t_s=0.0, sequence=0, source=f"view {s}"))

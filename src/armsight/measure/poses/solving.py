@@ -36,7 +36,6 @@ from armsight.measure.poses.pose import (
 )
 from armsight.measure.poses.setup import Setup, fit_limit
 from armsight.measure.spots.kernels.outline import OUTLINE as OUTLINE_ROW
-from armsight.optics import PackedRig
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
 
 TIGHT_PX = 0.05
@@ -73,12 +72,12 @@ def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, r
     return solve_views(setup, t_s, names, views_of(setup, (left, right)))
 
 
-def views_of(setup: Setup, spots: Sequence[Spots]) -> Views:
-    """Return the spots of all views, in doubt by what perspective may do to outlines of unknown size."""
+def views_of(setup: Setup, spots: Sequence[Spots], of: Sequence[int] = (0, 1)) -> Views:
+    """Return the spots of these views, in doubt by what perspective may do to outlines of unknown size."""
     radius_m = setup.model.radius_m
     views = Views(*stack_spots(spots), _radii(radius_m, spots))
     if radius_m <= 0.0:
-        add_outline_shift(setup.packed, spots, views.cov_px2)
+        add_outline_shift(setup.packed.k[list(of)], spots, views.cov_px2)
     return views
 
 
@@ -158,7 +157,7 @@ BLOOM_PX = 2.0
 """Ratio and px by which flat lights may look larger or smaller than their diameter says: tilt, blur and bloom."""
 
 
-def add_outline_shift(packed: PackedRig, views: Sequence[Spots], cov: Array) -> None:
+def add_outline_shift(k: Array, views: Sequence[Spots], cov: Array) -> None:
     """Widen cov (n, v, 2, 2) by how far the perspective may shift a flat light's outline that is not corrected for.
 
     The centre of a disc's image is off by r^2 sin a cos a / f, r in px, at a tilt of a.
@@ -166,7 +165,7 @@ def add_outline_shift(packed: PackedRig, views: Sequence[Spots], cov: Array) -> 
     for side, spots in enumerate(views):
         for i, kind in enumerate(spots.model):
             if kind == OUTLINE:
-                shift = OUTLINE_SHARE * spots.size_px[i] ** 2 / packed.k[side][0]
+                shift = OUTLINE_SHARE * spots.size_px[i] ** 2 / k[side][0]
                 cov[i, side, 0, 0] += shift * shift
                 cov[i, side, 1, 1] += shift * shift
 

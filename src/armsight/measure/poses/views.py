@@ -28,7 +28,16 @@ from armsight.measure.poses.outcome import Assignment, Measured, Track, doubted,
 from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
 from armsight.measure.poses.pose import PoseSolution, lost, no_points
 from armsight.measure.poses.setup import Setup, fit_limit
-from armsight.measure.poses.solving import Views, compare, named_spots, solve_views, views_of, why_hidden, widen
+from armsight.measure.poses.solving import (
+    Views,
+    compare,
+    named_spots,
+    solve_views,
+    take_spots,
+    views_of,
+    why_hidden,
+    widen,
+)
 from armsight.measure.poses.tracking import continuation, doubtful, next_track, positions_of
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
 
@@ -59,6 +68,53 @@ ELSEWHERE = 18.4
 
 _ROUNDS = 3
 MOVED = "the lights are not where the target's motion puts them; the next moment tells"
+
+
+class Sights(NamedTuple):
+    """The spots of all views, one view after the other: uv_px (c, 2), cov_px2 (c, 2, 2), radius_m (c,) as Views has it.
+
+    first (v + 1,): where a view's own begin. by_view: the same as they were found.
+    """
+
+    uv_px: Array
+    cov_px2: Array
+    radius_m: Array
+    first: Index
+    by_view: tuple[Spots, ...]
+
+    @classmethod
+    def of(cls, setup: Setup, seen: Sequence[Spots]) -> Sights:
+        """Put the spots of each view one after the other."""
+        each = [views_of(setup, (spots,), (s,)) for s, spots in enumerate(seen)]
+        uv, cov, radius = (np.concatenate([getattr(one, name)[:, 0] for one in each]) for name in Views._fields[:3])
+        return cls(uv, cov, radius, np.cumsum([0, *map(len, seen)]), tuple(seen))
+
+    def named(self, setup: Setup, rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
+        """Return the names and the spots of the lights that some view shows: rows (m, v) as Hypothesis has them."""
+        lights = np.flatnonzero((rows >= 0).any(axis=1))
+        rows = rows[lights]
+        at, none = rows + self.first[:-1], rows < 0
+        at[none] = 0
+        uv, cov, radius = self.uv_px[at], self.cov_px2[at], self.radius_m[at]
+        uv[none], cov[none], radius[none] = np.nan, np.inf, 0.0
+        start = np.array(start)
+        start.setflags(write=False)  # as UNKNOWN: one compilation serves both
+        return tuple(setup.model.names[i] for i in lights.tolist()), Views(uv, cov, radius, start)
+
+    def taken(self, rows: Index) -> tuple[Spots, ...]:
+        """Return each view's spots of lights in the order of rows (n, v), of size 0 where it shows none."""
+        out = []
+        for spots, at in zip(self.by_view, rows.T, strict=True):
+            none = at < 0
+            if not none.any():
+                out.append(take_spots(spots, at))
+                continue
+            shown = spots.take(np.maximum(at, 0)) if len(spots) else _NO_SPOT.take(np.zeros(len(at), np.intp))
+            out.append(replace(shown, size_px=np.where(none, 0.0, shown.size_px)))
+        return tuple(out)
+
+
+_NO_SPOT = Spots.of_centres(np.zeros((1, 2)), np.eye(2))
 
 
 class Hypothesis(NamedTuple):
@@ -96,18 +152,18 @@ def measure_views(
     frames: the images, to compare the lights' outlines; None where a view has none. in_windows: the spots are those
     near where the track expects them, so that the pose must go on from its motion.
     """
-    seen = tuple(seen)
+    sights = Sights.of(setup, seen)
     found: list[Hypothesis] = []
     most = sum(min(len(spots), len(setup.model)) for spots in seen)
 
     def decided() -> Measured:
         chosen = _choose(setup, found)
         if isinstance(chosen, NotSeen):
-            return lost_moment(t_s, seen, chosen, track)
-        return doubted(_judged(setup, t_s, seen, chosen, track, frames, in_windows=in_windows))
+            return lost_moment(t_s, sights.by_view, chosen, track)
+        return doubted(_judged(setup, t_s, sights, chosen, track, frames, in_windows=in_windows))
 
-    for ways in _sources(setup, t_s, seen, track):
-        found += [done for way in ways if (done := completed(setup, seen, way)) is not None]
+    for ways in _sources(setup, t_s, sights, track):
+        found += [done for way in ways if (done := completed(setup, sights, way)) is not None]
         if max((way.n for way in found), default=0) >= CONVINCING * most:
             measured = decided()
             if measured.pose.status is PoseStatus.OK:
@@ -115,17 +171,17 @@ def measure_views(
     return decided()
 
 
-def _sources(setup: Setup, t_s: float, seen: tuple[Spots, ...], track: Track | None) -> Iterator[list[Hypothesis]]:
+def _sources(setup: Setup, t_s: float, sights: Sights, track: Track | None) -> Iterator[list[Hypothesis]]:
     """Give the hypotheses of one source after the other: the track, pairs of views, views alone."""
-    m, v = len(setup.model), len(seen)
+    m, seen = len(setup.model), sights.by_view
     start = None if track is None else by_track(setup, t_s, track)
     if start is not None:
         yield [start]
     for a, b in _pairs(setup, seen):
-        yield _by_pair(setup, seen, a, b)
-    for s in sorted(range(v), key=lambda s: -min(len(seen[s]), m)):
+        yield _by_pair(setup, sights, a, b)
+    for s in sorted(range(len(seen)), key=lambda s: -min(len(seen[s]), m)):
         if FEWEST <= len(seen[s]) <= MOST_ALONE:
-            yield _by_one(setup, seen, s)
+            yield _by_one(setup, sights, s)
 
 
 def by_track(setup: Setup, t_s: float, track: Track) -> Hypothesis | None:
@@ -149,26 +205,20 @@ def _pairs(setup: Setup, seen: tuple[Spots, ...]) -> list[tuple[int, int]]:
     return sorted(possible, key=rank)
 
 
-def _by_pair(setup: Setup, seen: tuple[Spots, ...], a: int, b: int) -> list[Hypothesis]:
+def _by_pair(setup: Setup, seen: Sights, a: int, b: int) -> list[Hypothesis]:
     """Return the hypotheses by two views, as a rig of these two cameras has them."""
-    pair, left, right = setup.pair(a, b), seen[a], seen[b]
+    pair, left, right = setup.pair(a, b), seen.by_view[a], seen.by_view[b]
     pairs = pair_spots(pair.packed, left, right, setup.slack_px)
     if not len(pairs.index):
         return []
     match = match_known(pair, left, right, pairs, arrangements=AS_FOUND)
     ways = []
     for one in (match.best,) if match.best is not None else match.alternatives:
-        rows = np.full((len(setup.model), len(seen)), -1, np.intp)
-        rows[[setup.model.names.index(name) for name in one.names]] = _only(len(seen), (a, b), pairs.index[one.pair])
+        rows = np.full((len(setup.model), len(seen.by_view)), -1, np.intp)
+        lights = [setup.model.names.index(name) for name in one.names]
+        rows[np.ix_(lights, (a, b))] = pairs.index[one.pair]
         ways += _tilts(setup, seen, Hypothesis(rows, _matrix(one), np.eye(6), np.inf, match.chance))
     return ways
-
-
-def _only(v: int, at: tuple[int, ...], index: Index) -> Index:
-    """Return rows (n, v) with index (n, len(at)) at these views."""
-    rows = np.full((len(index), v), -1, np.intp)
-    rows[:, at] = index
-    return rows
 
 
 def _matrix(one: Assignment) -> Array:
@@ -177,9 +227,9 @@ def _matrix(one: Assignment) -> Array:
     return T
 
 
-def _by_one(setup: Setup, seen: tuple[Spots, ...], s: int) -> list[Hypothesis]:
+def _by_one(setup: Setup, seen: Sights, s: int) -> list[Hypothesis]:
     """Return the hypotheses by one view, as far as they are not expected by chance."""
-    X, spots, packed = setup.model.xyz_m, seen[s], setup.packed
+    X, spots, packed = setup.model.xyz_m, seen.by_view[s], setup.packed
     m = len(X)
     room = np.empty((ROOM, m), np.intp), np.empty(ROOM, np.intp), np.empty(ROOM), np.empty((ROOM, 3, 4))
     found, looked, cut = kernels.name_by_one_view(
@@ -192,7 +242,7 @@ def _by_one(setup: Setup, seen: tuple[Spots, ...], s: int) -> list[Hypothesis]:
     back[:3, :3], back[:3, 3] = packed.R[s].T, -packed.R[s].T @ packed.t[s]
     found = int(np.count_nonzero(room[1][:found] >= room[1][0] - 1)) if found else 0  # others are no rivals
     for names, pose in zip(room[0][:found], room[3][:found], strict=True):
-        rows = np.full((m, len(seen)), -1, np.intp)
+        rows = np.full((m, len(seen.by_view)), -1, np.intp)
         rows[:, s] = names
         way = Hypothesis(rows, back @ np.vstack([pose, [0.0, 0.0, 0.0, 1.0]]), np.eye(6), np.inf, looked, s)
         ways += _tilts(setup, seen, way)
@@ -213,10 +263,10 @@ def _by_chance(setup: Setup, spots: Spots, n: int, looked: float, chi2: float) -
     return float(BY_CHANCE / ALONE_BY_CHANCE * looked * near ** (n - 3) / HIDDEN ** (m - n))
 
 
-def _tilts(setup: Setup, seen: tuple[Spots, ...], way: Hypothesis, *, mirrored: bool = True) -> list[Hypothesis]:
+def _tilts(setup: Setup, seen: Sights, way: Hypothesis, *, mirrored: bool = True) -> list[Hypothesis]:
     """Return a hypothesis refined by its own sights, and the mirrored tilts that fit these as well."""
-    names, views = _views(setup, seen, way.rows, way.T)
-    h = len(seen) + 1 if mirrored else 1
+    names, views = seen.named(setup, way.rows, way.T)
+    h = way.rows.shape[1] + 1 if mirrored else 1
     Ts, Cs, chi2 = np.empty((h, 4, 4)), np.empty((h, 6, 6)), np.empty(h)
     spots = named_spots(setup, names, views)
     args = setup.packed.arrays, (spots.xyz_m[:], spots.radius_m, spots.normal), views[:2]
@@ -241,51 +291,13 @@ def _slack_chi2(setup: Setup, X: Array, views: Views, T: Array) -> float:
     return float(pose_kernels.slack_chi2(residual, views.cov_px2, setup.slack_px**2))
 
 
-def _views(setup: Setup, seen: Sequence[Spots], rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
-    """Return the names and the spots of the lights that some view shows."""
-    lights = np.flatnonzero((rows >= 0).any(axis=1))
-    names = tuple(setup.model.names[i] for i in lights.tolist())
-    views = views_of(setup, [spots.take(at) for spots, at in _per_view(seen, rows[lights])])
-    views.uv_px[rows[lights] < 0] = np.nan
-    views.cov_px2[rows[lights] < 0] = np.inf
-    start = np.array(start)
-    start.setflags(write=False)  # as UNKNOWN: one compilation serves both
-    return names, views._replace(start=start)
-
-
-def _per_view(seen: Sequence[Spots], rows: Index) -> list[tuple[Spots, Index]]:
-    """Return each view's spots and the place in them of each light, with a spot to stand for those it does not show."""
-    return [
-        (spots, np.maximum(rows[:, s], 0)) if len(spots) else (_NO_SPOT, np.zeros(len(rows), np.intp))
-        for s, spots in enumerate(seen)
-    ]
-
-
-_NO_SPOT = Spots.of_centres(np.zeros((1, 2)), np.eye(2))
-
-
-def completed(setup: Setup, seen: tuple[Spots, ...], way: Hypothesis) -> Hypothesis | None:
+def completed(setup: Setup, seen: Sights, way: Hypothesis) -> Hypothesis | None:
     """Return the hypothesis with all sights that its pose finds, refined by them; None where they do not agree."""
     rows, packed, own = way.rows.copy(), setup.packed, way.n
-    take = np.empty(len(rows), np.intp)
+    spots = seen.uv_px, seen.cov_px2, seen.first
+    near = setup.slack_px**2, PAIR_GATE
     for _ in range(_ROUNDS):
-        before = rows.copy()
-        for s, spots in enumerate(seen):
-            kernels.complete_view(
-                packed.arrays,
-                s,
-                setup.model.xyz_m,
-                way.T,
-                way.C,
-                packed.covariance,
-                (spots.uv_px, spots.covariance_px2),
-                setup.slack_px**2,
-                PAIR_GATE,
-                take,
-            )
-            new = (rows[:, s] < 0) & (take >= 0) & ~np.isin(take, rows[:, s])
-            rows[new, s] = take[new]
-        if (rows == before).all():
+        if not kernels.complete(packed.arrays, setup.model.xyz_m, way.T, way.C, packed.covariance, spots, near, rows):
             break
         if (rows >= 0).sum() < FEWEST or (rows >= 0).any(axis=1).sum() < 3:
             return None
@@ -298,7 +310,7 @@ def completed(setup: Setup, seen: tuple[Spots, ...], way: Hypothesis) -> Hypothe
     chance = way.chance
     if way.alone >= 0:
         own = int((way.rows[:, way.alone] >= 0).sum())
-        chance = _by_chance(setup, seen[way.alone], own, way.chance, way.chi2)
+        chance = _by_chance(setup, seen.by_view[way.alone], own, way.chance, way.chi2)
     return way._replace(chance=chance * CONFIRMED ** (way.n - own))
 
 
@@ -330,7 +342,7 @@ def _faces(setup: Setup, way: Hypothesis) -> bool:
 def _judged(
     setup: Setup,
     t_s: float,
-    seen: tuple[Spots, ...],
+    seen: Sights,
     way: Hypothesis,
     track: Track | None,
     frames: Sequence[Frame | None] | None,
@@ -341,20 +353,20 @@ def _judged(
     rows, solved, hidden = _looked_at(setup, t_s, seen, way, frames)
     if solved.T is None or solved.pose.status is not PoseStatus.OK:
         missed = NotSeen(why_hidden(hidden, PoseStatus.LOST), Unseen.HALF_HIDDEN) if hidden else solved.missed
-        return lost_moment(t_s, seen, missed, track)
+        return lost_moment(t_s, seen.by_view, missed, track)
     step = continuation(setup, track, t_s, solved)
     if in_windows and not step.likely:
-        return lost_moment(t_s, seen, NotSeen(MOVED, Unseen.MOTION), track)
+        return lost_moment(t_s, seen.by_view, NotSeen(MOVED, Unseen.MOTION), track)
     if track is not None and doubtful(setup, track, t_s, solved, step):
-        return lost_moment(t_s, seen, NotSeen(MOVED, Unseen.MOTION), replace(track, doubted=True))
+        return lost_moment(t_s, seen.by_view, NotSeen(MOVED, Unseen.MOTION), replace(track, doubted=True))
     lights = np.flatnonzero((rows >= 0).any(axis=1))
-    spots = tuple(one.take(r[r >= 0]) for one, r in zip(seen, rows[lights].T, strict=True))
+    spots = tuple(take_spots(one, r[r >= 0]) for one, r in zip(seen.by_view, rows[lights].T, strict=True))
     return Measured(
         pose=solved.pose,
         points=solved.points,
         spots=spots,
         names=tuple(setup.model.names[i] for i in lights.tolist()),
-        seen=seen,
+        seen=seen.by_view,
         sights=rows[lights] >= 0,
         track=next_track(setup, t_s, solved, spots, track, step),
         notes=tuple(f"{name} half hidden from one camera, and left out of its view" for name in hidden),
@@ -363,7 +375,7 @@ def _judged(
 
 
 def _looked_at(
-    setup: Setup, t_s: float, seen: tuple[Spots, ...], way: Hypothesis, frames: Sequence[Frame | None] | None
+    setup: Setup, t_s: float, seen: Sights, way: Hypothesis, frames: Sequence[Frame | None] | None
 ) -> tuple[Index, PoseSolution, tuple[str, ...]]:
     """Return the sights that are whole, what is solved from them, and the lights that are half hidden in a view."""
     rows, start, hidden = way.rows.copy(), np.array(way.T), list[str]()
@@ -371,13 +383,12 @@ def _looked_at(
         if (rows >= 0).sum() < FEWEST or (rows >= 0).any(axis=1).sum() < 3:
             why = "too few lights are seen as a whole"
             return rows, PoseSolution(pose=lost(t_s, why), points=no_points(), cause=Unseen.HALF_HIDDEN), tuple(hidden)
-        names, views = _views(setup, seen, rows, start)
+        names, views = seen.named(setup, rows, start)
         solved = solve_views(setup, t_s, names, views)
         if frames is None or solved.T is None:
             return rows, solved, tuple(hidden)
         lights = np.flatnonzero((rows >= 0).any(axis=1))
-        shown = [spots.take(at) for spots, at in _per_view(seen, rows[lights])]
-        shown = [_unseen(spots, rows[lights, s] < 0) for s, spots in enumerate(shown)]
+        shown = seen.taken(rows[lights])
         verdict, out = compare(setup, positions_of(setup, solved.T)[lights], solved.T, shown, frames)
         if verdict == outlines.NO_DOUBT:
             return rows, solved, tuple(hidden)
@@ -392,8 +403,3 @@ def _looked_at(
         kept = rows[lights]
         kept[odd.T] = -1
         rows[lights] = kept
-
-
-def _unseen(spots: Spots, which: Array) -> Spots:
-    """Return the spots with size 0, of which no outline is looked at, where a view shows none."""
-    return replace(spots, size_px=np.where(which, 0.0, spots.size_px)) if which.any() else spots

@@ -60,19 +60,43 @@ def add_image(rig, T, X, p, s, covariance, C, uv, S, work):
 
 
 @kernel
-def complete_view(rig, s, X, T, C, covariance, spots, slack2, gate, rows):
-    """Fill rows (n,): the one spot of view s within the gate of each light X (n, 3) under the pose T, C; NONE or TWO.
+def complete(rig, X, T, C, covariance, spots, near, rows):
+    """Add to rows (n, v), -1 for none, each view's one spot near a light X (n, 3) under the pose T, C; tell if any was.
 
-    spots: uv (k, 2) px, cov (k, 2, 2). gate: squared standard deviations of the pose, the calibration, the spot and
-    slack2 (px^2) together. A spot that two lights would take is of neither.
+    spots: of all views one after the other, uv (k, 2) px, cov (k, 2, 2), and where each view's begin (v + 1,). near:
+    slack (px^2), and squared standard deviations of the pose, the calibration, the spot and slack together. A spot that
+    two lights would take is of neither, and one that has a name keeps it.
     """
     rig = RigK(*rig)
-    uv, cov = spots
+    uv, cov, first = spots
+    added, take = False, np.empty(X.shape[0], np.int64)
+    for s in range(rows.shape[1]):
+        a, b = first[s], first[s + 1]
+        if a == b:
+            continue
+        spots_near(rig, s, X, (T, C, covariance), uv[a:b], cov[a:b], near, take)
+        for n in range(X.shape[0]):
+            if rows[n, s] >= 0 or take[n] < 0:
+                continue
+            free = True
+            for other in range(X.shape[0]):
+                free = free and rows[other, s] != take[n]
+            if free:
+                rows[n, s] = take[n]
+                added = True
+    return added
+
+
+@inner_kernel
+def spots_near(rig, s, X, pose, uv, cov, near, take):
+    """Fill take (n,): the one spot of view s within the gate of each light, NONE or TWO; see complete."""
+    T, C, covariance = pose
+    slack2, gate = near
     at, p = np.empty(2), np.empty(3)
     work = np.empty((2, 3)), np.empty((2, n_parameters(rig))), np.empty((2, 6))
     S, wide, W = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
     for n in range(X.shape[0]):
-        rows[n] = NONE
+        take[n] = NONE
         S[:] = 0.0
         S[0, 0] = slack2
         S[1, 1] = slack2
@@ -86,12 +110,12 @@ def complete_view(rig, s, X, T, C, covariance, spots, slack2, gate, rows):
                 continue
             x, y = uv[k, 0] - at[0], uv[k, 1] - at[1]
             if x * (W[0, 0] * x + W[0, 1] * y) + y * (W[1, 0] * x + W[1, 1] * y) <= gate:
-                rows[n] = k if rows[n] == NONE else TWO
+                take[n] = k if take[n] == NONE else TWO
     for n in range(X.shape[0]):
         for other in range(n):
-            if rows[n] >= 0 and rows[n] == rows[other]:
-                rows[n] = TWO
-                rows[other] = TWO
+            if take[n] >= 0 and take[n] == take[other]:
+                take[n] = TWO
+                take[other] = TWO
 
 
 @inner_kernel
