@@ -1,21 +1,30 @@
-"""Where an arm lets enough of its lights be seen for a full pose: one to four cameras, three targets, geometry alone.
+"""Where an arm lets enough of its lights be seen for a full pose: one to four cameras, three targets.
 
 A UR10's links, as capsules, and the lamps' own directions hide lights; lenses are pinholes. Each share is of stands at
 which a pose is possible by the rule of two views (three lights seen twice), or where every sight counts. Nothing of
 the simulation's or of armsight's projection is used here; `scene` gives the same stands as a scenario to be rendered.
 `--positions N` (3,000), `--seed S`, `--rendered N` compares sights with those that the simulation tells of N stands.
+`--pictures N` measures rendered pictures in the dark while the arm goes through N stands.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import yaml
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
+from armsight.measure.poses.moments import measure_moment
+from armsight.measure.poses.setup import Setup
 from armsight.ops.simulation.scenarios import build_world, scenario_model, scenario_text
+from armsight.optics import Rig
+from armsight.records import PoseStatus, TargetPose
+from armsight.store import rig_from_mapping, target_from_mapping
 from bench import machine, table
 
 MIDDLE_M = np.array([-0.8, -0.1, 0.4])
@@ -46,8 +55,8 @@ ARRANGEMENTS = {
 
 
 def crown(n: int, radius_m: float, out_m: float, turn: float, forward: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return places and directions of n lights round the flange, in its axes."""
-    angle = 2.0 * np.pi * np.arange(n) / n + turn
+    """Return places and directions of n lights round the flange, in its axes, so that no turn brings them together."""
+    angle = 2.0 * np.pi * np.arange(n) / n + turn + np.array([0.0, 0.2, -0.25, 0.35, 0.05, -0.2])[:n]
     ring = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     up = np.array([0.0, 0.0, 1.0])
     return [(radius_m * one + out_m * up, one + forward * up) for one in ring]
@@ -146,8 +155,11 @@ def possible(sights: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def scene(q: np.ndarray, target: str, eyes: Sequence[np.ndarray]) -> Any:
-    """Return a world to be rendered: its frame k + 1 shows the arm at q[k], frame 0 at home, where lights are seen."""
+def scene(q: np.ndarray, target: str, eyes: Sequence[np.ndarray], between: int = 1) -> Any:
+    """Return a world to be rendered: the arm at home, where lights are seen, then at q[k] in frame (k + 1) between.
+
+    between: frames from one stand to the next, at 30 Hz; 1: the arm rests at each.
+    """
     found = scenario_text("arm-cell")
     keys = yaml.safe_load(found[0]) if found else {}
     wide_deg, lights = TARGETS[target]
@@ -163,11 +175,13 @@ def scene(q: np.ndarray, target: str, eyes: Sequence[np.ndarray]) -> Any:
         R, place = axes(eyes[0]) @ axes(at).T, axes(eyes[0]) @ (at - eyes[0])
         placed[f"camera{k + 1}"] = lens | {"T_rig_camera": pose_keys(R, place)}
     placed.pop("camera1")
+    cameras["sensor"]["hot_pixels"] = 0  # as where the cameras' masks are known
     cameras |= {"left": lens, "right": None, "others": placed, "T_mount_rig": pose_keys(axes(eyes[0]).T, eyes[0])}
-    keys["arm"] |= {"cycle_s": 1.0, "error": {}, "vibration": {}, "lag_s": 0.0}
-    keys |= {"frames": len(q) + 1, "fps": 0.02, "room": "dark"}
-    keys["motion"] = {"kind": "ways", "q": [HOME_DEG.tolist(), *np.rad2deg(q).tolist()], "lasts_s": 50.0}
-    return build_world("arm-cell", scenario_model(keys, "views_hidden"), seed=1, frames=len(q) + 1)
+    keys["arm"] |= {"error": {}} if between > 1 else {"cycle_s": 1.0, "error": {}, "vibration": {}, "lag_s": 0.0}
+    frames, fps = len(q) * between + 1, 30.0 if between > 1 else 0.02
+    keys |= {"frames": frames, "fps": fps, "room": "dark"}
+    keys["motion"] = {"kind": "ways", "q": [HOME_DEG.tolist(), *np.rad2deg(q).tolist()], "lasts_s": between / fps}
+    return build_world("arm-cell", scenario_model(keys, "views_hidden"), seed=1, frames=frames)
 
 
 def pose_keys(R: np.ndarray, place_m: np.ndarray) -> dict[str, list[float]]:
@@ -177,7 +191,7 @@ def pose_keys(R: np.ndarray, place_m: np.ndarray) -> dict[str, list[float]]:
 
 
 def told(world: Any, n: int) -> np.ndarray:
-    """Return which light is seen by which camera (n, lights, cameras), as the world that is rendered tells it."""
+    """Return which light which camera sees in frames 1 to n (n, lights, cameras), as the rendered world tells it."""
     flat = [[not one.hidden_by for one in world.sights(index)] for index in range(1, n + 1)]
     return np.array(flat).reshape(n, len(world.cameras), len(world.lights)).transpose(0, 2, 1)
 
@@ -214,14 +228,70 @@ def compared(n: int, seed: int) -> None:
             )
 
 
+BETWEEN = 60
+"""Frames from one stand to the next."""
+WRONG = float(chi2.isf(1e-8, 6))
+"""Squared Mahalanobis distance beyond which a pose is no unlucky draw, but wrong."""
+
+
+def measured(n: int, seed: int) -> None:
+    """Print the shares of frames with a pose beside the bound, and how many of the poses are wrong."""
+    found = scenario_text("arm-cell")
+    q, _ = stands(yaml.safe_load(found[0])["arm"] if found else {}, n, seed)
+    rows = [
+        [name, target, *of_pictures(scene(q, target, eyes, BETWEEN), n, len(eyes))]
+        for name, eyes in ARRANGEMENTS.items()
+        for target in TARGETS
+    ]
+    head = ["cameras", "target", "possible, %", "followed, %", "by itself, %", "in 95 %, %", "wrong"]
+    table(f"Frames with a pose, as far as possible, on the way through {n} stands of the arm, 2 s each", head, rows)
+
+
+def of_pictures(world: Any, n: int, views: int) -> list[object]:
+    """Return a row: where a pose could be, of these how many are in a track and without, what the poses are worth.
+
+    Of two cameras both must see a light. Without a track is every tenth frame, as if it were the first.
+    """
+    could = possible(told(world, n * BETWEEN))["twice" if views == 2 else "every sight"]
+    rig = rig_from_mapping(world.rig, "rig")
+    if views == 2:
+        rig = Rig(cameras=[replace(one, name=side) for one, side in zip(rig.cameras, ("left", "right"), strict=True)])
+    setup = Setup(rig, target_from_mapping(world.target, "target"), many=views != 2)
+    q: list[float] = []
+    ok, cold = np.zeros(len(could), bool), np.zeros(len(could), bool)
+    track = None
+    for k in range(len(could)):
+        frames = [world.frame(k + 1, view) for view in world.views]
+        T = world.path(np.array([(k + 1) / world.fps]))[0].as_matrix()
+        tries = [measure_moment(setup, frames, track), *([measure_moment(setup, frames)] if k % 10 == 0 else [])]
+        track = tries[0].track
+        for found, one in zip((ok, cold), tries, strict=False):
+            found[k] = one.pose.status is PoseStatus.OK
+            if found[k]:
+                q.append(squared_distance(one.pose, T))
+    of = [100.0 * one[could[::step]].mean() for one, step in ((ok, 1), (cold[::10], 10))]
+    inside = 100.0 * float((np.array(q) < chi2.ppf(0.95, 6)).mean()) if q else float("nan")
+    return [100.0 * could.mean(), *of, inside, sum(x > WRONG for x in q)]
+
+
+def squared_distance(pose: TargetPose, T: np.ndarray) -> float:
+    """Return the squared Mahalanobis distance of a pose from the true one."""
+    found, C = np.array(pose.T_parent_target), np.array(pose.covariance)
+    d = np.concatenate([found[:3, 3] - T[:3, 3], Rotation.from_matrix(found[:3, :3] @ T[:3, :3].T).as_rotvec()])
+    return float(d @ np.linalg.solve(C, d))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--positions", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rendered", type=int, default=0, metavar="N")
+    parser.add_argument("--pictures", type=int, default=0, metavar="N")
     asked = parser.parse_args()
     print(machine())
-    if asked.rendered:
+    if asked.pictures:
+        measured(asked.pictures, asked.seed)
+    elif asked.rendered:
         compared(asked.rendered, asked.seed)
     else:
         bounds(asked.positions, asked.seed)

@@ -121,6 +121,20 @@ def test_completion_takes_one_spot_and_none_of_two() -> None:
     assert complete(setup, setup.model.xyz_m, T, uv, 2) == [-1, -1, 1, 2, 3, 4]
 
 
+def test_lights_that_no_two_cameras_share_are_named_together() -> None:
+    """One camera shows four of the lights, and two others two each, of which one alone is among the four."""
+    rng, world, named = np.random.default_rng(12), ring(4), 0
+    for _ in range(30):
+        T = pose(rng, tilt_rad=0.3)
+        uv = look(world, LIGHTS, T, rng).uv
+        kept = [uv[0][:4], uv[1][3:5], Spots.none().uv_px, uv[3][4:]]
+        measured = measure_views(setup_of(world), 0.0, [spots(rng.permutation(one)) for one in kept])
+        if measured.pose.status is PoseStatus.OK:
+            named += 1
+            assert mahalanobis2(measured, T) < WRONG
+    assert named > 25
+
+
 def complete(setup: Setup, X: np.ndarray, T: np.ndarray, uv: np.ndarray, view: int) -> list[int]:
     """Which of the spots uv of one view each light is under a pose; other views show nothing."""
     found, rows = spots(uv), np.full((len(X), len(setup.packed.k)), -1, np.intp)

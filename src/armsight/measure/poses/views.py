@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
-from math import pi
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
 
 from armsight.arrays import Array, Index
 from armsight.errors import Unseen
-from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE, HIDDEN, RIVAL, match_known
+from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE, RIVAL, match_known
 from armsight.measure.poses.kernels import correspondence as likelihood
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import one_view as kernels
@@ -48,8 +48,10 @@ MOST_ALONE = 12
 """Spots of a view up to which its lights are named by it alone, as rpg_monocular_pose_estimator does."""
 REACH_PX = 3.0
 """How far a light's image may be off under a pose by three spots, whose noise grows with the way to the others."""
-MOST_COMBINATIONS = 50_000
-"""Combinations of three spots and three lights looked at; 0.1 s."""
+FAR_PX = 8.0
+"""The same in another view, from which the depth and the tilt by three spots are seen aside."""
+MOST_COMBINATIONS = 200_000
+"""Combinations of three spots and three lights looked at; 0.3 s."""
 ROOM = 16
 """Namings by one view that are kept."""
 
@@ -60,6 +62,8 @@ CONFIRMED = 0.01
 """How often, at most, a spot lies where a pose of chance expects a light: ten spots in a hundredth of a picture."""
 ALONE_BY_CHANCE = 1e-4
 """Expected number of namings of chance by one view from which none is believed."""
+SOLUTIONS = 2.0
+"""Poses by three spots, as there are mostly."""
 LEAST_RMS_PX = 0.15
 """Residuals below which a naming by one view gains nothing more against chance."""
 
@@ -180,7 +184,7 @@ def _sources(setup: Setup, t_s: float, sights: Sights, track: Track | None) -> I
     for a, b in _pairs(setup, seen):
         yield _by_pair(setup, sights, a, b)
     for s in sorted(range(len(seen)), key=lambda s: -min(len(seen[s]), m)):
-        if FEWEST <= len(seen[s]) <= MOST_ALONE:
+        if 3 <= len(seen[s]) <= MOST_ALONE:
             yield _by_one(setup, sights, s)
 
 
@@ -229,12 +233,11 @@ def _matrix(one: Assignment) -> Array:
 
 def _by_one(setup: Setup, seen: Sights, s: int) -> list[Hypothesis]:
     """Return the hypotheses by one view, as far as they are not expected by chance."""
-    X, spots, packed = setup.model.xyz_m, seen.by_view[s], setup.packed
+    X, packed = setup.model.xyz_m, setup.packed
     m = len(X)
     room = np.empty((ROOM, m), np.intp), np.empty(ROOM, np.intp), np.empty(ROOM), np.empty((ROOM, 3, 4))
-    found, looked, cut = kernels.name_by_one_view(
-        packed.k[s], X, spots.uv_px, (REACH_PX, FEWEST, MOST_COMBINATIONS), room
-    )
+    rules = REACH_PX, FAR_PX, FEWEST, MOST_COMBINATIONS
+    found, looked, cut = kernels.name_by_three(packed.arrays, s, X, (seen.uv_px, seen.first), rules, room)
     ways: list[Hypothesis] = []
     if cut:
         return ways
@@ -249,18 +252,23 @@ def _by_one(setup: Setup, seen: Sights, s: int) -> list[Hypothesis]:
     return ways
 
 
-def _by_chance(setup: Setup, spots: Spots, n: int, looked: float, chi2: float) -> float:
-    """Return how many namings by one view would by chance explain n lights so well, as a share of what is believed.
+def _by_chance(setup: Setup, seen: Sights, way: Hypothesis) -> float:
+    """Return how many namings by one view would by chance explain so many sights so well, over what is believed.
 
-    None where all lights are seen and nothing else is bright.
+    Of each combination that was looked at, any other sights may fit: each has a spot of chance as near as the residuals
+    are with the share that such circles have of the target's image. None where all lights are seen and nothing else is
+    bright.
     """
-    m, c = len(setup.model), len(spots)
-    if n == m == c:
+    m, n, c = len(setup.model), way.n, len(seen.uv_px)
+    if n == c and (way.rows >= 0).sum(axis=0).max() == m:
         return 0.0
-    rms = max(np.sqrt(chi2 / n) * setup.slack_px, LEAST_RMS_PX)
-    area = max(float(np.prod(np.ptp(spots.uv_px, axis=0))), 1.0)
-    near = min(c * pi * (2.0 * rms) ** 2 / area, 1.0)
-    return float(BY_CHANCE / ALONE_BY_CHANCE * looked * near ** (n - 3) / HIDDEN ** (m - n))
+    rms = max(np.sqrt(way.chi2 / n) * setup.slack_px, LEAST_RMS_PX)
+    near, slots = 0.0, way.rows.size - 3
+    for s, spots in enumerate(seen.by_view):
+        depth_m = float(setup.packed.R[s][2] @ way.T[:3, 3] + setup.packed.t[s][2])
+        wide_px = setup.packed.k[s][0] * setup.model.distance_m.max() / max(depth_m, 1e-3)
+        near = max(near, len(spots) * (4.0 * rms / wide_px) ** 2)  # circles of twice the residual in the target's one
+    return float(BY_CHANCE / ALONE_BY_CHANCE * SOLUTIONS * way.chance * comb(slots, n - 3) * min(near, 1.0) ** (n - 3))
 
 
 def _tilts(setup: Setup, seen: Sights, way: Hypothesis, *, mirrored: bool = True) -> list[Hypothesis]:
@@ -294,10 +302,9 @@ def _slack_chi2(setup: Setup, X: Array, views: Views, T: Array) -> float:
 def completed(setup: Setup, seen: Sights, way: Hypothesis) -> Hypothesis | None:
     """Return the hypothesis with all sights that its pose finds, refined by them; None where they do not agree."""
     rows, packed, own = way.rows.copy(), setup.packed, way.n
-    spots = seen.uv_px, seen.cov_px2, seen.first
-    near = setup.slack_px**2, PAIR_GATE
+    X, spots, near = setup.model.xyz_m, (seen.uv_px, seen.cov_px2, seen.first), (setup.slack_px**2, PAIR_GATE)
     for _ in range(_ROUNDS):
-        if not kernels.complete(packed.arrays, setup.model.xyz_m, way.T, way.C, packed.covariance, spots, near, rows):
+        if not kernels.complete(packed.arrays, X, way.T, way.C, packed.covariance, spots, near, rows):
             break
         if (rows >= 0).sum() < FEWEST or (rows >= 0).any(axis=1).sum() < 3:
             return None
@@ -307,11 +314,9 @@ def completed(setup: Setup, seen: Sights, way: Hypothesis) -> Hypothesis | None:
         way = refined[0]
     if way.n < FEWEST or not way.chi2 <= fit_limit(way.n):
         return None
-    chance = way.chance
     if way.alone >= 0:
-        own = int((way.rows[:, way.alone] >= 0).sum())
-        chance = _by_chance(setup, seen.by_view[way.alone], own, way.chance, way.chi2)
-    return way._replace(chance=chance * CONFIRMED ** (way.n - own))
+        return way._replace(chance=_by_chance(setup, seen, way))
+    return way._replace(chance=way.chance * CONFIRMED ** (way.n - own))
 
 
 def _choose(setup: Setup, found: list[Hypothesis]) -> Hypothesis | NotSeen:

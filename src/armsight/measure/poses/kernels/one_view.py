@@ -262,7 +262,7 @@ def keep_named(found, names, n, cost, pose, best):
     """Insert a hypothesis, more spots first, then less cost; the same names once. Return how many are kept."""
     for h in range(found):
         if same_names(best.names[h], names):
-            if cost >= best.cost[h]:
+            if n < best.n[h] or (n == best.n[h] and cost >= best.cost[h]):
                 return found
             for i in range(h, found - 1):
                 move(best, i + 1, i)
@@ -325,29 +325,61 @@ def tilts(rig, lights, views, start, T, C, chi2):
             chi2[s + 1] = settle(rig, lights, seen, R2, t2, T[s + 1], C[s + 1])
 
 
-@kernel
-def name_by_one_view(k, X, uv, rules, best):
-    """Fill best, as Named, with the ways in which the spots uv (c, 2) of one view may be the lights X (m, 3).
+@inner_kernel
+def explained_elsewhere(rig, s, X, pose, xy, first, reach, used):
+    """Return how many lights have a spot within reach (px) in other views than s, to which the pose (3, 4) is."""
+    n = 0
+    p, P = np.empty(3), np.empty(3)
+    for i in range(X.shape[0]):
+        for a in range(3):
+            p[a] = dot(pose[a, :3], X[i]) + pose[a, 3] - rig.t[s, a]
+        for a in range(3):  # in rig axes
+            P[a] = rig.R[s, 0, a] * p[0] + rig.R[s, 1, a] * p[1] + rig.R[s, 2, a] * p[2]
+        for v in range(rig.k.shape[0]):
+            z = dot(rig.R[v, 2], P) + rig.t[v, 2]
+            if v == s or not z > 0.0:
+                continue
+            x, y = (dot(rig.R[v, 0], P) + rig.t[v, 0]) / z, (dot(rig.R[v, 1], P) + rig.t[v, 1]) / z
+            near, at = (reach / rig.k[v, 0]) ** 2, -1
+            for k in range(first[v], first[v + 1]):
+                off = (xy[k, 0] - x) ** 2 + (xy[k, 1] - y) ** 2
+                if off < near:
+                    near, at = off, k
+            if at >= 0 and used[at] < 0:
+                used[at] = i
+                n += 1
+    return n
 
-    k (12,): the camera. rules: reach (px) of a light's image, the fewest lights that count, and the most combinations
-    looked at. Returns (how many, combinations looked at, whether that ended the search). It ends as well after a
-    combination of spots by which all of them, or all lights, are explained: other names for the same spots are then
-    among its own, as each combination of spots is tried with all lights.
+
+@kernel
+def name_by_three(rig, s, X, spots, rules, best):
+    """Fill best, as Named, with the ways in which the spots of view s may be the lights X (m, 3), by three of them.
+
+    spots: of all views one after the other, uv (c, 2) px, and where each view's begin (v + 1,). rules: reach (px) of a
+    light's image in this view and in others, the fewest sights that count, and the most combinations looked at. n is of
+    all views together, names and cost of this one. Returns (how many, combinations looked at, whether that ended the
+    search). It ends as well after a combination of spots by which all of this view, or all lights, are explained: other
+    names for the same spots are then among its own, as each combination of spots is tried with all lights.
     """
-    reach, fewest, most = rules
+    rig = RigK(*rig)
+    reach, far, fewest, most = rules
     best = Named(*best)
-    c, m = uv.shape[0], X.shape[0]
-    xy, rays = np.empty((c, 2)), np.empty((c, 3))
+    uv, first = spots
+    m, c = X.shape[0], first[s + 1] - first[s]
+    xy = np.empty(uv.shape)
     J = np.empty((2, 2))
+    for v in range(rig.k.shape[0]):
+        for k in range(first[v], first[v + 1]):
+            if not undistort_point(rig.k[v], uv[k, 0], uv[k, 1], xy[k], J):
+                xy[k] = np.nan
+    own, rays = xy[first[s] : first[s + 1]], np.empty((c, 3))
     for i in range(c):
-        if not undistort_point(k, uv[i, 0], uv[i, 1], xy[i], J):
-            xy[i] = np.nan
-        length = sqrt(1.0 + xy[i, 0] ** 2 + xy[i, 1] ** 2)
-        rays[i, 0] = xy[i, 0] / length
-        rays[i, 1] = xy[i, 1] / length
+        length = sqrt(1.0 + own[i, 0] ** 2 + own[i, 1] ** 2)
+        rays[i, 0] = own[i, 0] / length
+        rays[i, 1] = own[i, 1] / length
         rays[i, 2] = 1.0 / length
     three, at, poses = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3, 4))
-    names, used = np.empty(m, np.intp), np.empty(c, np.intp)
+    names, used, taken = np.empty(m, np.intp), np.empty(c, np.intp), np.empty(uv.shape[0], np.intp)
     found = looked = np.int64(0)
     for a in range(c):
         for b in range(a + 1, c):
@@ -369,9 +401,12 @@ def name_by_one_view(k, X, uv, rules, best):
                             if looked > most:
                                 return found, looked, True
                             for h in range(poses_by_three(three, at, poses)):
-                                n, cost = explain_spots(X, poses[h], xy, k[0], reach, names, used)
+                                n, cost = explain_spots(X, poses[h], own, rig.k[s, 0], reach, names, used)
+                                if n >= 3:
+                                    taken[:] = -1
+                                    n += explained_elsewhere(rig, s, X, poses[h], xy, first, far, taken)
                                 if n >= fewest:
                                     found = keep_named(found, names, n, cost, poses[h], best)
-                if found and best.n[0] >= min(c, m):
+                if found and best.n[0] >= min(uv.shape[0], m * rig.k.shape[0]):
                     return found, looked, False
     return found, looked, False
