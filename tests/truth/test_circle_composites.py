@@ -84,6 +84,13 @@ def test_blobs_that_join_the_lattice_are_no_dots_of_the_board(strangers: list[tu
     assert largest_error_px(found.uv_px, found.index, uv, SHEET) < 0.5
 
 
+def test_a_dark_rim_makes_no_dot_the_one_the_board_begins_at() -> None:
+    image, uv = sheet([])
+    cv2.circle(image, np.rint(uv[-1]).astype(int).tolist(), 12, 75, 5)
+    found = find_board(image, SHEET)
+    assert np.abs(found.uv_px - uv[found.index]).max() < 0.5
+
+
 def test_a_grid_that_goes_on_is_another_board() -> None:
     image, _ = sheet([(7.0, float(row)) for row in range(5)])
     with refuses(BadImage, "7x5", size=(8, 5)):
