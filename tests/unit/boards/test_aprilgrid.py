@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from armsight.errors import BadFile, BadImage, UsageError
@@ -90,6 +91,13 @@ def test_its_corners_are_where_they_were_drawn(board: Target, turn, t_m, border:
     # edges along the rows are drawn to 1/8 px: four samples a pixel
     assert np.sqrt(np.mean(error**2)) < 0.02 and np.abs(error).max() < 0.12
     assert seen.sigma_px < 0.05
+
+
+def test_tags_stand_apart_from_the_squares_at_their_corners_in_a_soft_picture(board: Target) -> None:
+    image, _ = picture((0.2, -0.3, 0.1), (0.0, 0.0, 0.30))
+    noise = np.random.default_rng(1).normal(0.0, 2.0, image.shape)
+    soft = np.clip(np.rint(gaussian_filter(image.astype(float), 1.0) + noise), 0, 255).astype(np.uint8)
+    assert len(find_board(soft, board)) >= 24
 
 
 def test_it_may_be_seen_in_part_but_not_mirrored_and_other_tags_are_none(board: Target) -> None:

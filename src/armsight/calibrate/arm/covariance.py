@@ -230,8 +230,7 @@ def _shares(own: Array, r: Array, lengths: NDArray[np.bool_], freedom: int) -> t
         return float(np.linalg.slogdet(V)[1] + y @ np.linalg.solve(V, y) + count * np.log(noise) + rest2 / noise)
 
     low, high = np.log(SMALLEST), np.log(LARGEST)
-    starts = [np.array([0.0, a, b]) for a in (low / 4.0, low) for b in (low / 2.0, low)]
     box = [(-7.0, 7.0), (low, high), (low, high)]
-    tries = [minimize(neg2_log_likelihood, first, bounds=box, method="L-BFGS-B") for first in starts]
-    best = np.exp(min(tries, key=lambda found: float(found.fun)).x)
-    return float(best[1]), float(best[2])
+    found = minimize(neg2_log_likelihood, [0.0, low / 4.0, low / 2.0], bounds=box, method="L-BFGS-B")
+    _, length, angle = np.exp(found.x)
+    return float(length), float(angle)
