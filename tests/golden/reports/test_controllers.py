@@ -85,7 +85,7 @@ def test_a_hand_eye_turned_round_stops_the_servo(tmp_path):
     assert armsight_("simulate", "pachidis2005-static", "--frames", 1, "-o", cell).returncode == 0
     subprocess.run([sys.executable, case("arms-23") / "turn.py", turned], cwd=tmp_path, check=True)
     given = ("--rig", cell / "rig.yaml", "--target", cell / "target.yaml", "--handeye", f"he-{turned}.yaml")
-    motion = ("--hand", "still", "--seconds", "3", "--yes", "-o", "out", "--json")
+    motion = ("--hand", "still", "--seconds", "6", "--yes", "-o", "out", "--json")
     done = armsight_("servo", "--robot", "sim:pachidis2005-static", *given, *motion)
     assert done.returncode == 3
     told = json.loads(done.stdout)
