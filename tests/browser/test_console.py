@@ -67,6 +67,7 @@ def test_live_shows_pictures_and_the_pose_with_its_uncertainty_and_nothing_from_
     page.reload(wait_until="domcontentloaded")
     shown(page, 10)
     page.wait_for_function("document.querySelector('[data-testid=state]').textContent.includes('Measuring')")
+    page.wait_for_function("document.querySelector('[data-testid=pose-z]').textContent.includes(' ')")
     z_mm = float(page.inner_text("[data-testid=pose-z]").split()[0])
     assert 599.0 < z_mm < 612.5, "the target moves from 600 to 611 mm"
     for name in ("pose-x", "pose-y", "pose-rx", "pose-ry", "pose-rz", "fps", "latency", "scene", "record"):
