@@ -141,7 +141,7 @@ IN_TESTS = {
     ),
     ("armsight_lab/batch/work.py", "fewer workers at once (--jobs)"): (
         "tests/unit/app/test_batch.py::"
-        "test_a_job_that_needs_the_memory_of_several_workers_is_done_by_one_as_its_cure_says"
+        "test_a_job_whose_worker_is_killed_is_done_again_and_one_that_kills_three_is_done_by_one_as_its_cure_says"
     ),
     ("armsight_lab/cli/batch_commands.py", "Give fewer workers (--jobs)"): (
         "tests/unit/cli/test_batch.py::test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone"

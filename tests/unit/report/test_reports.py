@@ -434,7 +434,6 @@ def compare_page():
 
 PAGES = {
     "measure": lambda: measure_report(full_run()),
-    "measure without truth": lambda: measure_report(full_run(poses=poses_and_truth(60)[0], truth=None, samples=())),
     "calibration": calibration_page,
     "boards": boards_page,
     "compare": compare_page,
