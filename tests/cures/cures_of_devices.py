@@ -244,8 +244,8 @@ TRIED = {
         ],
     ),
     ("ops/recording/free_cameras.py", "Give live cameras, such as"): (
-        lambda: FreeJob(left="left", right="right", out=Path("a.mcap")),
-        lambda: FreeJob(left="camera:0", right="camera:2", out=Path("a.mcap")),
+        lambda: FreeJob(cameras={"left": "left", "right": "right"}, out=Path("a.mcap")),
+        lambda: FreeJob(cameras=LIVE_EYES, out=Path("a.mcap")),
     ),
     ("ops/robot/recorder.py", "Make room, or name another disk"): (
         lambda: require_recorded("no space is left"),
@@ -280,6 +280,6 @@ TRIED = {
     ),
     ("ops/robot/run_motion.py", "Give --left and --right too"): (
         moved(camera_settings=EXPOSED),
-        lambda: recorded_cameras(*LIVE_EYES.values(), EXPOSED, Path("moved")),
+        lambda: recorded_cameras(LIVE_EYES, EXPOSED, Path("moved")),
     ),
 }

@@ -36,6 +36,7 @@ from armsight.ops.servo.vision import CameraNames, ServoDevices, measuring, open
 from armsight.ops.verification.live import check_arm as check_supervised_arm
 from armsight.ops.verification.live import check_times, open_supervised
 from armsight.ops.verification.mastering import drawn_about
+from armsight.optics import SIDES
 from armsight.records import TaughtPath
 from armsight.store import read_rig, read_target
 
@@ -70,10 +71,10 @@ def planned(path, arm=UR, at=AT, **more):
     return lambda: plan_path(path, arm, Limits(), at, settings)
 
 
-def supervised(*views, play=False):
+def supervised(play=False, **eyes):
     """Return a call that opens a robot and the cameras that watch it."""
     link, settings = RobotJob(robot="egm:6510"), CameraSettings()
-    return lambda: open_supervised(link, views, target(), ManualClock(), UR, play=play, camera_settings=settings)
+    return lambda: open_supervised(link, SIDES, eyes, target(), ManualClock(), UR, play=play, camera_settings=settings)
 
 
 def times(**more):
@@ -131,7 +132,7 @@ def eyes(**more):
 
 
 def named(left=None, right=None):
-    return CameraNames(left, right, None, None)
+    return CameraNames.of(None, left, right, None, None)
 
 
 def target():
@@ -274,12 +275,12 @@ TRIED = {
         times(latency_s=0.0),
     ),
     ("ops/verification/live.py", "Leave --play away"): (
-        supervised(*LIVE_EYES.values(), play=True),
-        supervised(*LIVE_EYES.values()),
+        supervised(play=True, **LIVE_EYES),
+        supervised(**LIVE_EYES),
     ),
     ("ops/verification/live.py", "Give camera:NAME for"): (
-        supervised(f"camera:{SIM}:left", f"camera:{SIM}:right"),
-        supervised(*LIVE_EYES.values()),
+        supervised(left=f"camera:{SIM}:left", right=f"camera:{SIM}:right"),
+        supervised(**LIVE_EYES),
     ),
     ("ops/verification/mastering.py", "Give --around q1"): (MASTERING, "{} --around 0.1,0.2,0.1,0.2,0.9,0.3"),
     ("ops/verification/mastering.py", "Give degrees above 0"): (around(span_rad=0.0), around(span_rad=0.3)),
