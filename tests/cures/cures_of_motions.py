@@ -17,13 +17,13 @@ from armsight.control.guard import Limits
 from armsight.control.play import PlaySettings, Weave, plan_path
 from armsight.control.play.shape import shaped
 from armsight.control.teach import PathRecorder, StandingRig
-from armsight.drivers import AUTOMATIC, CameraSettings
+from armsight.drivers import CameraSettings
 from armsight.drivers.jog_inputs import open_jog_input
 from armsight.kinematics import preset
 from armsight.ops import motion, robots
 from armsight.ops.action import action_of
 from armsight.ops.identification.left_out import read_limits
-from armsight.ops.identification.live import Known, LiveSweeps, open_devices
+from armsight.ops.identification.live import Known, LiveSweeps
 from armsight.ops.identification.live import _check as check_identify
 from armsight.ops.identify import joint_numbers
 from armsight.ops.play.play_job import check as check_play
@@ -85,10 +85,6 @@ def times(**more):
 
 def identified(**known):
     check_identify(LiveSweeps(limits=np.ones((6, 2))), Known(rig=None, **known))
-
-
-def identified_by(left, right):
-    open_devices(RobotJob(robot="rsi:49152"), (left, right), AUTOMATIC, target(), ManualClock())
 
 
 def moved(*, yes=True, **more):
@@ -278,7 +274,7 @@ TRIED = {
         supervised(play=True, **LIVE_EYES),
         supervised(**LIVE_EYES),
     ),
-    ("ops/verification/live.py", "Give camera:NAME for"): (
+    ("ops/sources/cameras.py", "Give live cameras, such as"): (
         supervised(left=f"camera:{SIM}:left", right=f"camera:{SIM}:right"),
         supervised(**LIVE_EYES),
     ),
@@ -327,10 +323,6 @@ TRIED = {
     ("ops/verification/live.py", "Give the file of this arm"): (
         lambda: check_supervised_arm(preset("iiwa14"), SimpleNamespace(robot=telling(UR))),
         lambda: check_supervised_arm(UR, SimpleNamespace(robot=telling(UR))),
-    ),
-    ("ops/identification/live.py", "Give camera:NAME for --left"): (
-        lambda: identified_by("left", "right"),
-        lambda: identified_by(**LIVE_EYES),
     ),
     ("control/play/plan.py", "Run the positions alone"): (
         planned(TURNED, **FIVE),

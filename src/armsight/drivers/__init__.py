@@ -4,7 +4,7 @@ from armsight._files import DeviceLock
 from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
 from armsight.drivers.live import OpenCvCamera, cameras_there
-from armsight.drivers.moments import FileMoments, Moment, Moments, OneImage, by_name, moments_of, pairs_of
+from armsight.drivers.moments import FileMoments, Moment, Moments, OneImage, by_name, moments_of, news_of, pairs_of
 from armsight.drivers.opening import CAMERA, is_live, is_video, open_moments, open_source
 from armsight.drivers.pace import Pace, Paced
 from armsight.drivers.protocols import (
@@ -78,6 +78,7 @@ __all__ = [
     "listen",
     "load",
     "moments_of",
+    "news_of",
     "open_moments",
     "open_source",
     "ordered_map",

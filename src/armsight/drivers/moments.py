@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import repeat
@@ -51,6 +51,14 @@ def by_name(names: Sequence[str], moment: Views) -> dict[str, Frame]:
 def moments_of(source: MomentSource) -> Generator[Views, None, None]:
     """Yield a source's moments, as a generator, which can be closed."""
     yield from source
+
+
+def news_of(source: MomentSource, told: list[str]) -> list[str]:
+    """Return what to tell of the cameras of a source that were lost since they were last told, which it notes."""
+    lost: Mapping[str, str] = getattr(source, "lost", {})
+    fresh = [name for name in lost if name not in told]
+    told += fresh
+    return [f"the camera {name} is lost: {lost[name]}" for name in fresh]
 
 
 def pairs_of(moments: Iterable[Views]) -> Generator[tuple[Frame, Frame], None, None]:

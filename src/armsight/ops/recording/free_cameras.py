@@ -15,11 +15,12 @@ from types import TracebackType
 from typing import Annotated, Self
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource
 from armsight.drivers.live import SILENCE_S
-from armsight.errors import ArmsightError, Cancelled, DeviceFailed, DeviceLost, UsageError
+from armsight.errors import ArmsightError, Cancelled, DeviceFailed, DeviceLost
 from armsight.fields import Doc
 from armsight.ops.recording.recorder import Recorder
+from armsight.ops.sources.cameras import require_watching
 from armsight.ops.sources.frames import camera_source
 from armsight.priority import give_way
 from armsight.records.output import Output, output
@@ -53,13 +54,7 @@ class FreeJob:
     settings: CameraSettings = AUTOMATIC
 
     def __post_init__(self) -> None:
-        for text in self.cameras.values():
-            if not is_live(text) or text.startswith("camera:sim:"):
-                raise UsageError(
-                    f"{text} does not see the arm now",
-                    consequence="Nothing is moved",
-                    cure="Give live cameras, such as --left camera:0 --right camera:2",
-                )
+        require_watching(self.cameras.values(), "the arm")
 
 
 class FreeCameras:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +14,17 @@ from typing import Annotated, TypeAlias
 
 from armsight._files import real_path
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import AUTOMATIC, MAX_SKEW_S, CameraSettings, MomentSource, Views, by_name, is_live, moments_of
+from armsight.drivers import (
+    AUTOMATIC,
+    MAX_SKEW_S,
+    CameraSettings,
+    MomentSource,
+    Views,
+    by_name,
+    is_live,
+    moments_of,
+    news_of,
+)
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import RIG, TARGET
@@ -142,7 +153,7 @@ def record_moments(
             with writer:
                 _attach(writer, files or {}, rig, start_s)
                 with recorder:
-                    lost, told = getattr(moments, "lost", {}), progress or Silent()
+                    lost, told = partial(news_of, moments), progress or Silent()
                     _pump(job, chain([first], source), lost, recorder, tally, told, clock or SystemClock())
         except ArmsightError as error:
             kept = f"What was recorded until then is in {job.out}"
@@ -204,7 +215,7 @@ class Tally:
 def _pump(
     job: RecordJob,
     source: Iterable[Views],
-    lost: Mapping[str, str],
+    lost: Callable[[list[str]], list[str]],
     recorder: Recorder,
     tally: Tally,
     progress: Progress,
@@ -216,17 +227,12 @@ def _pump(
         frames = by_name(tally.names, moment)
         recorder.put(frames)
         tally.add(frames)
-        for name in [name for name in lost if name not in told]:
-            told.append(name)
-            recorder.add(_gone(tally.last_s, f"the camera {name} is lost: {lost[name]}"))
+        for message in lost(told):
+            recorder.add(partial(RecordingWriter.event, t_s=tally.last_s, message=message, level="warning"))
         notes = [f"{recorder.dropped} dropped"] if recorder.dropped else []
         progress.update(tally.n, job.limit or 0, ", ".join([*notes, *(f"{name} is lost" for name in told)]))
         if tally.n == job.limit or clock.now_s() >= end_s or progress.cancelled():
             return
-
-
-def _gone(t_s: float, message: str) -> Callable[[RecordingWriter], None]:
-    return lambda writer: writer.event(t_s, message, level="warning")
 
 
 def _check(job: RecordJob) -> None:

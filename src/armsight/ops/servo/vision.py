@@ -21,7 +21,7 @@ from armsight.control.servo import ServoSource
 from armsight.control.servo.law import CameraDelay
 from armsight.control.status import QueueSink
 from armsight.defaults import HAND_SPEED_M_S
-from armsight.drivers import CameraSettings, MomentSource, Views, is_live, moments_of
+from armsight.drivers import CameraSettings, MomentSource, Views, moments_of, news_of
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.moments import TargetTracker, lost_frames
@@ -31,7 +31,7 @@ from armsight.ops.requests.motion import LATENCY_S, RobotJob, refuse_cameras
 from armsight.ops.robot.opening import ClockedRobot, clocked_robot, refuse_settings
 from armsight.ops.simulation.following import followed_cell
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.cameras import named_cameras, open_rig
+from armsight.ops.sources.cameras import named_cameras, open_rig, require_watching
 from armsight.ops.sources.frames import complex_pairs, open_source
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import Rig, RigKind
@@ -153,11 +153,14 @@ class Vision:
         self._last: Views = (None,) * len(setup.rig.names)
         self._shown: tuple[deque[int], ...] = tuple(deque(maxlen=SHOWN) for _ in setup.rig.names)
         self._noisy = False
+        self._lost: list[str] = []
         self._ahead_s = math.inf  # the clock's time at the cameras' zero
 
     def take(self, moment: Views) -> None:
         """Measure a moment and tell the source. Raises Inconsistent for frames that are not of the rig's size."""
         begun_s = time.perf_counter()
+        for message in news_of(self._devices.pairs, self._lost):
+            self._sink.event(self._clock.now_s(), message, "warning", "cameras")
         measured = self._measured(moment)
         pose, zero_s = measured.pose, self._zero_s(moment)
         exposed_s, now_s = pose.t_s + zero_s, self._clock.now_s()
@@ -290,6 +293,10 @@ def placed_cameras(handeye: Path) -> HandEyeFile:
     return read_handeye(handeye)
 
 
+def _told_later(message: str) -> None:
+    """Leave it to who takes the moments to tell of a lost camera: news_of."""
+
+
 SIM = "sim:"
 
 
@@ -325,17 +332,11 @@ class CameraNames:
             return complex_pairs(partial(open_source, self.image, colour=colour, settings=settings, clock=clock), rig)
         if self.image is not None or not self.cameras:
             return None
-        return open_rig(rig.names, cameras=self.cameras, colour=colour, settings=settings), False
+        return open_rig(rig.names, cameras=self.cameras, colour=colour, settings=settings, tell=_told_later), False
 
     def named(self) -> dict[str, str]:
         """Return all sources by their flag's name."""
         return {**self.cameras, **({} if self.image is None else {"image": self.image})}
-
-    def require_live(self) -> None:
-        """Raise UsageError for what does not see the target now."""
-        for text in self.named().values():
-            if not is_live(text) or text.startswith("camera:sim:"):
-                raise UsageError(f"{text} does not see the target now", cure="Give camera:NAME")
 
 
 def open_servo(
@@ -362,7 +363,7 @@ def open_servo(
     if hand is not None:
         raise UsageError(f"--hand leads a simulated target, and {job.robot} is no simulated robot", cure="Leave it out")
     robot = clocked_robot(job, arm)
-    cameras.require_live()
+    require_watching(cameras.named().values(), "the target")
     moments = cameras.moments(rig, target, robot.clock)
     if moments is None:
         raise UsageError(

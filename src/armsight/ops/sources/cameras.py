@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -60,6 +60,12 @@ def named_cameras(cameras: Mapping[str, str], left: str | None = None, right: st
             consequence="Nothing was opened",
             cure=f"A rig has one to {MOST_CAMERAS}: leave those away that see least",
         )
+    require_own_sources(given)
+    return given
+
+
+def require_own_sources(given: Mapping[str, str]) -> None:
+    """Raise UsageError for one source by two names, but a recording, which has one for each."""
     of: dict[str, str] = {}
     for name, text in given.items():
         same = of.setdefault(_device(text), name)
@@ -70,7 +76,17 @@ def named_cameras(cameras: Mapping[str, str], left: str | None = None, right: st
                 consequence="The same image twice has no depth",
                 cure="Give each camera's own source; where a command has --image, one that holds both views goes there",
             )
-    return given
+
+
+def require_watching(sources: Iterable[str], what: str) -> None:
+    """Raise UsageError for sources that are no live cameras: they do not see what moves."""
+    for text in sources:
+        if not is_live(text) or text.startswith(f"{CAMERA}sim:"):
+            raise UsageError(
+                f"{text} does not see {what} now",
+                consequence="Nothing is moved",
+                cure="Give live cameras, such as --left camera:0 --right camera:2",
+            )
 
 
 def _device(text: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from armsight.clock import Clock
-from armsight.drivers import CameraSettings, is_live, moments_of
+from armsight.drivers import CameraSettings, moments_of
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_named
@@ -17,7 +17,7 @@ from armsight.ops.requests.plant import Publishing
 from armsight.ops.robot.opening import refuse_settings, robot_of
 from armsight.ops.simulation.following import followed_cell
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.cameras import cameras_of, open_cameras
+from armsight.ops.sources.cameras import cameras_of, open_cameras, require_watching
 from armsight.ops.verification.supervising import Supervised, Supervision
 from armsight.records import Progress, Target
 from armsight.store.rigs import World
@@ -138,7 +138,7 @@ def open_supervised(
     given: Mapping[str, str],
     target: Target,
     clock: Clock,
-    arm: Arm,
+    arm: Arm | None,
     *,
     play: bool,
     camera_settings: CameraSettings,
@@ -161,9 +161,7 @@ def open_supervised(
     if link.robot.startswith(SIM):
         refuse_settings(link)
         return _simulated(link.robot, cameras, clock, play, camera_settings)
-    for text in cameras.values():
-        if not is_live(text) or text.startswith("camera:sim:"):
-            raise UsageError(f"{text} does not see {link.robot} now", cure="Give camera:NAME for --left and --right")
+    require_watching(cameras.values(), link.robot)
     robot = robot_of(link, clock, arm)
     pairs = open_cameras(cameras, colour=target.colour is not None, settings=camera_settings)
     return Supervised(robot=robot, pairs=pairs)

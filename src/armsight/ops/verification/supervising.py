@@ -17,7 +17,7 @@ import numpy as np
 from armsight.clock import Clock
 from armsight.control.session.service import TokenBucket
 from armsight.defaults import BLIND_S
-from armsight.drivers import MomentSource, Robot, Views, by_name
+from armsight.drivers import MomentSource, Robot, Views, by_name, news_of
 from armsight.errors import DeviceFailed, StaleData
 from armsight.measure.poses.moments import TargetTracker
 from armsight.measure.poses.pipeline import Measured, Setup
@@ -152,6 +152,7 @@ class Supervision:
         self._stopped_s: float | None = None
         self.seen: Seen | None = None
         """The newest pair, for the plant's systems."""
+        self._lost: list[str] = []
         self._notes: deque[tuple[str, str]] = deque(maxlen=NOTES)
         self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, WARNINGS_PER_S, clock.now_s()), 0
 
@@ -172,6 +173,8 @@ class Supervision:
     def take(self, moment: Views) -> None:
         """Measure, compare, judge, and only then write and tell."""
         begun_s = time.perf_counter()
+        for message in news_of(self.devices.pairs, self._lost):
+            self.note("warning", message)
         frames = by_name(self._rig.names, moment)
         newest_s = max(frame.t_s for frame in frames.values())
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._latency_s)
