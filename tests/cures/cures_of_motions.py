@@ -31,8 +31,9 @@ from armsight.ops.play.play_job import check_speeds
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.ops.robot.robot_run import check_arm
+from armsight.ops.servo.cameras import CameraNames
 from armsight.ops.servo.run_servo import require_axis, turning
-from armsight.ops.servo.vision import CameraNames, ServoDevices, measuring, open_servo, placed_cameras
+from armsight.ops.servo.vision import ServoDevices, measuring, open_servo, placed_cameras
 from armsight.ops.verification.live import check_arm as check_supervised_arm
 from armsight.ops.verification.live import check_times, open_supervised
 from armsight.ops.verification.mastering import drawn_about

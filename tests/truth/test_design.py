@@ -22,16 +22,16 @@ from armsight.records.target import spot_target
 from armsight.store import write_rig, write_target
 from armsight.store.rigs import World, write_world
 from armsight_lab.batch.jobs import Job
-from armsight_lab.cell_plan.links import Links
 from armsight_lab.design.changes import where_it_helps
-from armsight_lab.design.expected_poses import expected_poses
+from armsight_lab.design.expected_poses import expected_poses, look
 from armsight_lab.design.plan import plan_of
 from armsight_lab.design.records import DesignSimulation
 from armsight_lab.design.request import DesignJob
 from armsight_lab.design.run import run_design
 from armsight_lab.design.simulate import _compared, foretold_at, spec_of
 from armsight_lab.design.simulated_run import simulate_run
-from armsight_lab.design.volume import Forecast, forecast, hidden_ways
+from armsight_lab.design.volume import NOISE, Forecast, forecast, hidden_ways, size_of
+from armsight_lab.links import Links
 from refusals import refuses
 
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
@@ -142,22 +142,24 @@ def rig_of(world: Ring) -> Rig:
     return Rig(cameras=cameras, covariance=NamedCovariance(names=(*names, *places), matrix=np.diag(np.square(std))))
 
 
-@pytest.mark.parametrize("views", [1, 3, 4])
+@pytest.mark.parametrize("views", [3, 4])
 def test_by_any_number_of_cameras_every_sight_counts_up_to_the_bound(views: int) -> None:
     rng, world = np.random.default_rng(views), ring(views)
     target = spot_target({name: tuple(x) for name, x in zip("ABCDEF", RELIEF.tolist(), strict=True)})
     setup = Setup(rig_of(world), target, many=True)
     poses = [pose(rng, tilt_rad=0.2) for _ in range(12)]
     for k, T in enumerate(poses[:6]):
-        T[0, 3] += 0.11 * k - 0.2  # some lights leave some of the pictures
+        T[1, 3] += 0.34 + 0.04 * k  # some lights leave some of the pictures
     found = expected_poses(
         setup, RigidTransform.from_matrix(np.array(poses)), lambda size, side: np.full(size.shape, 0.1), least_px=2.0
     )
-    assert found.whole.sum() > 8
+    assert found.whole.sum() > 6
     partial = 0
     for i in np.flatnonzero(found.whole).tolist():
-        sights = np.isfinite(world.pixels(RELIEF @ poses[i][:3, :3].T + poses[i][:3, 3])[..., 0])
-        assert (found.seen[i] & ~sights).sum() == 0 and (sights & ~found.seen[i]).sum() <= 1  # a light at the edge
+        uv = world.pixels(RELIEF @ poses[i][:3, :3].T + poses[i][:3, 3])  # (n, v, 2)
+        apart = np.linalg.norm(uv[:, None] - uv, axis=3) + 99.0 * np.eye(6)[..., None]
+        sights = np.isfinite(uv[..., 0]) & (np.nanmin(apart, axis=1) >= 4.0)  # nearer ones run into each other
+        assert (found.seen[i] == sights).all()
         partial += not found.seen[i].all()
         bound = world.bound(RELIEF, poses[i], found.seen[i], 0.1)
         ratio = np.linalg.eigvals(np.linalg.solve(bound, found.random[i])).real
@@ -175,7 +177,7 @@ def test_the_links_of_an_arm_hide_the_ways_that_go_through_them(job: DesignJob, 
     plan = plan_of(replace(planned, link_radius_m=0.06))
     assert plan.arm is not None
     clear = forecast(plan_of(planned))
-    poses, rig = clear.expected.T_rig_target[np.arange(0, 27, 2)], clear.rig
+    poses, rig = clear.expected.T_rig_target[np.arange(0, 27, 5)], clear.rig
     points = np.einsum("mij,nj->mni", poses.rotation.as_matrix(), plan.target.xyz_m) + poses.translation[:, None]
     hidden = hidden_ways(plan.arm, 0.06, rig, poses, points)
     links, told = Links(arm=plan.arm.arm, radius_m=0.06, keep_m=0.0, walls=()), 0
@@ -192,8 +194,8 @@ def test_the_links_of_an_arm_hide_the_ways_that_go_through_them(job: DesignJob, 
         assert not marched or any((hidden[i] == np.array(one)).all() for one in marched)
         told += least
     assert told > 0
-    seen = forecast(plan).expected.seen
-    assert seen.sum() < clear.expected.seen.sum()
+    before, after = (look(rig, plan.target, poses, 2.0, hides).seen for hides in (None, lambda *_: hidden))
+    assert (after == before & ~hidden.any(axis=2, keepdims=True)).all()  # of a pair both must show a light
 
 
 def eyes(rig: Rig) -> list[np.ndarray]:
@@ -224,10 +226,9 @@ def test_one_more_camera_is_put_where_two_side_by_side_see_least(job: DesignJob)
     angle = np.arccos(to_pair @ to_more / np.linalg.norm(to_pair) / np.linalg.norm(to_more))
     assert np.deg2rad(40.0) < angle < np.deg2rad(140.0)  # depth, which the two tell worst, is across its picture
     wider = forecast(better)
-    assert np.nanmedian(wider.position_m) < 0.6 * np.nanmedian(found.position_m)
-    done = run_design(replace(job, cells=3, one_more=True))
-    assert [one for one in done.changes if "one more camera at" in one.change]
-    assert done.seen is not None and tuple(done.seen) == ("left", "right")
+    assert np.nanmedian(wider.position_m) < np.nanmedian(found.position_m)
+    noise, less = (np.nanmedian(size_of(one.parts[NOISE][:, :3, :3])) for one in (found, wider))
+    assert less < 0.6 * noise
 
 
 def test_other_cameras_than_a_pair_are_planned_as_they_are_calibrated(job: DesignJob, tmp_path: Path) -> None:
@@ -239,3 +240,4 @@ def test_other_cameras_than_a_pair_are_planned_as_they_are_calibrated(job: Desig
     assert done.baseline_m is None and done.seen is not None
     assert tuple(done.seen) == ("c0", "c1", "c2") and max(done.seen.values()) == 1.0
     assert any("c1" in line for line in done.advice)
+    assert not any("baseline" in one.change for one in done.changes)

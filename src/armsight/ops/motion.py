@@ -202,8 +202,9 @@ def servo(
     from armsight.ops.measurement.warm_up import prepare
     from armsight.ops.robot.recorder import require_new
     from armsight.ops.robot.robot_run import RobotRun
+    from armsight.ops.servo.cameras import CameraNames
     from armsight.ops.servo.run_servo import LAG_CYCLES, follow_target, require_axis, turning
-    from armsight.ops.servo.vision import CameraNames, measuring, open_servo, placed_cameras
+    from armsight.ops.servo.vision import measuring, open_servo, placed_cameras
 
     record = None if out is None else require_new(out, SERVO_RECORDING)
     placed, turns = placed_cameras(handeye), turning(rotation)
@@ -344,7 +345,8 @@ def play(
     from armsight.ops.robot.opening import clocked_robot
     from armsight.ops.robot.recorder import require_new
     from armsight.ops.robot.robot_run import RobotRun
-    from armsight.ops.servo.vision import CameraNames, measuring, open_servo, placed_cameras
+    from armsight.ops.servo.cameras import CameraNames
+    from armsight.ops.servo.vision import measuring, open_servo, placed_cameras
 
     play_job.check(frame, stop_m)
     settings = PlaySettings(

@@ -157,7 +157,7 @@ def teach(
     from armsight.measure.settings import SpotSettings
     from armsight.ops import teaching as parts
     from armsight.ops.robot.robot_run import as_question
-    from armsight.ops.servo.vision import CameraNames
+    from armsight.ops.servo.cameras import CameraNames
     from armsight.ops.sources.pace import pace_of
     from armsight.records import Silent
     from armsight.store import read_poses

@@ -290,11 +290,9 @@ def supervise(
     seen, lights, stand = read_rig(rig, any_cameras=True), target_of(target), read_world(world)
     live.check_times(latency_s, latency_std_s, blind_stop_s, joint_std)
     link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, follow=follow)
-    settings = camera_settings or AUTOMATIC
-    eyes = named_cameras(cameras or {}, left, right)
-    devices = devices or live.open_supervised(
-        link, seen.names, eyes, lights, clock, arm, play=play, camera_settings=settings
-    )
+    eyes, settings = named_cameras(cameras or {}, left, right), camera_settings or AUTOMATIC
+    named = (link, seen.names, eyes, lights, clock, arm)
+    devices = devices or live.open_supervised(*named, play=play, camera_settings=settings)
     expectation = PredictedPose(
         arm=arm if stand.parent == "world" else arm.based(),
         T_parent_rig=stand.T_parent_rig,

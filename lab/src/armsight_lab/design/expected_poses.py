@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array, Mask
 from armsight.geometry.poses import skew
 from armsight.measure.poses.kernels.rig_covariance import FOLDED_FROM
-from armsight.measure.poses.pose import UNKNOWN, NamedSpots, solve_pose
+from armsight.measure.poses.pose import TWO, UNKNOWN, NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup, symmetries
 from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, Rig, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
@@ -160,31 +160,25 @@ def expected_poses(
     sigma = np.stack([noise(lights.size_px[..., side], side) for side in range(v)], axis=2)  # (m, n, v)
     points = _points(target, T_rig_target)
     J, D = (np.where(lights.seen[..., None, None], each, 0.0) for each in _slopes(rig, points))
-    R = T_rig_target.rotation.as_matrix()
-    sights = lights.seen.sum(axis=(1, 2))
-    enough = lights.seen.any(axis=2).sum(axis=1) >= min(n, LEAST_LIGHTS)
-    enough &= sights >= (LEAST_SIGHTS if n >= LEAST_LIGHTS else 2 * n)
     whole, placed, why = np.zeros(m, bool), np.zeros(m, bool), list(lights.why)
     random = np.full((m, 6, 6), np.nan)
     slopes = np.full((m, 6, len(rig.parameters) + 3 * n), np.nan)
-    alike = n >= LEAST_LIGHTS and not target.is_board and bool(symmetries(target))
-    for i in np.flatnonzero(enough).tolist():
+    many, R = n >= LEAST_LIGHTS, T_rig_target.rotation.as_matrix()
+    alike = many and not target.is_board and bool(symmetries(target))
+    for i in np.flatnonzero(_enough(lights.seen)).tolist():
         seen = np.flatnonzero(lights.seen[i].any(axis=1))
-        placed[i] = True
         W = np.where(lights.seen[i, seen], 1.0 / sigma[i, seen] ** 2, 0.0)[..., None] * np.ones(2)  # (k, v, 2)
         at = Linear(J=J[i, seen], D=D[i, seen], W=W, R=R[i], X=target.xyz_m[seen], index=seen, n=n)
-        whole_one = n >= LEAST_LIGHTS and not alike
-        pose = _solved(setup, lights, i, seen, sigma[i, seen], T_rig_target[i]) if whole_one else None
+        pose = _solved(setup, lights, i, seen, sigma[i, seen], T_rig_target[i]) if many and not alike else None
         if pose is not None and pose.status is PoseStatus.OK:
-            whole[i], why[i] = True, ""
+            whole[i], placed[i], why[i] = True, True, ""
             bound, slopes[i] = at.pose()
             random[i] = _widened(pose, bound)
             continue
         why[i] = ALIKE if alike else pose.why if pose is not None else NO_TURN[n]
-        if (pose is not None and pose.status is PoseStatus.LOST) or (lights.seen[i, seen].sum(axis=1) < 2).any():
-            placed[i] = False
-            continue
-        random[i, :3, :3], slopes[i, :3] = at.points()
+        placed[i] = (pose is None or pose.status is not PoseStatus.LOST) and lights.seen[i, seen].sum(axis=1).min() > 1
+        if placed[i]:
+            random[i, :3, :3], slopes[i, :3] = at.points()
     if target.covariance is None:
         slopes = slopes[:, :, : len(rig.parameters)]
     return Expected(
@@ -197,6 +191,13 @@ def expected_poses(
         points=_alone(points, lights.seen, J, D, sigma),
         seen=lights.seen,
     )
+
+
+def _enough(seen: Mask) -> Mask:
+    """Return at which places there are sights enough for a pose, or of one or two lights a position."""
+    n = seen.shape[1]
+    lights = seen.any(axis=2).sum(axis=1) >= min(n, LEAST_LIGHTS)
+    return np.asarray(lights & (seen.sum(axis=(1, 2)) >= (LEAST_SIGHTS if n >= LEAST_LIGHTS else 2 * n)))
 
 
 def _alone(points: Array, sights: Mask, J: Array, D: Array, sigma: Array) -> Points:
@@ -276,8 +277,8 @@ def _least_gap(target: Target) -> float:
 def _solved(
     setup: Setup, lights: Lights, i: int, seen: NDArray[np.intp], sigma: Array, T: RigidTransform
 ) -> TargetPose:
-    """Return the pose that the product gives of these lights, seen without noise; where one view alone shows a light,
-    found from where they are."""
+    """Return the pose that the product gives of these lights, seen without noise; of other rigs than pairs, where one
+    view alone may show a light, found from where they are."""
     model, sights = setup.model, lights.seen[i, seen]
     names = tuple(model.names[j] for j in seen.tolist())
     spots = NamedSpots(
@@ -289,7 +290,7 @@ def _solved(
         normal=model.normal,
     )
     carried = setup.covariance_of(names)
-    start, slack_px = UNKNOWN if sights.all() else T.as_matrix(), setup.slack_px
+    start, slack_px = UNKNOWN if sights.shape[1] == TWO else T.as_matrix(), setup.slack_px
     return solve_pose(setup.packed, 0.0, spots, limit=np.inf, slack_px=slack_px, covariance=carried, start=start).pose
 
 

@@ -15,7 +15,6 @@ from armsight.kinematics import ik
 from armsight.measure.poses.setup import SLACK_PX, Setup, rig_slack_px
 from armsight.optics import Rig, mean_axes
 from armsight.units import DEG
-from armsight_lab.cell_plan.links import Links, apart
 from armsight_lab.design.expected_poses import Expected, SpotNoise, centre_deviation, expected_poses
 from armsight_lab.design.plan import ArmPlan, Plan
 from armsight_lab.design.planned_calibrations import (
@@ -26,6 +25,7 @@ from armsight_lab.design.planned_calibrations import (
     planned_views,
     tool_slopes,
 )
+from armsight_lab.links import Links, apart
 
 NOISE, RIG, TARGET, ARM = "noise of one frame", "calibration of the rig", "measures of the target", "poses of the arm"
 """What a deviation is made of."""

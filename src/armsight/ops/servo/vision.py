@@ -7,10 +7,9 @@ import threading
 import time
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -21,7 +20,7 @@ from armsight.control.servo import ServoSource
 from armsight.control.servo.law import CameraDelay
 from armsight.control.status import QueueSink
 from armsight.defaults import HAND_SPEED_M_S
-from armsight.drivers import CameraSettings, MomentSource, Views, moments_of, news_of
+from armsight.drivers import MomentSource, Views, moments_of, news_of
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.moments import TargetTracker, lost_frames
@@ -29,10 +28,10 @@ from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.settings import SpotSettings
 from armsight.ops.requests.motion import LATENCY_S, RobotJob, refuse_cameras
 from armsight.ops.robot.opening import ClockedRobot, clocked_robot, refuse_settings
+from armsight.ops.servo.cameras import CameraNames
 from armsight.ops.simulation.following import followed_cell
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.cameras import named_cameras, open_rig, require_watching
-from armsight.ops.sources.frames import complex_pairs, open_source
+from armsight.ops.sources.cameras import require_watching
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame, PoseStatus, Target, TargetPose
@@ -293,50 +292,7 @@ def placed_cameras(handeye: Path) -> HandEyeFile:
     return read_handeye(handeye)
 
 
-def _told_later(message: str) -> None:
-    """Leave it to who takes the moments to tell of a lost camera: news_of."""
-
-
 SIM = "sim:"
-
-
-@dataclass(frozen=True, slots=True)
-class CameraNames:
-    """Cameras as people name them, or files of them: by the rig's names, or the one image of a mirror rig.
-
-    exposure_s: None: as they choose it. latency_s: see ServoDevices.
-    """
-
-    cameras: Mapping[str, str]
-    image: str | None
-    exposure_s: float | None
-    latency_s: float = LATENCY_S
-
-    @classmethod
-    def of(
-        cls,
-        cameras: Mapping[str, str] | None,
-        left: str | None,
-        right: str | None,
-        image: str | None,
-        exposure_s: float | None,
-        latency_s: float = LATENCY_S,
-    ) -> CameraNames:
-        """Return them as an action's arguments name them. Raises UsageError."""
-        return cls(named_cameras(cameras or {}, left, right), image, exposure_s, latency_s)
-
-    def moments(self, rig: Rig, target: Target, clock: Clock | None = None) -> tuple[MomentSource, bool] | None:
-        """Return their moments, not yet open, and whether one image holds both views; None where they are not said."""
-        colour, settings = target.colour is not None, CameraSettings(exposure_s=self.exposure_s)
-        if self.image is not None and not self.cameras:
-            return complex_pairs(partial(open_source, self.image, colour=colour, settings=settings, clock=clock), rig)
-        if self.image is not None or not self.cameras:
-            return None
-        return open_rig(rig.names, cameras=self.cameras, colour=colour, settings=settings, tell=_told_later), False
-
-    def named(self) -> dict[str, str]:
-        """Return all sources by their flag's name."""
-        return {**self.cameras, **({} if self.image is None else {"image": self.image})}
 
 
 def open_servo(

@@ -27,8 +27,7 @@ from armsight.drivers import (
     is_video,
 )
 from armsight.errors import UsageError
-from armsight.ops.sources.bags import BagFrames
-from armsight.ops.sources.frames import RecordedFrames, is_recording, require_as_recorded
+from armsight.ops.sources.frames import camera_source, is_recording, require_as_recorded
 from armsight.optics import MOST_CAMERAS, SIDES, require_camera_name
 from armsight.store.bags import is_bag
 
@@ -197,8 +196,7 @@ def open_cameras(
     if videos:
         max_skew_s = min(max_skew_s, *(0.5 * frame_period_s(text) for text in texts))
         sources = [VideoFile(text, colour=colour) for text in texts]
-    elif kind is is_bag:
-        sources = [BagFrames(text, colour=colour, origin_of=None if text == first else first) for text in texts]
     else:
-        sources = [RecordedFrames(text, name, colour=colour) for name, text in cameras.items()]
+        zero = {text: None if text == first else first for text in texts}
+        sources = [camera_source(text, name, colour=colour, origin_of=zero[text]) for name, text in cameras.items()]
     return RecordedMoments(*sources, names=names, max_skew_s=max_skew_s, end_together=videos, tell=tell)
