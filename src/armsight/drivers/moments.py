@@ -159,6 +159,8 @@ class FileMoments(Moments):
             return
         if self._partial:
             self._rows = _rows([one.paths for one in folders], self.names)
+            for k, folder in enumerate(folders):
+                folder.moments = [j for j, row in enumerate(self._rows) if row[k]]
         else:
             check_partners(folders[0].paths, folders[1].paths)
 

@@ -157,7 +157,9 @@ def test_images_are_put_together_by_their_numbers(tmp_path: Path) -> None:
     numbers = (range(1, 8), (1, 2, 3, 5, 6, 7), (2, 3, 4, 5, 6, 7))
     folders = [folder_of(tmp_path / name, tuple(each)) for name, each in zip(NAMES, numbers, strict=True)]
     with FileMoments(*folders, names=NAMES) as moments:
-        got = [tuple(None if frame is None else int(frame.image[0, 0]) for frame in one) for one in moments]
+        read = list(moments)
+    got = [tuple(None if frame is None else int(frame.image[0, 0]) for frame in one) for one in read]
+    assert [{frame.t_s for frame in one.there} for one in read] == [{k / 30.0} for k in range(7)]
     assert got == [(1, 1, None), (2, 2, 2), (3, 3, 3), (4, None, 4), (5, 5, 5), (6, 6, 6), (7, 7, 7)]
 
 
