@@ -12,7 +12,7 @@ from armsight.calibrate.arm.touch.touches import check_touches
 from armsight.kinematics import preset
 from armsight.ops.arm_files import load_arm
 from armsight.ops.flags import lengths_of
-from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
+from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_named
 from armsight.ops.simulation.following import require_joints
 from armsight.store.arm_points import read_arm_points
 from armsight.store.touch_table import read_touches
@@ -54,13 +54,13 @@ TRIED = {
         lambda: refuse_cameras("webcam-cell", left="camera:0", right=None),
         lambda: [
             refuse_cameras("webcam-cell", left=None, right=None),
-            require_views("camera:0", "camera:2"),
+            require_named({"left": "camera:0", "right": "camera:2"}),
         ],
     ),
     ("ops/requests/motion.py", "Give --left and --right, or --follow SCENARIO"): (
-        lambda: require_views("camera:0", None),
+        lambda: require_named({}),
         lambda: [
-            require_views("camera:0", "camera:2"),
+            require_named({"left": "camera:0", "right": "camera:2"}),
             refuse_cameras("webcam-cell", left=None, right=None),
         ],
     ),

@@ -186,14 +186,15 @@ def calibrate_target(
     from armsight.drivers import AUTOMATIC
     from armsight.measure.settings import SpotSettings
     from armsight.ops.calibration.spots_of_frames import lit_frames
-    from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
+    from armsight.ops.sources.cameras import open_rig
+    from armsight.ops.sources.frames import complex_pairs, open_source
     from armsight.records import Silent
 
     settings, cameras = SpotSettings(threshold=threshold, inverted=inverted), camera_settings or AUTOMATIC
     if (image is None) == (left is None):
         raise UsageError("which frames?", cure="Give --left and --right, or --image with both views in one image")
     if image is None:
-        source, overlaid = open_pairs(left, right, settings=cameras), False
+        source, overlaid = open_rig(rig.names, left, right, settings=cameras), False
     else:
         source, overlaid = complex_pairs(partial(open_source, image, settings=cameras), rig)
     with source as pairs:

@@ -205,6 +205,7 @@ def _with_zoom(settings: PairSettings, zoom: tuple[float | None, float | None]) 
     writes=True,
     examples=(
         "--left camera:0 --right camera:1 --seconds 60 -o recording.mcap",
+        "--camera left=camera:0 --camera right=camera:2 --camera top=camera:4 -o recording.mcap",
         "--repair recording.mcap -o mended.mcap",
     ),
 )
@@ -213,6 +214,7 @@ def record(
     left: Left = None,
     right: Right = None,
     *,
+    cameras: CamerasLike = None,
     cell: Annotated[str | None, Doc("A simulated cell in place of cameras, such as hand-cell.")] = None,
     seed: Annotated[int, Doc("The same seed gives the same frames."), Bounds(least=0)] = 0,
     rig: Annotated[AsFile, Doc("rig.yaml: its calibration goes into the recording.")] = None,
@@ -231,15 +233,16 @@ def record(
     camera_settings: Cameras | None = None,
     progress: Progress | None = None,
 ) -> RecordOutput:
-    """Record both cameras into an MCAP file, or mend one that was cut off.
+    """Record one to eight cameras into an MCAP file, or mend one that was cut off.
 
-    Stop with Ctrl-C. Whatever happens to the program or the disk, all but the last second is readable.
+    Of three and more a camera that is lost is told, and the others go on. Stop with Ctrl-C. Whatever happens to the
+    program or the disk, all but the last second is readable.
 
     Parameters
     ----------
     out
         FILE.mcap.
-    left, right
+    left, right, cameras
         As `measure` takes them; or cell, a simulated one such as 'hand-cell', in their place.
     frames, seconds_s
         When to stop; else with the frames.
@@ -261,13 +264,13 @@ def record(
     from armsight.drivers import AUTOMATIC
     from armsight.ops.recording.record import RecordJob, image_format
     from armsight.ops.recording.record import record as run
+    from armsight.ops.sources.cameras import named_cameras
 
     if out is None:
         raise UsageError("the recording has no name", cure="Give -o FILE.mcap")
     job = RecordJob(
         out=out,
-        left=left,
-        right=right,
+        cameras=named_cameras(cameras or {}, left, right),
         cell=cell,
         seed=seed,
         rig=rig,

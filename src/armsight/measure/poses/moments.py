@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.errors import Unseen, UsageError
+from armsight.errors import Inconsistent, Unseen, UsageError
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
-from armsight.measure.poses.pipeline import NOT_OF_THE_RIG, check_size, measure_pair
+from armsight.measure.poses.pipeline import check_sizes, measure_pair
 from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import MOST_UNNAMED
@@ -35,9 +35,7 @@ def measure_moment(setup: Setup, frames: Sequence[Frame | None], track: Track | 
     if not there:
         raise UsageError("a moment without any frame", consequence="It has no time", cure="Leave it out")
     t_s = float(np.mean([frame.t_s for frame in there]))
-    for name, frame in zip(setup.rig.names, frames, strict=True):
-        if frame is not None:
-            check_size(setup.rig, name, frame, NOT_OF_THE_RIG)
+    check_sizes(setup.rig, frames)
     if len(frames) == TWO:
         left, right = frames
         if left is None or right is None:
@@ -107,3 +105,41 @@ def _in_view(setup: Setup, s: int, frame: Frame | None, at: Array, half_px: int)
     if not inside.any():
         return Spots.none()
     return track_spots(frame.image, at[inside], half_px, setup.sides[s])[0]
+
+
+# A target followed over moments: each tells the next where to look, and what shows nothing is lost.
+
+
+class TargetTracker:
+    """Measures moment after moment. track: where the lights are looked for next; swapped: of the latest moment, where
+    the views of a pair look exchanged, which one moment cannot decide."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self.track: Track | None = None
+        self.swapped: Inconsistent | None = None
+
+    def take(self, *frames: Frame | None) -> Measured:
+        """Return what is measured; a pose that is lost, with the reason, where a frame cannot be read or the views look
+        exchanged. Of other cameras than two a frame that cannot be read is a missing view. Raises Inconsistent where a
+        frame is not of the size of the rig's camera, UsageError as measure_moment."""
+        check_sizes(self._setup.rig, frames)
+        self.swapped = None
+        broken = [frame for frame in frames if frame is not None and frame.unreadable]
+        seen = [None if frame is None or frame.unreadable else frame for frame in frames]
+        if broken and (len(frames) == TWO or not any(seen)):
+            measured = lost_frames(frames, f"{broken[0].source}: {broken[0].unreadable}", Unseen.UNREADABLE)
+        else:
+            try:
+                measured = measure_moment(self._setup, seen, self.track)
+            except Inconsistent as error:
+                self.swapped = error
+                measured = lost_frames(frames, error.cause, Unseen.SWAPPED)
+        self.track = measured.track
+        return measured
+
+
+def lost_frames(frames: Sequence[Frame | None], why: str, cause: Unseen = Unseen.OTHER) -> Measured:
+    """Return the record of a moment that gave nothing."""
+    t_s = float(np.mean([frame.t_s for frame in frames if frame is not None]))
+    return lost_moment(t_s, (Spots.none(),) * len(frames), NotSeen(why, cause))

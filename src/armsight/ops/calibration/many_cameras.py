@@ -15,6 +15,7 @@ from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.ops.calibration.board_pictures import BoardPictures
+from armsight.ops.sources.cameras import require_own_sources
 from armsight.ops.sources.frames import is_recording, open_source
 from armsight.optics import Rig
 from armsight.optics.mounted import MOST_CAMERAS, require_camera_name
@@ -119,14 +120,7 @@ def require_names(given: Mapping[str, object], known: Sequence[str] = ()) -> Non
             if n < 2
             else "Leave some away; further ones make a second rig",
         )
-    by_source: dict[str, str] = {}
-    for name, source in given.items():
-        if isinstance(source, str) and (other := by_source.setdefault(source, name)) != name:
-            raise UsageError(
-                f"{other} and {name} are two names for one source, {source}",
-                consequence="One camera would be placed twice",
-                cure=f"Give {name} its own images",
-            )
+    require_own_sources({name: source for name, source in given.items() if isinstance(source, str)})
 
 
 def see_all(

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from armsight.drivers import (
-    PairSource,
-    ordered_map,
-)
+from armsight.drivers import MomentSource, ordered_map, pairs_of
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.diagnosis import Consistency
-from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
+from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import MeasureResult, ZoomAt, grounds_of
 from armsight.ops.measurement.collector import About, Collector, Zoomed
 from armsight.ops.measurement.outputs import Outputs
@@ -57,7 +55,7 @@ def target_of(named: Path) -> Target:
 
 def run(
     setup: Setup,
-    pairs: PairSource,
+    pairs: MomentSource,
     out: Path | None,
     *,
     progress: Progress,
@@ -115,14 +113,14 @@ def _taken(steps: Iterable[Step], check: RunCheck, outputs: Outputs, report: Col
 
 
 def _steps(
-    setup: Setup, pairs: PairSource, limit: int | None, progress: Progress, *, alone: bool
+    setup: Setup, pairs: MomentSource, limit: int | None, progress: Progress, *, alone: bool
 ) -> Generator[Step, None, None]:
     """Yield each pair measured, in order. Raises Cancelled, and Inconsistent for swapped or wrongly sized views."""
     total = _total(pairs.total, limit)
     measure_all = _singly if alone else _tracked
     done = seen = 0
     swapped: list[Inconsistent] = []
-    with closing(_generator(pairs)) as source, closing(measure_all(setup, islice(source, limit))) as steps:
+    with closing(pairs_of(pairs)) as source, closing(measure_all(setup, islice(source, limit))) as steps:
         for step in steps:
             yield step
             done += 1
@@ -197,10 +195,6 @@ def _with_path(failure: ArmsightError, outputs: Outputs, out: Path) -> ArmsightE
 def _total(total: int | None, limit: int | None) -> int:
     """Return how many pairs there will be, 0 where that is not known."""
     return min((n for n in (total, limit) if n is not None), default=0)
-
-
-def _generator(pairs: PairSource) -> Generator[Pair, None, None]:
-    yield from pairs
 
 
 def about_pairs(

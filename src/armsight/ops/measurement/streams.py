@@ -18,14 +18,15 @@ from armsight.drivers import (
     MAX_SKEW_S,
     CameraSettings,
     ImageReading,
+    MomentSource,
     PairSettings,
-    PairSource,
     by_side,
     is_live,
 )
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.begin import AnyFrame, SpotFrame
-from armsight.ops.sources.frames import camera_source, complex_pairs, is_recording, open_pairs, open_source
+from armsight.ops.sources.cameras import open_rig
+from armsight.ops.sources.frames import camera_source, complex_pairs, is_recording, open_source
 from armsight.optics import SIDES, Camera, Rig, RigKind
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
 from armsight.store import read_spot_track
@@ -99,7 +100,7 @@ class FrameSources:
             raise UsageError("--bits is for frames in pairs, and these cameras run free", cure="Give --timing pairs")
         return free
 
-    def pairs(self, rig: Rig, times_s: list[float] | None, *, colour: bool) -> tuple[PairSource, bool]:
+    def pairs(self, rig: Rig, times_s: list[float] | None, *, colour: bool) -> tuple[MomentSource, bool]:
         """Return the source of pairs, and whether both views are in one image, one upon the other."""
         if self.image is not None:
             if self.left is not None or self.right is not None:
@@ -112,12 +113,12 @@ class FrameSources:
                 f"left and right are both {self.left}, and the rig has mirrors: both of its views are in one image",
                 cure=f"Give --image {self.left} in place of --left and --right",
             )
-        alone = (self.left or self.right) if self.left is None or self.right is None else None
-        if self.left is self.right is None or (alone is not None and not is_recording(alone)):
+        if self.left is self.right is None:
             raise UsageError(
                 "there are no frames to measure", cure="Give --left and --right, one recording as --left, or --image"
             )
-        pairs = open_pairs(
+        pairs = open_rig(
+            rig.names,
             self.left,
             self.right,
             colour=colour,
