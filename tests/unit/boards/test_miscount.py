@@ -35,7 +35,7 @@ def printed() -> np.ndarray:
 def at(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return the pixels (n, 2) of inner corners."""
     flat = np.stack([columns.ravel(), rows.ravel()], axis=1) * SQUARE + 1.5 * SQUARE - 0.5
-    return cv2.perspectiveTransform(flat[:, None].astype(float), H)[:, 0]
+    return np.ascontiguousarray(cv2.perspectiveTransform(flat[:, None].astype(float), H)[:, 0])
 
 
 def test_the_right_counts_are_found() -> None:
