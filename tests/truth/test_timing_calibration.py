@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -145,13 +146,17 @@ def off(truth: Truth, found: TimingResult) -> tuple[Array, Array]:
     return np.array([shift, found.drift_ppm - truth.drift_ppm, *read]), np.array(claimed)
 
 
+@cache
+def calibrated(name: str, seed: int) -> TimingResult:
+    return calibrate_timing(*record(CASES[name], np.random.default_rng(seed)), PLACES)
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_timing_is_found_as_well_as_claimed(name: str) -> None:
     truth = CASES[name]
     errors, claims = [], []
     for seed in range(RUNS):
-        found = calibrate_timing(*record(truth, np.random.default_rng(seed)), PLACES)
-        e, s = off(truth, found)
+        e, s = off(truth, calibrated(name, seed))
         errors.append(e)
         claims.append(s)
     z = np.abs(errors) / claims
@@ -203,7 +208,7 @@ def test_a_target_of_unknown_geometry_will_do() -> None:
 
 
 def test_files_hold_what_was_found() -> None:
-    found = calibrate_timing(*record(CASES["30 and 30"], np.random.default_rng(6)), PLACES)
+    found = calibrated("30 and 30", 0)
     left, right = found.cameras()
     assert (left.delay_s, left.drift_ppm) == (0.0, 0.0)
     assert left.names == ("readout_s", "jitter_s")
