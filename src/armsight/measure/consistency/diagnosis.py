@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from armsight.arrays import Array
+from armsight.measure.consistency import cameras
 from armsight.measure.consistency.causes import TURNS, Cause, causes_of, parameter_widths
 from armsight.measure.consistency.evidence import Block, Evidence
 from armsight.measure.poses.setup import Setup
@@ -61,6 +62,9 @@ VERY_NOISY = 3.0
 AS_CALIBRATED = 1.25
 """Residuals of a board over those of the rig's calibration up to which they are the same: 1.00 on a calibration's own
 pictures (opencv_stereo), 1.07 and 1.14 where one half of them was calibrated with and the other measured."""
+
+SUSPECT = 12.0
+"""Gain of a camera's own causes, of up to six numbers, from which it may have moved during the run, or with another."""
 
 MOSTLY = 0.5
 """Share of refused frames from which the run as a whole is inconsistent."""
@@ -128,7 +132,7 @@ class Finding:
     @property
     def unit(self) -> str:
         """SI unit of size."""
-        return self.cause.unit if self.cause.key != "moved" or self._quoted[3] < TURNS else "m"
+        return self.cause.unit if not self.cause.of_two_kinds or self._quoted[3] < TURNS else "m"
 
     @property
     def quotable(self) -> bool:
@@ -140,7 +144,7 @@ class Finding:
         """Return size, standard deviation, label and the first number's place."""
         if len(self.estimate) == 1:
             return float(self.estimate[0]), float(np.sqrt(self.covariance[0, 0])), "", 0
-        starts = (0, TURNS) if self.cause.key == "moved" else (0,)
+        starts = (0, TURNS) if self.cause.of_two_kinds else (0,)
         lengths = [self._length(slice(a, b)) for a, b in zip(starts, (*starts[1:], None), strict=True)]
         i = int(np.argmax([length / std for length, std in lengths]))
         if lengths[i][0] >= PLAIN * lengths[i][1]:
@@ -157,6 +161,15 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LeftOut:
+    """Cameras whose sights do not count, what is wrong with them, and what to do."""
+
+    names: tuple[str, ...]
+    words: str
+    cure: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Consistency:
     """The verdict over a run: 'ok', 'doubtful', 'inconsistent', or 'unchecked' where there was nothing to judge by.
 
@@ -167,7 +180,8 @@ class Consistency:
     effect (m, 3-D RMS) on the poses that the run could not have told. refused: share of the frames with enough lights
     whose residuals cannot be noise, so that they gave no pose. residual_px: RMS of a board's points (2-D), beside that
     which its rig was calibrated with; NaN of lights and where not known. instead, remedy: of a run that does not fit,
-    what is wrong with rig or target by the setup that does fit (other_setups.py), and what to change.
+    what is wrong with rig or target by the setup that does fit (other_setups.py), and what to change. left_out: cameras
+    that the others have left behind: all else is of these others.
     """
 
     verdict: str
@@ -185,6 +199,15 @@ class Consistency:
     calibration_px: float = float("nan")
     instead: str = ""
     remedy: str = ""
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def accused(self) -> tuple[str, ...]:
+        """The cameras that each of the likeliest causes names; none where these do not agree, or poses stay as good."""
+        if self.verdict == "ok" or not self.findings:
+            return ()
+        named = [f.cause.cameras for f in self.findings[: self.equal]]
+        return tuple(name for name in named[0] if all(name in other for other in named))
 
     @property
     def second_moment(self) -> Array | None:
@@ -217,17 +240,22 @@ def judge(
     """
     if not evidence.blocks or not evidence.setup.target.model_known:
         return Consistency(verdict="unchecked", frames=evidence.frames, refused=refused)
-    causes = causes_of(evidence.setup, evidence.basis) if causes is None else causes
+    causes = possible(evidence) if causes is None else causes
     whole = _total(evidence.blocks, evidence.size)
     blocks = evidence.blocks if changes else [whole]
-    width = parameter_widths(evidence.size, scale_only=evidence.basis.shape[2] == 1)
+    width = _widths(evidence)
     scale2, noise_dof = noise_scale2(blocks, width)
     structured = max(whole.chi2 - scale2 * whole.dof, 0.0) / whole.dof
     scale2 += CURVED**2 * structured
     prior, noise = prior_root(evidence.setup, evidence.size), Noise(max(scale2, 1.0), noise_dof + PRIOR_DOF)
-    found = [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in causes if not cause.from_change]
+    static = [cause for cause in causes if not cause.from_change]
+    found = [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in static if len(cause.cameras) < 2]
+    suspects = {f.cause.cameras[0] for f in found if f.cause.cameras and f.gain > SUSPECT}
+    both = [cause for cause in static if len(cause.cameras) > 1 and suspects.issuperset(cause.cameras)]
+    found += [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in both]
     if len(blocks) > 1:
-        found += [_changed(evidence, cause, whole, prior, noise) for cause in causes if cause.from_change]
+        changed = [cause for cause in causes if cause.from_change and suspects.issuperset(cause.cameras)]
+        found += [_changed(evidence, cause, whole, prior, noise) for cause in changed]
     ranked = sorted(found, key=lambda f: -f.evidence)
     significant = [f for f in ranked if f.significant]
     if refused > MOSTLY and not significant:
@@ -250,6 +278,19 @@ def judge(
         calibration_px=calibration_px,
     )
     return replace(out, verdict="inconsistent" if refused > MOSTLY else _verdict(out))
+
+
+def possible(evidence: Evidence) -> tuple[Cause, ...]:
+    """Return all causes that may be told of a setup."""
+    of_these = causes_of if evidence.setup.rig.is_pair else cameras.causes_of_cameras
+    return of_these(evidence.setup, evidence.basis)
+
+
+def _widths(evidence: Evidence) -> Array:
+    scale_only, setup = evidence.basis.shape[2] == 1, evidence.setup
+    if setup.rig.is_pair:
+        return parameter_widths(evidence.size, scale_only=scale_only)
+    return cameras.widths(len(setup.rig.cameras), evidence.size, scale_only=scale_only)
 
 
 def _of_board(evidence: Evidence) -> tuple[float, float]:
@@ -278,7 +319,13 @@ def prior_root(setup: Setup, size: int) -> Array:
     """Return L (q, p) with L L' the covariance of the parameters that rig and target bring; p may be 0."""
     n, C = len(RIG_PARAMETERS), setup.covariance
     covariance = np.zeros((size, size))
-    if len(C) == size - 1:
+    if not setup.rig.is_pair:
+        v = len(setup.rig.cameras)
+        at, target = cameras.places(v), np.arange(cameras.pose_at(v, v), size - v)
+        at = np.append(at, target) if len(C) == len(at) + len(target) else at
+        C = C[: len(at), : len(at)]
+        covariance[np.ix_(at, at)] = C if len(C) else 0.0
+    elif len(C) == size - 1:
         covariance[:-1, :-1] = C
     elif len(C):
         covariance[:n, :n] = C[:n, :n]

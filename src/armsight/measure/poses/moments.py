@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.errors import Unseen, UsageError
+from armsight.errors import Inconsistent, Unseen, UsageError
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
 from armsight.measure.poses.pipeline import NOT_OF_THE_RIG, check_size, measure_pair
@@ -51,6 +51,35 @@ def measure_moment(setup: Setup, frames: Sequence[Frame | None], track: Track | 
         seen = [_spots(setup, s, frame) for s, frame in enumerate(frames)]
         measured = measure_views(setup, t_s, seen, track, frames)
     return measured
+
+
+class MomentTracker:
+    """Measures moment after moment of a rig that is no pair. track: where the lights are looked for next.
+
+    without: cameras whose pictures are not looked at.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self.track: Track | None = None
+        self.without: tuple[str, ...] = ()
+        self.swapped: Inconsistent | None = None  # as of a pair: here the check of the run tells it
+
+    def take(self, *frames: Frame | None) -> Measured:
+        """Return what is measured; what cannot be read is no picture. Raises Inconsistent for one of another size."""
+        names = self._setup.rig.names
+        read = [
+            None if frame is None or frame.unreadable or name in self.without else frame
+            for name, frame in zip(names, frames, strict=True)
+        ]
+        if any(frame is not None for frame in read):
+            measured = measure_moment(self._setup, read, self.track)
+        else:
+            t_s = float(np.mean([frame.t_s for frame in frames if frame is not None]))
+            missed = NotSeen("no camera has a picture that can be read", Unseen.UNREADABLE)
+            measured = lost_moment(t_s, (Spots.none(),) * len(names), missed, self.track)
+        self.track = measured.track
+        return measured
 
 
 def require_views(setup: Setup, n: int) -> None:

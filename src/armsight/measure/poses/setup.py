@@ -128,7 +128,7 @@ class Setup:
     (0, 0) where the rig is as well. Both are taken as independent. sides: the settings of each camera, with the gain of
     its noise where the rig knows it, and with its own of masks, (h, w), in place of the settings' one.
     pace: how long a moment may take, and on how many cores. many: whether rigs of other cameras than left and right are
-    taken, which `measure_moment` and `measure_views` alone can use.
+    taken, as `measure_moment` and a run's check do.
     """
 
     rig: Rig

@@ -215,7 +215,7 @@ def _by_chance(setup: Setup, spots: Spots, n: int, looked: float, chi2: float) -
 
 def _tilts(setup: Setup, seen: tuple[Spots, ...], way: Hypothesis, *, mirrored: bool = True) -> list[Hypothesis]:
     """Return a hypothesis refined by its own sights, and the mirrored tilts that fit these as well."""
-    names, views = _views(setup, seen, way.rows, way.T)
+    names, views = named_views(setup, seen, way.rows, way.T)
     h = len(seen) + 1 if mirrored else 1
     Ts, Cs, chi2 = np.empty((h, 4, 4)), np.empty((h, 6, 6)), np.empty(h)
     spots = named_spots(setup, names, views)
@@ -241,8 +241,8 @@ def _slack_chi2(setup: Setup, X: Array, views: Views, T: Array) -> float:
     return float(pose_kernels.slack_chi2(residual, views.cov_px2, setup.slack_px**2))
 
 
-def _views(setup: Setup, seen: Sequence[Spots], rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
-    """Return the names and the spots of the lights that some view shows."""
+def named_views(setup: Setup, seen: Sequence[Spots], rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
+    """Return names and spots, as rows (m, v) has them of each view, -1 for none, of the lights that some view shows."""
     lights = np.flatnonzero((rows >= 0).any(axis=1))
     names = tuple(setup.model.names[i] for i in lights.tolist())
     views = views_of(setup, [spots.take(at) for spots, at in _per_view(seen, rows[lights])])
@@ -371,7 +371,7 @@ def _looked_at(
         if (rows >= 0).sum() < FEWEST or (rows >= 0).any(axis=1).sum() < 3:
             why = "too few lights are seen as a whole"
             return rows, PoseSolution(pose=lost(t_s, why), points=no_points(), cause=Unseen.HALF_HIDDEN), tuple(hidden)
-        names, views = _views(setup, seen, rows, start)
+        names, views = named_views(setup, seen, rows, start)
         solved = solve_views(setup, t_s, names, views)
         if frames is None or solved.T is None:
             return rows, solved, tuple(hidden)
