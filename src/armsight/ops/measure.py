@@ -145,7 +145,7 @@ def measure(
     from armsight.measure.poses.setup import SLACK_PX, Setup, rig_slack_px
     from armsight.measure.settings import SpotSettings
     from armsight.ops.measurement.free_output import measure_free
-    from armsight.ops.measurement.run import about_pairs, run, target_of, zoomed_rig
+    from armsight.ops.measurement.run import Source, about_pairs, run, target_of, zoomed_rig
     from armsight.ops.measurement.streams import FrameSources
     from armsight.ops.sources.bags import read_motion
     from armsight.ops.sources.cameras import cameras_of, named_cameras
@@ -192,13 +192,13 @@ def measure(
         )
     facts += [("place of the rig", str(world))] if place else []
     told = frame_times(next(iter(sources.named), None), times, fps)
-    if pair:
-        pairs, overlaid = sources.pairs(seen_by, told.times_s, colour=colour is not None)
-    else:
-        pairs, overlaid = sources.moments(told.times_s, colour=colour is not None), False
-        require_views(setup(), len(pairs.names))
+    pairs: Source
+    pairs, overlaid = sources.of_rig(seen_by, told.times_s, colour=colour is not None)
+    made = setup(overlaid=overlaid)
+    if not pair:
+        require_views(made, len(seen_by.cameras))
     about = about_pairs(sources, pairs.name, told, facts, zoomed, stills=stills)
-    return run(setup(overlaid=overlaid), pairs, out, world=place, limit=frames, progress=progress, about=about)
+    return run(made, pairs, out, world=place, limit=frames, progress=progress, about=about)
 
 
 def _with_zoom(settings: PairSettings, zoom: tuple[float | None, float | None]) -> PairSettings:

@@ -6,11 +6,12 @@ by nearly the same way: that way is looked for, and its spots are taken at their
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from armsight.arrays import Array, Index
+from armsight.arrays import Array, Index, Mask
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pose import solve_pose
 from armsight.measure.poses.setup import Setup
@@ -32,7 +33,7 @@ REFIT_SLACKS = (8.0, 32.0)
 
 def with_all_sights(setup: Setup, measured: Measured) -> Measured:
     """Return the moment with what all cameras say of it, however badly it fits; itself where that is what it has."""
-    T, names, m = measured.pose.T_parent_target, setup.model.names, len(setup.model)
+    T, m = measured.pose.T_parent_target, len(setup.model)
     if T is None or measured.pose.status.size < 6:
         return measured
     P, sights = positions_of(setup, T), _shown(setup, measured)
@@ -49,10 +50,10 @@ def with_all_sights(setup: Setup, measured: Measured) -> Measured:
         if (rows[s] >= 0).sum() > sights[:, s].sum():
             sights[:, s] = rows[s] >= 0
             spots[s] = seen.take(rows[s][rows[s] >= 0])
-    return solved_as(setup, measured, names, sights, spots)
+    return solved_as(setup, measured, sights, spots)
 
 
-def _shown(setup: Setup, measured: Measured) -> Array:
+def _shown(setup: Setup, measured: Measured) -> Mask:
     """Return (m, v): which view shows which light of the target, by the moment's pose."""
     out = np.zeros((len(setup.model), len(measured.spots)), bool)
     lights = [setup.model.names.index(name) for name in measured.names]
@@ -77,10 +78,8 @@ def _beside(packed: PackedRig, s: int, P: Array, seen: Spots) -> Index:
     return rows
 
 
-def solved_as(
-    setup: Setup, measured: Measured, names: tuple[str, ...], sights: Array, spots: list[Spots] | tuple[Spots, ...]
-) -> Measured:
-    """Return the moment with its pose by these sights (m, v) of lights `names`, whatever their residuals."""
+def solved_as(setup: Setup, measured: Measured, sights: Mask, spots: Sequence[Spots]) -> Measured:
+    """Return the moment with its pose by these sights (m, v) of the target's lights, whatever their residuals."""
     lights = np.flatnonzero(sights.any(axis=1))
     T, of = measured.pose.T_parent_target, np.full(sights.shape, -1, np.intp)
     if T is None or len(lights) < 3:

@@ -64,7 +64,7 @@ AS_CALIBRATED = 1.25
 pictures (opencv_stereo), 1.07 and 1.14 where one half of them was calibrated with and the other measured."""
 
 SUSPECT = 12.0
-"""Gain of a camera's own causes, of up to six numbers, from which it may have moved during the run, or with another."""
+"""Gain of a camera's own causes, of up to six numbers, from which it may have moved beside another."""
 
 MOSTLY = 0.5
 """Share of refused frames from which the run as a whole is inconsistent."""
@@ -254,8 +254,7 @@ def judge(
     both = [cause for cause in static if len(cause.cameras) > 1 and suspects.issuperset(cause.cameras)]
     found += [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in both]
     if len(blocks) > 1:
-        changed = [cause for cause in causes if cause.from_change and suspects.issuperset(cause.cameras)]
-        found += [_changed(evidence, cause, whole, prior, noise) for cause in changed]
+        found += [_changed(evidence, cause, whole, prior, noise) for cause in causes if cause.from_change]
     ranked = sorted(found, key=lambda f: -f.evidence)
     significant = [f for f in ranked if f.significant]
     if refused > MOSTLY and not significant:

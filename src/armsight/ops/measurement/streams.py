@@ -78,6 +78,12 @@ class FrameSources:
         """All sources of images."""
         return tuple(text for text in (self.left, self.right, self.image, *self.cameras.values()) if text is not None)
 
+    def of_rig(self, rig: Rig, times_s: list[float] | None, *, colour: bool) -> tuple[PairSource | Moments, bool]:
+        """Return the pairs of a pair of cameras, else the moments; see pairs."""
+        if rig.is_pair:
+            return self.pairs(rig, times_s, colour=colour)
+        return self.moments(times_s, colour=colour), False
+
     def moments(self, times_s: list[float] | None, *, colour: bool) -> Moments:
         """Return the moments of a rig that is no pair. Raises UsageError for what only pairs have."""
         pairs_only = (self.image, self.left_spots, self.right_spots)
