@@ -25,7 +25,7 @@ from scipy.stats import beta
 from armsight.measure.consistency.run_of_cameras import CamerasCheck
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pose import no_points, solve_pose
-from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.setup import Setup, rig_slack_px
 from armsight.measure.poses.solving import named_spots
 from armsight.measure.poses.views import measure_views, named_views
 from armsight.optics import Rig, moved_rig
@@ -73,7 +73,8 @@ def drawn(views: int, rng: np.random.Generator) -> Setup:
     covariance = NamedCovariance(names=rig.parameters, matrix=C)
     told = moved_rig(Rig(cameras=rig.cameras, covariance=covariance), rng.multivariate_normal(np.zeros(len(C)), C))
     lights = spot_target({name: tuple(x) for name, x in zip(LETTERS, world.LIGHTS.tolist(), strict=True)})
-    return Setup(Rig(cameras=told.cameras, covariance=covariance), lights, many=True)
+    found = Rig(cameras=told.cameras, covariance=covariance)
+    return Setup(found, lights, slack_px=rig_slack_px(found), many=True)
 
 
 def knocked(ring: world.Ring, k: int, rng: np.random.Generator, turn_deg: float, shift_mm: float) -> world.Ring:

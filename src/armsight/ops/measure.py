@@ -182,7 +182,7 @@ def measure(
         rig=seen_by,
         target=wanted,
         settings=spots,
-        slack_px=rig_slack_px(seen_by) if zoomed else SLACK_PX,
+        slack_px=rig_slack_px(seen_by) if zoomed or not pair else SLACK_PX,
     )
     facts = [("rig's file", str(rig)), ("target's file", str(target))]
     if sources.run_free(seen_by, timing, stills=stills, rate_hz=rate_hz, at=at):

@@ -46,6 +46,9 @@ DOUBTFUL = 0.5
 INCONSISTENT = 5.0
 """Effect on the poses, in claimed standard deviations, from which a run is doubtful, or inconsistent."""
 
+FELT = 0.2
+"""... and from which a camera that is proven wrong is left out: the poses are better without it."""
+
 INCONSISTENT_M = 2e-4
 INCONSISTENT_RAD = 2e-3
 """... if it is also larger than this."""
@@ -204,9 +207,11 @@ class Consistency:
     @property
     def accused(self) -> tuple[str, ...]:
         """The cameras that each of the likeliest causes names; none where these do not agree, or poses stay as good."""
-        if self.verdict == "ok" or not self.findings:
+        equal = self.findings[: self.equal]
+        felt = [max(f.effect_m / self.claimed_m, f.effect_rad / self.claimed_rad) for f in equal]
+        if not equal or max(felt) < FELT:
             return ()
-        named = [f.cause.cameras for f in self.findings[: self.equal]]
+        named = [f.cause.cameras for f in equal]
         return tuple(name for name in named[0] if all(name in other for other in named))
 
     @property

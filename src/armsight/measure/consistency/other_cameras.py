@@ -50,7 +50,10 @@ class CameraChecks:
     def elsewhere(self, k: int) -> LeftOut | None:
         """Return where a camera stands by the poses that it has by itself, beside those of the others."""
         name = self._names[k]
-        ways, whole = self._ways(k), [one for one in self._showing(k) if len(one.seen[k]) >= WHOLE]
+        ways, whole = (
+            self._ways(k),
+            [one for one in self._showing(k) if WHOLE <= len(one.seen[k]) <= len(self._setup.model) + 1],
+        )
         if len(ways) < FEWEST:
             if len(whole) < FEWEST or len(ways) > (1.0 - MOST) * len(whole):
                 return None
@@ -64,6 +67,8 @@ class CameraChecks:
         eye = np.asarray(self._setup.rig.cameras[k].T_rig_camera.translation)
         beside = np.array([way.inv().apply(eye) - eye for way in ways])
         turn, place = (float(np.linalg.norm(np.median(part, axis=0))) for part in (turned, beside))
+        if turn < STEADY_RAD and place < STEADY_M:
+            return None
         if not (_spread(turned) <= STEADY * turn + STEADY_RAD and _spread(beside) <= STEADY * place + STEADY_M):
             words = f"the camera {name} shows the target, but not where the others see it at the same time"
             cure = (

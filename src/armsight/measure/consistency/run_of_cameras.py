@@ -85,11 +85,11 @@ class CamerasCheck:
         """Return the verdict over the whole run, by the cameras that agree."""
         while True:
             found = self._check.finish()
-            wrong = self._wrong(found)
+            wrong = self._wrong(found, ended=True)
             if wrong is None or not self._enough_without(wrong):
                 break
             self._leave(wrong)
-        if wrong is not None and found.verdict in ("inconsistent", "unchecked"):
+        if wrong is not None:
             found = replace(found, verdict="inconsistent", instead=wrong.words, remedy=wrong.cure)
         self._final = replace(found, left_out=tuple(self.left_out))
         return self._final
@@ -106,7 +106,7 @@ class CamerasCheck:
         """Whether enough cameras are left to tell which are right."""
         return len(self._setup.rig.cameras) - len({*self.without, *found.names}) >= AGREEING
 
-    def _wrong(self, known: Consistency | None) -> LeftOut | None:
+    def _wrong(self, known: Consistency | None, *, ended: bool = False) -> LeftOut | None:
         """Return what is wrong with a camera that still counts."""
         checks, idle = self._checks(), self._idle()
         for k in idle:
@@ -119,7 +119,7 @@ class CamerasCheck:
             told = LeftOut(names=accused, words=capital(words), cure=known.findings[0].cause.advice)
             if self._enough_without(told):
                 return told
-        for k in idle if len(self._moments) >= LONG else ():
+        for k in idle if ended or len(self._moments) >= LONG else ():
             found = checks.elsewhere(k)
             if found is not None:
                 return found

@@ -27,7 +27,7 @@ from armsight.measure.results import MeasureResult, ZoomAt, grounds_of
 from armsight.ops.measurement.collector import About, Collector, Zoomed
 from armsight.ops.measurement.outputs import Outputs
 from armsight.ops.measurement.streams import FrameSources
-from armsight.ops.measurement.warm_up import prepare
+from armsight.ops.measurement.warm_up import compile_views, prepare
 from armsight.ops.sources.bags import origin_ns
 from armsight.ops.sources.frames import (
     FrameTimes,
@@ -87,6 +87,8 @@ def run(
     tracker = TargetTracker(setup) if pair else MomentTracker(setup)
     with pairs:
         prepare(progress)
+        if not pair:
+            compile_views()
         steps = _steps(setup, pairs, limit, progress, None if about.stills or setup.target.is_board else tracker)
         with outputs:
             failure = _taken(steps, check, outputs, report, tracker)
