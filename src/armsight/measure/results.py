@@ -196,6 +196,9 @@ class MeasureResult(Output):
             yield f"Doubtful: {self.timing.note}"
         for kind, count in list(self.reasons.items())[:REJECTED_SHOWN]:
             yield f"  {count} x {REASONS.get(kind, kind)}"
+        for name, part in (self.by_camera or {}).items():
+            if part.left_out is None and note_of(part):
+                yield f"  the camera {name} {note_of(part)}"
         found = self.consistency
         if found is not None and found.sentence:
             loud = found.verdict == "inconsistent"
@@ -223,7 +226,7 @@ def _rows(done: MeasureResult) -> list[list[str]]:
     rows += [] if done.assumed_fps is None else [["time", f"assumed at {done.assumed_fps:g} fps"]]
     for name, part in (done.by_camera or {}).items():
         used = f"used in {part.n_used} of {part.n_frames}, {digits(part.rms_px)} px RMS"
-        rows.append([f"camera {name}", used if part.left_out is None else "left out"])
+        rows.append([f"camera {name}", "left out" if part.left_out is not None else used])
     if done.skew is not None and done.by_camera is None:
         rows += [
             ["right after left, ms mean", digits(done.skew.mean_s / MS)],
@@ -326,6 +329,19 @@ def believed(done: MeasureResult) -> ConsistencyOutput | None:
     if note and not found.sentence:
         found = replace(found, verdict="doubtful", sentence=f"{note[0].upper()}{note[1:]}.", advice="")
     return replace(found, verdict="inconsistent") if done.n_doubtful else found
+
+
+HARDLY = 0.1
+"""Share of its moments in which a camera takes part below which it is asked about."""
+
+
+def note_of(part: CameraPart) -> str:
+    """Return why a camera is left out, or what to look at where it hardly takes part; empty for any other."""
+    if part.left_out is not None:
+        return f"left out: {part.left_out}"
+    if part.n_used >= HARDLY * part.n_frames:
+        return ""
+    return "hardly takes part: look whether it is out of focus or covered, or looks elsewhere"
 
 
 def left_out_of(done: MeasureResult) -> list[str]:

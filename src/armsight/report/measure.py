@@ -8,7 +8,7 @@ from datetime import datetime
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.measure.results import ConsistencyOutput, OtherCause
+from armsight.measure.results import ConsistencyOutput, OtherCause, note_of
 from armsight.measure.series import Errors, Series, errors_of, losses_of, median_columns, series_of
 from armsight.optics import Camera, Rig
 from armsight.records import PoseStatus, Target
@@ -228,14 +228,14 @@ def _add_cameras(page: Page, run: MeasureRun) -> None:
             name,
             f"{part.n_used:,} of {part.n_frames:,}",
             figure_of(part.rms_px, "px") if part.rms_px else "",
-            part.left_out or "",
+            note_of(part),
         ]
         for name, part in run.by_camera.items()
     ]
     page.add(
         "What each camera had of it",
         "Moments whose pose took lights that the camera shows; a light that one camera alone shows counts too.",
-        table(["camera", "used in", "residuals, RMS", "why it is left out"], rows, numbers=(1, 2)),
+        table(["camera", "used in", "residuals, RMS", ""], rows, numbers=(1, 2)),
     )
 
 

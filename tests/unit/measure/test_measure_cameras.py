@@ -1,4 +1,4 @@
-"""`measure` by rigs that are no pairs: files, JSON and page are by the cameras' names; what pairs alone have is refused."""
+"""`measure` by rigs that are no pairs: files, JSON and page are by the cameras' names; what only pairs have is refused."""
 
 from __future__ import annotations
 

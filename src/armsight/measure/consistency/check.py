@@ -270,7 +270,7 @@ AXES = {f"about_{a}_rad": f"about its {a} axis" for a in "xyz"} | {f"{a}_m": f"a
 def sentence(found: Consistency) -> str:
     """Return what the check says in one or two sentences; empty where there is nothing to say."""
     if found.left_out:
-        told = " ".join(f"{one.words}: the run goes on without it." for one in found.left_out)
+        told = " ".join(one.told for one in found.left_out)
         return f"{told} {sentence(replace(found, left_out=()))}".strip()
     if found.instead:
         return f"{found.instead}."

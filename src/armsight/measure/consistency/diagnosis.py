@@ -171,6 +171,11 @@ class LeftOut:
     words: str
     cure: str
 
+    @property
+    def told(self) -> str:
+        """What is wrong, and what is done about it."""
+        return f"{self.words}: the run goes on without {'it' if len(self.names) == 1 else 'them'}."
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Consistency:

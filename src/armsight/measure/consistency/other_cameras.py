@@ -50,18 +50,15 @@ class CameraChecks:
     def elsewhere(self, k: int) -> LeftOut | None:
         """Return where a camera stands by the poses that it has by itself, beside those of the others."""
         name = self._names[k]
-        ways, whole = (
-            self._ways(k),
-            [one for one in self._showing(k) if WHOLE <= len(one.seen[k]) <= len(self._setup.model) + 1],
-        )
+        ways, unfit = self._ways(k)
         if len(ways) < FEWEST:
-            if len(whole) < FEWEST or len(ways) > (1.0 - MOST) * len(whole):
+            if unfit < max(FEWEST, MOST * (unfit + len(ways))):
                 return None
-            words = f"what the camera {name} sees is not the target through the lens that the rig has for it"
-            cure = (
-                f"Look whether {name} is the camera of the rig's file, in its size of picture and its focus; if it is "
-                f"another one, calibrate its lens and run `armsight calibrate cameras --again {name}`"
+            words = (
+                f"the camera {name} sees lights of which no pose takes any: it is turned by several degrees, or is not "
+                "the camera of the rig's file, in its lens, focus and size of picture"
             )
+            cure = f"Look whether {name} is that camera, as it was calibrated. {again(name)}"
             return LeftOut(names=(name,), words=capital(words), cure=cure)
         turned = np.array([way.rotation.as_rotvec() for way in ways])
         eye = np.asarray(self._setup.rig.cameras[k].T_rig_camera.translation)
@@ -85,18 +82,32 @@ class CameraChecks:
     def _showing(self, k: int) -> list[Measured]:
         return [one for one in self._moments if len(one.seen[k]) >= LIGHTS]
 
-    def _ways(self, k: int) -> list[RigidTransform]:
-        """Return the ways from the poses of the others to those of a camera by itself, in rig axes."""
-        alone = replace(self._setup, rig=self._setup.rig.only(self._names[k]), masks=())
+    def _moving(self, k: int) -> list[tuple[Measured, Spots]]:
+        """Return the moments with what does not stand still in a camera's pictures: no lamp, no hot pixel."""
+        every = [one.seen[k].uv_px for one in self._moments]
         out = []
         for one in self._showing(k):
-            own = measure_views(alone, one.pose.t_s, [one.seen[k]])
-            seen = tuple(Spots.none() if s == k else spots for s, spots in enumerate(one.seen))
-            others = measure_views(self._setup, one.pose.t_s, seen)
-            if own.pose.status is PoseStatus.OK is others.pose.status:
+            uv = one.seen[k].uv_px
+            near = [(np.linalg.norm(uv[:, None] - other[None], axis=2) < SAME_PX).any(axis=1) for other in every]
+            moving = np.flatnonzero(np.mean(near, axis=0) < 1.0 - MOST)
+            out.append((one, one.seen[k].take(moving)))
+        return [(one, spots) for one, spots in out if len(spots) > LIGHTS]
+
+    def _ways(self, k: int) -> tuple[list[RigidTransform], int]:
+        """Return the ways from the others' poses to a camera's own, in rig axes, and how often it should have one."""
+        alone = replace(self._setup, rig=self._setup.rig.only(self._names[k]), masks=())
+        ways, unfit = list[RigidTransform](), 0
+        for one, spots in self._moving(k):
+            own = measure_views(alone, one.pose.t_s, [spots])
+            others = measure_views(self._setup, one.pose.t_s, _replaced(one.seen, k, Spots.none()))
+            if others.pose.status is not PoseStatus.OK:
+                continue
+            if own.pose.status is PoseStatus.OK:
                 T, S = np.asarray(own.pose.T_parent_target), np.asarray(others.pose.T_parent_target)
-                out.append(RigidTransform.from_matrix(T) * RigidTransform.from_matrix(S).inv())
-        return out
+                ways.append(RigidTransform.from_matrix(T) * RigidTransform.from_matrix(S).inv())
+            else:
+                unfit += WHOLE <= len(spots) <= len(self._setup.model) + 1
+        return ways, unfit
 
     def _given_twice(self, k: int) -> LeftOut | None:
         showing, a = self._showing(k), self._names[k]
@@ -147,10 +158,10 @@ def _spread(values: Array) -> float:
 
 
 def _same(a: Spots, b: Spots) -> bool:
-    if len(a) != len(b) or len(a) < LIGHTS:
-        return False
-    apart = np.linalg.norm(a.uv_px[:, None] - b.uv_px[None], axis=2)
-    return bool((apart.min(axis=1) < SAME_PX).all())
+    """Whether all spots of that view which has fewer of them are the other's too."""
+    fewer, more = sorted((a, b), key=len)
+    apart = np.linalg.norm(fewer.uv_px[:, None] - more.uv_px[None], axis=2)
+    return len(fewer) >= LIGHTS and bool((apart.min(axis=1) < SAME_PX).all())
 
 
 def _exchange(seen: Seen, a: int, b: int) -> Seen:

@@ -129,7 +129,7 @@ def _taken(
             measured = check.add(step.measured)
             if isinstance(check, CamerasCheck) and isinstance(tracker, MomentTracker):
                 for left_out in check.left_out[check.n_told :]:
-                    warnings.warn(f"{left_out.words}: the run goes on without it. {left_out.cure}", stacklevel=2)
+                    warnings.warn(f"{left_out.told} {left_out.cure}", stacklevel=2)
                 check.n_told = len(check.left_out)
                 tracker.without, tracker.track = check.without, measured.track
             pose = outputs.add(measured)
