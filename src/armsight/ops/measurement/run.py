@@ -202,7 +202,7 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency, setup: Setup) -> N
         )
     first, all_of = outputs.commonest, f"{outputs.n_frames} {units(setup)}"
     wide = wide_rig(setup.rig.baseline_m) if setup.rig.is_pair else ""
-    if consistency.refused > 0.0 or consistency.instead:
+    if consistency.refused > 0.0 or consistency.instead or consistency.left_out:
         return NotEnoughData(
             f"the target is seen in the {all_of} and fits in none of them. {sentence(consistency)}",
             consequence="There is no pose",
