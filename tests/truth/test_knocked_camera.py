@@ -11,7 +11,7 @@ from tests.truth.camera_ring import LIGHTS, SIZE, Ring, look, pose, ring
 from tests.truth.test_views import difference, mahalanobis2, setup_of, spots
 
 from armsight.measure.consistency.check import advice, sentence
-from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.findings import Consistency
 from armsight.measure.consistency.run_of_cameras import CamerasCheck
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup, rig_slack_px

@@ -1,4 +1,4 @@
-"""`measure` by rigs that are no pairs: files, JSON and page are by the cameras' names; what only pairs have is refused."""
+"""`measure` by rigs that are no pairs: files, JSON and page by the cameras' names; what only pairs have is refused."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ def test_what_a_rig_of_four_cannot_take_is_refused(seen: tuple[Path, list[np.nda
         ({"cameras": by_name(folder, CAMERAS[:3])}, "c3"),
         ({"cameras": {**given, "top": given["c0"] + "/*"}}, "top"),
         ({"cameras": {**given, "c1": given["c0"]}}, "c0"),
-        ({"cameras": given, "timing": "free"}, "--timing"),
-        ({"cameras": given, "image": given["c0"]}, "--image"),
+        ({"cameras": given, "timing": "free"}, "timing"),
+        ({"cameras": given, "image": given["c0"]}, "image"),
     ):
         with refuses(UsageError, told):
             armsight.measure(setup.rig, setup.target, **wrong)

@@ -17,8 +17,9 @@ from armsight.errors import Unseen
 from armsight.measure.consistency import kernels
 from armsight.measure.consistency.all_sights import refit_views, with_all_sights
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
-from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, Consistency, Finding, judge, possible
+from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, judge, possible
 from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of
+from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.consistency.other_setups import what_fits
 from armsight.measure.motion.estimate import Filtered, Start
 from armsight.measure.motion.states import View

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.measure.consistency.cameras import again
-from armsight.measure.consistency.diagnosis import LeftOut
+from armsight.measure.consistency.findings import LeftOut
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.views import measure_views

@@ -9,8 +9,8 @@ from dataclasses import replace
 from armsight.errors import Unseen
 from armsight.measure.consistency.cameras import AGREEING
 from armsight.measure.consistency.check import RunCheck, what
-from armsight.measure.consistency.diagnosis import Consistency, LeftOut
 from armsight.measure.consistency.evidence import WINDOW
+from armsight.measure.consistency.findings import Consistency, LeftOut
 from armsight.measure.consistency.other_cameras import LIGHTS, CameraChecks, capital
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.setup import Setup

@@ -12,12 +12,12 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.file_names import MEASURE, REPORT
-from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.findings import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import CameraPart, MeasureResult
 from armsight.ops.measurement.outputs import Outputs
 from armsight.optics import ZoomState
-from armsight.records import Frame, PoseStatus, TargetPose
+from armsight.records import Frame, PoseStatus, Progress, TargetPose
 from armsight.report import (
     MeasureRun,
     Sample,
@@ -116,8 +116,9 @@ class Collector:
         """Return the true poses of the pairs so far, where they are known."""
         return None if about.truth is None else about.truth[: len(self._poses)]
 
-    def write(self, folder: Path, summary: MeasureResult, about: About) -> None:
-        """Write the report of the pairs so far, and their figures."""
+    def write(self, folder: Path, summary: MeasureResult, about: About, progress: Progress) -> None:
+        """Write the report of the moments so far, and their figures."""
+        progress.update(0, 0, "writing the report")
         run = MeasureRun(
             poses=self._poses,
             rig=self._setup.rig,

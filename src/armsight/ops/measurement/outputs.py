@@ -22,7 +22,7 @@ from armsight.errors import Unseen
 from armsight.file_names import POINTS, POSES, SPOTS, TUM
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.check import advice, finalise, sentence
-from armsight.measure.consistency.diagnosis import Consistency, Finding
+from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import (
     Candidates,

@@ -19,7 +19,7 @@ from armsight.drivers import (
 )
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck, advice, sentence
-from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.findings import Consistency
 from armsight.measure.consistency.run_of_cameras import CamerasCheck
 from armsight.measure.poses.moments import MomentTracker
 from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
@@ -27,7 +27,7 @@ from armsight.measure.results import MeasureResult, ZoomAt, grounds_of
 from armsight.ops.measurement.collector import About, Collector, Zoomed
 from armsight.ops.measurement.outputs import Outputs
 from armsight.ops.measurement.streams import FrameSources
-from armsight.ops.measurement.warm_up import compile_views, prepare
+from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.sources.bags import origin_ns
 from armsight.ops.sources.frames import (
     FrameTimes,
@@ -81,24 +81,19 @@ def run(
     DataRefused or DeviceFailed, Cancelled.
     """
     about = about or About()
-    pair = setup.rig.is_pair
-    report, check = Collector(setup, world), RunCheck(setup) if pair else CamerasCheck(setup)
+    pair, report = setup.rig.is_pair, Collector(setup, world)
+    check = RunCheck(setup) if pair else CamerasCheck(setup)
     outputs = Outputs(out, world=world, names=setup.rig.names)
     tracker = TargetTracker(setup) if pair else MomentTracker(setup)
+    alone = about.stills or setup.target.is_board
     with pairs:
-        prepare(progress)
-        if not pair:
-            compile_views()
-        steps = _steps(setup, pairs, limit, progress, None if about.stills or setup.target.is_board else tracker)
+        prepare(progress, views=not pair)
+        steps = _steps(setup, pairs, limit, progress, None if alone else tracker)
         with outputs:
             failure = _taken(steps, check, outputs, report, tracker)
     if outputs.n_frames == 0 and failure is not None:
         raise failure
-    consistency = check.finish()
-    if isinstance(check, CamerasCheck) and check.without:
-        with outputs.again():
-            report.again(check.again(), outputs)
-    outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
+    consistency = _judged(check, outputs, report)
     failure = failure or _nothing_seen(outputs, consistency, setup)
     done = outputs.summary(
         setup,
@@ -112,11 +107,20 @@ def run(
         by_camera=None if pair else report.by_camera(consistency),
     )
     if out is not None:
-        progress.update(0, 0, "writing the report")
-        report.write(out, done, about)
+        report.write(out, done, about, progress)
     if failure is not None:
         raise failure if out is None else _with_path(failure, outputs, out)
     return done
+
+
+def _judged(check: RunCheck | CamerasCheck, outputs: Outputs, report: Collector) -> Consistency:
+    """Return the verdict over the whole run, and give its status, and what is left out, to all that is written."""
+    consistency = check.finish()
+    if isinstance(check, CamerasCheck) and check.without:
+        with outputs.again():
+            report.again(check.again(), outputs)
+    outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
+    return consistency
 
 
 def _taken(
