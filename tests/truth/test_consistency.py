@@ -13,8 +13,8 @@ from scipy.stats import chi2 as chi2_law
 from armsight.geometry import pose_difference
 from armsight.measure.consistency.causes import causes_of
 from armsight.measure.consistency.check import RunCheck, advice, sentence
-from armsight.measure.consistency.diagnosis import Consistency, Finding
 from armsight.measure.consistency.evidence import target_basis
+from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels.rig_covariance import misfit_factor
 from armsight.measure.poses.pipeline import Measured, Setup
