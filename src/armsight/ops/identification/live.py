@@ -28,7 +28,7 @@ from armsight.ops.identify import SweepReadings
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
 from armsight.ops.robot.opening import refuse_settings, robot_of
-from armsight.ops.simulation.following import followed_cell
+from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.frames import open_pairs
 from armsight.optics import Rig
@@ -238,7 +238,7 @@ def open_devices(
         refuse_cameras(link.follow, left=sources[0], right=sources[1])
         settings.require_none(f"the simulated cell {link.follow}")
         robot = robot_of(link, clock)
-        return robot, followed_cell(link.follow, robot, clock).pairs
+        return robot, watching_cell(link.follow, robot, clock).pairs
     left, right = require_views(*sources)
     if link.robot.startswith(SIM):
         refuse_settings(link)

@@ -15,7 +15,7 @@ from armsight.kinematics import Arm
 from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
 from armsight.ops.requests.plant import Publishing
 from armsight.ops.robot.opening import refuse_settings, robot_of
-from armsight.ops.simulation.following import followed_cell
+from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.frames import open_pairs
 from armsight.ops.verification.supervising import Supervised, Supervision
@@ -157,7 +157,7 @@ def open_supervised(
         refuse_cameras(link.follow, left=views[0], right=views[1])
         camera_settings.require_none(f"the simulated cell {link.follow}")
         robot = robot_of(link, clock, arm)
-        cell = followed_cell(link.follow, robot, clock)
+        cell = watching_cell(link.follow, robot, clock)
         return Supervised(robot=robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))
     left, right = require_views(*views)
     if link.robot.startswith(SIM):
