@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from armsight.clock import Clock
-from armsight.drivers import CameraSettings, is_live
+from armsight.drivers import CameraSettings, Robot, RobotTraits, is_live
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
@@ -110,6 +110,16 @@ def check_arm(arm: Arm, devices: Supervised) -> None:
             f"{devices.robot.name} has {devices.robot.n_joints} joints, {arm.name} has {arm.n}",
             consequence="Nothing is supervised",
             cure="Give the file of this arm (--arm)",
+        )
+
+
+def check_stop(robot: Robot, *, asked: bool) -> None:
+    """Raise UsageError where a stop is asked of a robot whose link only reads."""
+    if asked and RobotTraits.of(robot).reads_only:
+        raise UsageError(
+            f"{robot.name} is only read (reads_only), and cannot be stopped by it",
+            consequence="Nothing is supervised",
+            cure="Leave --stop-mm, --stop-deg and --stop-blind out; warnings stay",
         )
 
 
