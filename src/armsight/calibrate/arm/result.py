@@ -196,12 +196,12 @@ class ArmResult(TitledOutput):
         if self.other_arm is not None:
             level, headline = "bad", "Another arm"
             todo = "Correct nothing. Compare the arm's file with the arm's data sheet, then calibrate again."
-        elif self.gain and self.at_limit:
-            headline = "Better"
-            todo = "Before you use it, look whether what is corrected so far is typed right or really built so."
         elif self.gain and self.doubt:
             headline = "Better, and not for sure its joints"
             todo = "Do what the verdict says of the geometry that is held, then calibrate again."
+        elif self.gain and self.at_limit:
+            headline = "Better"
+            todo = "Before you use it, look whether what is corrected so far is typed right or really built so."
         elif self.gain:
             level, headline = "good", "Better"
             todo = "Use the corrected arm in place of the nominal one; then run `armsight verify` on new measurements."
