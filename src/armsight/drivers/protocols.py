@@ -202,7 +202,7 @@ class RobotTraits:
     joints (n,) really were at a time of the clock, as only a simulated robot knows. listen: has a function told of each
     reading: when it was sent, on the clock, and its joints (n,). reading_step: of its encoders, in rad or m, where that
     is more than a reading's noise: readings are whole steps. joint_range: lower and upper (n,) ends beyond which its
-    link takes it nowhere, in rad or m.
+    link takes it nowhere, in rad or m. reads_only: its link commands nothing, not even a stop.
     """
 
     takes_joints: bool = True
@@ -212,6 +212,7 @@ class RobotTraits:
     listen: Callable[[Callable[[float, NDArray[np.float64]], object]], None] | None = None
     reading_step: float = 0.0
     joint_range: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    reads_only: bool = False
 
     @property
     def reading_std(self) -> float:

@@ -301,6 +301,7 @@ def supervise(
         time_std_s=0.0 if devices.origin_s is not None else latency_std_s,
     )
     live.check_arm(arm, devices)
+    live.check_stop(devices.robot, asked=stop_m is not None or stop_rad is not None or blind_stop_s is not None)
     setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
     prepare(progress)
     run = Supervision(setup, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)

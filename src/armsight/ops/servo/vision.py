@@ -29,7 +29,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.ops.requests.motion import LATENCY_S, RobotJob, refuse_cameras
 from armsight.ops.robot.opening import ClockedRobot, clocked_robot, refuse_settings
 from armsight.ops.servo.cameras import CameraNames
-from armsight.ops.simulation.following import followed_cell
+from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.cameras import require_watching
 from armsight.ops.sources.pace import live_pace
@@ -356,7 +356,7 @@ def _following(
     """Return a robot with the simulated cameras that watch it, or that it carries, in real time."""
     refuse_cameras(cell, **cameras.named(), exposure=cameras.exposure_s)
     robot = clocked_robot(job, arm)
-    seen = followed_cell(cell, robot.robot, robot.clock, hand=hand, speed_m_s=hand_speed_m_s)
+    seen = watching_cell(cell, robot.robot, robot.clock, hand=hand, speed_m_s=hand_speed_m_s)
     return ServoDevices(
         robot=robot.robot,
         pairs=seen.pairs,

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from armsight.clock import Clock
-from armsight.drivers import CameraSettings, moments_of
+from armsight.drivers import CameraSettings, Robot, RobotTraits, moments_of
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_named
 from armsight.ops.requests.plant import Publishing
 from armsight.ops.robot.opening import refuse_settings, robot_of
-from armsight.ops.simulation.following import followed_cell
+from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.cameras import cameras_of, open_cameras, require_watching
 from armsight.ops.verification.supervising import Supervised, Supervision
@@ -108,6 +108,16 @@ def check_arm(arm: Arm, devices: Supervised) -> None:
         )
 
 
+def check_stop(robot: Robot, *, asked: bool) -> None:
+    """Raise UsageError where a stop is asked of a robot whose link only reads."""
+    if asked and RobotTraits.of(robot).reads_only:
+        raise UsageError(
+            f"{robot.name} is only read (reads_only), and cannot be stopped by it",
+            consequence="Nothing is supervised",
+            cure="Leave --stop-mm, --stop-deg and --stop-blind out; warnings stay",
+        )
+
+
 def doubts(
     limits: Limits, arm: Arm, world: World, latency_s: tuple[float, float] | None, failure: Exception | None
 ) -> Sequence[str]:
@@ -154,7 +164,7 @@ def open_supervised(
         refuse_cameras(link.follow, **given)
         camera_settings.require_none(f"the simulated cell {link.follow}")
         robot = robot_of(link, clock, arm)
-        cell = followed_cell(link.follow, robot, clock)
+        cell = watching_cell(link.follow, robot, clock)
         return Supervised(robot=robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))
     require_named(given)
     cameras = cameras_of(names, given)
