@@ -26,8 +26,9 @@ from armsight.measure.consistency.run_of_cameras import CamerasCheck
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pose import no_points, solve_pose
 from armsight.measure.poses.setup import Setup, rig_slack_px
+from armsight.measure.poses.sights import Sights
 from armsight.measure.poses.solving import named_spots
-from armsight.measure.poses.views import Sights, measure_views
+from armsight.measure.poses.views import measure_views
 from armsight.optics import Rig, moved_rig
 from armsight.records import NamedCovariance, spot_target
 from bench import machine, table

@@ -11,7 +11,7 @@ from scipy.stats import chi2 as chi2_law
 from tests.truth.camera_ring import CENTRE, FOCAL, K1, LIGHTS, SIZE, Ring, look, pose, ring
 
 from armsight.errors import Inconsistent, UsageError
-from armsight.measure.poses.kernels import one_view
+from armsight.measure.poses.kernels import completion, one_view
 from armsight.measure.poses.moments import TargetTracker, measure_moment, require_views
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
@@ -142,7 +142,7 @@ def complete(setup: Setup, X: np.ndarray, T: np.ndarray, uv: np.ndarray, view: i
     found, rows = spots(uv), np.full((len(X), len(setup.packed.k)), -1, np.intp)
     first = np.array([0] * (view + 1) + [len(uv)] * (rows.shape[1] - view), np.intp)
     near = (found.uv_px, found.covariance_px2, first), (0.01, 16.0)
-    assert one_view.complete(setup.packed.arrays, X, T, 1e-10 * np.eye(6), setup.packed.covariance, *near, rows)
+    assert completion.complete(setup.packed.arrays, X, T, 1e-10 * np.eye(6), setup.packed.covariance, *near, rows)
     assert (np.delete(rows, view, axis=1) == -1).all()
     return list(rows[:, view].tolist())
 

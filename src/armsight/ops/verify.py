@@ -396,6 +396,5 @@ def check_mastering(
     stand = None if world is None else read_world(world)
     placed, how = mastering.in_measured_frame(arm, stand, tool)
     file = read_measured(measured)
-    if stand is not None:
-        file = replace(file, measured=in_world(file.measured, stand))
+    file = file if stand is None else replace(file, measured=in_world(file.measured, stand))
     return mastering.judge_poses(placed, how, file, mastering.readings_of(placed, file, measured, joints))

@@ -247,6 +247,7 @@ def held_geometry(model: ArmModel, points: ArmPoints, fitted: ArmFit, tolerance:
     size = np.array([tolerance.of(name) for name in held])
     r = weighted(model, points, fitted, ())[0]
     free, known, G = (weighted(model, points, fitted, names)[1] for names in (fitted.free, covariance.names, held))
+    # residuals, effects of what was fitted, and of what is held by a tolerance each: whitened alike below
     columns = np.concatenate([r[:, :, None], free, G * size], axis=2)
     effect = covariance.matrix @ np.einsum("mka,mkg->ag", known, columns[:, :, 1 + len(fitted.free) :])
     if points.block is not None and points.t_s is not None:
@@ -255,6 +256,7 @@ def held_geometry(model: ArmModel, points: ArmPoints, fitted: ArmFit, tolerance:
         columns = made_independent(drift, columns.reshape(len(r), -1), points.t_s).reshape(columns.shape)
     y, free, G = np.split(columns.reshape(r.size, -1), [1, 1 + len(fitted.free)], axis=1)
     basis = orthonormal_basis(free)
+    # what only a held length or angle explains, beside all that was fitted
     own, y = G - basis @ (basis.T @ G), (y - basis @ (basis.T @ y))[:, 0]
     there = np.linalg.norm(own, axis=0) > OWN * np.maximum(np.linalg.norm(G, axis=0), 1.0)
     if not there.any():
@@ -262,6 +264,7 @@ def held_geometry(model: ArmModel, points: ArmPoints, fitted: ArmFit, tolerance:
     own, names = own[:, there], np.array(held)[there]
     kinds = np.array([name.endswith("_m") for name in names])
     share = np.where(kinds, *_shares(own, y, kinds, len(y) - basis.shape[1]))
+    # y = own share x + noise of variance 1, x of variance 1 beforehand: x is -spread (own share)' y by its sign here
     spread = np.linalg.inv((own * share).T @ (own * share) + np.eye(len(share)))
     std = size[there] * share
     return HeldGeometry(
@@ -289,6 +292,7 @@ def _shares(own: Array, r: Array, lengths: NDArray[np.bool_], freedom: int) -> t
 
     low, high = np.log(SMALLEST), np.log(LARGEST)
     box = [(-7.0, 7.0), (low, high), (low, high)]
+    # restricted maximum likelihood: shares of 0 are at infinity in logarithms, so the least of them stands for none
     found = minimize(neg2_log_likelihood, [0.0, low / 4.0, low / 2.0], bounds=box, method="L-BFGS-B")
     _, length, angle = np.exp(found.x)
     return float(length), float(angle)

@@ -15,9 +15,10 @@ from armsight.arrays import Array, Index, Mask
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pose import solve_pose
 from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.sights import Sights
 from armsight.measure.poses.solving import named_spots
 from armsight.measure.poses.tracking import positions_of
-from armsight.measure.poses.views import Sights, measure_views
+from armsight.measure.poses.views import measure_views
 from armsight.optics import PackedRig
 from armsight.optics.kernels.camera import project_many
 from armsight.records import PoseStatus, Spots

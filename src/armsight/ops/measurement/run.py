@@ -77,8 +77,7 @@ def run(
     about = about or About()
     pair, report = setup.rig.is_pair, Collector(setup, world)
     check = RunCheck(setup) if pair else CamerasCheck(setup)
-    outputs = Outputs(out, world=world, names=setup.rig.names)
-    tracker = TargetTracker(setup)
+    outputs, tracker = Outputs(out, world=world, names=setup.rig.names), TargetTracker(setup)
     alone = about.stills or setup.target.is_board
     with pairs:
         prepare(progress, views=not pair)

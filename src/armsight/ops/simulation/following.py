@@ -88,7 +88,7 @@ class DrawnApart:
     skew: Skew | None = None
     total: int | None = None
 
-    def __init__(self, scenario: str, track: JointTrack, asked: dict[str, Any]) -> None:
+    def __init__(self, scenario: str, track: JointTrack, asked: Any) -> None:
         """Start the process; what draws is compiled then. Raises as live_cell with what is asked."""
         context = multiprocessing.get_context("spawn")
         self._cell, other = context.Pipe()
@@ -135,7 +135,7 @@ class DrawnApart:
         return answer
 
 
-def _draw(scenario: str, track: JointTrack, asked: dict[str, Any], orders: Connection) -> None:
+def _draw(scenario: str, track: JointTrack, asked: Any, orders: Connection) -> None:
     """Draw until the other end of orders closes: say what the cell is, then when it opened, then pair by pair."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other ends this one in order
     clock = SystemClock()
