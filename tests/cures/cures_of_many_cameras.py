@@ -8,6 +8,7 @@ import numpy as np
 
 from armsight.calibrate.cameras.many_checks import KnownLens, require_lists, require_sizes
 from armsight.ops.calibration.many_cameras import Wanted, require_names
+from armsight.ops.measurement.streams import FrameSources
 from armsight.optics import Camera, parallel_rig
 from armsight.records import BoardView
 
@@ -44,7 +45,16 @@ def sizes(*size, lens="left"):
     return lambda: require_sizes(seen, {lens: KnownLens(camera=RIG.left)})
 
 
+def moments(**sources):
+    """Return a call that opens the moments of a rig that is no pair."""
+    return lambda: FrameSources(**sources).moments(None, colour=False)
+
+
 TRIED = {
+    ("ops/measurement/streams.py", "Give each camera's frames"): (
+        moments(image="boards/left"),
+        moments(cameras={"left": "boards/left", "side": "boards/right"}),
+    ),
     ("ops/calibration/many_cameras.py", "Repeat --camera NAME=SRC"): (
         f"calibrate cameras {LEFT} {BOARD} -o c.yaml",
         f"{{}} {RIGHT} && calibrate camera boards/left {BOARD} -o left.yaml",

@@ -310,7 +310,7 @@ TRIED = {
     ("ops/teach.py", "or --from poses.csv"): ("teach -o taught", "teach --from poses.csv -o taught"),
     ("ops/teaching.py", "Give --world world.yaml, made with"): (f"{TEACH} {VIEWS}", "{} --world cell/world.yaml"),
     ("ops/teaching.py", "--image for a mirror rig, or"): (
-        f"{TEACH} --left cell/left --world cell/world.yaml",
+        f"{TEACH} --world cell/world.yaml",
         f"{TEACH} {VIEWS} --world cell/world.yaml && teach --from poses.csv -o other",
     ),
     ("ops/robot/robot_run.py", "Give the arm's file (--arm)"): (
