@@ -147,7 +147,13 @@ def judged(poses, truth=None, *, error=None, consistency=None):
     """What a run of these poses comes to."""
     whole = sum(pose.status.size == 6 for pose in poses)
     counts = {"n_frames": len(poses), "n_ok": whole, "n_doubtful": 0}
-    rest = {"timing": None, "by_camera": None, "error": error, "consistency": consistency, "grounds": grounds_of(poses, truth)}
+    rest = {
+        "timing": None,
+        "by_camera": None,
+        "error": error,
+        "consistency": consistency,
+        "grounds": grounds_of(poses, truth),
+    }
     return measure_verdict(SimpleNamespace(**counts, **rest))
 
 
