@@ -94,7 +94,7 @@ def test_its_corners_are_where_they_were_drawn(board: Target, turn, t_m, border:
 
 
 def test_tags_stand_apart_from_the_squares_at_their_corners_in_a_soft_picture(board: Target) -> None:
-    image, _ = picture((0.2, -0.3, 0.1), (0.0, 0.0, 0.30))
+    image, _ = picture((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2)
     noise = np.random.default_rng(1).normal(0.0, 2.0, image.shape)
     soft = np.clip(np.rint(gaussian_filter(image.astype(float), 1.0) + noise), 0, 255).astype(np.uint8)
     assert len(find_board(soft, board)) >= 24
