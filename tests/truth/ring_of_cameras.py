@@ -27,9 +27,9 @@ def vector(T: np.ndarray) -> np.ndarray:
     return np.r_[T[:3, 3], cv2.Rodrigues(T[:3, :3])[0].ravel()]
 
 
-def pixels(k: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Pixels (n, 2) of the board at T_camera_board (4, 4); k (10,) in the order of NAMES."""
-    X = BOARD.xyz_m @ T[:3, :3].T + T[:3, 3]
+def pixels(k: np.ndarray, T: np.ndarray, points: np.ndarray = BOARD.xyz_m) -> np.ndarray:
+    """Pixels (n, 2) of points (n, 3), the board's, at T_camera_board (4, 4); k (10,) in the order of NAMES."""
+    X = points @ T[:3, :3].T + T[:3, 3]
     K = np.array([[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]])
     uv = cv2.projectPoints(X, np.zeros(3), np.zeros(3), K, k[5:])[0].reshape(-1, 2)
     return uv + k[4] * (uv[:, 1:] - k[3]) / k[1] * [1.0, 0.0]

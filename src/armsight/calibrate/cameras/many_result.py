@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras.bundle_adjustment import DELAY, poses_of_boards, residuals_px
+from armsight.calibrate.cameras.bundle_adjustment import BACK, DELAY, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.calibrate import rms, view_rms
 from armsight.calibrate.cameras.many import ManySolved
 from armsight.calibrate.cameras.observations import Observations
@@ -20,7 +20,6 @@ from armsight.calibrate.cameras.result import FromBoards, left_out_words, std_by
 from armsight.fields import Doc
 from armsight.optics import Camera, Rig
 from armsight.optics.mounted import MountedCamera
-from armsight.records import NamedCovariance
 from armsight.records.output import Row, figure, output, with_std
 from armsight.records.result_parts import MEANING, RejectedFile, Verdict
 from armsight.shown import WRITTEN, Shown, Table, digits, rejected_lines
@@ -80,6 +79,11 @@ class CamerasCalibration(FromBoards):
         found = zip(self.used.cameras, self.solved.delays_s.tolist(), strict=True)
         return {name: late if f"{name}.{DELAY}" in std else None for name, late in found}
 
+    @figure("Of a board with two sides: the back's middle in axes of the front's, m; null of others.", optional=True)
+    def back_m(self) -> list[float] | None:
+        found = self.solved.state.back
+        return found[:3].tolist() if len(found) else None
+
     @figure("Standard deviations by name: NAME.fx_px ... NAME.k3, NAME.tx_m ... NAME.rz_rad, NAME.delay_s.")
     def std(self) -> dict[str, float]:
         return std_by_key(self.solved.covariance)
@@ -119,7 +123,7 @@ class CamerasCalibration(FromBoards):
     @property
     def title(self) -> str:
         """What it is, in a few words."""
-        return f"Rig of {len(self.rig.names)} cameras from {self.n_used} moments of a board"
+        return f"Rig of {len(self.rig.names)} cameras from {self.n_used} moments"
 
     def rows(self) -> list[Row]:
         """Return places, focal lengths and delays with standard deviations, and how well they fit."""
@@ -150,6 +154,10 @@ class CamerasCalibration(FromBoards):
             )
         head = ["camera", "lens", "views", "px RMS", "x, mm", "y", "z", "+-", *(["late by, ms"] if timed else [])]
         yield Table(f"Rig of {len(self.rig.names)}, {self.n_used} of {self.n_moments} moments", head, rows)
+        if self.back_m is not None:
+            doubt = max(self.std.get(f"{BACK}.t{axis}_m", 0.0) for axis in "xyz")
+            behind = ", ".join(digits(at / MM) for at in self.back_m)
+            yield f"The back's middle is at ({behind}) mm from the front's, +- {digits(doubt / MM, 2)} mm"
         yield f"Reprojection {digits(self.rms_px)} px RMS; {digits(self.holdout_rms_px)} px on left-out moments"
         yield from rejected_lines(self.rejected)
         yield WRITTEN
@@ -181,6 +189,4 @@ def rig_of(done: ManySolved, rms_px: float) -> Rig:
         MountedCamera(name=name, camera=camera, T_rig_camera=T)
         for (name, camera), T in zip(done.cameras.items(), poses, strict=True)
     ]
-    names = tuple(one for one in done.covariance.names if not one.endswith(f".{DELAY}"))
-    covariance = NamedCovariance(names=names, matrix=done.covariance.block(names))
-    return Rig(cameras=mounted, covariance=covariance, rms_px=rms_px)
+    return Rig(cameras=mounted, covariance=done.of_cameras, rms_px=rms_px)
