@@ -181,6 +181,23 @@ def waved(still: Ring, n_moments: int = 60, interval_s: float = 0.1) -> tuple[Ri
     return Ring(k=still.k, T=still.T, boards=boards, seen=seen), at
 
 
+def rolled(film: Ring, at: Callable[[float, int], np.ndarray], late: np.ndarray, readout_s: np.ndarray) -> np.ndarray:
+    """Pixels (G, C, n, 2) of cameras that read their rows one after the other, the middle one at the picture's time."""
+    out = np.full((*film.seen.shape, len(BOARD.xyz_m), 2), np.nan)
+    node = np.linspace(-0.5, 0.5, 5)
+    others = [np.delete(node, j) for j in range(5)]
+    for g, c in zip(*np.nonzero(film.seen), strict=True):
+        back = np.linalg.inv(film.T[c])
+        uv = np.array([pixels(film.k[c], back @ at(late[c] + readout_s[c] * x, int(g))) for x in node])
+        seen = uv[2]
+        for _ in range(4):  # a point is seen where it was when its row was read
+            line = seen[:, 1] / (SIZE[1] - 1.0) - 0.5
+            weight = [np.prod((line[:, None] - o) / (x - o), axis=1) for x, o in zip(node, others, strict=True)]
+            seen = np.einsum("jn,jnk->nk", weight, uv)
+        out[g, c] = seen
+    return out
+
+
 def views(
     uv: np.ndarray, cameras: tuple[str, ...], sigma_px: float, size: tuple[int, int] = SIZE
 ) -> dict[str, list[BoardView | None]]:

@@ -6,21 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import (
     BACK,
     DELAY,
+    READOUT,
     Bundle,
     adjust,
     bundle_of,
-    delays_of,
     names_of,
-    start_at,
 )
 from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
+from armsight.calibrate.cameras.clocks import with_clocks
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.extended import considered, held_beside, placed_beside, with_standing
 from armsight.calibrate.cameras.graph import placed, tilts_of
@@ -35,30 +34,21 @@ from armsight.calibrate.cameras.many_checks import (
     require_one_clock,
     require_sizes,
 )
-from armsight.calibrate.cameras.moving_board import alone
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import (
     RobustFit,
     fit_tilted,
     fit_without_outliers,
-    fixed_names,
-    named,
 )
 from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
 from armsight.calibrate.cameras.points_off import require_size_of_back, with_doubt_of
 from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
 from armsight.calibrate.cameras.two_sides import TwoSided, with_the_back
-from armsight.errors import DataRefused, Inconsistent, NotConverged, NotEnoughData, Undetermined
-from armsight.fitting import Fit
+from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import INTRINSICS, Camera, Rig
 from armsight.optics.mounted import MountedCamera
 from armsight.records import BoardView, NamedCovariance, Progress, Target
 from armsight.records.views import symmetries
-
-LOOSE_S = 0.02
-"""A delay less sure than this is held at zero: boards were still, or times are none."""
-BY_CHANCE = 1e-3
-"""Delays are taken where chi-square would fall as much without any this often."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,11 +84,16 @@ class ManySolved:
         return np.concatenate([[0.0], delays if len(delays) else np.zeros(self.observations.n_cameras - 1)])
 
     @property
+    def readouts_s(self) -> Array:
+        """How long each camera takes to read a picture (C,), 0 where held so."""
+        found = self.state.readouts_s
+        return found if len(found) else np.zeros(self.observations.n_cameras)
+
+    @property
     def of_cameras(self) -> NamedCovariance:
         """The covariance of what a rig holds: of lenses and places."""
-        names = tuple(
-            one for one in self.covariance.names if not one.endswith(f".{DELAY}") and not one.startswith(BACK)
-        )
+        clocks, every = (f".{DELAY}", f".{READOUT}"), self.covariance.names
+        names = tuple(one for one in every if not one.endswith(clocks) and not one.startswith(BACK))
         return NamedCovariance(names=names, matrix=self.covariance.block(names))
 
     @property
@@ -141,7 +136,8 @@ def solve_cameras(
     if rig is not None:
         held = observations.held | (held_beside(rig) & set(names_of(observations)))
         observations, start = replace(observations, held=held), with_standing(observations.cameras, start, rig)
-    robust, told, lost = _fitted(observations, start, options, progress)
+    given = {} if rig is None else {one.name: one.timing.readout_s for one in rig.cameras if one.timing is not None}
+    robust, told, lost = _fitted(observations, start, options, given, progress)
     require_lenses(robust, observations.known, lenses)
     require_size_of_back(robust)
     out = left_out(robust, options)
@@ -162,13 +158,17 @@ def solve_cameras(
 
 
 def _fitted(
-    observations: Observations, start: Bundle, options: BoardOptions, progress: Progress | None
+    observations: Observations,
+    start: Bundle,
+    options: BoardOptions,
+    given: Mapping[str, float],
+    progress: Progress | None,
 ) -> tuple[RobustFit, list[str], list[tuple[str, str]]]:
     """Return the fit of what agrees, advice on the clocks, and (source, why) of moments that went for them."""
     times, known, held = observations.t_s, observations.known, observations.held
     lens = frozenset[str]() if known is None else frozenset(known.names) - held
     observations = replace(observations, t_s=None, known=None, held=held | lens)
-    observations, start, told, lost = _timed(observations, start, options, times, progress)
+    observations, start, told, lost = with_clocks(observations, start, options, times, given, progress)
     if known is not None:
         # what is known beforehand counts in units of the points' noise, which is asked with the lenses as given
         weight = observations.weight / fit_without_outliers(observations, start, options, progress).fit.scale
@@ -326,47 +326,3 @@ def _two_tilts(part: Observations, k: Array, poses: Array, options: BoardOptions
     both = np.stack([one for one, _ in found], axis=1)
     order = np.argsort(np.stack([cost for _, cost in found], axis=1), axis=1, kind="stable")
     return np.asarray(np.take_along_axis(both, order[:, :, None], axis=1))
-
-
-def _timed(
-    observations: Observations, start: Bundle, options: BoardOptions, times: Array | None, progress: Progress | None
-) -> tuple[Observations, Bundle, list[str], list[tuple[str, str]]]:
-    """Return observations with their times where the board's motion tells the delays, the state, advice, and (source,
-    why) of moments left out."""
-
-    def fitted(seen: Observations, state: Bundle) -> Fit:
-        most = options.max_iterations
-        return adjust(seen, state, fixed_names(options, seen), max_iterations=most, progress=progress)
-
-    C, lost = observations.n_cameras, list[tuple[str, str]]()
-    if times is None:
-        told = ["the delays of the clocks are held at zero: the images have no times; hold the board still for each"]
-        return observations, start, told, lost
-    still_fit = fitted(observations, start)
-    state = replace(bundle_of(still_fit, C), delays_s=np.zeros(C - 1))
-    timed = replace(observations, t_s=times)
-    # a moment of one camera tells nothing of another one's clock: it may stay without neighbours
-    lonely = alone(timed, state.delays_s) & ((observations.weight > 0.0).any(axis=2).sum(axis=1) > 1)
-    stay = np.flatnonzero(~lonely)
-    why = "no other moment is near enough in time to tell how the board moved"
-    if len(stay) >= LEAST_VIEWS:
-        try:
-            timed, state = timed.take(stay), start_at(state, stay)
-            fit = fitted(timed, state)
-            loose = {name for name, std in fit.std().items() if name in delays_of(timed.cameras) and std > LOOSE_S}
-            if loose:
-                timed = replace(timed, held=timed.held | loose)
-                fit = fitted(timed, state)
-            compared = fitted(observations.take(stay), start_at(bundle_of(still_fit, C), stay))
-            # both on the same points: by how much chi-square falls for as many delays
-            gain = 2.0 * (compared.cost - fit.cost) / fit.scale**2
-        except (DataRefused, Undetermined):
-            gain = 0.0
-        else:
-            asked = [name for name in delays_of(timed.cameras) if name not in timed.held]
-            if asked and gain > chdtri(len(asked), BY_CHANCE):
-                lost += [(named(observations, g), why) for g in np.flatnonzero(lonely).tolist()]
-                told = [f"{name} is held at zero: the board's motion does not tell it" for name in sorted(loose)]
-                return timed, bundle_of(fit, C), told, lost
-    told = ["the delays of the clocks are held at zero: the board's motion does not tell them"]
-    return observations, start, told, lost

@@ -39,8 +39,9 @@ class Motion:
     views: each view as a group of its own. moment, camera, segment, t_s (V,); at_s (V,): where the polynomials coef
     (V, P, P) by nodes and powers of (time - at_s) count from; window (V, P): their nodes in the segment; base (V,):
     where in the window the one of most weight is. place (G, 2): segment and node of each moment. shape: segments,
-    nodes. back (V,): whether the view shows the board's back. own: how many numbers of the back and how many delays are
-    the shared parameters beyond those of the cameras.
+    nodes. back (V,): whether the view shows the board's back. line (V,): where in the picture its points are, as the
+    observations have it: points of a picture that counts as exposed at several times are as many views. own: how many
+    numbers of the back, delays and read-outs are the shared parameters beyond those of the cameras.
     """
 
     views: Observations
@@ -55,7 +56,8 @@ class Motion:
     place: Index
     shape: tuple[int, int]
     back: NDArray[np.bool_]
-    own: tuple[int, int]
+    line: Array
+    own: tuple[int, int, int]
 
     @property
     def n_empty(self) -> int:
@@ -90,7 +92,7 @@ class Motion:
     def evaluate(self, still: Callable[[Array, Array], Evaluation], shared: Array, local: Array) -> Evaluation:
         """Return the normal equations by cameras, back, delays and nodes from those of every view's own pose."""
         n, E = len(shared) - sum(self.own), sum(self.own)
-        poses, by_nodes, by_own = self._along(local.reshape(*self.shape, 6), shared[n:])
+        poses, by_nodes, by_own, _ = self.along(local.reshape(*self.shape, 6), shared[n:])
         here = still(shared[:n], poses)
         residuals = np.zeros((len(self.place), here.residuals.shape[1]))
         np.add.at(residuals, self.moment, here.residuals)
@@ -101,29 +103,42 @@ class Motion:
         flat = by_own.reshape(-1, E)
         A[:n, n:] = one.W.transpose(1, 0, 2).reshape(n, -1) @ flat
         A[n:, :n] = A[:n, n:].T
-        A[n:, n:] = flat.T @ (one.C @ by_own).reshape(-1, E)
+        pushed = one.C @ by_own
+        A[n:, n:] = flat.T @ pushed.reshape(-1, E)
         b[n:] = flat.T @ one.c.ravel()
-        L = 6 * self.shape[1]
-        C, c, W = np.zeros((self.shape[0], L, L)), np.zeros((self.shape[0], L)), np.zeros((self.shape[0], len(b), L))
-        ends = np.searchsorted(self.segment, np.arange(self.shape[0] + 1))
-        for s in range(self.shape[0]):
+        V, S, L = len(by_nodes), self.shape[0], 6 * self.shape[1]
+        M = np.zeros((V, 6, self.shape[1], 6))
+        for k in range(self.window.shape[1]):
+            M[np.arange(V), :, self.window[:, k]] += by_nodes[:, :, k]
+        # each view follows a few nodes only
+        near = by_nodes.reshape(V, 6, -1)
+        at = (self.segment[:, None] * L + 6 * self.window[:, :, None].repeat(6, axis=2).reshape(V, -1)) + np.tile(
+            np.arange(6), self.window.shape[1]
+        )
+        place = at[:, :, None] * L + at[:, None, :] % L
+        blocks = near.transpose(0, 2, 1) @ (one.C @ near)
+        C = np.bincount(place.ravel(), blocks.ravel(), S * L * L).reshape(S, L, L)
+        c, W = np.zeros((S, L)), np.zeros((S, len(b), L))
+        ends = np.searchsorted(self.segment, np.arange(S + 1))
+        for s in range(S):
             part = slice(ends[s], ends[s + 1])
-            M = by_nodes[part].reshape(-1, 6, L)
-            CM, flat = one.C[part] @ M, M.reshape(-1, L)
-            C[s], c[s] = flat.T @ CM.reshape(-1, L), flat.T @ one.c[part].ravel()
-            W[s, :n] = one.W[part].transpose(1, 0, 2).reshape(n, -1) @ flat
-            W[s, n:] = by_own[part].reshape(-1, E).T @ CM.reshape(-1, L)
+            own_nodes = M[part].reshape(-1, L)
+            c[s] = one.c[part].ravel() @ own_nodes
+            W[s, :n] = one.W[part].transpose(1, 0, 2).reshape(n, -1) @ own_nodes
+            W[s, n:] = pushed[part].reshape(-1, E).T @ own_nodes
         empty = np.ones(self.shape)  # nodes of no moment are held where they are
         empty[self.place[:, 0], self.place[:, 1]] = 0.0
         C[:, np.arange(L), np.arange(L)] += np.repeat(empty, 6, axis=1)
         return replace(here, residuals=residuals, condensed=NormalEquations(A=A, b=b, C=C, c=c, W=W))
 
-    def _along(self, nodes: Array, own: Array) -> tuple[Array, Array, Array]:
-        """Return the views' poses (V, 6), and their derivatives by steps of the nodes (V, 6, nodes, 6) and of what else
-        is theirs (V, 6, E), which is own (E,)."""
+    def along(self, nodes: Array, own: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the views' poses (V, 6), and their derivatives by steps of the nodes in window (V, 6, P, 6), of what
+        else is theirs (V, 6, E), which is own (E,), and by time (V, 6)."""
         V, P = self.window.shape
-        rows, late = np.arange(V), np.concatenate([[0.0], own[self.own[0] :]])
-        x = (self.t_s + (late[self.camera] if self.own[1] else 0.0) - self.at_s)[:, None]
+        rows, (behind, late, rolled) = np.arange(V), np.split(own, np.cumsum(self.own[:2]))
+        late = np.concatenate([[0.0], late]) if len(late) else np.zeros(self.views.n_cameras)
+        rolled = rolled if len(rolled) else np.zeros(self.views.n_cameras)
+        x = (self.t_s + late[self.camera] + rolled[self.camera] * self.line - self.at_s)[:, None]
         power = np.arange(P)
         w = np.einsum("vkp,vp->vk", self.coef, x**power)
         dw = np.einsum("vkp,vp->vk", self.coef[:, :, 1:], power[1:] * x ** power[:-1])
@@ -142,21 +157,21 @@ class Motion:
             ],
             axis=1,
         )
-        by = np.zeros((V, 6, self.shape[1], 6))
-        for k in range(P):
-            at = self.window[:, k]
-            by[rows, :3, at, :3] += w[:, k, None, None] * np.eye(3)
-            by[rows, 3:, at, 3:] += w[:, k, None, None] * (J @ J_inv[:, k])
+        by = np.zeros((V, 6, P, 6))
+        by[:, :3, :, :3] = w[:, None, :, None] * np.eye(3)[:, None]
+        by[:, 3:, :, 3:] = np.einsum("vij,vk,vkjl->vikl", J, w, J_inv)
         # Log(R_k R_base') moves by Jl^-1 of the node's own step and against it by Jr^-1 = Jl^-1' of the base's
         back = np.einsum("vk,vkji->vij", w, J_inv)
-        by[rows, 3:, self.window[rows, self.base], 3:] += turned.as_matrix() - J @ back
+        by[rows, 3:, self.base, 3:] += turned.as_matrix() - J @ back
         by_own = np.zeros((V, 6, sum(self.own)))
         if self.own[0]:
-            self._behind(own[:6], poses, by, rate, by_own)
+            self._behind(behind, poses, by, rate, by_own)
         # a delay moves its camera's views along the board's motion
         late_of = np.flatnonzero(self.camera) if self.own[1] else rows[:0]
         by_own[late_of, :, self.own[0] + self.camera[late_of] - 1] = rate[late_of]
-        return poses, by, by_own
+        if self.own[2]:
+            by_own[rows, :, sum(self.own[:2]) + self.camera] = self.line[:, None] * rate
+        return poses, by, by_own, rate
 
     def _behind(self, back: Array, poses: Array, by: Array, rate: Array, by_own: Array) -> None:
         """Make of the poses of views that show the back, and of their derivatives, those of the back, in place."""
@@ -173,8 +188,8 @@ class Motion:
         by_own[v, :3, :3] = by_own[v, 3:, 3:6] = R.as_matrix()
 
 
-def motion_of(observations: Observations, delays_s: Array) -> Motion:
-    """Return how the moments hang together by their times, with the delays (C - 1,) known so far.
+def motion_of(observations: Observations, delays_s: Array, readouts_s: Array | None = None) -> Motion:
+    """Return how the moments hang together by their times, with delays (C - 1,) and read-outs (C,) known so far.
 
     Without times each moment is one by itself.
     """
@@ -187,21 +202,25 @@ def motion_of(observations: Observations, delays_s: Array) -> Motion:
         place, times = _segments(node_s)
     else:
         place, times = np.column_stack([np.arange(len(seen)), np.zeros(len(seen), np.intp)]), [np.zeros(1)] * len(seen)
-    G, C = np.nonzero(seen)
-    # by segment, so that each one's views stand together
-    order = np.lexsort((G, place[G, 1], place[G, 0]))
-    g, c = G[order], C[order]
+    line = np.zeros(observations.weight.shape) if observations.line is None else observations.line
+    there = np.argwhere(observations.weight > 0.0)
+    # by segment, so that each one's views stand together; a picture is one view for each time of its points
+    of = np.column_stack([place[there[:, 0]], there[:, :2], line[tuple(there.T)]])
+    rows, member = np.unique(of, axis=0, return_inverse=True)
+    g, c, at_line = rows[:, 2].astype(np.intp), rows[:, 3].astype(np.intp), rows[:, 4]
     shown = np.zeros((len(g), *observations.weight.shape[1:]))
-    shown[np.arange(len(g)), c] = observations.weight[g, c]
+    shown[member.ravel(), there[:, 1], there[:, 2]] = observations.weight[tuple(there.T)]
     views = replace(
         observations,
         uv=np.ascontiguousarray(observations.uv[g]),
         weight=shown,
         sources=tuple(observations.sources[k] for k in g),
         t_s=None,
+        line=None,
         known=None,
     )
-    at = t_s[g, c] + late[c]
+    asked = observations.line is not None and readouts_s is not None
+    at = t_s[g, c] + late[c] + (readouts_s[c] * at_line if asked and readouts_s is not None else 0.0)
     coef, window = np.zeros((len(g), NEAREST, NEAREST)), np.zeros((len(g), NEAREST), np.intp)
     for segment, nodes_s in enumerate(times):
         own = np.flatnonzero(place[g, 0] == segment)
@@ -220,7 +239,8 @@ def motion_of(observations: Observations, delays_s: Array) -> Motion:
         place=place,
         shape=(len(times), max(map(len, times))),
         back=observations.shows_back[g, c],
-        own=(0 if observations.n_front is None else 6, len(late) - 1 if timed else 0),
+        line=at_line,
+        own=(0 if observations.n_front is None else 6, len(late) - 1 if timed else 0, len(late) if asked else 0),
     )
 
 

@@ -40,7 +40,8 @@ class Observations:
     stood still or nothing is known of its times. known: beforehand, of the lenses. held: names of parameters that are
     held besides those that the options hold. n_front: of a board with two sides, whose points are stacked, each side's
     about its own middle (`middle` is the front's): how many are the front's; a view shows those of one side. None: one
-    side.
+    side. line (G, C, n): in which part of its picture, -0.5 to 0.5 from the first row to the last, each point counts as
+    exposed, where cameras' read-outs are asked for.
     """
 
     X: Array
@@ -57,6 +58,7 @@ class Observations:
     known: Known | None = None
     held: frozenset[str] = frozenset()
     n_front: int | None = None
+    line: Array | None = None
 
     @property
     def shows_back(self) -> NDArray[np.bool_]:
@@ -93,8 +95,9 @@ class Observations:
     def take(self, views: Sequence[int] | NDArray[np.intp]) -> Observations:
         """Return some of the views."""
         i = np.asarray(views, dtype=np.intp)
-        t_s = None if self.t_s is None else self.t_s[i]
-        return replace(self, uv=self.uv[i], weight=self.weight[i], sources=tuple(self.sources[k] for k in i), t_s=t_s)
+        t_s, line = (None if one is None else one[i] for one in (self.t_s, self.line))
+        sources = tuple(self.sources[k] for k in i)
+        return replace(self, uv=self.uv[i], weight=self.weight[i], sources=sources, t_s=t_s, line=line)
 
     def camera(self, c: int) -> Observations:
         """Return what camera c alone has seen."""
@@ -106,6 +109,7 @@ class Observations:
             lenses=(self.lenses[c],),
             cameras=(self.cameras[c],),
             t_s=None,
+            line=None,
             known=None,
             held=frozenset(),
             n_front=None,  # a single camera's view has the pose of the side that it shows

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
 
+from scipy.spatial.transform import RigidTransform
+
 from armsight.calibrate.cameras import BoardOptions, CamerasCalibration
 from armsight.calibrate.cameras.many import extend_rig, solve_cameras
 from armsight.calibrate.cameras.many_checks import KnownLens
@@ -16,10 +18,10 @@ from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.settings import SpotSettings
 from armsight.ops.calibration.board_images import Keeper, Seen, in_parallel
-from armsight.ops.calibration.shown import Eye, look_again, require_lenses, require_shown, words_of
+from armsight.ops.calibration.shown import Eye, Glimpse, look_again, require_lenses, require_shown, words_of
 from armsight.ops.sources.frames import is_recording, open_source
-from armsight.optics import Camera, Rig
-from armsight.optics.mounted import MOST_CAMERAS, require_camera_name
+from armsight.optics import Rig
+from armsight.optics.mounted import MOST_CAMERAS, MountedCamera, require_camera_name
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.store import CameraFile
 from armsight.store.bags import is_bag
@@ -98,10 +100,12 @@ class Wanted:
         return KnownLens(camera=file.camera, covariance=None if self.hold_lenses else file.covariance)
 
     @property
-    def cameras_known(self) -> dict[str, Camera]:
-        """The cameras whose lens is known before."""
-        old = {} if self.rig is None else {name: self.rig.camera(name) for name in self.rig.names}
-        return old | {name: file.camera for name, file in self.lenses.items()}
+    def cameras_known(self) -> dict[str, MountedCamera]:
+        """The cameras whose lens is known before, each in axes of its own."""
+        known = {} if self.rig is None else {name: self.rig.camera(name) for name in self.rig.names}
+        known |= {name: file.camera for name, file in self.lenses.items()}
+        back = RigidTransform.identity()
+        return {name: MountedCamera(name=name, camera=one, T_rig_camera=back) for name, one in known.items()}
 
 
 class SeenByAll(NamedTuple):
@@ -190,9 +194,9 @@ def _see(
             cure="Record them first (armsight record, or a program of theirs), and give the films or folders",
         )
     stop = None if reading.limit is None else reading.limit * reading.every
-    seen, times = list[Seen](), list[float]()
+    seen, times = list[Seen | Glimpse](), list[float]()
 
-    def see(frame: Frame) -> tuple[float, Seen]:
+    def see(frame: Frame) -> tuple[float, Seen | Glimpse]:
         return frame.t_s, eye.see(frame)
 
     def read(frames: Any) -> None:
@@ -205,12 +209,12 @@ def _see(
 
     if not isinstance(source, str):
         read(source)
-        return seen, times
+        return eye.told(seen), times
     files = ImageReading(bits=reading.bits, strict=reading.strict)
     fps = None if is_video(source) or is_recording(source) or is_bag(source) else reading.fps
     with open_source(source, fps=fps, settings=AUTOMATIC, reading=files) as frames:
         read(frames)
-    return seen, times
+    return eye.told(seen), times
 
 
 def solved(

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.cameras.preconditions import LEAST_POINTS
 from armsight.calibrate.cameras.two_sides import TwoSided, require_two_sides
 from armsight.errors import UsageError
-from armsight.measure.poses.moments import measure_moment
+from armsight.measure.poses.beacon import without_standing
+from armsight.measure.poses.pipeline import check_size
 from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.views import MOST_ALONE, measure_views
 from armsight.measure.settings import SpotSettings
+from armsight.measure.spots import find_spots
 from armsight.ops.calibration.board_images import Keeper, Seen, count_again, require_counts, see_board
-from armsight.optics import Camera, Rig
+from armsight.optics import Rig
 from armsight.optics.mounted import MountedCamera
-from armsight.records import BoardView, Frame, NotSeen, PoseStatus, Target
+from armsight.records import BoardView, Frame, NotSeen, PoseStatus, Spots, Target
 from armsight.store.targets import board_text
 
 
@@ -57,27 +60,42 @@ def front_of(shown: Target | TwoSided) -> Target:
     return shown.front if isinstance(shown, TwoSided) else shown
 
 
+class Glimpse(NamedTuple):
+    """The spots of one frame, before it is known which of them stand still."""
+
+    spots: Spots
+    frame: tuple[int, int, str]
+
+
 class Eye:
     """Finds what is shown in the frames of one camera. camera: its lens, which lights need; settings: of spots."""
 
     def __init__(
-        self, shown: Target | TwoSided, detector: str, pictures: Keeper, camera: Camera | None, settings: SpotSettings
+        self,
+        shown: Target | TwoSided,
+        detector: str,
+        pictures: Keeper,
+        known: MountedCamera | None,
+        spots: SpotSettings,
     ) -> None:
         self.shown, self.detector, self.pictures = shown, detector, pictures
         self.setup: Setup | None = None
-        if isinstance(shown, Target) and not shown.is_board and camera is not None:
-            mounted = MountedCamera(name="camera", camera=camera, T_rig_camera=RigidTransform.identity())
-            self.setup = Setup(rig=Rig(cameras=(mounted,)), target=shown, settings=settings, many=True)
+        if isinstance(shown, Target) and not shown.is_board and known is not None:
+            self.setup = Setup(rig=Rig(cameras=(known,)), target=shown, settings=spots, many=True)
 
     @property
     def noun(self) -> str:
         """What is looked for."""
         return "board" if self.setup is None else "target"
 
-    def see(self, frame: Frame) -> Seen:
-        """Return the view of one frame, or why there is none."""
+    def see(self, frame: Frame) -> Seen | Glimpse:
+        """Return what one frame shows, or why it shows nothing; frames of several threads may come at once."""
         if self.setup is not None:
-            return self._lights(self.setup, frame)
+            if frame.unreadable:
+                return NotSeen(frame.unreadable)
+            check_size(self.setup.rig, self.setup.rig.names[0], frame, "The lens is of other images")
+            self.pictures.keep(frame)
+            return Glimpse(find_spots(frame.image, self.setup.sides[0]), (frame.width, frame.height, frame.source))
         if isinstance(self.shown, Target):
             return see_board(frame, self.shown, self.detector, self.pictures)
         front, back = self.shown
@@ -89,25 +107,30 @@ class Eye:
             return replace(behind, index=behind.index + len(front.names))
         return behind if behind.size is not None and seen.size is None else seen
 
-    def _lights(self, setup: Setup, frame: Frame) -> Seen:
-        """Return the lights of one frame, named by this view alone."""
-        if frame.unreadable:
-            return NotSeen(frame.unreadable)
-        found = measure_moment(setup, (frame,))
-        if found.pose.status is not PoseStatus.OK:
-            return NotSeen(found.pose.why, found.cause)
-        self.pictures.keep(frame)
-        spots = found.spots[0]
-        # a view's points weigh alike: by the mean variance of a coordinate
-        variance = np.trace(spots.covariance_px2, axis1=1, axis2=2).mean() / 2.0
-        return BoardView(
-            uv_px=spots.uv_px,
-            index=np.array([setup.target.names.index(name) for name in found.names], np.intp),
-            sigma_px=float(np.sqrt(variance)),
-            width=frame.width,
-            height=frame.height,
-            source=frame.source,
-        )
+    def told(self, seen: Sequence[Seen | Glimpse]) -> list[Seen]:
+        """Return the views of all frames: of lights those that do not stand still, named in each view by itself."""
+        moving = iter(without_standing([one.spots for one in seen if isinstance(one, Glimpse)]))
+        return [_named(self.setup, next(moving), one.frame) if isinstance(one, Glimpse) else one for one in seen]
+
+
+def _named(setup: Setup | None, spots: Spots, frame: tuple[int, int, str]) -> Seen:
+    if setup is None:
+        return NotSeen("no lights are looked for")
+    # the strongest come first: in a lit room edges and labels are seen beside the lights
+    found = measure_views(setup, 0.0, [spots.take(np.arange(min(len(spots), MOST_ALONE)))])
+    if found.pose.status is not PoseStatus.OK:
+        return NotSeen(found.pose.why, found.cause)
+    width, height, source = frame
+    # a view's points weigh alike: by the mean variance of a coordinate
+    variance = np.trace(found.spots[0].covariance_px2, axis1=1, axis2=2).mean() / 2.0
+    return BoardView(
+        uv_px=found.spots[0].uv_px,
+        index=np.array([setup.target.names.index(name) for name in found.names], np.intp),
+        sigma_px=float(np.sqrt(variance)),
+        width=width,
+        height=height,
+        source=source,
+    )
 
 
 def require_shown(seen: Sequence[Seen], shown: Target | TwoSided) -> None:
