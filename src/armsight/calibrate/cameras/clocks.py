@@ -110,7 +110,8 @@ def _rolled(
     try:
         for _ in range(1 + ROUNDS):
             rolled = replace(rolled, uv=timed.uv - _within(rolled, state, line - band))
-            found = adjust(rolled, state, fixed_names(options, rolled), max_iterations=options.max_iterations)
+            most, fixed = options.max_iterations, fixed_names(options, rolled)
+            found = adjust(rolled, state, fixed, max_iterations=most, progress=progress)
             loose = {name for name, std in found.std().items() if name in names and std > LOOSE_READOUT_S}
             state = bundle_of(found, C)
             if loose:

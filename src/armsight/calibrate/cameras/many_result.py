@@ -85,12 +85,14 @@ class CamerasCalibration(FromBoards):
         found = zip(self.used.cameras, self.solved.readouts_s.tolist(), strict=True)
         return {name: took if took or f"{name}.{READOUT}" in std else None for name, took in found}
 
-    @figure("Of a board with two sides: the back's middle in axes of the front's, m; null of others.", optional=True)
+    @figure("Of a board with two sides: the back's middle in axes of the front's, m.", optional=True)
     def back_m(self) -> list[float] | None:
         found = self.solved.state.back
         return found[:3].tolist() if len(found) else None
 
-    @figure("Standard deviations by name: NAME.fx_px ... NAME.k3, NAME.tx_m ... NAME.rz_rad, NAME.delay_s.")
+    @figure(
+        "Standard deviations by name: NAME.fx_px ... NAME.k3, NAME.tx_m ... NAME.rz_rad, NAME.delay_s, NAME.readout_s."
+    )
     def std(self) -> dict[str, float]:
         return std_by_key(self.solved.covariance)
 
