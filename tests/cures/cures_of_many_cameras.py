@@ -7,16 +7,29 @@ from types import SimpleNamespace
 import numpy as np
 
 from armsight.calibrate.cameras.many_checks import KnownLens, require_lists, require_sizes
+from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.ops.calibration.many_cameras import Wanted, require_names
+from armsight.ops.calibration.shown import require_lenses, shown_of
 from armsight.ops.measurement.streams import FrameSources
 from armsight.optics import Camera, parallel_rig
-from armsight.records import BoardView
+from armsight.records import BoardView, TargetKind, board_target, spot_target
 
 BOARD = "--board checkerboard:7x5:0.02 --frames 5"
 LEFT, RIGHT = "--camera left=boards/left", "--camera right=boards/right"
 RIG = parallel_rig(Camera.pinhole(320, 240, 400.0, 400.0, 160.0, 120.0), 0.1)
 BOTH = {"left": "l.mp4", "right": "r.mp4"}
 FILES = {}
+FRONT, BACK = (
+    board_target(TargetKind.CHARUCO, 7, 5, 0.04, marker_m=0.03, dictionary=name)
+    for name in ("DICT_4X4_50", "DICT_5X5_50")
+)
+LIT = spot_target({"A": (0.0, 0.0, 0.0), "B": (0.1, 0.0, 0.0), "C": (0.0, 0.1, 0.0), "D": (0.0, 0.0, 0.05)})
+THREE = spot_target({"A": (0.0, 0.0, 0.0), "B": (0.1, 0.0, 0.0), "C": (0.0, 0.1, 0.0)})
+
+
+def shown(*given):
+    """Return a call that asks what is shown: board, back, target."""
+    return lambda: shown_of(*given)
 
 
 def wanted(cameras, **more):
@@ -88,6 +101,25 @@ TRIED = {
     ("ops/calibration/many_cameras.py", "Give --rig rig.yaml"): (
         wanted(BOTH, rig=None, add={"top": "t.mp4"}),
         wanted(BOTH, add={"top": "t.mp4"}),
+    ),
+    ("ops/calibration/shown.py", "Give --board, or --target"): (
+        shown(None, None, None),
+        lambda: [shown(FRONT, None, None)(), shown(None, None, LIT)()],
+    ),
+    ("ops/calibration/shown.py", "Leave --back away, or give"): (
+        shown(None, BACK, LIT),
+        lambda: [shown(None, None, LIT)(), shown(FRONT, BACK, None)()],
+    ),
+    ("ops/calibration/shown.py", "Give a target.yaml of such lights"): (
+        shown(None, None, THREE),
+        lambda: [shown(None, None, LIT)(), shown(FRONT, None, None)()],
+    ),
+    ("ops/calibration/shown.py", "=camera.yaml, from armsight calibrate camera; or"): (
+        lambda: require_lenses(("left",), {}, LIT),
+        lambda: [
+            require_lenses(("left",), {"left": RIG.left}, LIT),
+            require_lenses(("left",), {}, TwoSided(FRONT, BACK)),
+        ],
     ),
     ("calibrate/cameras/many_checks.py", "Use the names of --camera"): (lists("top"), lists("right")),
     ("calibrate/cameras/many_checks.py", "px, or leave it away"): (
