@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
+from armsight.calibrate.cameras import BoardOptions
+from armsight.calibrate.cameras.many import solve_cameras
 from armsight.calibrate.cameras.many_checks import KnownLens, require_lists, require_sizes
 from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.ops.calibration.many_cameras import Wanted, require_names
@@ -14,11 +18,16 @@ from armsight.ops.measurement.streams import FrameSources
 from armsight.optics import Camera, parallel_rig
 from armsight.records import BoardView, TargetKind, board_target, spot_target
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
+import turning_plate
+from ring_of_cameras import SIZE
+
 BOARD = "--board checkerboard:7x5:0.02 --frames 5"
 LEFT, RIGHT = "--camera left=boards/left", "--camera right=boards/right"
 RIG = parallel_rig(Camera.pinhole(320, 240, 400.0, 400.0, 160.0, 120.0), 0.1)
 BOTH = {"left": "l.mp4", "right": "r.mp4"}
 FILES = {}
+NAMES = ("a", "b", "c", "d")
 FRONT, BACK = (
     board_target(TargetKind.CHARUCO, 7, 5, 0.04, marker_m=0.03, dictionary=name)
     for name in ("DICT_4X4_50", "DICT_5X5_50")
@@ -58,12 +67,30 @@ def sizes(*size, lens="left"):
     return lambda: require_sizes(seen, {lens: KnownLens(camera=RIG.left)})
 
 
+def two_sided(most_tilt):
+    """Return a call that places cameras on opposite sides of a plate that turns, tilted to all sides or not."""
+
+    def run():
+        true = turning_plate.plate((-25.0, 25.0, 155.0, 205.0), 5, most_tilt=most_tilt)
+        seen = true.views(NAMES, 0.1, np.random.default_rng(1))
+        lenses = {
+            name: KnownLens(camera=Camera(width=SIZE[0], height=SIZE[1], intrinsics=k))
+            for name, k in zip(NAMES, true.k, strict=True)
+        }
+        return solve_cameras(
+            seen, TwoSided(turning_plate.FRONT, turning_plate.BACK), BoardOptions(folds=0), lenses=lenses
+        )
+
+    return run
+
+
 def moments(**sources):
     """Return a call that opens the moments of a rig that is no pair."""
     return lambda: FrameSources(**sources).moments(None, colour=False)
 
 
 TRIED = {
+    ("calibrate/cameras/two_sides.py", "Take ten and more pictures"): (two_sided(0.0), two_sided(0.6)),
     ("ops/measurement/streams.py", "Give each camera's frames"): (
         moments(image="boards/left"),
         moments(cameras={"left": "boards/left", "side": "boards/right"}),
