@@ -19,13 +19,13 @@ from armsight.measure.consistency.causes import (
     K1_WIDTH,
     LIGHT_WIDTH_M,
     PLACE_WIDTH_M,
-    REMEASURE,
     SCALE_WIDTH,
     TURN_WIDTH_RAD,
     Cause,
     larger_target,
     lights,
     more_than_one,
+    scale,
     together,
 )
 from armsight.measure.poses.setup import Setup
@@ -174,14 +174,4 @@ def _scale(setup: Setup, basis: Array, q: int) -> Cause:
     target[pose_at(v, v) : pose_at(v, v) + p, 0] = larger_target(setup, basis)
     for k, one in enumerate(setup.rig.cameras):
         smaller[pose_at(v, k) : pose_at(v, k) + 3, 0] = -np.asarray(one.T_rig_camera.translation)
-    return Cause(
-        key="scale",
-        V=target,
-        width=np.array([SCALE_WIDTH]),
-        labels=("target_against_rig",),
-        unit="1",
-        words="the target's scale against the rig is off",
-        advice=f"Check the target's measures with a calliper, or {REMEASURE}; if they hold, {RECALIBRATE}, with the "
-        "board's true square size",
-        same=(smaller,),
-    )
+    return scale(target, smaller, "rig")

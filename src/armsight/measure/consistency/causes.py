@@ -117,16 +117,21 @@ def _scale(setup: Setup, basis: Array, q: int) -> Cause:
     target, baseline = _zeros(q, 1), _zeros(q, 1)
     target[TARGET:-1, 0] = larger_target(setup, basis)
     baseline[PLACE : PLACE + 3, 0] = -setup.packed.baseline
+    return scale(target, baseline, "baseline")
+
+
+def scale(target: Array, smaller: Array, against: str) -> Cause:
+    """Return the cause that the target is larger, by parameters (q, 1), against what is as much smaller then."""
     return Cause(
         key="scale",
         V=target,
         width=np.array([SCALE_WIDTH]),
-        labels=("target_against_baseline",),
+        labels=(f"target_against_{against}",),
         unit="1",
-        words="the target's scale against the baseline is off",
+        words=f"the target's scale against the {against} is off",
         advice=f"Check the target's measures with a calliper, or {REMEASURE}; if they hold, {RECALIBRATE}, with the "
         "board's true square size",
-        same=(baseline,),
+        same=(smaller,),
     )
 
 
