@@ -96,7 +96,7 @@ class Servo:
         """Return where the joints (n,) are one step after the last one known."""
         share = 1.0 - (math.exp(-self._dt_s / self.drive.lag_s) if self.drive.lag_s > 0.0 else 0.0)
         longest = self.drive.max_speed * self._dt_s
-        return self._q[-1] + np.clip(share * (self._goal - self._q[-1]), -longest, longest)
+        return np.asarray(self._q[-1] + np.clip(share * (self._goal - self._q[-1]), -longest, longest))
 
     def at(self, t_s: ArrayLike) -> Array:
         """Return the true joint values (m, n) at times (m,) up to the moment known; before the start they rest."""
