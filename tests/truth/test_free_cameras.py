@@ -200,7 +200,7 @@ def test_frames_that_two_cameras_exchange_fit_no_motion() -> None:
     motion = Waved(rng.uniform(0.0, 2.0 * np.pi, 6))
     first, second, third = streams(world, rng, motion)
     setup = timed(setup_of(world), np.zeros(3))
-    with refuses((NotEnoughData, Inconsistent), "There is no pose"):
+    with pytest.raises((NotEnoughData, Inconsistent)):
         measure_free_running(setup, (first, third, second), None, None, Silent())
 
 
