@@ -115,6 +115,7 @@ def test_who_lets_go_leaves_the_correction_and_pauses_the_program(make: Any, how
         before = correction(pair)
         if how == "killed":
             robot._answer = lambda state, sender: None
+            pair.answered = lambda heard: False  # nobody waits for what never comes
         else:
             robot.stop()
         for _ in range(60):

@@ -276,6 +276,7 @@ class Switch:
         return not self.after < self.looks <= self.after + self.off
 
 
+@pytest.mark.alone  # where the loop comes late the motion waits, for minutes beside other tests
 def test_a_motion_is_run_to_its_end_though_the_enable_was_let_go_of_and_its_readings_are_the_arms(
     twin: Twin, arm_file: Path, tmp_path: Path
 ) -> None:

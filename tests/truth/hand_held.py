@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 Array = NDArray[np.float64]
 Way = Callable[[Array], tuple[Array, Rotation]]
 LIGHTS = np.array([[-0.045, -0.005, 0.0], [0.032, 0.03, 0.004], [0.028, -0.036, -0.003]])
+LIGHTS.setflags(write=False)  # as those of a target: kernels are compiled for it already
 WIDTH, HEIGHT = 1280, 720
 LEAST_JERK_PEAK = 1.875
 """Peak over mean speed of a reach."""

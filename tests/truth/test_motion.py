@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 F, CX, CY, HEIGHT, BASE = 950.0, 639.5, 359.5, 720, 0.12
 PACKED = PackedRig.of(parallel_rig(Camera.pinhole(1280, HEIGHT, F, F, CX, CY), BASE))
 LIGHTS = np.array([[-0.04, 0.0, 0.0], [0.03, 0.032, 0.0], [0.03, -0.032, 0.0]])
+LIGHTS.setflags(write=False)  # as those of a target: kernels are compiled for it already
 NOISE, READOUT = 0.05, 0.02
 CENTRE = np.array([0.05, 0.0, 0.8])
 Path = Callable[[Array | float], tuple[Array, Rotation]]

@@ -74,7 +74,7 @@ def test_a_base_that_creeps_is_no_growth() -> None:
 @pytest.mark.parametrize("off", [0.0, 5e-4])
 @pytest.mark.parametrize("sorted_", [False, True])
 def test_a_healthy_arm_does_not_drift_in_whatever_order_its_poses_come(off: float, sorted_: bool) -> None:
-    for seed in range(5):
+    for seed in range(2):
         cause = told(seed, Align.BOTH if seed % 2 else Align.NONE, off=off, sorted_=sorted_)
         assert cause.cause in ("measurement", "model", "undecided") and "in the run" not in cause.sentence
 

@@ -141,7 +141,12 @@ def complete(setup: Setup, X: np.ndarray, T: np.ndarray, uv: np.ndarray, view: i
     """Which of the spots uv of one view each light is under a pose; other views show nothing."""
     found, rows = spots(uv), np.full((len(X), len(setup.packed.k)), -1, np.intp)
     first = np.array([0] * (view + 1) + [len(uv)] * (rows.shape[1] - view), np.intp)
-    near = (found.uv_px, found.covariance_px2, first), (0.01, 16.0)
+    near = (
+        (np.array(found.uv_px), np.array(found.covariance_px2), first),
+        (0.01, 16.0),
+    )  # the layout of all views' spots
+    X = np.array(X)
+    X.setflags(write=False)  # and of a target's lights: no other kernel is compiled than measuring does
     assert completion.complete(setup.packed.arrays, X, T, 1e-10 * np.eye(6), setup.packed.covariance, *near, rows)
     assert (np.delete(rows, view, axis=1) == -1).all()
     return list(rows[:, view].tolist())

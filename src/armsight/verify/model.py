@@ -94,9 +94,10 @@ class Model:
         In the measuring frame's axes: m, and a rotation vector in rad.
         """
         F, C = self.expected(p[self.n_mounts :])
-        mounts = Mounts.of(p, len(self.measured.labels))
-        R_base, t_base = mounts.base.rotation.as_matrix(), mounts.base.translation
-        x = np.array([T.translation for T in mounts.tools])[self._which]
+        mounts = np.array(p[: self.n_mounts]).reshape(-1, 6)
+        turns = Rotation.from_rotvec(mounts[:, 3:]).as_matrix()
+        R_base, t_base = turns[0], mounts[0, :3]
+        x = mounts[1:, :3][self._which]
         R = R_base @ F[:, :3, :3]  # of the flange
         arm = np.einsum("mij,mj->mi", R, x)  # flange to tool
         origin = F[:, :3, 3] @ R_base.T + t_base
@@ -105,7 +106,7 @@ class Model:
         J[:, :3, :3] = np.eye(3)
         J[:, :3, 3:6] = -skew(position - t_base)
         J[:, 3:, 3:6] = np.eye(3)
-        for k in range(len(mounts.tools)):
+        for k in range(len(mounts) - 1):
             mine, at = self._which == k, 6 * (k + 1)
             J[mine, :3, at : at + 3] = R[mine]
             J[mine, 3:, at + 3 : at + 6] = R[mine]
@@ -115,7 +116,7 @@ class Model:
         off = self.measured.xyz_m - position
         if self.measured.rotation is None:
             return off, J[:, :3]
-        R_tool = np.array([T.rotation.as_matrix() for T in mounts.tools])[self._which]
+        R_tool = turns[1:][self._which]
         turn = Rotation.from_matrix(self.measured.rotation @ (R @ R_tool).transpose(0, 2, 1)).as_rotvec()
         return np.concatenate([off, turn], axis=1), J
 

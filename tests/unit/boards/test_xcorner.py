@@ -108,7 +108,7 @@ def test_squares_are_ordered_by_the_slope_of_the_one_before() -> None:
 
 
 def test_nothing_and_another_size_are_not_found() -> None:
-    noise = np.random.default_rng(4).integers(0, 255, (120, 160)).astype(np.uint8)
+    noise = np.random.default_rng(4).integers(0, 255, (60, 80)).astype(np.uint8)
     assert xcorner_corners(noise, 9, 6) is None
     image, _ = view(Board(), (0.25, -0.3, 0.1), 0.42, 5)
     for size in ((8, 6), (9, 7)):

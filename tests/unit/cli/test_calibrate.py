@@ -57,7 +57,8 @@ def test_an_image_without_a_board_is_left_out_with_the_reason(armsight: Any, boa
 
 
 def test_a_wrong_board_is_refused_with_the_size_that_is_there(armsight: Any, boards: Any, tmp_path: Path) -> None:
-    words = ["calibrate", "camera", boards.folder / "left", "-o", tmp_path / "c.yaml", "--board"]
+    some = boards.folder / "left" / "shot[0-2].png"  # each is searched for boards of many sizes
+    words = ["calibrate", "camera", some, "-o", tmp_path / "c.yaml", "--board"]
     done = armsight(*words, "checkerboard:8x5:0.02")
     assert done.code == 3
     assert "8x5" in done.json["error"]["cause"]

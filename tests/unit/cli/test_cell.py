@@ -215,16 +215,6 @@ def test_a_short_log_is_refused_and_nothing_is_written(armsight: Run, made: Path
     assert not (tmp_path / "cell").exists()
 
 
-def test_degrees_are_told(armsight: Run, made: Path, tmp_path: Path) -> None:
-    log = np.loadtxt(made / "joints.csv", delimiter=",", skiprows=1)
-    log[:, 1:] = np.rad2deg(log[:, 1:])
-    header = (made / "joints.csv").read_text().splitlines()[0]
-    np.savetxt(tmp_path / "deg.csv", log, delimiter=",", header=header, comments="")
-    ran = armsight(*words(made, tmp_path / "cell", robot_log=tmp_path / "deg.csv"))
-    assert ran.code == 3
-    assert "deg" in ran.text
-
-
 def test_frames_of_two_sizes_are_refused(armsight: Run, made: Path, tmp_path: Path) -> None:
     for side in ("left", "right"):
         (tmp_path / side).mkdir()

@@ -51,12 +51,20 @@ def files(truth: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> tuple[Path, P
     )
 
 
-def test_an_arm_is_verified_with_every_promised_key(
-    armsight: Any, files: tuple[Path, Path, list[Any]], tmp_path: Path
-) -> None:
-    done = armsight(*files[2], "--joints", files[1])
+@pytest.fixture(scope="module")
+def verified(
+    armsight: Any, truth: tuple[np.ndarray, np.ndarray], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Any]:
+    """A run's folder, and what it told."""
+    folder = tmp_path_factory.mktemp("verified")
+    measured, joints = write(folder / "m.csv", POSE, truth[1]), write(folder / "j.csv", JOINTS, truth[0])
+    done = armsight("verify", "--measured", measured, "--arm", "irb120", "--joints", joints, "-o", folder / "out")
     assert done.code == 0
-    content = done.json
+    return folder / "out", done.json
+
+
+def test_an_arm_is_verified_with_every_promised_key(verified: tuple[Path, Any]) -> None:
+    out, content = verified
     assert (
         set(content["task"]) == {"x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"} == set(content["measurement_std"])
     )
@@ -71,13 +79,13 @@ def test_an_arm_is_verified_with_every_promised_key(
     assert content["after"]["rms_m"] < content["before"]["rms_m"]
     assert {item["withheld"] is not None for item in content["iso9283"].values()} == {True}
     assert content["rejected"] == []
-    assert json.loads((tmp_path / "out" / "verify.json").read_text()) == content
-    with (tmp_path / "out" / "errors.csv").open() as stream:
+    assert json.loads((out / "verify.json").read_text()) == content
+    with (out / "errors.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [int(row["row"]) for row in rows] == list(range(1, 41))
     rms = np.sqrt(np.mean([float(row["error_m"]) ** 2 for row in rows]))
     assert rms == pytest.approx(content["after"]["rms_m"], rel=1e-9)
-    page = (tmp_path / "out" / "report.html").read_text()
+    page = (out / "report.html").read_text()
     assert "Cause: joint 2" in page and "@page" in page and "over joint angles" in page
 
 
@@ -99,12 +107,11 @@ def test_a_healthy_arm_whose_rows_are_good_in_part_only_is_not_called_good(armsi
 
 
 def test_joints_may_be_columns_and_runs_are_compared(
-    armsight: Any, files: tuple[Path, Path, list[Any]], truth: tuple[np.ndarray, np.ndarray], tmp_path: Path
+    armsight: Any, verified: tuple[Path, Any], truth: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
-    assert armsight(*files[2], "--joints", files[1]).code == 0
     both = write(tmp_path / "both.csv", f"{JOINTS},{POSE},temperature_c", np.hstack([*truth, np.full((40, 1), 20.0)]))
     words = ["verify", "--measured", both, "--arm", "irb120", "-o", tmp_path / "again", "--overwrite"]
-    done = armsight(*words, "--compare", tmp_path / "out")
+    done = armsight(*words, "--compare", verified[0])
     assert done.code == 0
     assert done.json["compared"]["after"] == done.json["after"]
     assert any("temperature_c" in text for text in done.json["doubts"])

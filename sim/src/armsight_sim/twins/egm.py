@@ -343,9 +343,9 @@ def _joints(q: Array) -> bytes:
 
 
 def _flange(arm: SimArm, q: Array) -> bytes:
-    pose = arm.flange(q)
-    x, y, z, w = pose.rotation.as_quat()
-    position = (real(i, 1000.0 * value) for i, value in enumerate(pose.translation, 1))
+    pose = arm.frames(q)[-1]
+    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    position = (real(i, 1000.0 * value) for i, value in enumerate(pose[:3, 3], 1))
     turn = (real(i, value) for i, value in enumerate((w, x, y, z), 1))
     return message(2, message(1, *position), message(2, *turn))
 

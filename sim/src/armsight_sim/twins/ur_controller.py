@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
 from armsight_sim.arms import Drive, Servo, SimArm
@@ -148,8 +149,8 @@ class UrController:
         return np.asarray((now - before) / self.cycle_s)
 
     def _pose(self, q: Array) -> list[float]:
-        pose = self.arm.flange(q)
-        return [*np.asarray(pose.translation).tolist(), *pose.rotation.as_rotvec().tolist()]
+        pose = self.arm.frames(q)[-1]
+        return [*pose[:3, 3].tolist(), *Rotation.from_matrix(pose[:3, :3]).as_rotvec().tolist()]
 
     def _calls(self) -> dict[str, Callable[..., Any]]:
         """Return the functions of URScript that take no time."""

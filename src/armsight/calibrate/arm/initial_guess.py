@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -71,7 +70,6 @@ def mounts_by_turns(
     F (m, 4, 4): base to flange. xyz_m (m, 3): positions of the points which (m,), counted from 0. firsts, each (k, 3):
     where searches begin; the best of them counts. Raises Degenerate for positions on one line.
     """
-    placed(xyz_m, xyz_m)
     sums = _Sums.of(F, xyz_m, which, len(firsts[0]))
 
     def carried(at: Array) -> Array:
@@ -82,7 +80,7 @@ def mounts_by_turns(
         y = y - y.mean(axis=0)
         return float(((y @ _kabsch(x.T @ y).T - x) ** 2).sum())
 
-    at = min(map(sums.turns, firsts), key=misfit)
+    at = min(sums.turns(np.array(firsts)), key=misfit)
     return placed(xyz_m, carried(at)), at
 
 
@@ -118,37 +116,39 @@ class _Sums:
             pp=float((p**2).sum()),
         )
 
-    def turns(self, at: Array) -> Array:
-        """Return the points (k, 3) after TURNS from `at`, or as many as bring the RMS down.
+    def turns(self, firsts: Array) -> Array:
+        """Return the points (s, k, 3) after TURNS from each of s firsts, or as many as bring its RMS down.
 
         Each half of a turn is the exact minimum in its own unknowns, so that the misfit never rises.
         """
-        a, n, rms = at.ravel(), float(self.rows[::3].sum()), np.inf
+        a, n = firsts.reshape(len(firsts), -1), float(self.rows[::3].sum())
+        out, going, rms = a.copy(), np.arange(len(a)), np.full(len(a), np.inf)
         cross, total = self._carried(a)
         for _ in range(TURNS):
             R = _kabsch(cross)
-            t = -R @ total / n
-            # R' R is one, so each point is a mean; one without rows stays as before
-            sums = R.ravel() @ self.xr - (R.T @ t) @ self.r - self.rp
+            # R' R is one, so each point is a mean, R' t being -total / n; one without rows stays as before
+            sums = R.reshape(-1, 9) @ self.xr + (total / n) @ self.r - self.rp
             a = np.where(self.rows > 0.0, sums / np.maximum(self.rows, 1.0), a)
-            cross, total = self._carried(a)
+            t, (cross, total) = total, self._carried(a)
             # of fits to 1e-8 of the positions' spread only its size
-            moved = self.rows @ (a * a) + 2.0 * (a @ self.rp) + self.pp + 2.0 * (R.T @ t @ total) + n * (t @ t)
-            squares = float(moved - 2.0 * (R.ravel() @ cross.ravel()) + self.xx)
-            before, rms = rms, math.sqrt(max(squares, 0.0) / (3.0 * n))
-            if before - rms < 1e-7 * rms:
+            moved = (a * a) @ self.rows + 2.0 * (a @ self.rp) + self.pp + ((t - 2.0 * total) * t).sum(axis=1) / n
+            squares = moved - 2.0 * (R * cross).sum(axis=(1, 2)) + self.xx
+            before, rms = rms, np.sqrt(np.maximum(squares, 0.0) / (3.0 * n))
+            out[going] = a
+            live = before - rms >= 1e-7 * rms
+            if not live.any():
                 break
-        return a.reshape(-1, 3)
+            if not live.all():
+                a, cross, total, rms, going = a[live], cross[live], total[live], rms[live], going[live]
+        return out.reshape(len(out), -1, 3)
 
     def _carried(self, a: Array) -> tuple[Array, Array]:
-        """Return of what the flange carries the sum (3, 3) of x times it, and its sum (3,)."""
-        return (self.xp + self.xr @ a).reshape(3, 3), self.r @ a
+        """Return of what the flange carries the sums (s, 3, 3) of x times it, and its sums (s, 3)."""
+        return (self.xp + a @ self.xr.T).reshape(-1, 3, 3), a @ self.r.T
 
 
 def _kabsch(cross: Array) -> Array:
-    """Return the rotation (3, 3) that fits a sum of products best (Kabsch 1976), the reflection excluded."""
+    """Return the rotations (..., 3, 3) that fit sums of products best (Kabsch 1976), the reflection excluded."""
     U, _, Vt = np.linalg.svd(cross)
-    (a, b, c), (d, e, f), (g, h, i) = (U @ Vt).tolist()
-    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:
-        U[:, 2] *= -1.0
+    U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
     return np.asarray(U @ Vt)

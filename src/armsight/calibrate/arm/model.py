@@ -212,11 +212,12 @@ class ArmModel:
         sign = np.array([joint.sign for joint in self.arm.joints])
         scaled = sign * (1.0 + p[5 * n : 6 * n])
         drive = 5 * np.arange(n) + np.where(self.arm.revolute, THETA, D)
-        arm = self.arm_at(p, None)
+        first = self.arm_at(p)
         for k in range(len(self.labels)):
             rows = np.flatnonzero(which == k)
             q = rest[rows]
-            T[rows], own = parameter_jacobian(replace(arm, T_flange_tool=self.pose(p, k + 1)), q)
+            arm = first if k == 0 else replace(first, T_flange_tool=self.pose(p, k + 1))
+            T[rows], own = parameter_jacobian(arm, q)
             J[rows, :, : 5 * n] = own[:, :, : 5 * n]
             # by each joint's own variable, theta or d, through which scale, coupling and sag act: the chain rule's
             # inner part

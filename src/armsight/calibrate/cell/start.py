@@ -44,8 +44,8 @@ ROWS, QUICK_ROWS = 120, 40
 QUICK_ALTERNATIONS = 40
 AS_ONE_M, AS_ONE_KEPT = 0.16, 2
 """Places along each axis of the flange at which all lights may be for a start; how many of them are gone on with."""
-FARTHEST_M = 1.0
-"""No light is further from the flange."""
+FARTHEST_M, FAR_M = 1.0, 1e3
+"""No light is further from the flange; nor, on the way to it, so far that nothing leads back."""
 VIEW = (0.2, 5.0)
 """Focal length over the image's width: lenses that open less wide than a phone's or wider than a telescope's."""
 VIEWS = (0.45, 0.6, 0.8, 1.1)
@@ -237,66 +237,81 @@ def _camera(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Pieces:
-    """All pieces' spots in one: R (m, 3, 3), t (m, 3) of the flange about the middle, rays xy (m, 2), begin (k,)."""
+    """All pieces' spots in one: T (m, 4, 4) of the flange about the middle, rays xy (m, 2).
 
-    R: Array
-    t: Array
+    products (k 16, 64): of every piece the sums of w T_ia T_jb over its spots, a and b in the rows; in the columns i, j
+    and w, which is 1, x, y, x^2 + y^2. What remains of the equations of P and of the lights is quadratic in both, and
+    all of it is in these.
+    """
+
+    T: Array
     xy: Array
-    begin: Index
     of_piece: Index
+    products: Array
 
     @classmethod
     def of(cls, T: Sequence[Array], xy: Sequence[Array], middle: Array) -> _Pieces:
         """Return them."""
-        every = np.concatenate(list(T))
-        length = np.array([len(pose) for pose in T])
+        moved = np.eye(4)
+        moved[:3, 3] = -middle
+        every = [moved @ pose for pose in T]
         return cls(
-            R=every[:, :3, :3],
-            t=every[:, :3, 3] - middle,
+            T=np.concatenate(every),
             xy=np.concatenate(list(xy)),
-            begin=np.cumsum(length) - length,
-            of_piece=np.repeat(np.arange(len(T)), length),
+            of_piece=np.repeat(np.arange(len(T)), [len(pose) for pose in T]),
+            products=np.concatenate([_products(pose, seen) for pose, seen in zip(every, xy, strict=True)]),
         )
 
     def places(self, lights: Array) -> Array:
-        """Return where the spots' lights are (m, 3), lights (k, 3) or one (3,) being on the flange."""
-        on_flange = lights[self.of_piece] if lights.ndim == 2 else np.broadcast_to(lights, self.t.shape)
-        return np.asarray(np.einsum("mij,mj->mi", self.R, on_flange) + self.t)
+        """Return where the spots' lights (k, 3) are: (m, 3)."""
+        return np.asarray(np.einsum("mij,mj->mi", self.T[:, :3, :3], lights[self.of_piece]) + self.T[:, :3, 3])
 
     def lights(self, P: Array) -> Array:
         """Return where on the flange the light of each piece is (k, 3) for P."""
-        D = P[None, :2, :3] - self.xy[:, :, None] * P[None, 2:, :3]  # (m, 2, 3): D X = d
-        d = self.xy * P[2, 3] - P[None, :2, 3]
-        A = D @ self.R
-        b = d - np.einsum("mij,mj->mi", D, self.t)
-        N = np.add.reduceat(A.transpose(0, 2, 1) @ A, self.begin)
-        g = np.add.reduceat(np.einsum("mij,mi->mj", A, b), self.begin)
-        N += 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        return np.asarray(np.linalg.solve(N, g[:, :, None])[:, :, 0])
+        u, v, w = P[0], P[1], P[2]
+        sides = [np.outer(u, u) + np.outer(v, v), -np.outer(u, w), -np.outer(v, w), np.outer(w, w)]
+        forms = np.array([sides[0], sides[1] + sides[1].T, sides[2] + sides[2].T, sides[3]])
+        Q = (self.products @ forms.ravel()).reshape(-1, 4, 4)
+        N = Q[:, :3, :3]
+        N = N + 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        return np.asarray(np.linalg.solve(N, -Q[:, :3, 3:])[:, :, 0])
 
-    def matrix(self, lights: Array) -> tuple[Array, float]:
-        """Return P for known lights (normalised DLT), and the median of what remains in the image."""
-        X = self.places(lights)
-        if not (np.isfinite(X).all() and np.abs(X).max() < 1e3):
-            return np.zeros((3, 4)), np.inf
-        size = float(np.sqrt((X**2).mean())) + 1e-12
-        H = np.concatenate([X / size, np.ones((len(X), 1))], axis=1)
-        x, y = self.xy.T[:, :, None]
+    def matrix(self, lights: Array) -> Array:
+        """Return P for known lights (normalised DLT)."""
+        own = np.concatenate([lights, np.ones((len(lights), 1))], axis=1)
+        H = ((own[:, :, None] * own[:, None, :]).ravel() @ self.products).reshape(4, 4, 4)
+        size = np.sqrt(np.trace(H[0, :3, :3]) / (3.0 * len(self.T))) + 1e-12
+        scale = np.array([size, size, size, 1.0])
+        H = H / (scale[:, None] * scale)
         A = np.zeros((3, 4, 3, 4))
-        A[0, :, 0] = A[1, :, 1] = H.T @ H
-        A[0, :, 2] = A[2, :, 0] = -(H.T @ (x * H))
-        A[1, :, 2] = A[2, :, 1] = -(H.T @ (y * H))
-        A[2, :, 2] = H.T @ ((x**2 + y**2) * H)
-        P = np.linalg.eigh(A.reshape(12, 12))[1][:, 0].reshape(3, 4)
-        seen = H @ P.T
-        rms = float(np.sqrt(np.median(((seen[:, :2] / seen[:, 2:] - self.xy) ** 2).sum(axis=1))))
-        return P / np.array([size, size, size, 1.0]), rms
+        A[0, :, 0] = A[1, :, 1] = H[0]
+        A[0, :, 2] = A[2, :, 0] = -H[1]
+        A[1, :, 2] = A[2, :, 1] = -H[2]
+        A[2, :, 2] = H[3]
+        return np.asarray(np.linalg.eigh(A.reshape(12, 12))[1][:, 0].reshape(3, 4) / scale)
+
+    def remaining(self, P: Array, lights: Array) -> float:
+        """Return the median of what remains in the image."""
+        seen = self.places(lights) @ P[:, :3].T + P[:, 3]
+        return float(np.sqrt(np.median(((seen[:, :2] / seen[:, 2:] - self.xy) ** 2).sum(axis=1))))
+
+
+def _products(T: Array, xy: Array) -> Array:
+    """Return a piece's products (16, 64) of poses (n, 4, 4) and rays (n, 2): see _Pieces."""
+    flat, (x, y) = T.reshape(-1, 16), xy.T
+    each = np.stack([np.ones_like(x), x, y, x**2 + y**2])
+    sums = (each[:, None, :] * flat.T) @ flat  # (4, 16, 16): w, (i a), (j b)
+    return np.asarray(sums.reshape(4, 4, 4, 4, 4).transpose(2, 4, 0, 1, 3).reshape(16, 64))
 
 
 def _as_one(pieces: _Pieces) -> list[Array]:
     """Return the best P as if all lights were at one place near the flange: rough, but never short of motion."""
     steps = np.linspace(-AS_ONE_M, AS_ONE_M, 5)
-    found = [pieces.matrix(np.array([x, y, z])) for x in steps for y in steps for z in steps]
+    found = []
+    for place in np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3):
+        lights = np.tile(place, (len(pieces.products) // 16, 1))
+        P = pieces.matrix(lights)
+        found.append((P, pieces.remaining(P, lights)))
     return [P for P, _ in sorted(found, key=lambda each: each[1])[:AS_ONE_KEPT]]
 
 
@@ -313,17 +328,18 @@ def _eliminated(T: Sequence[Array], xy: Sequence[Array], middle: Array) -> Array
 
 def _alternated(P: Array, pieces: _Pieces, turns: int) -> tuple[Array, Array, float] | None:
     """Return P, lights (k, 3) and what remains, each found from the other by turns."""
-    rms = before = np.inf
+    before = np.inf
     for turn in range(turns):
         lights = pieces.lights(P)
-        P, rms = pieces.matrix(lights)
-        if not np.isfinite(rms):
+        if not (np.abs(lights) < FAR_M).all():  # also where they are not finite
             return None
+        P = pieces.matrix(lights)
         if turn % FEW_ALTERNATIONS == 0:
+            rms = pieces.remaining(P, lights)
             if rms > (1.0 - SETTLED) * before:
-                break
+                return P, lights, rms
             before = rms
-    return P, lights, rms
+    return P, lights, pieces.remaining(P, lights)
 
 
 def _rows(pose: Array, xy: Array, middle: Array) -> tuple[Array, Array]:

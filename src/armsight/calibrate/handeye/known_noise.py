@@ -20,6 +20,7 @@ from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.pairs import Arrays
 from armsight.fitting.groups import leave_one_out, whitener
 from armsight.geometry.poses import skew
+from armsight.records.checks import for_kernels
 
 Pose = tuple[Array, Array]
 Fitted = tuple[Pose, Pose, float, Array, Array, tuple[Array, Array, Array], float, int]
@@ -63,7 +64,8 @@ def linearise(arrays: Arrays, X: Pose, Z: Pose, gamma: float, *, to_hand: bool) 
     """Return the residuals and their derivatives by dtX, dwX, dtZ, dwZ, gamma."""
     n = len(arrays[0])
     e, J, reach = np.empty((n, 6)), np.empty((n, 6, 13)), np.empty((n, 3))
-    kernels.linearise((X, Z, gamma), arrays, to_hand, e, J, reach)
+    (RX, tX), (RZ, tZ) = (tuple(map(for_kernels, pose)) for pose in (X, Z))
+    kernels.linearise(((RX, tX), (RZ, tZ), gamma), arrays, to_hand, e, J, reach)
     at = np.concatenate([-skew(reach), np.tile(np.eye(3), (n, 1, 1))], axis=1)  # (n, 6, 3): dw at the flange
     return Linear(e=e, J=J, L=at @ at.transpose(0, 2, 1), lever=np.linalg.norm(reach, axis=1))
 

@@ -37,6 +37,7 @@ from armsight.measure.poses.pose import (
 from armsight.measure.poses.setup import Setup, fit_limit
 from armsight.measure.spots.kernels.outline import OUTLINE as OUTLINE_ROW
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
+from armsight.records.checks import for_kernels
 
 TIGHT_PX = 0.05
 """What a good calibration leaves; residuals beyond it are reason enough to try left and right exchanged."""
@@ -268,7 +269,7 @@ def compare(
 
     views: each one's spots in the order of P, of size 0 where it shows none.
     """
-    rig, n, v = setup.packed.arrays, len(P), len(views)
+    rig, n, v, P = setup.packed.arrays, len(P), len(views), for_kernels(P)
     T = UNKNOWN if T is None else T
     lean = T[:3, 0] * setup.model.lean[0] + T[:3, 1] * setup.model.lean[1] + T[:3, 2] * setup.model.lean[2]
     shape = np.empty((v, n, OUTLINE_ROW)), np.empty((v, n, OUTLINE_ROW))  # its own, and the others'

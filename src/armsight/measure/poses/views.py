@@ -41,6 +41,7 @@ from armsight.measure.poses.solving import (
 )
 from armsight.measure.poses.tracking import continuation, doubtful, next_track, positions_of
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
+from armsight.records.checks import for_kernels
 
 FEWEST = 4
 """Sights without which there is no pose: three fix it, and a fourth is the least that can speak against it."""
@@ -231,14 +232,14 @@ def _tilts(setup: Setup, seen: Sights, way: Hypothesis, *, mirrored: bool = True
     h = way.rows.shape[1] + 1 if mirrored else 1
     Ts, Cs, chi2 = np.empty((h, 4, 4)), np.empty((h, 6, 6)), np.empty(h)
     spots = named_spots(setup, names, views)
-    args = setup.packed.arrays, (spots.xyz_m[:], spots.radius_m, spots.normal), views[:2]
+    args = setup.packed.arrays, (for_kernels(spots.xyz_m), spots.radius_m, spots.normal), views[:2]
     kernels.tilts(*args, views.start, Ts, Cs, chi2)
     found: list[Hypothesis] = []
     for i in np.argsort(chi2):
         if not chi2[i] <= chi2.min() + POSSIBLE or not np.isfinite(chi2[i]):
             break
         if not any(np.abs(Ts[i][:3, :3] - other.T[:3, :3]).max() < 1e-3 for other in found):
-            neg2 = likelihood.neg2_log_likelihood(*args, Ts[i][:3, :3].copy(), Ts[i][:3, 3].copy())
+            neg2 = likelihood.neg2_log_likelihood(*args, Ts[i][:3, :3], Ts[i][:3, 3])
             wide = _slack_chi2(setup, spots.xyz_m, views, Ts[i])
             found.append(way._replace(T=Ts[i], C=Cs[i], chi2=wide, score=float(neg2) - ELSEWHERE * way.n))
     return found

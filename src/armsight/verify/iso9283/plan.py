@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
 from armsight.errors import Cancelled, DataRefused, UsageError
@@ -276,8 +276,8 @@ def _best_branch(
 
 def lowest_m(arm: Arm, q: Array) -> float:
     """Return the height in m, in the base frame, of the lowest moving joint or of the tool at q (n,)."""
-    T_base_world = arm.T_world_base.inv().as_matrix()
-    heights = [float((T_base_world @ frame)[2, 3]) for frame in link_frames(arm, q)[2:]]
+    T = arm.T_world_base.as_matrix()
+    heights = [float((frame[:3, 3] - T[:3, 3]) @ T[:3, 2]) for frame in link_frames(arm, q)[2:]]
     return min(heights, default=np.inf)
 
 
@@ -292,8 +292,9 @@ def _by_branch(solutions: tuple[Solution, ...]) -> Iterator[tuple[tuple[str, ...
 
 def _matrices(arm: Arm, points_m: Array, rotation: Rotation) -> Array:
     """Return T_world_tool (m, 4, 4) at points (m, 3) with a rotation, both in the base frame."""
-    T = RigidTransform.from_components(points_m, Rotation.from_quat(np.tile(rotation.as_quat(), (len(points_m), 1))))
-    return np.asarray((arm.T_world_base * T).as_matrix())
+    T = np.tile(np.eye(4), (len(points_m), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = rotation.as_matrix(), points_m
+    return np.asarray(arm.T_world_base.as_matrix() @ T)
 
 
 def _checked(
