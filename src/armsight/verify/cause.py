@@ -17,11 +17,10 @@ from armsight.calibrate.arm.covariance import APART
 from armsight.errors import NotConverged
 from armsight.fitting.groups import regions
 from armsight.kinematics import Arm
-from armsight.verify.drift import drifting
 from armsight.verify.effects import Effect, JointVerdict, Kind, effects, shown, still
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
 from armsight.verify.evidence import falls as fall_by_chance
-from armsight.verify.geometry_prior import Account, GeometryPrior
+from armsight.verify.explanations import Account, GeometryPrior, drifting
 from armsight.verify.model import ModelFit
 
 FEWEST_POSES = 12

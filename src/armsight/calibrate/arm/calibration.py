@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, still
-from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance, fit_arm, limits_reached, tool_points
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance, fit_arm, limits_reached, start, tool_points
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import (
     UNPROVED,

@@ -15,8 +15,7 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import Choice
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import Level, left_out, significant_gain
 from armsight.calibrate.arm.points import ArmPoints

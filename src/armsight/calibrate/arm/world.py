@@ -12,8 +12,7 @@ from scipy.special import stdtr
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import ALIKE, FEWEST_TIMED
-from armsight.calibrate.arm.fit import added_noise
-from armsight.calibrate.arm.initial_guess import placed
+from armsight.calibrate.arm.fit import added_noise, placed
 from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_position, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points, in_order, of_places
 from armsight.calibrate.arm.result import RobotWorldResult

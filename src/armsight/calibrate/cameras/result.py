@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, Self
 from armsight._files import Files
 from armsight.arrays import Array
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
-from armsight.calibrate.cameras.cross_validation import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.observations import Observations
+from armsight.calibrate.cameras.outlier_rejection import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.preconditions import images_doubted, images_verdict
 from armsight.calibrate.cameras.zoom import ZoomOutput
 from armsight.fields import Doc

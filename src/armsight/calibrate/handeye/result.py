@@ -328,7 +328,7 @@ class HandEyeResult(Output, Saveable):
 
         reachable: tells whether the robot can go to a T_base_flange. Raises Inconsistent where no pose is left.
         """
-        from armsight.calibrate.handeye.propose import propose
+        from armsight.calibrate.handeye.advice import propose
 
         require_count("n", n, least=1)
         return propose(self, n, reachable)

@@ -8,7 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.calibrate.identify.chain import Axis, at_home, moved_by, suggest_coupling
+from armsight.calibrate.identify.chain import (
+    KEYS,
+    Axis,
+    arm_of,
+    assign_frames,
+    at_home,
+    degeneracy_notes,
+    deviations,
+    measured_entries,
+    moved_by,
+    propagate_covariance,
+    suggest_coupling,
+)
 from armsight.calibrate.identify.global_fit import (
     GlobalFit,
     all_covariance,
@@ -28,15 +40,6 @@ from armsight.calibrate.identify.sweeps import (
     one_home,
     placed,
     position_residuals,
-)
-from armsight.calibrate.identify.table import (
-    KEYS,
-    arm_of,
-    assign_frames,
-    degeneracy_notes,
-    deviations,
-    measured_entries,
-    propagate_covariance,
 )
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array, Index
-from armsight.calibrate.light_target.frames import Sight
+from armsight.calibrate.light_target.adjustment import Sight
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.poses import skew
 

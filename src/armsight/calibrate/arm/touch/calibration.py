@@ -16,11 +16,9 @@ from armsight.calibrate.arm.model_selection import RISING, UNPROVED, candidates,
 from armsight.calibrate.arm.plausibility import ranges
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.arm.result import ArmResult, Errors, FixedParameter, TouchedFeature
-from armsight.calibrate.arm.touch.faults import Gross, check_lengths, check_moved, gross_rows
+from armsight.calibrate.arm.touch.faults import Gross, Told, check_lengths, check_moved, gross_rows, other_senses, told
 from armsight.calibrate.arm.touch.fit import TouchFit, fit_touches
-from armsight.calibrate.arm.touch.known import Told, told
 from armsight.calibrate.arm.touch.model import TouchModel, start
-from armsight.calibrate.arm.touch.senses import other_senses
 from armsight.calibrate.arm.touch.touches import Kind, Touches, check_touches, of_postures
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting.quantiles import chi2_ppf
