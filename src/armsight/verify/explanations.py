@@ -319,7 +319,8 @@ def best_poses(
     gained = np.swapaxes(there, 1, 2) @ there  # (c, width, width)
     chosen: list[int] = []
     for _ in range(min(count, len(q))):
-        left_open = _log_det_covariance(H + gained, n_joints)
+        covariance = np.linalg.inv(H + gained)[:, -n_joints:, -n_joints:]
+        left_open = np.linalg.slogdet(covariance)[1]
         left_open[chosen] = np.inf
         best = int(np.argmin(left_open))
         chosen.append(best)
@@ -329,12 +330,6 @@ def best_poses(
     return chosen, np.array([np.linalg.inv(h)[-n_joints:, -n_joints:] / np.outer(own, own) for h in less])
 
 
-def _log_det_covariance(H: Array, n_joints: int) -> Array:
-    """Return (c,) the log determinants of the covariances of the last parameters, of information (c, k, k)."""
-    inverse = np.linalg.inv(H)[:, -n_joints:, -n_joints:]
-    return np.asarray(np.linalg.slogdet(inverse)[1])
-
-
 def _columns(case: Case, q: Array, mounts: Array, sigma: Array, joints: tuple[int, ...]) -> Array:
     """Return the whitened columns (m, rows, B + joints) of base, tool and the joints' zeros at joint values q."""
     F, J = fk_jacobian(case.bare, q)
@@ -342,7 +337,8 @@ def _columns(case: Case, q: Array, mounts: Array, sigma: Array, joints: tuple[in
     points = _placed(case, len(q), label)
     more = J[:, :, list(joints)]
     model = Model(measured=points, expected=lambda _: (F, more), extra=tuple(f"zero{i}" for i in joints))
-    names = [name for name in case.free if name.split(".")[0] in ("base", _tool(label))]
+    tool = f"tool:{label}" if label else "tool"
+    names = [name for name in case.free if name.split(".")[0] in ("base", tool)]
     p = np.concatenate([mounts[:12], np.zeros(len(joints))])
     _, columns = model.linearised(p)
     out = np.zeros((*columns.shape[:2], len(case.free) + len(joints)))
@@ -351,10 +347,6 @@ def _columns(case: Case, q: Array, mounts: Array, sigma: Array, joints: tuple[in
             out[:, :, k] = columns[:, :, model.names.index(name)]
     out[:, :, len(case.free) :] = columns[:, :, 12:]
     return np.asarray(out / np.repeat(sigma, 3)[: columns.shape[1]][:, None])
-
-
-def _tool(label: str) -> str:
-    return f"tool:{label}" if label else "tool"
 
 
 def _placed(case: Case, m: int, label: str) -> Measured:

@@ -174,8 +174,12 @@ def _explained(case: Case, start: Array, arm: Arm, how: Align) -> Mastering:
     judged = judge(case, plain)
     able = np.flatnonzero([verdict.judged for verdict in judged])
     nothing = _explanation(case, plain, None, able)
-    single = [_explanation(case, _with_zero(case, plain.p, i), i, able) for i in able.tolist()]
-    bent = [] if "tool" in how.parts else [_explanation(case, _with_tool(case, plain.p), -1, able)]
+    single = [_explanation(case, case.fit(plain.p, _zero(case, i)), i, able) for i in able.tolist()]
+    bent = (
+        []
+        if "tool" in how.parts
+        else [_explanation(case, replace(case, free=_tool_free(case)).fit(plain.p, None), -1, able)]
+    )
     mastering = Mastering(
         cause="none",
         sentence="No joint's zero has moved, and the tool has not, as far as these poses tell.",
@@ -205,14 +209,6 @@ def _believed(
         replace(verdict, offset=float(zero), std=float(std)) if verdict.judged else verdict
         for verdict, zero, std in zip(judged, account.zeros, account.std, strict=True)
     )
-
-
-def _with_zero(case: Case, p: Array, joint: int) -> ModelFit:
-    return case.fit(p, _zero(case, joint))
-
-
-def _with_tool(case: Case, p: Array) -> ModelFit:
-    return replace(case, free=_tool_free(case)).fit(p, None)
 
 
 def _zero(case: Case, joint: int) -> Effect:

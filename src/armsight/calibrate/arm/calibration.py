@@ -91,7 +91,9 @@ def calibrate_arm(
     left = cross_validate(model, points, levels, tolerance, scale=scale)
     chosen = best_level(levels, points.group)
     judged = _Judged(given=given, tolerance=tolerance, levels=levels, chosen=chosen, left=left)
-    other = other_arm(model, points, _plain(levels, judged.chosen), judged.chosen, tolerance)
+    # of base and tool alone, readings coupled as the best one's
+    plain = next(x for x in levels if x.couplings == chosen.couplings and not x.choice.free)
+    other = other_arm(model, points, plain, chosen, tolerance)
     if other is not None:
         kept = _result(model, points, holdout, replace(judged, chosen=levels[0]))
         return replace(kept, verdict=other.text(), other_arm=other)
@@ -141,11 +143,6 @@ def _in_time(
         return points, levels, None
     again = [replace(x, left_m=left_out(model, blocked, x.fitted)) for x in levels]
     return blocked, again, drift.correlation
-
-
-def _plain(levels: Sequence[Level], best: Level) -> Level:
-    """Return the level of base and tool alone whose readings are coupled as the best one's."""
-    return next(x for x in levels if x.couplings == best.couplings and not x.choice.free)
 
 
 def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:

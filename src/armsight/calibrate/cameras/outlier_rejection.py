@@ -283,7 +283,8 @@ def metric_of(pairs: list[tuple[Observations, Rig]]) -> dict[MetricKey, float | 
     distance = np.linalg.norm(X[:, None] - X[None], axis=2) + np.where(np.eye(len(X)) > 0.0, np.inf, 0.0)
     expected = float(distance.min())
     first, second = np.nonzero(np.triu(distance < NEIGHBOUR * expected))
-    for part, rig, g, both in _each(pairs):
+    for part, rig, g in ((one, rig, g) for one, rig in pairs for g in range(one.n_views)):
+        both = np.flatnonzero((part.weight[g] > 0.0).all(axis=0))
         cov = np.eye(2) / part.weight[g][:, both, None, None] ** 2  # (2, n, 2, 2)
         points = triangulate(rig, part.uv[g, 0, both], part.uv[g, 1, both], cov[0], cov[1])
         xyz = np.full((len(X), 3), np.nan)
@@ -304,10 +305,3 @@ def metric_of(pairs: list[tuple[Observations, Rig]]) -> dict[MetricKey, float | 
         "rms_m": float(np.sqrt(((every - expected) ** 2).mean())),
         "board_rms_m": float(np.sqrt(sum(squares) / sum(counts))),
     }
-
-
-def _each(pairs: list[tuple[Observations, Rig]]) -> Iterator[tuple[Observations, Rig, int, NDArray[np.intp]]]:
-    """Yield every view with the points (positions) that both cameras saw."""
-    for part, rig in pairs:
-        for g in range(part.n_views):
-            yield part, rig, g, np.flatnonzero((part.weight[g] > 0.0).all(axis=0))

@@ -59,13 +59,10 @@ WEAK_TURN_RAD = 8.0 * DEG
 
 def advise(result: HandEyeResult, pitch_m: float | None) -> HandEyeResult:
     """Return the result with its advice, most urgent first."""
-    concerns = (*_scale(result, pitch_m), *_outliers(result), *_poses(result), *_drift(result))
+    drift = () if result.correlation is None else result.correlation.warnings(result.n_used)
+    concerns = (*_scale(result, pitch_m), *_outliers(result), *_poses(result), *drift)
     advice = (*concerns, *_copies(result), *_weights(result), result.noise.explanation() + ".")
     return replace(result, concerns=concerns, advice=advice)
-
-
-def _drift(result: HandEyeResult) -> list[str]:
-    return [] if result.correlation is None else list(result.correlation.warnings(result.n_used))
 
 
 def _scale(result: HandEyeResult, pitch_m: float | None) -> list[str]:
@@ -155,8 +152,8 @@ def propose(
     if n < 1:
         raise Inconsistent(f"{n} poses cannot be proposed", cure="Ask for one or more")
     flange, camera = _candidates(result, reachable)
-    arrays = _arrays(result.setup, flange, camera)
-    J = _whitened(result, arrays)  # (m, 6, 12)
+    F = flange if result.setup is Setup.EYE_IN_HAND else flange.inv()
+    J = _whitened(result, (*components(F), *components(camera)))  # (m, 6, 12)
     information = np.linalg.inv(result.covariance.matrix / result.coverage_factor**2)
     scale = np.sqrt(np.diag(result.covariance.matrix))[:6]
     out = []
@@ -215,11 +212,6 @@ def _candidates(
             cure="Move the target, or give the robot's true reach",
         )
     return flange[index], camera[index]
-
-
-def _arrays(setup: Setup, flange: RigidTransform, camera: RigidTransform) -> Arrays:
-    F = flange if setup is Setup.EYE_IN_HAND else flange.inv()
-    return (*components(F), *components(camera))
 
 
 def _whitened(result: HandEyeResult, arrays: Arrays) -> Array:

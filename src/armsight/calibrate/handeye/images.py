@@ -228,19 +228,15 @@ def turned_views(
     F = stack(T_base_flange)
     RF = (F if setup is Setup.EYE_IN_HAND else F.inv()).rotation.as_matrix()
     RB = poses_of_views(views, camera, board).T_camera_target.rotation.as_matrix()
-    G = np.stack([_rotation(board, turn) for turn in turns])  # (S, 3, 3)
+    X = board.xyz_m - board.xyz_m.mean(axis=0)
+    # the board's rotation is multiplied by it from the right where its points are renumbered so
+    G = np.stack([Rotation.align_vectors(X, X[turn])[0].as_matrix() for turn in turns])  # (S, 3, 3)
     chosen = _chosen(RF, np.einsum("nij,sjk->nsik", RB, G))
     out = [
         view if s == 0 else replace(view, index=turns[s][view.index])
         for view, s in zip(views, chosen.tolist(), strict=True)
     ]
     return out, int(np.count_nonzero(chosen))
-
-
-def _rotation(board: Target, turn: NDArray[np.intp]) -> Array:
-    """Return what (3, 3) the board's rotation is multiplied by from the right where its points are renumbered so."""
-    X = board.xyz_m - board.xyz_m.mean(axis=0)
-    return np.asarray(Rotation.align_vectors(X, X[turn])[0].as_matrix())
 
 
 def _chosen(RF: Array, RB: Array) -> NDArray[np.intp]:

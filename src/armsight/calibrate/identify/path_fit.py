@@ -111,7 +111,7 @@ def fit_circle(
             continue
         if best is None or found.cost < best.cost:
             best = found
-        if _decided(found):
+        if found.p > 1e-3:  # good enough not to try another start
             break
     if best is None:
         raise NotConverged("no circle fits the readings", cure="Take readings over a longer arc")
@@ -167,11 +167,6 @@ def circle_starts(seen: SweepResiduals) -> list[Start]:
         size = float((r**2).sum())
         out.append((size if np.isfinite(size) else np.inf, normals[k], centres[k], float(radius[k])))
     return sorted(out, key=lambda start: start[0])
-
-
-def _decided(found: PathFit) -> bool:
-    """Whether a fit is good enough not to try another start."""
-    return found.p > 1e-3
 
 
 def _circle_from(

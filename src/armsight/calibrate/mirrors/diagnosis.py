@@ -118,7 +118,7 @@ def check_alignment(
         [T_now.translation - before.translation, (T_now.rotation * before.rotation.inv()).as_rotvec()]
     )
     # a difference of two independent measurements: today's and the calibration's
-    C = _covariance(now) + _in_left_axes(rig)
+    C = _covariance(now, POSE) + _in_left_axes(rig)
     if design is None:
         design = Mirrors(baseline_m=rig.baseline_m)
     # Mahalanobis distance of no change, six degrees of freedom: shifts and turns in one figure by what each is known to
@@ -235,10 +235,10 @@ def _fit(rig: Rig, observations: Observations, poses: Array) -> tuple[Observatio
     return observations, fit
 
 
-def _covariance(rig: Rig) -> Array:
+def _covariance(rig: Rig, names: tuple[str, ...]) -> Array:
     if rig.covariance is None:
         raise NotEnoughData("the views leave nothing to find the noise by", cure="Show the whole board")
-    return rig.covariance.block(POSE)
+    return rig.covariance.block(names)
 
 
 def _in_left_axes(rig: Rig) -> Array:
@@ -355,10 +355,8 @@ def adjust_to_parallel(
     if not left or len(left) != len(right):
         raise NotEnoughData("the board is not seen in both views", cure="Show the board to both views")
     now = relative_rig(design.rig(camera), left, right, board)
-    if now.covariance is None:
-        raise NotEnoughData("the views leave nothing to find the noise by", cure="Show the whole board")
     T_left_right = now.T_rig_left.inv() * now.T_rig_right
-    rotation, C = T_left_right.rotation.as_rotvec(), now.covariance.block(POSE[3:])
+    rotation, C = T_left_right.rotation.as_rotvec(), _covariance(now, POSE[3:])
     stands, J = _stands(design, rotation)
     # three turns make three angles: as many as are measured, so that the turns' covariance is that of the angles
     # carried back
