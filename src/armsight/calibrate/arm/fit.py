@@ -253,7 +253,6 @@ def fit_arm(
             loss=loss,
             evaluate=lambda q, _, s=sigma, held=lever: model.evaluate(q, points, s[0], s[1], held),  # type: ignore[misc]
             retract=model.retract,
-            local_guess=np.zeros((1, 0)),
         )
         fit = solve(problem, Settings(allow_undetermined=True, max_iterations=200))
         p = fit.shared

@@ -22,6 +22,7 @@ from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf, student_factor
 from armsight.geometry import align_points
+from armsight.geometry.poses import stepped
 from armsight.kinematics import Arm, fk
 from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
@@ -213,15 +214,10 @@ def _refine(T: RigidTransform, points: ArmPoints, base_m: Array, added_m: float)
         J[:, :, :3] = np.eye(3)
         J[:, :, 3:] = np.cross(np.eye(3), turned[:, None, :]).transpose(0, 2, 1)
         r = points.whiten((turned + p[:3] - base_m) @ to_rig.T, noise_m)
-        return Evaluation(
-            residuals=r.reshape(1, -1),
-            shared=points.whiten(to_rig @ J, noise_m).reshape(1, -1, 6),
-            local=np.empty((1, r.size, 0)),
-        )
+        return Evaluation.of_one(r, points.whiten(to_rig @ J, noise_m))
 
     def retract(p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
-        turn = Rotation.from_rotvec(np.array(step[3:])) * Rotation.from_rotvec(np.array(p[3:]))
-        return np.append(p[:3] + step[:3], turn.as_rotvec()), local + step_local
+        return stepped(p, step, (3,)), local + step_local
 
     problem = Problem(
         names=POSE6,

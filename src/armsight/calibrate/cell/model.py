@@ -13,7 +13,8 @@ from armsight.arrays import Array
 from armsight.calibrate.arm.model import THETA, ArmModel, D
 from armsight.calibrate.cell.observations import CellRecording, Spots, robot_time
 from armsight.columns import POSITION
-from armsight.geometry.poses import skew
+from armsight.fitting.groups import taken
+from armsight.geometry.poses import skew, stepped
 from armsight.kinematics import parameter_jacobian
 from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.optics.kernels.light_image import see_points
@@ -45,13 +46,7 @@ class BlockNormals:
 
     def take(self, blocks: NDArray[np.intp]) -> BlockNormals:
         """Return those of some stretches, without the residuals of single spots."""
-        return BlockNormals(
-            A=self.A[blocks],
-            g=self.g[blocks],
-            chi2=self.chi2[blocks],
-            count=self.count[blocks],
-            residuals=np.empty((0, 2)),
-        )
+        return taken(self, blocks, "A", "g", "chi2", "count", residuals=np.empty((0, 2)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -172,11 +167,8 @@ class CellModel:
 
     def retract(self, x: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
         """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
-        out = x + step
-        for side in (0, 1):
-            at = slice(side * len(PER_CAMERA) + POSE_AT + 3, side * len(PER_CAMERA) + CLOCK_AT)
-            out[at] = (Rotation.from_rotvec(step[at]) * Rotation.from_rotvec(np.array(x[at]))).as_rotvec()
-        return out, local + step_local
+        turns = (side * len(PER_CAMERA) + POSE_AT + 3 for side in (0, 1))
+        return stepped(x, step, turns), local + step_local
 
     def difference(self, x: Array, other: Array) -> Array:
         """Return the step (P,) that moves other to x."""

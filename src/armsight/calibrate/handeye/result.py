@@ -23,8 +23,9 @@ from armsight.fields import Doc
 from armsight.fitting.quantiles import t_ppf
 from armsight.geometry import euler_rad, xyz_quat
 from armsight.optics import Camera
-from armsight.records import NamedCovariance, frozen_array, require_count
+from armsight.records import NamedCovariance, require_count
 from armsight.records.by_value import Saveable
+from armsight.records.checks import freeze
 from armsight.records.output import Output, Row, figure, output, with_std
 from armsight.records.result_parts import MEANING, PoseStd, Verdict
 from armsight.shown import REJECTED_SHOWN, Bars, Shown, Table, digits, pose_rows
@@ -130,8 +131,7 @@ class HandEyeResult(Output, Saveable):
 
     def __post_init__(self) -> None:
         n = len(self.pairs)
-        object.__setattr__(self, "residuals", frozen_array("residuals", self.residuals, (n, 6)))
-        object.__setattr__(self, "left_out", frozen_array("left_out", self.left_out, (n, 6)))
+        freeze(self, residuals=(n, 6), left_out=(n, 6))
 
     @property
     def camera_parent(self) -> str:

@@ -88,8 +88,7 @@ def fit_chain(seen: SweepResiduals, model: ChainModel, *, robust: float) -> Fit:
     q = seen.sweeps.q
 
     def evaluate(p: Array, _: Array) -> Evaluation:
-        r, J = seen.residuals(*model.predict(p, q))
-        return Evaluation(residuals=r.reshape(1, -1), shared=J.reshape(1, -1, len(p)), local=np.empty((1, r.size, 0)))
+        return Evaluation.of_one(*seen.residuals(*model.predict(p, q)))
 
     problem = Problem(
         names=model.names,

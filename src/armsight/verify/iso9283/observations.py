@@ -1,4 +1,4 @@
-"""What an ISO 9283 test gives: visits of commanded poses, runs along commanded paths, arrivals; where runs cross planes."""
+"""What an ISO 9283 test gives: visits of commanded poses, runs along commanded paths, arrivals, planes they cross."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent
+from armsight.fitting.groups import taken
 from armsight.records import frozen_array
 
 CORNER_RAD = np.pi / 9
@@ -106,19 +107,7 @@ class PoseVisits:
 
     def take(self, index: NDArray[np.intp]) -> PoseVisits:
         """Return some of the visits, in the given order."""
-        return PoseVisits(
-            pose=self.pose,
-            xyz_m=self.xyz_m[index],
-            visit=self.visit[index],
-            quat_xyzw=None if self.quat_xyzw is None else self.quat_xyzw[index],
-            covariance=None if self.covariance is None else self.covariance[index],
-            systematic=self.systematic,
-            approach=None if self.approach is None else tuple(self.approach[i] for i in index),
-            commanded_xyz_m=self.commanded_xyz_m,
-            commanded_quat_xyzw=self.commanded_quat_xyzw,
-            in_measuring_frame=self.in_measuring_frame,
-            robot=self.robot,
-        )
+        return taken(self, index, "xyz_m", "visit", "quat_xyzw", "covariance", "approach")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
