@@ -234,7 +234,7 @@ class _Bundle:
         del local
         model, wander = self.model, self.data.wander
         normals = model.normals(x, self.data.spots, self.W, self.data.block)
-        pull = self.known.pull(model, x)
+        pull = model.difference(x, self.known.x)
         shape, off = shape_terms(model, x, self.known.shape)
         if wander is None:
             r, A, b = normals.residuals.ravel(), normals.A.sum(axis=0), normals.g.sum(axis=0)

@@ -85,10 +85,6 @@ class Knowledge:
     information: Array
     shape: TargetShape
 
-    def pull(self, model: CellModel, x: Array) -> Array:
-        """Return the step (P,) from what is known to x."""
-        return model.difference(x, self.x)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellPriors:

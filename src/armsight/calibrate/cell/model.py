@@ -204,16 +204,11 @@ class CellModel:
         """Return T (m, 4, 4), its derivatives (m, 6, 5 n + 12), driven values, lever, scaled signs, and their speed."""
         n = self.arm.arm.n
         values, give = self.arm.values(p, q), self.arm.give(p)
-        lever = self.arm.levers_m(p, values) if self.sagging else np.zeros_like(values)
+        lever = self.arm.levers_m(p, values) if self.arm.sags else np.zeros_like(values)
         T, own = parameter_jacobian(self.arm.arm_at(p, None), values + give * lever)
         scaled = np.array([joint.sign for joint in self.arm.arm.joints]) * (1.0 + p[5 * n : 6 * n])
         moving = np.zeros_like(values) if speed is None else scaled * self.arm.values(p, speed)
         return T, own, values, lever, scaled, moving
-
-    @property
-    def sagging(self) -> bool:
-        """Whether a joint carries something, and so could give way."""
-        return bool(self.arm.sags)
 
     def _seen(self, x: Array, spots: Spots, *, derivatives: bool = True) -> tuple[Array, Array]:
         """Return pixels (m, 2) and derivatives (m, 2, P)."""

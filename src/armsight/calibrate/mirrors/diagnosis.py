@@ -212,11 +212,6 @@ def relative_rig(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView]
                 cure="Use the resolution of the calibration",
             )
     poses = board_poses(homographies(observations.camera(0)), rig.left.intrinsics[:2], observations.sizes[0][0])
-    return _fitted(rig, observations, poses)
-
-
-def _fitted(rig: Rig, observations: Observations, poses: Array) -> Rig:
-    """Return the rig with T_rig_right and its covariance, fitted from poses T_left_board (G, 6)."""
     used, fit = _fit(rig, observations, poses)
     overall = rms(residuals_px(used, fit), used.weight > 0.0)
     found = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)

@@ -148,14 +148,6 @@ FIGURES = (("t", "s"), ("OV", "m"))
 NO_BAND = "the limit band is not known: neither was it told, nor is there a pose repeatability of this pose"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Arrival:
-    """One trace: from the first entry into the band to the last, and the furthest out in between (0 for none)."""
-
-    time_s: float
-    overshoot_m: float
-
-
 def arrival_figures(test: ArrivalTest) -> list[Figure]:
     """Return t, the mean of the arrivals, and OV, their largest; withheld where a trace does not carry them.
 
@@ -174,8 +166,7 @@ def arrival_figures(test: ArrivalTest) -> list[Figure]:
             why = f"arrival {number}: {answer}"
             return withheld(FIGURES, why, n=n, wanted=ARRIVALS, place=test.pose)
         found.append(answer)
-    times = np.array([arrival.time_s for arrival in found])
-    overshoots = np.array([arrival.overshoot_m for arrival in found])
+    times, overshoots = np.array(found).T
     interval = max(float(np.median(np.diff(np.asarray(trace.t_s)))) for trace in test.traces)
     std = sqrt((float(times.var(ddof=1)) + interval**2 / 6.0) / n)
     noise = _noise_m(test) if overshoots.max() > 0.0 else 0.0
@@ -219,8 +210,9 @@ def _noise_m(test: ArrivalTest) -> float:
     return sqrt(float(np.linalg.eigvalsh(random_part(test.covariance_m2, test.systematic_m2))[-1]))
 
 
-def _arrival(xyz: Array, t: Array, band_m: float) -> _Arrival | str:
-    """Return time and overshoot of a trace xyz (m, 3) at t (m,), or why it has none."""
+def _arrival(xyz: Array, t: Array, band_m: float) -> tuple[float, float] | str:
+    """Return the time from the first entry into the band to the last in s, and the furthest out in between in m (0 for
+    none), of a trace xyz (m, 3) at t (m,), or why it has none."""
     if len(xyz) < MIN_SAMPLES:
         return f"{len(xyz)} samples; at least {MIN_SAMPLES} are needed"
     end = t >= t[-1] - REST * (t[-1] - t[0])
@@ -237,4 +229,4 @@ def _arrival(xyz: Array, t: Array, band_m: float) -> _Arrival | str:
     instants = t[entries] + share * (t[entries + 1] - t[entries])
     after = slice(int(entries[0]) + 1, None)
     beyond = distance[after][outside[after]]
-    return _Arrival(time_s=float(instants[-1] - instants[0]), overshoot_m=float(beyond.max(initial=0.0)))
+    return float(instants[-1] - instants[0]), float(beyond.max(initial=0.0))
