@@ -140,7 +140,7 @@ def _bearing(model: CellModel, found: CellFit) -> CellFit:
             return found
         x = found.x.copy()
         x[[at[name] for name in rising]] = 0.0
-        found = fit_cell(model, x, found.data, [name for name in found.free if name not in rising], found.known)
+        found = fit_cell(model, x, found, [name for name in found.free if name not in rising], found.known)
 
 
 def _named(recording: CellRecording, starts: Sequence[Start], weights: Sequence[Array], target: Target) -> NamedLights:

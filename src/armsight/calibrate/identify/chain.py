@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.calibrate.identify.kernels import chain_beacon
-from armsight.calibrate.identify.path_fit import Tilt, basis
+from armsight.calibrate.identify.path_fit import basis, tilted
 from armsight.calibrate.identify.sweeps import SweepResiduals, rig_shifts
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import f_sf
@@ -66,7 +66,7 @@ class ChainModel:
         """Return the axes and the beacon (3,) of parameters p."""
         out, k = [], 0
         for axis, B in zip(self.axes, self.bases, strict=True):
-            direction, _ = Tilt(B=B).direction(p[k : k + 2])
+            direction, _ = tilted(B, p[k : k + 2])
             point = axis.point_m
             if axis.revolute:
                 point = point + B[:, :2] @ p[k + 2 : k + 4]

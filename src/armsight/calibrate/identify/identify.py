@@ -30,7 +30,7 @@ from armsight.calibrate.identify.global_fit import (
     possible_axes,
 )
 from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured, pair_line, triple_circle
-from armsight.calibrate.identify.path_fit import PathFit, Tilt, basis
+from armsight.calibrate.identify.path_fit import PathFit, basis, tilted
 from armsight.calibrate.identify.result import Identification, JointFound, ParameterUncertainty
 from armsight.calibrate.identify.sweeps import (
     SweepResiduals,
@@ -262,7 +262,7 @@ def _shifter(found: Sequence[JointPath], axes: Sequence[Axis], sizes: Sequence[i
             circle = item.path.kind == "circle"
             B = basis(axis.direction)
             tilt = own[3:5] if circle else own[2:4]
-            direction, _ = Tilt(B=B).direction(tilt)
+            direction, _ = tilted(B, tilt)
             point = axis.point_m + own[:3] if circle else axis.point_m
             out.append(Axis(point_m=point, direction=direction, revolute=axis.revolute))
             k += size
