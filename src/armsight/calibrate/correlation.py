@@ -143,10 +143,10 @@ def made_independent(found: Averaged, columns: Array, t_s: Array) -> Array:
     return np.asarray(white[0] / np.sqrt(found.variance[best]))
 
 
-def time_blocks(t_s: Array, correlation: Correlation, *, blocks: int = BLOCKS) -> list[tuple[NDArray[np.bool_], ...]]:
+def time_blocks(t_s: Array, correlation: Correlation) -> list[tuple[NDArray[np.bool_], ...]]:
     """Return (rows of a block, rows further away in time than a drift lasts), each (n,), of blocks of equal time."""
     out: list[tuple[NDArray[np.bool_], ...]] = []
-    edges = np.linspace(t_s.min(), t_s.max(), blocks + 1)
+    edges = np.linspace(t_s.min(), t_s.max(), BLOCKS + 1)
     edges[-1] = np.inf
     width = float(edges[1] - edges[0])
     for low, high in pairwise(edges.tolist()):

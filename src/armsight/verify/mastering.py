@@ -87,14 +87,14 @@ class _Explanation:
         return by_chance(self.evidence.linear, self.own, self.everything) > ADDS
 
 
-def propose(arm: Arm, q: Array, how: Align, sigma: Array, count: int = POSES) -> Proposal:
+def propose(arm: Arm, q: Array, how: Align, sigma: Array) -> Proposal:
     """Return which joint positions, of candidates q (c, n), tell the zeros best from each other, base and tool.
 
     sigma (2,): noise of a coordinate in m and of a turn in rad. Raises NotEnoughData for too few candidates.
     """
-    if len(q) < 2 * count:
+    if len(q) < 2 * POSES:
         raise NotEnoughData(
-            f"{len(q)} joint positions are possible, {2 * count} is the least to choose {count} from",
+            f"{len(q)} joint positions are possible, {2 * POSES} is the least to choose {POSES} from",
             consequence="No poses are proposed",
             cure="Allow more: a wider span, or a middle pose in the middle of both views",
         )
@@ -103,7 +103,7 @@ def propose(arm: Arm, q: Array, how: Align, sigma: Array, count: int = POSES) ->
     free = free_names(measured, Align.BOTH if "base" in how.parts else Align.TOOL)  # a bent tool is to be told as well
     case = Case(bare=bare, q=np.empty((0, arm.n)), measured=measured, free=free, block=np.empty(0, np.intp))
     joints = tuple(range(1 if "base" in how.parts else 0, arm.n - 1))
-    chosen, covariance = best_poses(case, mounts, sigma, joints, q, count)
+    chosen, covariance = best_poses(case, mounts, sigma, joints, q, POSES)
     variance = np.diagonal(covariance, axis1=1, axis2=2)  # (k + 1, j): all poses, then one left out each
     cost = np.sqrt(variance[1:] / variance[0]) - 1.0
     most = np.maximum(cost.max(axis=1, keepdims=True), 1e-12)

@@ -162,7 +162,6 @@ def _kabsch(cross: Array) -> Array:
     return np.asarray(U @ Vt)
 
 
-"""Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
 FIT_ROUNDS = 4
 """Fits with the noise of the one before; the ratio of the two noises settles in two or three."""
 SUNK_RAD = 1e-6
@@ -227,11 +226,10 @@ def fit_arm(
     guess: Array,
     free: Collection[str],
     tolerance: Tolerance,
-    noise: tuple[float, float] | None = None,
 ) -> ArmFit:
     """Return the parameters named in free, and base and tools, by maximum likelihood with priors from the tolerances.
 
-    noise: (m, rad) where it is known; else it is found. Base and tools may leave directions open (a tool on the last
+    Base and tools may leave directions open (a tool on the last
     axis); they then stay near the guess. Raises NotConverged.
     """
     mounts = [name for name in model.mounts if points.rotation is not None or not is_tool_turn(name)]
@@ -240,7 +238,7 @@ def fit_arm(
     rows = 6 if points.rotation is not None else 3
     # of good rows one in a hundred is beyond the scale and held down, which costs the answer next to nothing
     loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, rows))), block=rows)
-    sigma = noise or estimate_noise(model, guess, points, len(free) + len(mounts))
+    sigma = estimate_noise(model, guess, points, len(free) + len(mounts))
     p = guess
     lever = model.lever_m(p, points)
     for _ in range(FIT_ROUNDS):
@@ -256,7 +254,7 @@ def fit_arm(
         )
         fit = solve(problem, Settings(allow_undetermined=True, max_iterations=200))
         p = fit.shared
-        before, sigma = sigma, noise or estimate_noise(model, p, points, len(free) + len(mounts))
+        before, sigma = sigma, estimate_noise(model, p, points, len(free) + len(mounts))
         held, lever = lever, model.lever_m(p, points)
         sunk = float(np.abs(model.give(p) * (lever - held)).max())
         if max(abs(np.log(np.divide(sigma, before)))) < 0.01 and sunk < SUNK_RAD:
