@@ -16,8 +16,7 @@ import numpy as np
 
 from armsight.calibrate.arm import ArmResult, calibrate_arm
 from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, widened
-from armsight.calibrate.arm.fit import Tolerance, fit_arm
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import Tolerance, fit_arm, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.errors import ArmsightError
 from bench import machine, table, test_scene

@@ -378,8 +378,8 @@ def feeding(n: int = 2000) -> None:
         t_s=0.0, status=PoseStatus.OK, parent="rig", T_parent_target=np.eye(4), covariance=np.eye(6) * 1e-8
     )
     compared = Compared(
-        t_s=0.0, T_measured=np.eye(4), T_expected=np.eye(4), error=np.full(6, 1e-4), random=np.eye(6) * 1e-8,
-        systematic=np.zeros((6, 6)), measured_std=np.ones(6), expected_std=np.ones(6),
+        t_s=0.0, error=np.full(6, 1e-4), random=np.eye(6) * 1e-8,
+        systematic=np.zeros((6, 6)), expected_std=np.ones(6),
     )  # fmt: skip
     process, feed, took_s = PlantProcess(PlantOptions()), Feed(lambda *_: None, 1.0), []  # which is never started
     for k in range(n):

@@ -22,9 +22,9 @@ import bench
 from armsight.calibrate.arm import ArmModel, ArmPoints, Tolerance
 from armsight.calibrate.arm.senses import other_senses
 from armsight.calibrate.arm.touch import Kind, KnownLength, Touches
-from armsight.calibrate.arm.touch import senses as touch_senses
+from armsight.calibrate.arm.touch import faults as touch_senses
+from armsight.calibrate.arm.touch.faults import told
 from armsight.calibrate.arm.touch.fit import fit_touches
-from armsight.calibrate.arm.touch.known import told
 from armsight.calibrate.arm.touch.model import start
 from armsight.kinematics import Arm, Convention, preset
 

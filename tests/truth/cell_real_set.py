@@ -308,7 +308,7 @@ def learned_noise(model: CellModel, found: CellFit) -> CellData:
     options = {"xatol": 0.05, "fatol": 0.05, "maxfev": 150, "initial_simplex": simplex}
     best = minimize(cost, np.zeros(4), method="Nelder-Mead", options=options)
     strays, px = noisier(best.x)
-    return replace(found.data, wander=strays, scale=(found.scale[0] * px, found.scale[1]))
+    return replace(found, wander=strays, scale=(found.scale[0] * px, found.scale[1]))
 
 
 def told(bundle: Bundle, found: CellFit) -> list[Learned]:

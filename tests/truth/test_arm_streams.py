@@ -11,8 +11,7 @@ import pytest
 
 from armsight.calibrate.arm import ArmResult, calibrate_arm
 from armsight.calibrate.arm.covariance import HeldGeometry, believed, drift_of, in_blocks
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.store.arm_points import read_arm_points
 

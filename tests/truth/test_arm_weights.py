@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm import ArmPoints, Tolerance, calibrate_arm, calibrate_world
-from armsight.calibrate.arm.fit import fit_arm
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import fit_arm, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.store.arm_points import read_arm_points
 

@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.arm import ArmModel, ArmPoints, ArmResult, Tolerance, calibrate_arm
 from armsight.calibrate.arm.covariance import believed
-from armsight.calibrate.arm.fit import fit_arm
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import fit_arm, start
 from armsight.kinematics import Arm, dh_arm
 from armsight.store.arm_file import write_arm
 

@@ -89,23 +89,21 @@ def fit_averaged(r: Array, J: Array, t_s: Array, prior: tuple[Array, Array] | No
     r, J, t = r[order], J[order], t_s[order]
     shares, times, log_prior = _models(t)
     free = r.size - J.shape[2]
-    found = []
-    for normal, logdet, worth in _whitened_normals(r, J, t, shares, times):
-        found.append(_solved(normal, logdet, free, r.shape[1], prior, worth))
-    likelihood = np.array([one.likelihood for one in found]) + log_prior
+    normals, logdets, worth = zip(*_whitened_normals(r, J, t, shares, times), strict=True)
+    found = [_solved(*one, free, r.shape[1], prior) for one in zip(normals, logdets, strict=True)]
+    likelihood, steps, covariances, variance = (np.array(each) for each in zip(*found, strict=True))
+    likelihood = likelihood + log_prior
     weight = np.exp(likelihood - likelihood.max())
     weight = weight / weight.sum()
-    steps = np.array([one.step for one in found])
     step = weight @ steps
     spread = steps - step
-    C = np.einsum("k,kab->ab", weight, np.array([one.C for one in found])) + (spread.T * weight) @ spread
+    C = np.einsum("k,kab->ab", weight, covariances) + (spread.T * weight) @ spread
     share = float(weight @ shares)
     correlation = Correlation(
         time_s=float(weight @ (shares * times) / max(share, 1e-12)),
         share=share,
-        n_effective=float(weight @ np.array([one.worth for one in found])),
+        n_effective=float(weight @ np.array(worth)),
     )
-    variance = np.array([one.variance for one in found])
     return Averaged(
         step=step, C=C, correlation=correlation, weight=weight, share=shares, time_s=times, variance=variance
     )
@@ -145,10 +143,10 @@ def made_independent(found: Averaged, columns: Array, t_s: Array) -> Array:
     return np.asarray(white[0] / np.sqrt(found.variance[best]))
 
 
-def time_blocks(t_s: Array, correlation: Correlation, *, blocks: int = BLOCKS) -> list[tuple[NDArray[np.bool_], ...]]:
+def time_blocks(t_s: Array, correlation: Correlation) -> list[tuple[NDArray[np.bool_], ...]]:
     """Return (rows of a block, rows further away in time than a drift lasts), each (n,), of blocks of equal time."""
     out: list[tuple[NDArray[np.bool_], ...]] = []
-    edges = np.linspace(t_s.min(), t_s.max(), blocks + 1)
+    edges = np.linspace(t_s.min(), t_s.max(), BLOCKS + 1)
     edges[-1] = np.inf
     width = float(edges[1] - edges[0])
     for low, high in pairwise(edges.tolist()):
@@ -214,22 +212,10 @@ def _innovations(columns: Array, t: Array, share: Array, time_s: Array) -> tuple
     return out, logdet
 
 
-@dataclass(frozen=True, slots=True)
-class _Model:
-    """One share and one time of the drift: how likely they are, the fit they make, and what its rows are worth.
-
-    step (m,), C (m, m): to the best unknowns, and its covariance. variance: of the errors. worth: independent rows.
-    """
-
-    likelihood: float
-    step: Array
-    C: Array
-    variance: float
-    worth: float
-
-
-def _solved(normal: Array, logdet: float, free: int, k: int, prior: tuple[Array, Array] | None, worth: float) -> _Model:
-    """Return one model's restricted likelihood, step, covariance and variance from its normal matrix."""
+def _solved(
+    normal: Array, logdet: float, free: int, k: int, prior: tuple[Array, Array] | None
+) -> tuple[float, Array, Array, float]:
+    """Return one model's restricted likelihood, step (m,), covariance (m, m) and variance from its normal matrix."""
     H, g = normal[:-1, :-1], normal[:-1, -1]
     factor = cho_factor(H)
     step = -cho_solve(factor, g)
@@ -237,11 +223,10 @@ def _solved(normal: Array, logdet: float, free: int, k: int, prior: tuple[Array,
     logdet_H = 2.0 * float(np.log(np.diag(factor[0])).sum())
     likelihood = -0.5 * (k * logdet + logdet_H + free * np.log(variance))
     if prior is None:
-        return _Model(likelihood, step, variance * cho_solve(factor, np.eye(len(g))), variance, worth)
+        return likelihood, step, variance * cho_solve(factor, np.eye(len(g))), variance
     wanted, information = prior
     both = cho_factor(H / variance + information)
-    step = cho_solve(both, information @ wanted - g / variance)
-    return _Model(likelihood, step, cho_solve(both, np.eye(len(g))), variance, worth)
+    return likelihood, cho_solve(both, information @ wanted - g / variance), cho_solve(both, np.eye(len(g))), variance
 
 
 # What a model has wrong differs from region to region of a motion and does not average out over rows.

@@ -111,18 +111,18 @@ def calibrate_tooltip(
     if point is not None:
         require_point_there(calibrate_tooltip(poses, covariances, None, t_s), point.xyz_m, point.sigma_m)
     place = np.arange(len(R)) if times is not None else place_numbers(R)
-    places = places_of(R, t, C, place)
-    keep_places, (x, cov, e, V, _, _) = _agreed(*places.poses, point)
-    keep, used = places.fine & keep_places[place], places.poses[0][keep_places]
+    poses_there, fine = places_of(R, t, C, place)
+    keep_places, (x, cov, e, V, _, _) = _agreed(*poses_there, point)
+    keep, used = fine & keep_places[place], poses_there[0][keep_places]
     turn = _require_turning(_turns(used))
     require_one_tool(R[keep], t[keep], np.flatnonzero(keep), None if times is None else times[keep])
-    _require_point(e[keep_places], places.poses[1][keep_places], len(e), turn[1], cov)
+    _require_point(e[keep_places], poses_there[1][keep_places], len(e), turn[1], cov)
     check_metres(np.linalg.norm(x[:3]), TOOL_M, "the tip would be off the turned frame by")
     prior = None if point is None else point.information()
     if times is not None:
         found = PivotStream(R=R, t=t, V=V, t_s=times, prior=prior).fit(x, keep, _turned(R, keep))
     else:
-        found = _weighed(*places.poses, keep_places, point)
+        found = _weighed(*poses_there, keep_places, point)
     e = R @ found.x[:3] + t - found.x[3:]
     return ToolTipResult(
         tip_m=found.x[:3],

@@ -16,8 +16,8 @@ from armsight.columns import POSITION
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.fitting.quantiles import chi2_isf
-from armsight.records import NamedCovariance, TargetPose, frozen_array
-from armsight.records.checks import Shape
+from armsight.records import NamedCovariance, TargetPose
+from armsight.records.checks import Shape, freeze
 from armsight.records.output import Row, TitledOutput, figure, output, with_std
 from armsight.records.result_parts import MANY_REJECTED, MEANING, PointStd, RejectedRow, Verdict
 from armsight.shown import Bars, Shown, Table, digits, point_rows
@@ -55,9 +55,7 @@ class ToolTipResult(TitledOutput):
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("tip_m", "point_m", "rotation_excitation_rms_rad"):
-            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (3,)))
-        object.__setattr__(self, "residuals_m", frozen_array("residuals_m", self.residuals_m, (None, 3)))
+        freeze(self, tip_m=(3,), point_m=(3,), rotation_excitation_rms_rad=(3,), residuals_m=(None, 3))
         self.left_out_m.setflags(write=False)
 
     @figure("Standard deviations of the tip.", key="std")

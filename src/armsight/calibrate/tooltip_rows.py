@@ -15,6 +15,8 @@ from armsight.fitting.groups import means, repeats
 from armsight.records import frozen_array
 from armsight.units import DEG
 
+Poses = tuple[Array, Array, Array | None]
+
 MIN_POSES = 4
 FAR = 8.0
 """What is this many times further off than the median belongs to something else."""
@@ -27,21 +29,14 @@ def place_numbers(R: Array) -> NDArray[np.intp]:
     return repeats(R.reshape(-1, 9) / np.sqrt(2.0), SAME_PLACE_RAD)  # distances of near rotations so are angles in rad
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Places:
-    """Poses R (G, 3, 3), t (G, 3) and their covariances (G, 6, 6), if given, one a place; fine (n,): the readings that
-    they are the means of."""
+def places_of(R: Array, t: Array, C: Array | None, place: NDArray[np.intp]) -> tuple[Poses, NDArray[np.bool_]]:
+    """Return R (G, 3, 3), t (G, 3), C (G, 6, 6), one pose a place, the mean of its readings, and which (n,) are in it.
 
-    poses: tuple[Array, Array, Array | None]
-    fine: NDArray[np.bool_]
-
-
-def places_of(R: Array, t: Array, C: Array | None, place: NDArray[np.intp]) -> Places:
-    """Return one pose a place, the mean of its readings, which share what is wrong there: no number of them makes it
-    less. Readings far from the middle one of their place are left out."""
+    They share what is wrong there: no number of them makes it less. Those far from the middle one are left out.
+    """
     n = int(place.max()) + 1
     if n == len(R):
-        return Places(poses=(R, t, C), fine=np.ones(n, bool))
+        return (R, t, C), np.ones(n, bool)
     if n < MIN_POSES:
         raise NotEnoughData(
             f"{len(R)} poses are readings of {n} places of the tool, {MIN_POSES} are the fewest that can be checked",
@@ -56,9 +51,8 @@ def places_of(R: Array, t: Array, C: Array | None, place: NDArray[np.intp]) -> P
         fine &= away <= FAR * max(float(np.median(several)) if len(several) else np.inf, 1e-9)
     fine |= ~np.isin(place, place[fine])  # a place keeps all its readings where none is near its middle
     mean = np.asarray(Rotation.from_matrix(means(R[fine], place[fine])).as_matrix())
-    return Places(
-        poses=(mean, means(t[fine], place[fine]), None if C is None else means(C[fine], place[fine])), fine=fine
-    )
+    covariance = None if C is None else means(C[fine], place[fine])
+    return (mean, means(t[fine], place[fine]), covariance), fine
 
 
 # Poses of one recording, whose errors are alike for a while: weighed, claimed and left out by it.

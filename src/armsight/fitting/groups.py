@@ -7,10 +7,15 @@ intervals.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any, TypeVar
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from armsight.arrays import Array, Index, Mask
+
+Record = TypeVar("Record")
 
 GAP = 4.0
 """Places are further apart than readings of one place by this factor at least: of 1000 recordings of 10 to 60 rows
@@ -130,37 +135,35 @@ def leave_one_out(e: Array, J: Array, C: Array, kept: Mask) -> tuple[Array, Arra
     return np.where(kept[:, None] | ~told[:, None], steps, 0.0), np.einsum("nk,nk->n", e, y)
 
 
+def taken(record: Record, rows: Any, *names: str, **others: object) -> Record:
+    """Return a frozen record with these rows (k,) alone of the arrays and tuples named, where it has them.
+
+    others: further fields that are to differ.
+    """
+    held: Any = record
+    found = {name: getattr(held, name) for name in names}
+    some = {
+        name: tuple(each[i] for i in rows) if isinstance(each, tuple) else each[rows]
+        for name, each in found.items()
+        if each is not None
+    }
+    kept: Record = replace(held, **some, **others)
+    return kept
+
+
 def _joined(values: Array, near: float, n: int) -> Index:
     """Return which place each of the different rows (m, k) is of; n: rows with those equal to the last digit."""
-    first, second, length = _spanning_tree(values)
-    order = np.argsort(length)
-    length = length[order]
+    from scipy.cluster.hierarchy import fcluster, linkage  # imported here: few commands need it
+
+    tree = linkage(values, "single")  # the edges of the shortest tree that joins all rows, by their lengths
+    length = tree[:, 2]
     # cut below the widest gap in the tree's edges: shorter edges join readings, longer ones places
     ratio = length[1:] / np.maximum(length[:-1], 1e-300)
     possible = (length[:-1] <= near) & (n - len(values) + np.arange(1, len(length)) >= LEAST_REPEATED * n)
     ratio = np.where(possible, ratio, 0.0)
-    of = np.arange(len(values))
     if not len(ratio) or ratio.max() < GAP:
-        return of
-    for edge in order[: int(ratio.argmax()) + 1].tolist():
-        of[of == of[second[edge]]] = of[first[edge]]
-    return np.unique(of, return_inverse=True)[1].reshape(-1)
-
-
-def _spanning_tree(values: Array) -> tuple[Index, Index, Array]:
-    """Return the ends and lengths of the edges (m - 1,) of the shortest tree that joins all rows (Prim 1957)."""
-    m = len(values)
-    distance, nearest = np.full(m, np.inf), np.zeros(m, np.intp)
-    first, second, length = np.empty(m - 1, np.intp), np.empty(m - 1, np.intp), np.empty(m - 1)
-    outside, last = np.ones(m, bool), 0
-    for k in range(m - 1):
-        outside[last] = False
-        to_last = np.sqrt(((values - values[last]) ** 2).sum(axis=1))
-        nearer = outside & (to_last < distance)
-        distance[nearer], nearest[nearer] = to_last[nearer], last
-        last = int(np.argmin(np.where(outside, distance, np.inf)))
-        first[k], second[k], length[k] = nearest[last], last, distance[last]
-    return first, second, length
+        return np.arange(len(values))
+    return np.asarray(fcluster(tree, length[int(ratio.argmax())], "distance") - 1, np.intp)
 
 
 def _numbered(of: Index) -> Index:

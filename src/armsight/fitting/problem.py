@@ -166,6 +166,14 @@ class Evaluation:
     local: Array
     condensed: NormalEquations | None = None
 
+    @classmethod
+    def of_one(cls, residuals: Array, slopes: Array) -> Evaluation:
+        """Return residuals of any shape and their derivatives (..., S) by shared parameters alone, as one group."""
+        m = residuals.size
+        return cls(
+            residuals=residuals.reshape(1, m), shared=slopes.reshape(1, m, slopes.shape[-1]), local=np.empty((1, m, 0))
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prior:

@@ -207,20 +207,24 @@ def _iterate(problem: Problem, settings: Settings, state: _State, free: Index) -
             return StopReason.NO_DESCENT
 
 
+def _influence(normal: NormalEquations) -> tuple[Array, Array]:
+    """Return how much the residuals feel each shared (F,) and each local parameter (G, L)."""
+    diagonals = np.diag(normal.A), np.einsum("gii->gi", normal.C)
+    shared, local = (np.sqrt(np.maximum(diagonal, FLOOR)) for diagonal in diagonals)
+    return shared, local
+
+
 def _scaled_gradient(normal: NormalEquations) -> float:
     """Return the largest gradient entry in units of the parameter's own influence."""
-    scale_s = np.sqrt(np.maximum(np.diag(normal.A), FLOOR))
-    scale_l = np.sqrt(np.maximum(np.einsum("gii->gi", normal.C), FLOOR))
-    entries = np.concatenate([np.abs(normal.b) / scale_s, (np.abs(normal.c) / scale_l).ravel()])
-    return float(entries.max(initial=0.0))
+    shared, local = _influence(normal)
+    return float(np.maximum((np.abs(normal.b) / shared).max(initial=0.0), (np.abs(normal.c) / local).max(initial=0.0)))
 
 
 def _relative_step(normal: NormalEquations, ds: Array, dl: Array, state: _State) -> float:
     """Return the step's size against the rounding floor, in residual units."""
-    scale_s = np.sqrt(np.maximum(np.diag(normal.A), FLOOR))
-    scale_l = np.sqrt(np.maximum(np.einsum("gii->gi", normal.C), FLOOR))
-    step = np.concatenate([np.abs(ds) * scale_s, (np.abs(dl) * scale_l).ravel()])
-    return float(step.max(initial=0.0) / (1.0 + np.sqrt(2.0 * state.cost)))
+    shared, local = _influence(normal)
+    step = np.maximum((np.abs(ds) * shared).max(initial=0.0), (np.abs(dl) * local).max(initial=0.0))
+    return float(step / (1.0 + np.sqrt(2.0 * state.cost)))
 
 
 def _fit(

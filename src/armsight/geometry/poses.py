@@ -7,6 +7,7 @@ A pose T_a_b maps coordinates of frame b into frame a. Its covariance (6, 6) bel
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,6 +137,16 @@ def skew(v: ArrayLike) -> NDArray[np.float64]:
     x, y, z = np.moveaxis(np.asarray(v, float), -1, 0)
     o = np.zeros_like(x)
     return np.moveaxis(np.array([[o, -z, y], [z, o, -x], [-y, x, o]]), (0, 1), (-2, -1))
+
+
+def stepped(p: Array, step: Array, rotvecs_at: Iterable[int]) -> Array:
+    """Return parameters (k,) after a step (k,): rotation vectors, which begin at those places, turn as Exp(dw) R in the
+    parent's axes, all else moves by addition."""
+    out = p + step
+    for k in rotvecs_at:
+        turn, before = Rotation.from_rotvec(np.array(step[k : k + 3])), Rotation.from_rotvec(np.array(p[k : k + 3]))
+        out[k : k + 3] = (turn * before).as_rotvec()
+    return out
 
 
 # The rigid motion that best carries one set of points onto another (Kabsch, weighted).

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.fit import is_tool_turn
-from armsight.calibrate.arm.initial_guess import ENOUGH, mounts_by_turns, placed
+from armsight.calibrate.arm.fit import ENOUGH, is_tool_turn, mounts_by_turns, placed
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import MEDIAN_3
 from armsight.units import DEG, MM

@@ -80,7 +80,7 @@ def bodies_of(
         return None
     try:
         shape = _shape([seen[key] for key in complete])
-        T = [_pose(seen[key], shape) for key in seen_well]
+        T = np.array([_pose(seen[key], shape) for key in seen_well])
         wanted = [_commanded(commanded, measured, rows[key], shape) for key in seen_well]
     except Degenerate:
         return None
@@ -89,8 +89,9 @@ def bodies_of(
     squares = (off**2).sum(axis=2)
     each = np.sqrt(np.nanmean(squares, axis=0))
     first = np.array([rows[key][0] for key in seen_well], dtype=np.intp)
+    visits = measured.take(first)
     return Bodies(
-        measured=_placed(measured.take(first), np.array(T)),
+        measured=replace(visits, xyz_m=T[:, :3, 3], rotation=T[:, :3, :3], std=None, covariance=None, point=()),
         repeats=_of(repeats, first, [str(key[1]) for key in seen_well]),
         commanded=np.array(wanted),
         points=labels,
@@ -99,10 +100,6 @@ def bodies_of(
         worst=(labels[int(np.argmax(each))], float(each.max())),
         left_out=len(keys) - len(seen_well),
     )
-
-
-def _placed(measured: Measured, T: Array) -> Measured:
-    return replace(measured, xyz_m=T[:, :3, 3], rotation=T[:, :3, :3], std=None, covariance=None, point=())
 
 
 def _means(xyz_m: Array, which: Index, rows: list[int], n: int) -> Array:

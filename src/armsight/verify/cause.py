@@ -17,11 +17,10 @@ from armsight.calibrate.arm.covariance import APART
 from armsight.errors import NotConverged
 from armsight.fitting.groups import regions
 from armsight.kinematics import Arm
-from armsight.verify.drift import drifting
 from armsight.verify.effects import Effect, JointVerdict, Kind, effects, shown, still
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
 from armsight.verify.evidence import falls as fall_by_chance
-from armsight.verify.geometry_prior import Account, GeometryPrior
+from armsight.verify.explanations import Account, GeometryPrior, drifting
 from armsight.verify.model import ModelFit
 
 FEWEST_POSES = 12
@@ -263,7 +262,9 @@ def _one_joint(
     if own.log_evidence <= least or not (zero or _leaves_little(after, trial.own)):
         return None
     if rival is not None:
-        return replace(cause, rival=rival, sentence=_between(trial, rival))
+        both = f"Joint {trial.effect.joint + 1} and joint {rival + 1}"
+        alike = f"{both} explain the errors alike at these poses; neither is named."
+        return replace(cause, rival=rival, sentence=alike)
     adds = by_chance(after.linear, trial.own, after.with_geometry()) < BEYOND
     able = np.flatnonzero([v.judged for v in cause.joints])
     cause = replace(cause, joints=_estimates(cause.joints, able, trial, own))
@@ -337,11 +338,6 @@ def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) ->
         sentence=f"Joint {effect.joint + 1} ({name}) is the cause: {effect.kind}, {values_text}. It takes "
         f"{100 * gain(trial.plain, trial.own):.3g} % off the squared errors of rows left out.{rest}",
     )
-
-
-def _between(trial: _Trial, rival: int) -> str:
-    a, b = trial.effect.joint + 1, rival + 1
-    return f"Joint {a} and joint {b} explain the errors alike at these poses; neither is named."
 
 
 def _several(joints: tuple[JointVerdict, ...], gains: dict[str, float]) -> str:

@@ -18,10 +18,9 @@ from armsight.kinematics import Arm, fk
 from armsight.units import DEG, MM, displayed
 from armsight.verify.alignment import Align, align, free_names, gross
 from armsight.verify.cause import CHANCE, RIVAL_LOG, judge
-from armsight.verify.deciding import best_poses
 from armsight.verify.effects import Effect, JointVerdict, Kind
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance
-from armsight.verify.geometry_prior import GeometryPrior
+from armsight.verify.explanations import GeometryPrior, best_poses
 from armsight.verify.model import ModelFit, Mounts, mount_names
 from armsight.verify.pairing import bare_arm
 from armsight.verify.records import Measured, Rejected
@@ -88,14 +87,14 @@ class _Explanation:
         return by_chance(self.evidence.linear, self.own, self.everything) > ADDS
 
 
-def propose(arm: Arm, q: Array, how: Align, sigma: Array, count: int = POSES) -> Proposal:
+def propose(arm: Arm, q: Array, how: Align, sigma: Array) -> Proposal:
     """Return which joint positions, of candidates q (c, n), tell the zeros best from each other, base and tool.
 
     sigma (2,): noise of a coordinate in m and of a turn in rad. Raises NotEnoughData for too few candidates.
     """
-    if len(q) < 2 * count:
+    if len(q) < 2 * POSES:
         raise NotEnoughData(
-            f"{len(q)} joint positions are possible, {2 * count} is the least to choose {count} from",
+            f"{len(q)} joint positions are possible, {2 * POSES} is the least to choose {POSES} from",
             consequence="No poses are proposed",
             cure="Allow more: a wider span, or a middle pose in the middle of both views",
         )
@@ -104,7 +103,7 @@ def propose(arm: Arm, q: Array, how: Align, sigma: Array, count: int = POSES) ->
     free = free_names(measured, Align.BOTH if "base" in how.parts else Align.TOOL)  # a bent tool is to be told as well
     case = Case(bare=bare, q=np.empty((0, arm.n)), measured=measured, free=free, block=np.empty(0, np.intp))
     joints = tuple(range(1 if "base" in how.parts else 0, arm.n - 1))
-    chosen, covariance = best_poses(case, mounts, sigma, joints, q, count)
+    chosen, covariance = best_poses(case, mounts, sigma, joints, q, POSES)
     variance = np.diagonal(covariance, axis1=1, axis2=2)  # (k + 1, j): all poses, then one left out each
     cost = np.sqrt(variance[1:] / variance[0]) - 1.0
     most = np.maximum(cost.max(axis=1, keepdims=True), 1e-12)
@@ -175,8 +174,12 @@ def _explained(case: Case, start: Array, arm: Arm, how: Align) -> Mastering:
     judged = judge(case, plain)
     able = np.flatnonzero([verdict.judged for verdict in judged])
     nothing = _explanation(case, plain, None, able)
-    single = [_explanation(case, _with_zero(case, plain.p, i), i, able) for i in able.tolist()]
-    bent = [] if "tool" in how.parts else [_explanation(case, _with_tool(case, plain.p), -1, able)]
+    single = [_explanation(case, case.fit(plain.p, _zero(case, i)), i, able) for i in able.tolist()]
+    bent = (
+        []
+        if "tool" in how.parts
+        else [_explanation(case, replace(case, free=_tool_free(case)).fit(plain.p, None), -1, able)]
+    )
     mastering = Mastering(
         cause="none",
         sentence="No joint's zero has moved, and the tool has not, as far as these poses tell.",
@@ -206,14 +209,6 @@ def _believed(
         replace(verdict, offset=float(zero), std=float(std)) if verdict.judged else verdict
         for verdict, zero, std in zip(judged, account.zeros, account.std, strict=True)
     )
-
-
-def _with_zero(case: Case, p: Array, joint: int) -> ModelFit:
-    return case.fit(p, _zero(case, joint))
-
-
-def _with_tool(case: Case, p: Array) -> ModelFit:
-    return replace(case, free=_tool_free(case)).fit(p, None)
 
 
 def _zero(case: Case, joint: int) -> Effect:

@@ -14,7 +14,7 @@ from armsight.columns import POSE6
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.groups import whitener
 from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf
-from armsight.geometry.poses import skew
+from armsight.geometry.poses import skew, stepped
 from armsight.verify.records import Measured
 
 Expected = Callable[[Array], tuple[Array, Array]]
@@ -122,11 +122,7 @@ class Model:
 
     def retract(self, p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
         """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
-        out = p + step
-        for at in range(3, self.n_mounts, 6):
-            turn = Rotation.from_rotvec(np.array(step[at : at + 3])) * Rotation.from_rotvec(np.array(p[at : at + 3]))
-            out[at : at + 3] = turn.as_rotvec()
-        return out, local + step_local
+        return stepped(p, step, range(3, self.n_mounts, 6)), local + step_local
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -233,11 +229,7 @@ def fit_model(model: Model, guess: Array, free: Collection[str], settled: float 
 def _problem(model: Model, p: Array, free: Collection[str], noise: Noise, loss: Loss) -> Problem:
     def evaluate(q: Array, _: Array) -> Evaluation:
         residual, J = model.linearised(q)
-        r = noise.whiten(residual)
-        slopes = -noise.whiten(J)
-        return Evaluation(
-            residuals=r.reshape(1, -1), shared=slopes.reshape(1, -1, len(q)), local=np.empty((1, r.size, 0))
-        )
+        return Evaluation.of_one(noise.whiten(residual), -noise.whiten(J))
 
     return Problem(
         names=model.names,
@@ -247,5 +239,4 @@ def _problem(model: Model, p: Array, free: Collection[str], noise: Noise, loss: 
         fixed=frozenset(model.names) - set(free),
         loss=loss,
         retract=model.retract,
-        local_guess=np.zeros((1, 0)),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
+from armsight.fitting.groups import taken
 from armsight.records import frozen_array
 from armsight.records.checks import check_spread
 from armsight.records.output import Output, output
@@ -79,14 +80,7 @@ class Measured:
 
     def take(self, index: Index) -> Measured:
         """Return the measurements at the given positions."""
-        return Measured(
-            xyz_m=self.xyz_m[index],
-            rotation=None if self.rotation is None else self.rotation[index],
-            t_s=None if self.t_s is None else self.t_s[index],
-            covariance=None if self.covariance is None else self.covariance[index],
-            row=self.rows[index],
-            point=tuple(self.point[i] for i in index.tolist()),
-        )
+        return taken(self, index, "xyz_m", "rotation", "t_s", "covariance", "row", "point", std=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -163,7 +163,8 @@ def _stamps(measured: Measured, members: list[Index], name: str, notes: list[str
     """Return what the stamps of runs or arrivals are; rows that share them were stamped when they were delivered."""
     if measured.t_s is None:
         return Stamps.ABSENT
-    if any(_bursts(measured.t_s[rows]) for rows in members):
+    stamps = (measured.t_s[rows] for rows in members)
+    if any(len(t) > 1 and float(np.mean(np.diff(t) == 0.0)) >= SHARED for t in stamps):
         notes.append(f"ISO 9283: rows of {name} share stamps: these are those of deliveries, and speed is withheld")
         return Stamps.ARRIVAL
     return Stamps.SAMPLING
@@ -293,10 +294,6 @@ def _path(
         covariance_m2=covariance,
         systematic_m2=systematic,
     )
-
-
-def _bursts(t_s: Array) -> bool:
-    return len(t_s) > 1 and float(np.mean(np.diff(t_s) == 0.0)) >= SHARED
 
 
 def polyline(T: Array, turned: bool, speed_m_s: float | None = None) -> CommandedPath | None:

@@ -97,16 +97,13 @@ class Limits(Output):
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Compared:
     """One moment. error (6,): measured minus expected, m and rotation vector in rad, in the parent's axes. random (6,
-    6): covariance of what changes from pose to pose; systematic (6, 6): of what stays. measured_std, expected_std
-    (6,): of both poses by themselves. T_measured, T_expected (4, 4): of the target in the parent's axes."""
+    6): covariance of what changes from pose to pose; systematic (6, 6): of what stays. expected_std (6,):
+    of the expected pose by itself."""
 
     t_s: float
-    T_measured: Array
-    T_expected: Array
     error: Array
     random: Array
     systematic: Array
-    measured_std: Array
     expected_std: Array
 
     @property
@@ -164,12 +161,9 @@ class PredictedPose:
         turn = Rotation.from_matrix(T[:3, :3] @ E[:3, :3].T).as_rotvec()
         return Compared(
             t_s=pose.t_s,
-            T_measured=T,
-            T_expected=E,
             error=np.concatenate([T[:3, 3] - E[:3, 3], turn]),
             random=own - lasting + changing,
             systematic=measured - own + lasting + staying,
-            measured_std=np.sqrt(np.diag(measured)),
             expected_std=np.sqrt(np.diag(changing + staying)),
         )
 

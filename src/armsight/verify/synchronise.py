@@ -324,25 +324,17 @@ class JointStream:
     def _curve(self) -> Akima1DInterpolator:
         return Akima1DInterpolator(self.t_s, self.q)
 
-    @cached_property
-    def _slope(self) -> Akima1DInterpolator:
-        return self._curve.derivative()
-
-    @cached_property
-    def _bend(self) -> Akima1DInterpolator:
-        return self._curve.derivative(2)
-
     def q_at(self, at_s: Array) -> Array:
         """Return joint values (m, joints); times beyond the rows take the first or last one's."""
         return np.asarray(self._curve(self._inside(at_s)))
 
     def speed_at(self, at_s: Array) -> Array:
         """Return joint speeds (m, joints)."""
-        return np.asarray(self._slope(self._inside(at_s)))
+        return np.asarray(self._curve(self._inside(at_s), 1))
 
     def acceleration_at(self, at_s: Array) -> Array:
         """Return joint accelerations (m, joints)."""
-        return np.asarray(self._bend(self._inside(at_s)))
+        return np.asarray(self._curve(self._inside(at_s), 2))
 
     def at(self, at_s: Array) -> tuple[Array, Array]:
         """Return F (m, 4, 4), base to flange, and its velocity (m, 6) in base axes."""

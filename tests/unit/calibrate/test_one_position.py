@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm import ArmModel, ArmPoints, Tolerance, calibrate_arm, calibrate_world
-from armsight.calibrate.arm.fit import fit_arm, tool_points
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import fit_arm, start, tool_points
 from armsight.calibrate.arm.plausibility import check_one_position
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, Joint, ToolPoint, fk, in_convention, moved, pose, preset

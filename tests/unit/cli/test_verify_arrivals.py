@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.verify.iso9283.arrival import NO_BAND
+from armsight.verify.iso9283.drift import NO_BAND
 from refusals import names_it
 
 AGAIN = "--overwrite"

@@ -26,12 +26,9 @@ def seen(at_s=100.0, error_m=0.001, std_m=0.0002, level=Level.GOOD, lost="", lim
     if not lost:
         compared = Compared(
             t_s=at_s,
-            T_measured=T,
-            T_expected=np.eye(4),
             error=np.array([error_m, 0, 0, 0, 0, 0]),
             random=covariance,
             systematic=np.zeros((6, 6)),
-            measured_std=np.ones(6),
             expected_std=np.ones(6),
         )
     why = "" if level is Level.GOOD else f"{level.word}: it is off"

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, still
-from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance, fit_arm, limits_reached, tool_points
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance, fit_arm, limits_reached, start, tool_points
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import (
     UNPROVED,
@@ -92,7 +91,9 @@ def calibrate_arm(
     left = cross_validate(model, points, levels, tolerance, scale=scale)
     chosen = best_level(levels, points.group)
     judged = _Judged(given=given, tolerance=tolerance, levels=levels, chosen=chosen, left=left)
-    other = other_arm(model, points, _plain(levels, judged.chosen), judged.chosen, tolerance)
+    # of base and tool alone, readings coupled as the best one's
+    plain = next(x for x in levels if x.couplings == chosen.couplings and not x.choice.free)
+    other = other_arm(model, points, plain, chosen, tolerance)
     if other is not None:
         kept = _result(model, points, holdout, replace(judged, chosen=levels[0]))
         return replace(kept, verdict=other.text(), other_arm=other)
@@ -142,11 +143,6 @@ def _in_time(
         return points, levels, None
     again = [replace(x, left_m=left_out(model, blocked, x.fitted)) for x in levels]
     return blocked, again, drift.correlation
-
-
-def _plain(levels: Sequence[Level], best: Level) -> Level:
-    """Return the level of base and tool alone whose readings are coupled as the best one's."""
-    return next(x for x in levels if x.couplings == best.couplings and not x.choice.free)
 
 
 def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:

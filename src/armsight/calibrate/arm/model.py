@@ -258,11 +258,7 @@ class ArmModel:
         if self.turned:
             r = np.concatenate([r, turn / sigma_rad], axis=1)
             slopes = np.concatenate([slopes, J[:, 3:] / sigma_rad], axis=1)
-        return Evaluation(
-            residuals=r.reshape(1, -1),
-            shared=slopes.reshape(1, -1, len(p)),
-            local=np.empty((1, r.size, 0)),
-        )
+        return Evaluation.of_one(r, slopes)
 
     def retract(self, p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
         """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""

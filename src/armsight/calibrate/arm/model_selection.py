@@ -12,8 +12,7 @@ from scipy.special import ndtr
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import Choice, choose, orthonormal_basis
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, estimate_noise, fit_arm
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, estimate_noise, fit_arm, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate, NotConverged, NotEnoughData

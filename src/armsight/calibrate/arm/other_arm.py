@@ -14,11 +14,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.covariance import Choice
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm, start
 from armsight.calibrate.arm.model import ArmModel
-from armsight.calibrate.arm.model_selection import Level, left_out, significant_gain
+from armsight.calibrate.arm.model_selection import Level, left_out, plain_level, significant_gain
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import ArmsightError, NotConverged
 from armsight.fields import Doc
@@ -63,7 +61,6 @@ HOME_MADE_M = 0.02
 """Further off than this no arm is built, not even at home."""
 LEAST_DIFFERENCE_M = 1e-3
 """Lengths of two arms that differ by less are not told."""
-NOTHING = Choice(free=(), fixed=(), condition=1.0)
 
 
 @output
@@ -206,7 +203,7 @@ def explained(model: ArmModel, points: ArmPoints) -> str:
     """Return what makes the nominal arm another one, for measurements that are refused as not of it; '' for nothing."""
     try:
         plain = fit_arm(model, points, start(model, points), (), OPEN)
-        level = Level(name="", fitted=plain, choice=NOTHING, left_m=left_out(model, points, plain))
+        level = plain_level(model, points, plain, "")
         found = other_arm(model, points, level, level, Tolerance())
     except ArmsightError:
         return ""

@@ -11,7 +11,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.initial_guess import mounts_by_turns, start
+from armsight.calibrate.arm.fit import mounts_by_turns, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.other_arm import explained
 from armsight.calibrate.arm.points import ArmPoints

@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.fitting.groups import means, repeats
+from armsight.fitting.groups import means, repeats, taken
 from armsight.kinematics import Arm, fk
-from armsight.records import frozen_array
-from armsight.records.checks import check_spread
+from armsight.records.checks import check_spread, freeze
 
 MOST_TURNS_RAD = 40.0
 """A turning joint's reading beyond six turns is in degrees or counts."""
@@ -62,12 +61,10 @@ class ArmPoints:
 
     def __post_init__(self) -> None:
         m = len(self.xyz_m)
-        if self.covariance is not None:
-            object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (m, 3, 3)))
-        object.__setattr__(self, "q", frozen_array("q", self.q, (m, np.shape(self.q)[-1])))
-        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
-        if self.rotation is not None:
-            object.__setattr__(self, "rotation", frozen_array("rotation", self.rotation, (m, 3, 3)))
+        freeze(self, q=(m, np.shape(self.q)[-1]), xyz_m=(m, 3))
+        for name, shape in (("rotation", (m, 3, 3)), ("covariance", (m, 3, 3)), ("t_s", (m,))):
+            if getattr(self, name) is not None:
+                freeze(self, **{name: shape})
         object.__setattr__(self, "point", tuple(self.point) or ("",) * m)
         if len(self.point) != m:
             raise Inconsistent(
@@ -75,8 +72,6 @@ class ArmPoints:
                 consequence="Nobody knows which row is of which point",
                 cure="Give one name a row, or none",
             )
-        if self.t_s is not None:
-            object.__setattr__(self, "t_s", frozen_array("t_s", self.t_s, (m,)))
 
     def __len__(self) -> int:
         return len(self.xyz_m)
@@ -113,20 +108,9 @@ class ArmPoints:
 
     def take(self, rows: NDArray[np.intp]) -> ArmPoints:
         """Return the measurements of some rows."""
-        rotation = None if self.rotation is None else self.rotation[rows]
-        return ArmPoints(
-            q=self.q[rows],
-            xyz_m=self.xyz_m[rows],
-            rotation=rotation,
-            point=tuple(self.point[i] for i in rows),
-            t_s=None if self.t_s is None else self.t_s[rows],
-            row=rows if self.row is None else self.row[rows],
-            block=None if self.block is None else self.block[rows],
-            gap_s=self.gap_s,
-            covariance=None if self.covariance is None else self.covariance[rows],
-            unweighed=self.unweighed,
-            counted=self.counted,
-        )
+        row = np.arange(len(self)) if self.row is None else self.row
+        arrays = ("q", "xyz_m", "rotation", "point", "t_s", "block", "covariance")
+        return taken(self, rows, *arrays, row=row[rows])
 
     def whiten(self, vectors: Array, sigma_m: float) -> Array:
         """Return (m, 3, ...) in units of each row's noise: sigma_m in every coordinate, beside its own covariance."""

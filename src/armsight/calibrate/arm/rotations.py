@@ -13,8 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.fit import LEAST_TURN_RAD, ArmFit
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import LEAST_TURN_RAD, ArmFit, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import coupled
 from armsight.calibrate.arm.plausibility import MOST_SHARE, exceeded, spread_m

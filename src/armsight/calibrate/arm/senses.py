@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.fit import Tolerance, fit_arm
-from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.fit import Tolerance, fit_arm, start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate, Inconsistent, NotConverged

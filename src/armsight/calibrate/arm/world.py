@@ -12,8 +12,7 @@ from scipy.special import stdtr
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import ALIKE, FEWEST_TIMED
-from armsight.calibrate.arm.fit import added_noise
-from armsight.calibrate.arm.initial_guess import placed
+from armsight.calibrate.arm.fit import added_noise, placed
 from armsight.calibrate.arm.plausibility import MOST_SHARE, check_one_position, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points, in_order, of_places
 from armsight.calibrate.arm.result import RobotWorldResult
@@ -23,6 +22,7 @@ from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
 from armsight.fitting.quantiles import MEDIAN_3, chi2_ppf, student_factor
 from armsight.geometry import align_points
+from armsight.geometry.poses import stepped
 from armsight.kinematics import Arm, fk
 from armsight.kinematics.axes import links_told
 from armsight.records import NamedCovariance
@@ -214,15 +214,10 @@ def _refine(T: RigidTransform, points: ArmPoints, base_m: Array, added_m: float)
         J[:, :, :3] = np.eye(3)
         J[:, :, 3:] = np.cross(np.eye(3), turned[:, None, :]).transpose(0, 2, 1)
         r = points.whiten((turned + p[:3] - base_m) @ to_rig.T, noise_m)
-        return Evaluation(
-            residuals=r.reshape(1, -1),
-            shared=points.whiten(to_rig @ J, noise_m).reshape(1, -1, 6),
-            local=np.empty((1, r.size, 0)),
-        )
+        return Evaluation.of_one(r, points.whiten(to_rig @ J, noise_m))
 
     def retract(p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
-        turn = Rotation.from_rotvec(np.array(step[3:])) * Rotation.from_rotvec(np.array(p[3:]))
-        return np.append(p[:3] + step[:3], turn.as_rotvec()), local + step_local
+        return stepped(p, step, (3,)), local + step_local
 
     problem = Problem(
         names=POSE6,

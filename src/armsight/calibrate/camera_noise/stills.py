@@ -176,7 +176,8 @@ class Stills:
         terms = np.zeros(len(self._terms))
         for _ in range(4):
             rest = sample - self._design @ terms
-            terms += self._inverse @ np.where(np.abs(rest) <= OUTLIER * _scale(rest), rest, 0.0)
+            scale = max(1.4826 * float(np.median(np.abs(rest))), 0.5)  # robust, not below that of rounding
+            terms += self._inverse @ np.where(np.abs(rest) <= OUTLIER * scale, rest, 0.0)
         d = raw.copy()
         self._take_off(d, terms, np.zeros((1, 1)))
         gain = _medians(block_sums(d * self._light) / np.maximum(self._squares, 1.0), weight)
@@ -263,11 +264,6 @@ def _clip_levels(counts: NDArray[np.int64]) -> tuple[int, int]:
         low if low < 255 and spike(low, low + 1) else 0,
         high if high > 0 and spike(high, high - 1) else 255,
     )
-
-
-def _scale(values: NDArray[np.floating]) -> float:
-    """Return the robust standard deviation about 0, not below that of rounding."""
-    return max(1.4826 * float(np.median(np.abs(values))), 0.5)
 
 
 def _medians(gain: Array, weight: Array) -> Array:

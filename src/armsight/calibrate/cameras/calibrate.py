@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape, doubtful, refuse_misfit, refuse_other_board
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
-from armsight.calibrate.cameras.cross_validation import left_out, metric_of
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
-from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names
+from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names, left_out, metric_of
 from armsight.calibrate.cameras.pair_effects import pair_effects
 from armsight.calibrate.cameras.pairing import Paired, baseline_std, camera_of, of_one_lens, pair_views, rig_of
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views

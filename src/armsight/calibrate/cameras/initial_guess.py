@@ -23,15 +23,15 @@ SINGULAR = 1e12
 """Condition from which on a view's points lie on a line: boards all over images give 2e4 at most, lines 7e16."""
 
 
-def homographies(observations: Observations, c: int = 0) -> Array:
+def homographies(observations: Observations) -> Array:
     """Return H (G, 3, 3) from board coordinates (m, centred) to pixels from the image's middle, in image widths.
 
     Linear least squares with H[2, 2] = 1, which the centred board allows: its middle is in front of the camera.
     Raises Degenerate where a view's points lie on one line.
     """
-    width, height = observations.sizes[c]
-    seen = (observations.weight[:, c] > 0.0).astype(float)  # (G, n)
-    xy = (observations.uv[:, c] - 0.5 * np.array([width - 1.0, height - 1.0])) / width  # (G, n, 2)
+    width, height = observations.sizes[0]
+    seen = (observations.weight[:, 0] > 0.0).astype(float)  # (G, n)
+    xy = (observations.uv[:, 0] - 0.5 * np.array([width - 1.0, height - 1.0])) / width  # (G, n, 2)
     extent = float(np.abs(observations.X).max())
     X, Y = (observations.X[:, :2] / extent).T  # (n,)
     one, zero = np.ones_like(X), np.zeros_like(X)

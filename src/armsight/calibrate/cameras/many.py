@@ -20,8 +20,14 @@ from armsight.calibrate.cameras.bundle_adjustment import (
 )
 from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
 from armsight.calibrate.cameras.clocks import with_clocks
-from armsight.calibrate.cameras.cross_validation import left_out
-from armsight.calibrate.cameras.extended import considered, held_beside, placed_beside, with_standing
+from armsight.calibrate.cameras.extended import (
+    considered,
+    held_beside,
+    placed_beside,
+    require_size_of_back,
+    with_doubt_of,
+    with_standing,
+)
 from armsight.calibrate.cameras.graph import placed, tilts_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays, poses_of_lights
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of
@@ -39,9 +45,9 @@ from armsight.calibrate.cameras.outlier_rejection import (
     RobustFit,
     fit_tilted,
     fit_without_outliers,
+    left_out,
 )
 from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
-from armsight.calibrate.cameras.points_off import require_size_of_back, with_doubt_of
 from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
 from armsight.calibrate.cameras.two_sides import TwoSided, with_the_back
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData

@@ -21,6 +21,7 @@ from armsight.arrays import Array, Index
 from armsight.calibrate.cameras.kernels import move_poses
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import Evaluation, Fit, NormalEquations
+from armsight.geometry.poses import skew
 
 GAP = 2.5
 """Over so many times the usual interval nothing is known of how the board moved."""
@@ -180,7 +181,7 @@ class Motion:
         arm = R.as_matrix() @ back[:3]
         # t + R t_back turns with the front about its middle: dw x arm
         turn = np.tile(np.eye(6), (len(v), 1, 1))
-        turn[:, :3, 3:] = -_cross(arm)
+        turn[:, :3, 3:] = -skew(arm)
         poses[v, :3] += arm
         poses[v, 3:] = (R * Rotation.from_rotvec(np.array(back[3:]))).as_rotvec()
         by[v] = (turn @ by[v].reshape(len(v), 6, -1)).reshape(by[v].shape)
@@ -287,14 +288,7 @@ def _left_jacobian(v: Array) -> Array:
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
     small = angle < SMALL
     t = np.where(small, 1.0, angle)
-    K = _cross(v)
+    K = skew(v)
     half = np.where(small, 0.5, (1.0 - np.cos(t)) / t**2)
     sixth = np.where(small, 1.0 / 6.0, (t - np.sin(t)) / t**3)
     return np.asarray(np.eye(3) + half * K + sixth * K @ K)
-
-
-def _cross(v: Array) -> Array:
-    """Return the matrices (..., 3, 3) with K x = v x x of vectors (..., 3)."""
-    K = np.zeros((*v.shape[:-1], 3, 3))
-    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return K - np.swapaxes(K, -1, -2)

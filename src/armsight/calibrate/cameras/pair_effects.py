@@ -8,7 +8,6 @@ it, and what is not known of the variances widens the answer.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -256,7 +255,9 @@ class _System:
 
     def averaged(self, best: Array) -> tuple[Array, Array, Array]:
         """Return step and covariance over all ratios about the best, weighed by likelihood, and the deviations (q,)."""
-        ratios = list(_about(best))
+        # those that are zero stay zero
+        near = product(*[FINE if ratio > 0.0 else np.ones(1) for ratio in best])
+        ratios = [best * np.array(factors) for factors in near]
         found = [self.solved(ratio) for ratio in ratios]
         worse = np.array([one.worse for one in found])
         weight = np.exp(-0.5 * (worse - worse.min()))
@@ -277,9 +278,3 @@ class _System:
         own = np.zeros_like(self.at)
         own[:, used] = -np.linalg.solve(D, pull[..., None])[..., 0]
         return own
-
-
-def _about(best: Array) -> Iterator[Array]:
-    """Yield all ratios near the best ones; those that are zero stay zero."""
-    for factors in product(*[FINE if ratio > 0.0 else np.ones(1) for ratio in best]):
-        yield best * np.array(factors)

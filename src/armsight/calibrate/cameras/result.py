@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from os import PathLike
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from armsight._files import Files
 from armsight.arrays import Array
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
-from armsight.calibrate.cameras.cross_validation import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.observations import Observations
+from armsight.calibrate.cameras.outlier_rejection import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.preconditions import images_doubted, images_verdict
 from armsight.calibrate.cameras.zoom import ZoomOutput
 from armsight.fields import Doc
 from armsight.optics import INTRINSICS, SIDES, Camera, LensKind, Rig, ZoomSetting
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import NamedCovariance, NoiseModel
-from armsight.records.by_value import Saveable
-from armsight.records.output import Output, Row, extended, figure, output, with_std
+from armsight.records.output import Row, TitledOutput, extended, figure, output, with_std
 from armsight.records.result_parts import MEANING, RejectedFile, Verdict
 from armsight.shown import WRITTEN, Shown, Table, digits, rejected_lines
 from armsight.units import MM
@@ -34,7 +33,7 @@ UNITS = {
 """Of the parameters by name; those of distortion have none."""
 
 
-class FromBoards(Output, Saveable):
+class FromBoards(TitledOutput):
     """What calibrations from boards show of themselves."""
 
     __slots__ = ()
@@ -50,27 +49,9 @@ class FromBoards(Output, Saveable):
         return self.holdout_rms_px
 
     @property
-    def detail(self) -> Self:
-        """The result itself; of earlier versions, which had it beside."""
-        warnings.warn("detail is the result itself; use that", DeprecationWarning, stacklevel=2)
-        return self
-
-    @property
     def noun(self) -> str:
         """What is left out to see how well the rest foretells it."""
         return "images"
-
-    @property
-    def title(self) -> str:
-        """What it is, in a few words."""
-        raise NotImplementedError
-
-    def rows(self) -> list[Row]:
-        """Return (name, value with unit and standard deviation) as people read them."""
-        raise NotImplementedError
-
-    def _shown(self) -> tuple[str, Sequence[Row]]:
-        return self.title, self.rows()
 
     def _fit_rows(self) -> list[Row]:
         left_out = "" if self.holdout_rms_px is None else f"; {self.holdout_rms_px:.3g} px on images left out"

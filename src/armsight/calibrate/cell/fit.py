@@ -49,35 +49,14 @@ class CellData:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CellFit:
+class CellFit(CellData):
     """Parameters x (P,), the data they explain and its normal equations by stretches. free: names that were fitted."""
 
     x: Array
-    data: CellData
     normals: BlockNormals
     free: tuple[str, ...]
     known: Knowledge
     fit: Fit
-
-    @property
-    def spots(self) -> Spots:
-        """The spots used."""
-        return self.data.spots
-
-    @property
-    def block(self) -> NDArray[np.intp]:
-        """Which stretch (m,) each is of."""
-        return self.data.block
-
-    @property
-    def scale(self) -> tuple[float, float]:
-        """By how much each camera's spots scatter more than they say."""
-        return self.data.scale
-
-    @property
-    def wander(self) -> JointDrift | None:
-        """How the arm strays."""
-        return self.data.wander
 
     @property
     def spread_px(self) -> Array:
@@ -202,7 +181,10 @@ def fit_cell(
     fit = solve(problem, Settings(cost_tolerance=1e-9))
     return CellFit(
         x=fit.shared,
-        data=data,
+        spots=data.spots,
+        block=data.block,
+        scale=data.scale,
+        wander=data.wander,
         normals=model.normals(fit.shared, data.spots, bundle.W, data.block),
         free=tuple(name for name in model.names if name in free),
         known=known,
@@ -234,7 +216,7 @@ class _Bundle:
         del local
         model, wander = self.model, self.data.wander
         normals = model.normals(x, self.data.spots, self.W, self.data.block)
-        pull = self.known.pull(model, x)
+        pull = model.difference(x, self.known.x)
         shape, off = shape_terms(model, x, self.known.shape)
         if wander is None:
             r, A, b = normals.residuals.ravel(), normals.A.sum(axis=0), normals.g.sum(axis=0)

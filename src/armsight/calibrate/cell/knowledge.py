@@ -85,10 +85,6 @@ class Knowledge:
     information: Array
     shape: TargetShape
 
-    def pull(self, model: CellModel, x: Array) -> Array:
-        """Return the step (P,) from what is known to x."""
-        return model.difference(x, self.x)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellPriors:
@@ -205,8 +201,11 @@ def shape_terms(model: CellModel, x: Array, shape: TargetShape) -> tuple[Array, 
     turned = np.kron(np.eye(len(lights)), T.rotation.as_matrix())
     W = np.linalg.inv(turned @ shape.covariance @ turned.T)
     # a rigid motion of all lights costs nothing: what it does is taken out of the information
-    moves = np.concatenate(
-        [np.tile(np.eye(3), (len(lights), 1)), -skew(lights - lights.mean(axis=0)).reshape(-1, 3)], axis=1
-    )
+    moves = rigid_moves(lights, lights.mean(axis=0))
     inner = moves.T @ W @ moves
     return W - W @ moves @ np.linalg.solve(inner, moves.T @ W), (lights - T.apply(shape.xyz_m)).ravel()
+
+
+def rigid_moves(lights: Array, about: Array) -> Array:
+    """Return (3 n, 6): what a rigid motion (dt, dw) about a point (3,) does to lights (n, 3)."""
+    return np.concatenate([np.tile(np.eye(3), (len(lights), 1)), -skew(lights - about).reshape(-1, 3)], axis=1)

@@ -13,7 +13,8 @@ from armsight.arrays import Array
 from armsight.calibrate.arm.model import THETA, ArmModel, D
 from armsight.calibrate.cell.observations import CellRecording, Spots, robot_time
 from armsight.columns import POSITION
-from armsight.geometry.poses import skew
+from armsight.fitting.groups import taken
+from armsight.geometry.poses import skew, stepped
 from armsight.kinematics import parameter_jacobian
 from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.optics.kernels.light_image import see_points
@@ -45,13 +46,7 @@ class BlockNormals:
 
     def take(self, blocks: NDArray[np.intp]) -> BlockNormals:
         """Return those of some stretches, without the residuals of single spots."""
-        return BlockNormals(
-            A=self.A[blocks],
-            g=self.g[blocks],
-            chi2=self.chi2[blocks],
-            count=self.count[blocks],
-            residuals=np.empty((0, 2)),
-        )
+        return taken(self, blocks, "A", "g", "chi2", "count", residuals=np.empty((0, 2)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -172,11 +167,8 @@ class CellModel:
 
     def retract(self, x: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
         """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
-        out = x + step
-        for side in (0, 1):
-            at = slice(side * len(PER_CAMERA) + POSE_AT + 3, side * len(PER_CAMERA) + CLOCK_AT)
-            out[at] = (Rotation.from_rotvec(step[at]) * Rotation.from_rotvec(np.array(x[at]))).as_rotvec()
-        return out, local + step_local
+        turns = (side * len(PER_CAMERA) + POSE_AT + 3 for side in (0, 1))
+        return stepped(x, step, turns), local + step_local
 
     def difference(self, x: Array, other: Array) -> Array:
         """Return the step (P,) that moves other to x."""
@@ -212,16 +204,11 @@ class CellModel:
         """Return T (m, 4, 4), its derivatives (m, 6, 5 n + 12), driven values, lever, scaled signs, and their speed."""
         n = self.arm.arm.n
         values, give = self.arm.values(p, q), self.arm.give(p)
-        lever = self.arm.levers_m(p, values) if self.sagging else np.zeros_like(values)
+        lever = self.arm.levers_m(p, values) if self.arm.sags else np.zeros_like(values)
         T, own = parameter_jacobian(self.arm.arm_at(p, None), values + give * lever)
         scaled = np.array([joint.sign for joint in self.arm.arm.joints]) * (1.0 + p[5 * n : 6 * n])
         moving = np.zeros_like(values) if speed is None else scaled * self.arm.values(p, speed)
         return T, own, values, lever, scaled, moving
-
-    @property
-    def sagging(self) -> bool:
-        """Whether a joint carries something, and so could give way."""
-        return bool(self.arm.sags)
 
     def _seen(self, x: Array, spots: Spots, *, derivatives: bool = True) -> tuple[Array, Array]:
         """Return pixels (m, 2) and derivatives (m, 2, P)."""

@@ -9,11 +9,10 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.cell.fit import CellFit
-from armsight.calibrate.cell.knowledge import pair_slopes
+from armsight.calibrate.cell.knowledge import pair_slopes, rigid_moves
 from armsight.calibrate.cell.model import CLOCK_AT, POSE_AT, CellModel
 from armsight.columns import POSE6, POSITION
 from armsight.geometry import align_points
-from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, ToolPoint
 from armsight.optics import Rig, RigKind
 from armsight.records import CameraTiming, NamedCovariance, Target
@@ -68,17 +67,13 @@ def _rig(model: CellModel, found: CellFit, covariance: Array) -> Rig:
         right=model.camera(x, 1),
         T_rig_left=RigidTransform.identity(),
         T_rig_right=T_left.inv() * T_right,
-        rms_px=_rms_px(found),
+        rms_px=float(np.sqrt(np.mean((found.normals.residuals * found.spread_px[:, None]) ** 2))),
         timing=_timing(model, x, covariance),
     )
     C = J @ covariance @ J.T
     free = np.flatnonzero(np.diag(C) > 0.0)
     named = NamedCovariance(names=tuple(rig.parameters[k] for k in free), matrix=C[np.ix_(free, free)])
     return replace(rig, covariance=named)
-
-
-def _rms_px(found: CellFit) -> float:
-    return float(np.sqrt(np.mean((found.normals.residuals * found.spread_px[:, None]) ** 2)))
 
 
 def _timing(model: CellModel, x: Array, covariance: Array) -> tuple[CameraTiming, CameraTiming]:
@@ -122,7 +117,7 @@ def _target(model: CellModel, x: Array, covariance: Array, target: Target, T_fla
     at = np.concatenate([model.lights_at + 3 * k + np.arange(3) for k in order])
     back = np.kron(np.eye(len(order)), T_flange_target.rotation.as_matrix().T)
     xyz = T_flange_target.inv().apply(model.lights_m(x)[order])
-    moves = np.concatenate([np.tile(np.eye(3), (len(order), 1)), -skew(xyz - xyz.mean(axis=0)).reshape(-1, 3)], axis=1)
+    moves = rigid_moves(xyz, xyz.mean(axis=0))
     shape = np.eye(len(moves)) - moves @ np.linalg.pinv(moves)
     J = shape @ back
     return replace(target, xyz_m=xyz, covariance=J @ covariance[np.ix_(at, at)] @ J.T, model_known=True)

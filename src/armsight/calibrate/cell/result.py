@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.calibrate.cameras.pairing import baseline_std
 from armsight.calibrate.cell.checks import Suspicion
+from armsight.calibrate.cell.knowledge import rigid_moves
 from armsight.calibrate.cell.model import CellModel
 from armsight.calibrate.cell.parts import CellParts
 from armsight.calibrate.cell.rounds import Solved
@@ -80,7 +81,10 @@ def tip_slopes(
     by_pose = np.concatenate([by_base, by_base @ -skew(lever)[:, None]], axis=-1)  # (k, 2, n, 2, 6)
     by_x = J.copy()
     by_x[..., model.arm_at : a] = 0.0  # where the arm stands is what is measured
-    by_x[..., a:] = by_x[..., a:] @ _shape_only(lights, arm_at)
+    # how the target moves with its lights; what is no such motion is its shape
+    moves = rigid_moves(lights, arm_at)
+    carried = np.linalg.pinv(moves)  # (6, 3 n)
+    by_x[..., a:] = by_x[..., a:] @ (np.eye(len(moves)) - moves @ carried)
     A, B = by_pose.reshape(k, -1, 6), by_x.reshape(k, -1, P)
     w = np.repeat(weight.reshape(k, -1), 2, axis=1)[:, :, None]
     # the pose is where A' W (A dpose + B dx) = 0: what the parameters do to the pixels, the pose takes up
@@ -95,7 +99,7 @@ def tip_slopes(
     commanded[:, :, model.arm_at : a] = links[:, :3] + np.cross(
         links[:, 3:].transpose(0, 2, 1), tip[:, None, :]
     ).transpose(0, 2, 1)
-    commanded[:, :, a:] = T[:, :3, :3] @ _carried(lights, arm_at)
+    commanded[:, :, a:] = T[:, :3, :3] @ carried[:3]
     return TipSlopes(measured=measured, commanded=commanded, noise=inverse[:, :3, :3], seen=seen)
 
 
@@ -104,22 +108,6 @@ def _inside(model: CellModel, uv: Array) -> NDArray[np.bool_]:
     largest = np.array(model.recording.sizes)[None, :, None] - 1.0
     with np.errstate(invalid="ignore"):
         return np.asarray(((uv >= 0.0) & (uv <= largest)).all(axis=-1))
-
-
-def _moves(lights: Array, tip: Array) -> Array:
-    """Return (3 n, 6): what a rigid motion of the target about the tip does to its lights, in flange axes."""
-    return np.concatenate([np.tile(np.eye(3), (len(lights), 1)), -skew(lights - tip).reshape(-1, 3)], axis=1)
-
-
-def _carried(lights: Array, tip: Array) -> Array:
-    """Return (3, 3 n): how the tip moves on the flange with the lights that the target is laid onto."""
-    return np.asarray(np.linalg.pinv(_moves(lights, tip))[:3])
-
-
-def _shape_only(lights: Array, tip: Array) -> Array:
-    """Return (3 n, 3 n): of a change of the lights that which is no rigid motion of the target."""
-    moves = _moves(lights, tip)
-    return np.asarray(np.eye(len(moves)) - moves @ np.linalg.pinv(moves))
 
 
 UNLEARNED_BITS = 0.2

@@ -140,11 +140,12 @@ def _bearing(model: CellModel, found: CellFit) -> CellFit:
             return found
         x = found.x.copy()
         x[[at[name] for name in rising]] = 0.0
-        found = fit_cell(model, x, found.data, [name for name in found.free if name not in rising], found.known)
+        found = fit_cell(model, x, found, [name for name in found.free if name not in rising], found.known)
 
 
 def _named(recording: CellRecording, starts: Sequence[Start], weights: Sequence[Array], target: Target) -> NamedLights:
-    places, _ = places_on_flange([start.lights_m for start in starts], weights, _least_distance(target.xyz_m))
+    apart = np.linalg.norm(target.xyz_m[:, None] - target.xyz_m[None], axis=2) + 1e3 * np.eye(len(target.xyz_m))
+    places, _ = places_on_flange([start.lights_m for start in starts], weights, float(NEAR * apart.min()))
     fits = all(start.rms_px < POOR * size[0] for start, size in zip(starts, recording.sizes, strict=True))
     return name_lights(places, dict(zip(target.names, target.xyz_m, strict=True)), arm_fits=fits)
 
@@ -257,11 +258,6 @@ def _camera_vector(recording: CellRecording, side: int, start: Start) -> Array:
     f = start.focal_px
     lens = [f, f, *start.centre_px, 0.0, start.k1, 0.0, 0.0, 0.0, 0.0]
     return np.concatenate([lens, start.t, Rotation.from_matrix(start.R).as_rotvec(), [start.delay_s, 0.0, half]])
-
-
-def _least_distance(xyz_m: Array) -> float:
-    apart = np.linalg.norm(xyz_m[:, None] - xyz_m[None], axis=2) + 1e3 * np.eye(len(xyz_m))
-    return float(NEAR * apart.min())
 
 
 def thinned(spots: Spots, most: int) -> Spots:

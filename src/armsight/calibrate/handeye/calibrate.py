@@ -280,7 +280,9 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
         solution = solve_pairs(arrays, setup, keep=keep, start=start, known=known)
         start = solution.poses
         errors, q = solution.left_out()
-        fitting = np.where(np.isfinite(q), q <= _limit(solution), keep)
+        # the T-square that a good pair exceeds by chance in FALSE_ALARM of all sets of this size
+        limit = 6.0 * float(f_isf(FALSE_ALARM / n, 6, max(3 * solution.n_used - 6, 3)))
+        fitting = np.where(np.isfinite(q), q <= limit, keep)
         if (fitting == keep).all():
             break
         if fitting.sum() < max(MIN_PAIRS, LEAST_SHARE * n):
@@ -291,12 +293,6 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus, known: Array | None =
             )
         keep = fitting
     return solution, errors
-
-
-def _limit(solution: Solution) -> float:
-    """Return the T-square that a good pair exceeds by chance in FALSE_ALARM of all sets of this size."""
-    dof = max(3 * solution.n_used - 6, 3)
-    return 6.0 * float(f_isf(FALSE_ALARM / len(solution.keep), 6, dof))
 
 
 def true_scale(solution: Solution) -> Scale | None:

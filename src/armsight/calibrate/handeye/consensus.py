@@ -67,14 +67,13 @@ MIN_SHIFTED = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Consensus:
-    """RX, tX, RZ, tZ, gamma of most pairs, keep (n,): which agree within the noise; robust standard deviations of one
-    component, sigma_rad and sigma_m (camera's unit), their shares of the motion, and agree: the share of the pairs that
-    share it within the noise or NEAR."""
+    """start: RX, tX, RZ, tZ, and gamma of most pairs; keep (n,): which agree within the noise.
 
-    R_X: Array
-    t_x: Array
-    R_Z: Array
-    t_z: Array
+    sigma_rad, sigma_m: robust standard deviations of one component (camera's unit), share_turn, share_move: their
+    shares of the motion. agree: the share of the pairs that share it within the noise or NEAR.
+    """
+
+    start: Poses
     gamma: float
     keep: NDArray[np.bool_]
     sigma_rad: float
@@ -92,11 +91,6 @@ class Consensus:
     def share(self) -> float:
         """The larger share of the motion left unexplained."""
         return max(self.share_turn, self.share_move)
-
-    @property
-    def start(self) -> Poses:
-        """Where the fit begins."""
-        return self.R_X, self.t_x, self.R_Z, self.t_z
 
 
 def consensus(arrays: Arrays) -> Consensus:
@@ -162,10 +156,7 @@ def _judged(
     near = np.asarray((turned <= NEAR * turn) & (moved <= NEAR * move))
     keep = near if mask is None else mask
     return Consensus(
-        R_X=start[0],
-        t_x=start[1],
-        R_Z=start[2],
-        t_z=start[3],
+        start=start,
         gamma=gamma,
         keep=keep,
         sigma_rad=sigmas[0],

@@ -123,11 +123,6 @@ class ImageComparison(Output):
     def why(self) -> str:
         return self.sentence()
 
-    @property
-    def few(self) -> bool:
-        """Whether the images are few: a fit to the corners must be proved better then."""
-        return self.n_judged <= FEW_IMAGES
-
     def sentence(self) -> str:
         """Return what was kept and why, in words."""
         if self.n_judged < FEWEST_JUDGED:
@@ -137,8 +132,9 @@ class ImageComparison(Output):
             )
         errors_text = "; ".join(f"{basis.phrase}: {errors.text()}" for basis, errors in self.errors.items())
         freed = ObservationModel.CORNERS_AND_CAMERA in self.errors
+        proved = "proved " if self.n_judged <= FEW_IMAGES else ""
         why = {
-            ObservationModel.POSES: f"by cross-validation a fit to the corners is not {'proved ' * self.few}better",
+            ObservationModel.POSES: f"by cross-validation a fit to the corners is not {proved}better",
             ObservationModel.CORNERS: "by cross-validation it is better than that from the poses",
             ObservationModel.CORNERS_AND_CAMERA: "by cross-validation it is better than with the camera as given",
         }[self.kept]

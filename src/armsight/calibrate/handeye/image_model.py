@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import EMPTY, Bundle, adjust, problem_of
-from armsight.calibrate.cameras.initial_guess import board_poses, homographies
+from armsight.calibrate.cameras.initial_guess import poses_by_rays
 from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.handeye.known_noise import (
     CONDITION,
@@ -29,6 +29,7 @@ from armsight.calibrate.handeye.result import NAMES, HandEyeResult
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
 from armsight.fitting.groups import whitener
+from armsight.geometry.poses import skew, stepped
 from armsight.optics import Camera
 from armsight.records import BoardView, Target
 
@@ -110,7 +111,7 @@ class ImageModel:
             return Evaluation(residuals=residuals, shared=EMPTY, local=EMPTY, condensed=condensed)
 
         def retract(shared: Array, local: Array, ds: Array, dl: Array) -> tuple[Array, Array]:
-            return _stepped(shared, ds), boards.retract(shared[12:], local, ds[12:], dl)[1]
+            return stepped(shared, ds, (3, 9)), boards.retract(shared[12:], local, ds[12:], dl)[1]
 
         RX, tX, RZ, tZ = self.start
         rotvecs = [Rotation.from_matrix(R).as_rotvec() for R in (RX, RZ)]
@@ -133,7 +134,7 @@ class ImageModel:
         inner = replace(self, arrays=(*F, np.ascontiguousarray(turned.as_matrix()), local[:, :3] - lever))
         e, J, _ = inner.linearised((rotation_of(shared[3:6]), shared[:3], rotation_of(shared[9:12]), shared[6:9]))
         by_pose = np.tile(np.eye(6), (len(local), 1, 1))
-        by_pose[:, :3, 3:] = cross(lever)
+        by_pose[:, :3, 3:] = skew(lever)
         by_pose[:, 3:, 3:] = _left_inverse(e[:, 3:])
         return e, J, by_pose
 
@@ -166,15 +167,6 @@ def _with_robot(corners: NormalEquations, e: Array, J: Array, by_pose: Array) ->
     )
 
 
-def _stepped(shared: Array, step: Array) -> Array:
-    """Return X, Z and the camera after a step; the rotations of X and Z (rotvecs at 3 and 9) turn by theirs."""
-    moved = shared + step
-    for at in (3, 9):
-        turn, before = Rotation.from_rotvec(step[at : at + 3]), Rotation.from_rotvec(np.array(shared[at : at + 3]))
-        moved[at : at + 3] = (turn * before).as_rotvec()
-    return moved
-
-
 def rotation_of(rotvec: Array) -> Array:
     """Return the matrix (3, 3) of a rotation vector (3,)."""
     return np.asarray(Rotation.from_rotvec(np.array(rotvec)).as_matrix())
@@ -182,7 +174,7 @@ def rotation_of(rotvec: Array) -> Array:
 
 def _left_inverse(w: Array) -> Array:
     """Return (n, 3, 3): d log(Exp(d) Exp(w)) / d d, to the third order in w (residuals are small)."""
-    K = cross(w)
+    K = skew(w)
     return np.asarray(np.eye(3) - 0.5 * K + (K @ K) / 12.0)
 
 
@@ -224,12 +216,13 @@ def poses_of_views(views: Sequence[BoardView], camera: Camera, board: Target) ->
                 cure="Give the calibration of this camera at this resolution",
             )
     sightings = pack([views], board, (camera.lens,))
-    start = Bundle(k=camera.intrinsics[None], poses=_start(sightings, camera))
+    found = poses_by_rays(sightings, camera)
+    start = Bundle(k=camera.intrinsics[None], poses=np.full((len(views), 6), np.nan) if found is None else found)
     fit = adjust(sightings, start, frozenset(camera.names), max_iterations=ITERATIONS)
     R = Rotation.from_rotvec(fit.local[:, 3:])
     lever = R.apply(sightings.middle)  # (n, 3), from the board's origin to its middle
     J = np.tile(np.eye(6), (len(views), 1, 1))
-    J[:, :3, 3:] = cross(lever)  # d t_origin = dt - dw x lever
+    J[:, :3, 3:] = skew(lever)  # d t_origin = dt - dw x lever
     weight = sightings.weight
     squares = (fit.residuals.reshape(len(views), -1, 2) ** 2).sum(axis=2)  # (n, points) in units of 1 / weight
     sigma = np.divide(1.0, weight[:, 0], out=np.zeros_like(weight[:, 0]), where=weight[:, 0] > 0.0)
@@ -240,21 +233,3 @@ def poses_of_views(views: Sequence[BoardView], camera: Camera, board: Target) ->
         sightings=replace(sightings, weight=weight / fit.scale),
         centred=np.asarray(fit.local),
     )
-
-
-def cross(v: Array) -> Array:
-    """Return (n, 3, 3): the cross product with v (n, 3) from the left."""
-    x, y, z = v.T
-    o = np.zeros_like(x)
-    return np.array([[o, -z, y], [z, o, -x], [-y, x, o]]).transpose(2, 0, 1)
-
-
-def _start(sightings: Observations, camera: Camera) -> Array:
-    """Return poses (n, 6) from homographies of the undistorted corners."""
-    width, height = sightings.sizes[0]
-    rays = camera.rays(sightings.uv[:, 0].reshape(-1, 2)).reshape(sightings.n_views, -1, 2)
-    seen = sightings.weight[:, 0] > 0.0
-    rays = np.where(seen[..., None], rays, 0.0)
-    ideal = rays * width + 0.5 * np.array([width - 1.0, height - 1.0])
-    H = homographies(replace(sightings, uv=ideal[:, None]))
-    return board_poses(H, np.full(2, float(width)), width)

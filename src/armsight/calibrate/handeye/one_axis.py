@@ -32,6 +32,7 @@ from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Prior, Problem, Settings, solve
 from armsight.fitting.groups import leave_one_out
 from armsight.fitting.quantiles import chi2_isf, chi2_ppf, t_ppf
+from armsight.geometry.poses import skew, stepped
 from armsight.records import NamedCovariance
 from armsight.units import DEG, MM, displayed_name
 
@@ -138,11 +139,7 @@ def _fitted(arrays: Arrays, keep: NDArray[np.bool_], start: Array, height: Targe
         def evaluate(p: Array, _: Array, s: tuple[float, float] = noise) -> Evaluation:
             r, J = _linear(used, p)
             weight = np.repeat(1.0 / np.array(s), 3)
-            return Evaluation(
-                residuals=(r * weight).reshape(1, -1),
-                shared=(J * weight[:, None]).reshape(1, -1, 12),
-                local=np.empty((1, 6 * n, 0)),
-            )
+            return Evaluation.of_one(r * weight, J * weight[:, None])
 
         problem = Problem(
             names=NAMES,
@@ -199,11 +196,7 @@ def _poses(p: Array) -> Poses:
 
 
 def _retract(p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
-    out = p + step
-    for k in (3, 9):
-        turned = Rotation.from_rotvec(step[k : k + 3]) * Rotation.from_rotvec(np.array(p[k : k + 3]))
-        out[k : k + 3] = turned.as_rotvec()
-    return out, local + step_local
+    return stepped(p, step, (3, 9)), local + step_local
 
 
 def _linear(arrays: Arrays, p: Array) -> tuple[Array, Array]:
@@ -214,19 +207,12 @@ def _linear(arrays: Arrays, p: Array) -> tuple[Array, Array]:
     J = np.zeros((len(RF), 6, 12))
     y = np.einsum("nji,nj->ni", RF, tZ - tF) - tX  # the target from the camera, in axes of what carries this
     J[:, :3, :3] = RX.T
-    J[:, :3, 3:6] = -RX.T @ _cross(y)
+    J[:, :3, 3:6] = -RX.T @ skew(y)
     J[:, :3, 6:9] = -RX.T @ RF.mT
     by_target = RB @ RZ.T
     J[:, 3:, 9:] = -by_target
     J[:, 3:, 3:6] = by_target @ RF
     return residuals(arrays, RX, tX, RZ, tZ), J
-
-
-def _cross(v: Array) -> Array:
-    """Return (n, 3, 3) that crosses with v (n, 3)."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return out - out.mT
 
 
 def _start(arrays: Arrays) -> Array:

@@ -13,8 +13,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.fitting.groups import taken
 from armsight.records import frozen_array
-from armsight.records.checks import FAR_M, check_metres
+from armsight.records.checks import FAR_M, check_metres, freeze
 from armsight.units import DEG
 
 Arrays = tuple[Array, Array, Array, Array]
@@ -119,14 +120,7 @@ class PosePairs:
     def take(self, index: Sequence[int] | NDArray[np.intp]) -> PosePairs:
         """Return the rows at the given positions."""
         i = np.asarray(index, dtype=np.intp)
-        return PosePairs(
-            T_base_flange=self.T_base_flange[i],
-            T_camera_target=self.T_camera_target[i],
-            names=tuple(self.names[k] for k in i),
-            t_s=None if self.t_s is None else self.t_s[i],
-            camera_covariance=None if self.camera_covariance is None else self.camera_covariance[i],
-            unweighed=self.unweighed,
-        )
+        return taken(self, i, "T_base_flange", "T_camera_target", "names", "t_s", "camera_covariance")
 
     def canonical_order(self) -> NDArray[np.intp]:
         """Return the order that depends on the poses alone, so that no answer depends on the order of the rows."""
@@ -205,9 +199,7 @@ class RotationExcitation:
     axes: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rotvecs_rad", frozen_array("rotvecs_rad", self.rotvecs_rad, (None, 3)))
-        object.__setattr__(self, "rms_rad", frozen_array("rms_rad", self.rms_rad, (3,)))
-        object.__setattr__(self, "axes", frozen_array("axes", self.axes, (3, 3)))
+        freeze(self, rotvecs_rad=(None, 3), rms_rad=(3,), axes=(3, 3))
 
 
 def rotation_excitation(rotations: Rotation) -> RotationExcitation:

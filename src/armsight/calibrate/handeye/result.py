@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Annotated, Any
 
@@ -23,9 +23,9 @@ from armsight.fields import Doc
 from armsight.fitting.quantiles import t_ppf
 from armsight.geometry import euler_rad, xyz_quat
 from armsight.optics import Camera
-from armsight.records import NamedCovariance, frozen_array, require_count
-from armsight.records.by_value import Saveable
-from armsight.records.output import Output, Row, figure, output, with_std
+from armsight.records import NamedCovariance, require_count
+from armsight.records.checks import freeze
+from armsight.records.output import Output, Row, TitledOutput, figure, output, with_std
 from armsight.records.result_parts import MEANING, PoseStd, Verdict
 from armsight.shown import REJECTED_SHOWN, Bars, Shown, Table, digits, pose_rows
 from armsight.units import DEG, MM, displayed_name
@@ -79,7 +79,7 @@ class RejectedPair(Output):
 
 
 @output
-class HandEyeResult(Output, Saveable):
+class HandEyeResult(TitledOutput):
     """armsight calibrate handeye: where the camera and the target are, and how far to believe it.
 
     EYE_IN_HAND: T_parent_camera is T_flange_camera and T_parent_target is T_base_target. EYE_TO_HAND: they are
@@ -130,8 +130,7 @@ class HandEyeResult(Output, Saveable):
 
     def __post_init__(self) -> None:
         n = len(self.pairs)
-        object.__setattr__(self, "residuals", frozen_array("residuals", self.residuals, (n, 6)))
-        object.__setattr__(self, "left_out", frozen_array("left_out", self.left_out, (n, 6)))
+        freeze(self, residuals=(n, 6), left_out=(n, 6))
 
     @property
     def camera_parent(self) -> str:
@@ -317,18 +316,12 @@ class HandEyeResult(Output, Saveable):
         )
         return SimpleNamespace(result=self, boards=self.boards, freed=self.camera)
 
-    @property
-    def detail(self) -> HandEyeResult:
-        """The result itself; of earlier versions, which had it beside."""
-        warnings.warn("detail is the result itself; use that", DeprecationWarning, stacklevel=2)
-        return self
-
     def propose(self, n: int, reachable: Callable[[RigidTransform], bool] | None = None) -> tuple[Proposal, ...]:
         """Return the n next poses to drive to: T_base_flange, and the standard deviation to expect after it.
 
         reachable: tells whether the robot can go to a T_base_flange. Raises Inconsistent where no pose is left.
         """
-        from armsight.calibrate.handeye.propose import propose
+        from armsight.calibrate.handeye.advice import propose
 
         require_count("n", n, least=1)
         return propose(self, n, reachable)
@@ -354,9 +347,6 @@ class HandEyeResult(Output, Saveable):
             ("verdict", self.verdict),
             *(("advice", text) for text in self.advice),
         ]
-
-    def _shown(self) -> tuple[str, Sequence[Row]]:
-        return self.title, self.rows()
 
     def summary(self) -> Iterator[Shown]:
         """Yield both poses, how far to believe them, what to do, what was left out and what is proposed."""

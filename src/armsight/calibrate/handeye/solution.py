@@ -154,7 +154,10 @@ def solve_pairs(
         if found is None:
             raise _not_converged("no minimum with the camera poses' covariances")
         return Solution.of(setup, arrays, keep, *found)
-    theta, floor = _first_variances(X, Z, gamma, arrays, keep) if variances is None else _held(variances)
+    first = kernels.first_variances((X, Z, gamma), arrays, keep, FLOOR) if variances is None else variances
+    theta, floor = np.maximum(first, FLOOR), FLOOR.copy()
+    if variances is None:
+        floor[0] = max(floor[0], LEAST_OWN * theta[0])
     observed, noise = (arrays, keep, setup is Setup.EYE_TO_HAND), (theta, floor, variances is None)
     ok, *fitted = kernels.fit_pairs((X, Z, gamma), observed, noise, m, (TOLERANCE, LIMIT))
     if not ok:
@@ -169,20 +172,6 @@ def _closed_form(arrays: Arrays, keep: NDArray[np.bool_], free_scale: bool) -> t
     if not ok:
         raise _not_converged("the translations are not determined")
     return (RX, tX, RZ, tZ), gamma
-
-
-def _first_variances(
-    X: tuple[Array, Array], Z: tuple[Array, Array], gamma: float, arrays: Arrays, keep: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Return the variances (3,) that the residuals at the start show, and the least they may become."""
-    theta, floor = kernels.first_variances((X, Z, gamma), arrays, keep, FLOOR), FLOOR.copy()
-    floor[0] = max(floor[0], LEAST_OWN * theta[0])
-    return theta, floor
-
-
-def _held(variances: Array) -> tuple[Array, Array]:
-    """Return known variances (3,) and the least they may be."""
-    return np.maximum(variances, FLOOR), FLOOR.copy()
 
 
 def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma: float = 1.0) -> Array:

@@ -8,7 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.calibrate.identify.chain import Axis, at_home, moved_by, suggest_coupling
+from armsight.calibrate.identify.chain import (
+    KEYS,
+    Axis,
+    arm_of,
+    assign_frames,
+    at_home,
+    degeneracy_notes,
+    deviations,
+    measured_entries,
+    moved_by,
+    propagate_covariance,
+    suggest_coupling,
+)
 from armsight.calibrate.identify.global_fit import (
     GlobalFit,
     all_covariance,
@@ -18,7 +30,7 @@ from armsight.calibrate.identify.global_fit import (
     possible_axes,
 )
 from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured, pair_line, triple_circle
-from armsight.calibrate.identify.path_fit import PathFit, Tilt, basis
+from armsight.calibrate.identify.path_fit import PathFit, basis, tilted
 from armsight.calibrate.identify.result import Identification, JointFound, ParameterUncertainty
 from armsight.calibrate.identify.sweeps import (
     SweepResiduals,
@@ -28,15 +40,6 @@ from armsight.calibrate.identify.sweeps import (
     one_home,
     placed,
     position_residuals,
-)
-from armsight.calibrate.identify.table import (
-    KEYS,
-    arm_of,
-    assign_frames,
-    degeneracy_notes,
-    deviations,
-    measured_entries,
-    propagate_covariance,
 )
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm
@@ -259,7 +262,7 @@ def _shifter(found: Sequence[JointPath], axes: Sequence[Axis], sizes: Sequence[i
             circle = item.path.kind == "circle"
             B = basis(axis.direction)
             tilt = own[3:5] if circle else own[2:4]
-            direction, _ = Tilt(B=B).direction(tilt)
+            direction, _ = tilted(B, tilt)
             point = axis.point_m + own[:3] if circle else axis.point_m
             out.append(Axis(point_m=point, direction=direction, revolute=axis.revolute))
             k += size

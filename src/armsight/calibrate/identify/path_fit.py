@@ -75,10 +75,10 @@ def fit_line(seen: SweepResiduals, order: Array) -> PathFit:
     middle = xyz.mean(axis=0)
     direction = np.linalg.svd(xyz - middle)[2][0]
     direction = direction * _sense((xyz - middle) @ direction, order)
-    tilt = Tilt(B=basis(direction))
+    B = basis(direction)
 
     def evaluate(p: Array, t: Array) -> Evaluation:
-        X, J, Jt = line(tilt, middle, p, t[:, 0])
+        X, J, Jt = line(B, middle, p, t[:, 0])
         return _evaluation(seen, X, J, Jt)
 
     problem = Problem(
@@ -91,8 +91,8 @@ def fit_line(seen: SweepResiduals, order: Array) -> PathFit:
         loss=_loss(seen),
     )
     fit = solve(problem, ROUGH)
-    d, _ = tilt.direction(fit.shared[2:])
-    point, t = middle + tilt.B[:, :2] @ fit.shared[:2], fit.local[:, 0]
+    d, _ = tilted(B, fit.shared[2:])
+    point, t = middle + B[:, :2] @ fit.shared[:2], fit.local[:, 0]
     sense = _sense(t, order)
     return _path("line", fit, point, sense * d, 0.0, sense * t, LINE, fit.covariance)
 
@@ -111,7 +111,7 @@ def fit_circle(
             continue
         if best is None or found.cost < best.cost:
             best = found
-        if _decided(found):
+        if found.p > 1e-3:  # good enough not to try another start
             break
     if best is None:
         raise NotConverged("no circle fits the readings", cure="Take readings over a longer arc")
@@ -169,11 +169,6 @@ def circle_starts(seen: SweepResiduals) -> list[Start]:
     return sorted(out, key=lambda start: start[0])
 
 
-def _decided(found: PathFit) -> bool:
-    """Whether a fit is good enough not to try another start."""
-    return found.p > 1e-3
-
-
 def _circle_from(
     seen: SweepResiduals, n: Array, centre: Array, radius: float, order: Array, settings: Settings
 ) -> PathFit:
@@ -184,16 +179,16 @@ def _circle_from(
     point = point - (point @ n) * n
     point *= radius / max(float(np.linalg.norm(point)), 1e-12)
     tangent = skew(n) @ point / radius
-    tilt, middle = Tilt(B=basis(tangent)), centre + point
+    B, middle = basis(tangent), centre + point
     phi = np.arctan2((xyz - centre) @ tangent, (xyz - centre) @ point / radius)
 
     def evaluate(p: Array, s: Array) -> Evaluation:
-        X, J, Js = arc(tilt, middle, p, s[:, 0])
+        X, J, Js = arc(B, middle, p, s[:, 0])
         return _evaluation(seen, X, J, Js)
 
     problem = Problem(
         names=ARC,
-        guess=np.array([0.0, 0.0, 0.0, 0.0, *(-tilt.B[:, :2].T @ point / radius**2)]),
+        guess=np.array([0.0, 0.0, 0.0, 0.0, *(-B[:, :2].T @ point / radius**2)]),
         evaluate=evaluate,
         n_residuals=seen.rows * len(xyz),
         local_names=("s_m",),
@@ -201,7 +196,7 @@ def _circle_from(
         loss=_loss(seen),
     )
     fit = solve(problem, settings)
-    centre, axis, radius, D = circle_of(tilt, middle, fit.shared)
+    centre, axis, radius, D = circle_of(B, middle, fit.shared)
     phase = np.unwrap(fit.local[index, 0] / radius)
     sense = 1.0 if phase[-1] >= phase[0] else -1.0
     back = np.empty(len(phase))
@@ -272,18 +267,12 @@ def basis(direction: Array) -> Array:
     return np.stack([x, skew(z) @ x, z], axis=1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tilt:
-    """Directions near B's third column as normalise(B (u, v, 1)), with derivative by (u, v)."""
-
-    B: Array
-
-    def direction(self, uv: Array) -> tuple[Array, Array]:
-        """Return the direction (3,) and its derivative (3, 2)."""
-        b = self.B @ np.array([uv[0], uv[1], 1.0])
-        size = np.linalg.norm(b)
-        n = b / size
-        return n, (self.B[:, :2] - np.outer(n, n @ self.B[:, :2])) / size
+def tilted(B: Array, uv: Array) -> tuple[Array, Array]:
+    """Return the direction (3,) near B's third column, normalise(B (u, v, 1)), and its derivative (3, 2) by (u, v)."""
+    b = B @ np.array([uv[0], uv[1], 1.0])
+    size = np.linalg.norm(b)
+    n = b / size
+    return n, (B[:, :2] - np.outer(n, n @ B[:, :2])) / size
 
 
 CIRCLE = (*POSITION, "tilt_u", "tilt_v", "radius_m")
@@ -293,7 +282,7 @@ STRAIGHT = 1e-5
 LINE = ("u_m", "v_m", "tilt_u", "tilt_v")
 
 
-def arc(tilt: Tilt, middle: Array, p: Array, s: Array) -> tuple[Array, Array, Array]:
+def arc(B: Array, middle: Array, p: Array, s: Array) -> tuple[Array, Array, Array]:
     """Return positions (N, 3) at arc lengths s, derivative (N, 3, 6) by ARC, and (N, 3) by s (kernels.arc_positions).
 
     A circle told by a point, its tangent there and its curvature: what a short arc knows well. By centre and radius,
@@ -301,17 +290,17 @@ def arc(tilt: Tilt, middle: Array, p: Array, s: Array) -> tuple[Array, Array, Ar
     """
     n = len(s)
     X, J, Js = np.empty((n, 3)), np.empty((n, 3, 6)), np.empty((n, 3))
-    arc_positions(tilt.B, middle, np.array(p), np.array(s), X, J, Js)
+    arc_positions(B, middle, np.array(p), np.array(s), X, J, Js)
     return X, J, Js
 
 
-def circle_of(tilt: Tilt, middle: Array, p: Array) -> tuple[Array, Array, float, Array]:
+def circle_of(B: Array, middle: Array, p: Array) -> tuple[Array, Array, float, Array]:
     """Return centre (3,), axis (3,), radius of an arc, and the derivative (6, 6) of CIRCLE by ARC.
 
     The axis turns the tangent towards the centre; its tilts are along basis(axis). STRAIGHT bounds the radius.
     """
-    t, dt = tilt.direction(p[2:4])
-    across = tilt.B[:, :2]
+    t, dt = tilted(B, p[2:4])
+    across = B[:, :2]
     g = across @ p[4:6]
     # the curvature vector across the tangent: the centre is c / |c|^2 away, the radius 1 / |c|, the axis t x c / |c|
     c = g - (g @ t) * t
@@ -332,13 +321,13 @@ def circle_of(tilt: Tilt, middle: Array, p: Array) -> tuple[Array, Array, float,
     return middle + across @ p[:2] + c / bend**2, axis, 1.0 / bend, D
 
 
-def line(tilt: Tilt, middle: Array, p: Array, t: Array) -> tuple[Array, Array, Array]:
+def line(B: Array, middle: Array, p: Array, t: Array) -> tuple[Array, Array, Array]:
     """Return positions (N, 3) at t along the line, derivative (N, 3, 4) by LINE, and (N, 3) by t.
 
     The line goes through middle + B (u, v, 0) along the tilted direction.
     """
-    d, dd = tilt.direction(p[2:4])
+    d, dd = tilted(B, p[2:4])
     J = np.empty((len(t), 3, 4))
-    J[:, :, :2] = tilt.B[:, :2]
+    J[:, :, :2] = B[:, :2]
     J[:, :, 2:] = t[:, None, None] * dd
-    return middle + tilt.B[:, :2] @ p[:2] + np.outer(t, d), J, np.tile(d, (len(t), 1))
+    return middle + B[:, :2] @ p[:2] + np.outer(t, d), J, np.tile(d, (len(t), 1))

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.arrays import Array
+from armsight.calibrate.identify.chain import KEYS, assign_frames, degeneracy_notes, deviations, propagate_covariance
 from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, pixel_slopes, prior_information
-from armsight.calibrate.identify.table import KEYS, assign_frames, degeneracy_notes, deviations, propagate_covariance
 from armsight.defaults import SWEEP_READINGS
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.poses import skew

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from armsight.arrays import Array
 from armsight.calibrate.identify.kernels import see_many
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.fitting.groups import whitener
+from armsight.fitting.groups import taken, whitener
 from armsight.optics import SIDES, PackedRig, Rig, moved_rig, triangulate
-from armsight.records import frozen_array
+from armsight.records.checks import freeze
 
 FEWEST = 3
 """Three points lie on a circle always; from four on something is left to judge by."""
@@ -50,14 +50,10 @@ class Sweeps:
     def __post_init__(self) -> None:
         m = len(self.joint)
         object.__setattr__(self, "joint", np.array(self.joint, dtype=np.intp))
-        object.__setattr__(self, "q", frozen_array("q", self.q, (m, np.shape(self.q)[-1])))
-        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
-        if self.uv_px is not None:
-            object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (m, 2, 2)))
-        if self.std_px is not None:
-            object.__setattr__(self, "std_px", frozen_array("std_px", self.std_px, (m,)))
-        if self.covariance_m2 is not None:
-            object.__setattr__(self, "covariance_m2", frozen_array("covariance_m2", self.covariance_m2, (m, 3, 3)))
+        freeze(self, q=(m, np.shape(self.q)[-1]), xyz_m=(m, 3))
+        for name, shape in (("uv_px", (m, 2, 2)), ("std_px", (m,)), ("covariance_m2", (m, 3, 3))):
+            if getattr(self, name) is not None:
+                freeze(self, **{name: shape})
 
     def __len__(self) -> int:
         return len(self.joint)
@@ -80,14 +76,7 @@ class Sweeps:
 
     def take(self, rows: NDArray[np.intp]) -> Sweeps:
         """Return some rows."""
-        return Sweeps(
-            joint=self.joint[rows],
-            q=self.q[rows],
-            xyz_m=self.xyz_m[rows],
-            uv_px=None if self.uv_px is None else self.uv_px[rows],
-            covariance_m2=None if self.covariance_m2 is None else self.covariance_m2[rows],
-            std_px=None if self.std_px is None else self.std_px[rows],
-        )
+        return taken(self, rows, "joint", "q", "xyz_m", "uv_px", "covariance_m2", "std_px")
 
 
 def placed(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
@@ -232,14 +221,11 @@ class SweepResiduals:
 
     def take(self, rows: NDArray[np.intp]) -> SweepResiduals:
         """Return some readings."""
-        whitener = None if self.whitener is None else self.whitener[rows]
-        return SweepResiduals(
-            sweeps=self.sweeps.take(rows), rig=self.rig, sigma=self.sigma, whitener=whitener, unit=self.unit
-        )
+        return taken(self, rows, "whitener", sweeps=self.sweeps.take(rows))
 
     def at(self, sigma: float) -> SweepResiduals:
         """Return the same readings with another noise."""
-        return SweepResiduals(sweeps=self.sweeps, rig=self.rig, sigma=sigma, whitener=self.whitener, unit=self.unit)
+        return replace(self, sigma=sigma)
 
 
 def or_inexact(seen: SweepResiduals, joint: int) -> str:

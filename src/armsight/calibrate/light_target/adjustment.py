@@ -2,19 +2,191 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.arrays import Array
-from armsight.calibrate.light_target.frames import Layout
+from armsight.arrays import Array, Index
+from armsight.errors import Inconsistent
 from armsight.fitting import Evaluation, Fit, Problem, solve
 from armsight.fitting.groups import whitener, without
 from armsight.geometry.poses import skew
-from armsight.optics import RIG_PARAMETERS, PackedRig, Rig, moved_rig
+from armsight.optics import RIG_PARAMETERS, SIDES, PackedRig, Rig, Triangulation, moved_rig, triangulate
 from armsight.optics.kernels.light_image import see_both
+from armsight.records import NotSeen, Spots
+
+MAX_CHOICES = 150
+"""Choices of lights searched in one frame: of the brightest pairs, as many as give no more; ten for three lights."""
+
+SLACK_PX = 0.1
+"""What a good calibration leaves beside a spot's own standard deviation; it decides what belongs together, not the
+answer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LitFrame:
+    """Pairs of spots of one moment: row i of left and row i of right may be the same light.
+
+    A spot may stand in several rows where the epipolar lines do not decide; name: how the frame is called to people.
+    """
+
+    name: str
+    left: Spots
+    right: Spots
+
+    def __post_init__(self) -> None:
+        if len(self.left) != len(self.right):
+            raise Inconsistent(f"{self.name}: {len(self.left)} spots at left, {len(self.right)} at right: no pairs")
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sight:
+    """A frame's choices: rows (c, n) of its pairs; xyz_m (c, n, 3), cov_m2 (c, n, 3, 3) with slack, in rig axes."""
+
+    frame: int
+    rows: Index
+    xyz_m: Array
+    cov_m2: Array
+
+
+def sights_of(rig: Rig, frames: Sequence[LitFrame], n: int) -> tuple[list[Sight], list[tuple[int, str]]]:
+    """Return the frames in which n lights may be seen, and (number, why) of those in which not."""
+    sights: list[Sight] = []
+    rejected: list[tuple[int, str]] = []
+    points = _triangulated(rig, frames)
+    ends = np.cumsum([len(frame) for frame in frames])
+    for number, (frame, end) in enumerate(zip(frames, ends.tolist(), strict=True)):
+        of = slice(end - len(frame), end)
+        choices = _choices(frame, points.found[of], n)
+        if isinstance(choices, NotSeen):
+            rejected.append((number, choices.why))
+        else:
+            xyz, cov = points.xyz_m[of], points.covariance_m2[of]
+            sights.append(Sight(frame=number, rows=choices, xyz_m=xyz[choices], cov_m2=cov[choices]))
+    return sights, rejected
+
+
+def _triangulated(rig: Rig, frames: Sequence[LitFrame]) -> Triangulation:
+    """Return the points of all frames, one after the other."""
+    slack = SLACK_PX**2 * np.eye(2)
+    views = [[getattr(frame, side) for frame in frames] for side in SIDES]
+    uv = [np.concatenate([np.empty((0, 2)), *(spots.uv_px for spots in view)]) for view in views]
+    cov = [np.concatenate([np.empty((0, 2, 2)), *(spots.covariance_px2 for spots in view)]) for view in views]
+    return triangulate(rig, *uv, *(c + slack for c in cov))
+
+
+def _choices(frame: LitFrame, found: NDArray[np.bool_], n: int) -> Index | NotSeen:
+    """Return (c, n) rows of the frame that are n different lights, or why there are none."""
+    if len(frame) < n:
+        return NotSeen(f"{len(frame)} of {n} lights are seen in both views")
+    good = _brightest(frame, np.flatnonzero(found), n)
+    sides = [np.unique(s.uv_px, axis=0, return_inverse=True)[1].reshape(-1) for s in (frame.left, frame.right)]
+    rows = [c for c in combinations(good, n) if all(len(set(side[list(c)].tolist())) == n for side in sides)]
+    if not rows:
+        return NotSeen(f"{len(good)} pairs of spots, among them no {n} different lights")
+    return np.array(rows, dtype=np.intp)
+
+
+def _brightest(frame: LitFrame, good: Index, n: int) -> list[int]:
+    """Return the rows among which to search: all, or of too many those brightest in the view that shows them darker."""
+    most = n
+    while comb(most + 1, n) <= MAX_CHOICES:
+        most += 1
+    peak = np.minimum(frame.left.peak, frame.right.peak)[good]
+    return sorted(good[np.argsort(-peak, kind="stable")[:most]].tolist())
+
+
+# The target's own frame, and the names of its lights by their positions in the images (MATH 3.2).
+
+LETTERS = "ABCDEF"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Layout:
+    """Shape parameters of n lights: spots = (basis @ values) reshaped to (n, 3); basis (3 n, k), names (k,).
+
+    on_line: all lights on the frame's x axis, their mean at the origin: the turn about it is not known.
+    """
+
+    names: tuple[str, ...]
+    basis: Array
+    on_line: bool
+
+    def spots(self, values: Array) -> Array:
+        """Return the lights (n, 3) in m."""
+        return (self.basis @ values).reshape(-1, 3)
+
+
+def plane_layout(n: int) -> Layout:
+    """Return the frame of Pachidis 2005, eqs. (7)-(8): origin G at the mean of A, B, C, u from A to G, w = (B - G) x
+    (A - G), v = w x u. A = (-a, 0, 0), B = (a/2 + s, h, 0), C = (a/2 - s, -h, 0); the other lights are free.
+    """
+    names = ["a_m", "s_m", "h_m"] + [f"{LETTERS[i]}.{axis}_m" for i in range(3, n) for axis in "xyz"]
+    basis = np.zeros((3 * n, len(names)))
+    basis[[0, 3, 6], 0] = -1.0, 0.5, 0.5
+    basis[[3, 6], 1] = 1.0, -1.0
+    basis[[4, 7], 2] = 1.0, -1.0
+    basis[9:, 3:] = np.eye(3 * (n - 3))
+    return Layout(names=tuple(names), basis=basis, on_line=False)
+
+
+def line_layout(n: int) -> Layout:
+    """Return the frame of lights on one line: positions along x from A on, their mean at the origin."""
+    names = [f"{LETTERS[i]}.along_m" for i in range(1, n)]
+    basis = np.zeros((3 * n, n - 1))
+    basis[3 * np.arange(1, n), np.arange(n - 1)] = 1.0
+    basis[3 * np.arange(n)] -= 1.0 / n
+    return Layout(names=tuple(names), basis=basis, on_line=True)
+
+
+def plane_frame(X: Array) -> tuple[Array, Array]:
+    """Return R (3, 3), whose columns are u, v, w, and G (3,) of the lights X (n, 3), A, B, C first."""
+    G = X[:3].mean(axis=0)
+    u = G - X[0]
+    w = np.cross(X[1] - G, X[0] - G)
+    u, w = u / np.linalg.norm(u), w / np.linalg.norm(w)
+    return np.stack([u, np.cross(w, u), w], axis=1), G
+
+
+def line_frame(X: Array) -> tuple[Array, Array]:
+    """Return R (3, 3), whose first column is the direction from the first light on, and the mean (3,) of X (n, 3)."""
+    G = X.mean(axis=0)
+    axis = np.linalg.svd(X - G)[2][0]
+    axis = axis if axis @ (X[-1] - X[0]) > 0.0 else -axis
+    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    side /= np.linalg.norm(side)
+    return np.stack([axis, side, np.cross(axis, side)], axis=1), G
+
+
+def name_order(X: Array, away: Array, u_px: Array) -> Index:
+    """Return the order (n,) in which the lights X (n, 3) become A, B, C, D ...
+
+    A is leftmost in the mean of the left images, u_px (n,); B and C make the largest triangle with it, in the sense
+    that turns w away from the camera (away (3,), in the axes of X): B lower right, C upper right. The rest follows
+    from left to right.
+    """
+    order = np.argsort(u_px, kind="stable")
+    first, rest = order[0], order[1:]
+    if len(rest) < 2:
+        return np.asarray(order)
+
+    def normal(b: int, c: int) -> Array:
+        return np.cross(X[b] - X[first], X[c] - X[first])
+
+    b, c = max(combinations(rest.tolist(), 2), key=lambda pair: float(np.linalg.norm(normal(*pair))))
+    # w = (B - G) x (A - G) = -(B - A) x (C - A) / 3
+    if normal(b, c) @ away > 0.0:
+        b, c = c, b
+    return np.array([first, b, c, *(i for i in rest if i not in (b, c))], dtype=np.intp)
+
 
 POSE = ("tx_m", "ty_m", "tz_m", "rx_rad", "ry_rad", "rz_rad")
 

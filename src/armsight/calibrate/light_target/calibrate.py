@@ -10,7 +10,20 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
-from armsight.calibrate.light_target.adjustment import LightBundle, LightObservations, fit_bundle
+from armsight.calibrate.light_target.adjustment import (
+    LETTERS,
+    Layout,
+    LightBundle,
+    LightObservations,
+    LitFrame,
+    fit_bundle,
+    line_frame,
+    line_layout,
+    name_order,
+    plane_frame,
+    plane_layout,
+    sights_of,
+)
 from armsight.calibrate.light_target.checks import (
     MIN_FRAMES,
     distinguishable_frames,
@@ -23,17 +36,6 @@ from armsight.calibrate.light_target.checks import (
     require_rigid,
     require_side,
     require_turned,
-)
-from armsight.calibrate.light_target.frames import (
-    LETTERS,
-    Layout,
-    LitFrame,
-    line_frame,
-    line_layout,
-    name_order,
-    plane_frame,
-    plane_layout,
-    sights_of,
 )
 from armsight.calibrate.light_target.naming import Named, distances, find_shape
 from armsight.calibrate.light_target.result import RejectedFrame, TargetResult, advise, distances_of

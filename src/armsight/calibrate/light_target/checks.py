@@ -8,8 +8,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.light_target.adjustment import LightBundle
-from armsight.calibrate.light_target.frames import LETTERS, line_frame
+from armsight.calibrate.light_target.adjustment import LETTERS, LightBundle, line_frame
 from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, align, distances, facing
 from armsight.calibrate.light_target.result import LightDistance
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array, Index
-from armsight.calibrate.light_target.frames import Sight
+from armsight.calibrate.light_target.adjustment import Sight
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.poses import skew
 
@@ -102,7 +102,10 @@ def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Arra
     xyz, cov = (np.concatenate([getattr(s, name) for s in sights]) for name in ("xyz_m", "cov_m2"))
     first = np.cumsum([0] + [len(s.rows) for s in sights[:-1]])  # each frame's first choice
     D, V = distances(xyz)[:, order], _variances(xyz, cov)[:, order]  # (c, p, m)
-    frames = np.linspace(0, len(sights) - 1, _tried_frames(sights)).astype(np.intp)
+    # so many frames' choices are hypotheses: about HYPOTHESES in all, of three frames and more
+    mean = sum(len(s.rows) for s in sights) / len(sights)
+    tries = min(len(sights), max(int(HYPOTHESES / mean), 3))
+    frames = np.linspace(0, len(sights) - 1, tries).astype(np.intp)
     tried = np.concatenate([first[s] + np.arange(len(sights[s].rows)) for s in frames])
     costs = []
     for c in tried:
@@ -113,12 +116,6 @@ def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Arra
         costs.append(float(np.minimum.reduceat(cost, first).sum()))
     best = tried[int(np.argmin(costs))]
     return xyz[best], V[best, 0]
-
-
-def _tried_frames(sights: Sequence[Sight]) -> int:
-    """Return how many frames' choices are hypotheses: about HYPOTHESES in all, of three frames and more."""
-    mean = sum(len(s.rows) for s in sights) / len(sights)
-    return min(len(sights), max(int(HYPOTHESES / mean), 3))
 
 
 def _name_all(sights: Sequence[Sight], X: Array, variances: Array, perms: Index) -> Named:

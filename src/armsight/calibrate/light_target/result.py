@@ -11,8 +11,9 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.calibrate.light_target.naming import pairs_of
 from armsight.fields import Doc
-from armsight.records import NamedCovariance, Target, frozen_array, spot_target
+from armsight.records import NamedCovariance, Target, spot_target
 from armsight.records.by_value import Saveable
+from armsight.records.checks import freeze
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import MEANING, Verdict
 from armsight.shown import REJECTED_SHOWN, Shown, Table, digits
@@ -69,14 +70,9 @@ class TargetResult(Output, Saveable):
     advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (len(self.names), 3)))
-        for name in ("residual_px", "left_out_px"):
-            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (None, len(self.names), 2, 2)))
-        object.__setattr__(
-            self,
-            "rotation_excitation_rms_rad",
-            frozen_array("rotation_excitation_rms_rad", self.rotation_excitation_rms_rad, (3,)),
-        )
+        n = len(self.names)
+        freeze(self, xyz_m=(n, 3), residual_px=(None, n, 2, 2), left_out_px=(None, n, 2, 2))
+        freeze(self, rotation_excitation_rms_rad=(3,))
 
     @figure("Place of each light by name, in the target's frame, m.")
     def spots_m(self) -> dict[str, Vector3]:

@@ -118,7 +118,7 @@ def check_alignment(
         [T_now.translation - before.translation, (T_now.rotation * before.rotation.inv()).as_rotvec()]
     )
     # a difference of two independent measurements: today's and the calibration's
-    C = _covariance(now) + _in_left_axes(rig)
+    C = _covariance(now, POSE) + _in_left_axes(rig)
     if design is None:
         design = Mirrors(baseline_m=rig.baseline_m)
     # Mahalanobis distance of no change, six degrees of freedom: shifts and turns in one figure by what each is known to
@@ -212,11 +212,6 @@ def relative_rig(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView]
                 cure="Use the resolution of the calibration",
             )
     poses = board_poses(homographies(observations.camera(0)), rig.left.intrinsics[:2], observations.sizes[0][0])
-    return _fitted(rig, observations, poses)
-
-
-def _fitted(rig: Rig, observations: Observations, poses: Array) -> Rig:
-    """Return the rig with T_rig_right and its covariance, fitted from poses T_left_board (G, 6)."""
     used, fit = _fit(rig, observations, poses)
     overall = rms(residuals_px(used, fit), used.weight > 0.0)
     found = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)
@@ -235,10 +230,10 @@ def _fit(rig: Rig, observations: Observations, poses: Array) -> tuple[Observatio
     return observations, fit
 
 
-def _covariance(rig: Rig) -> Array:
+def _covariance(rig: Rig, names: tuple[str, ...]) -> Array:
     if rig.covariance is None:
         raise NotEnoughData("the views leave nothing to find the noise by", cure="Show the whole board")
-    return rig.covariance.block(POSE)
+    return rig.covariance.block(names)
 
 
 def _in_left_axes(rig: Rig) -> Array:
@@ -317,7 +312,7 @@ class Adjustment:
     """How far the axes are from parallel, and the turns that make them so.
 
     rotation_rad (3,): the rotation vector of T_left_right, 0 where they are parallel, with std_rad (3,), in left axes.
-    turns: of mirrors 2 and 4, with turn_std_rad (3,) of mirror 2's turn, its tilt, and mirror 4's tilt.
+    turns: of mirrors 2 and 4.
     """
 
     now: Parallelism
@@ -325,7 +320,6 @@ class Adjustment:
     rotation_rad: Array
     std_rad: Array
     turns: tuple[MirrorTurn, MirrorTurn]
-    turn_std_rad: Array
     chi2: float
     n_views: int
 
@@ -355,15 +349,9 @@ def adjust_to_parallel(
     if not left or len(left) != len(right):
         raise NotEnoughData("the board is not seen in both views", cure="Show the board to both views")
     now = relative_rig(design.rig(camera), left, right, board)
-    if now.covariance is None:
-        raise NotEnoughData("the views leave nothing to find the noise by", cure="Show the whole board")
     T_left_right = now.T_rig_left.inv() * now.T_rig_right
-    rotation, C = T_left_right.rotation.as_rotvec(), now.covariance.block(POSE[3:])
-    stands, J = _stands(design, rotation)
-    # three turns make three angles: as many as are measured, so that the turns' covariance is that of the angles
-    # carried back
-    inverse = np.linalg.inv(J)
-    std = np.sqrt(np.diag(inverse @ C @ inverse.T))
+    rotation, C = T_left_right.rotation.as_rotvec(), _covariance(now, POSE[3:])
+    stands = _stands(design, rotation)
     turns = (
         MirrorTurn(mirror=2, turn_rad=float(-stands[0]), tilt_rad=float(-stands[1])),
         MirrorTurn(mirror=4, turn_rad=0.0, tilt_rad=float(-stands[2])),
@@ -374,22 +362,21 @@ def adjust_to_parallel(
         rotation_rad=rotation,
         std_rad=np.sqrt(np.diag(C)),
         turns=turns,
-        turn_std_rad=std,
         chi2=float(rotation @ np.linalg.solve(C, rotation)),
         n_views=len(left),
     )
 
 
-def _stands(design: Mirrors, rotation: Array) -> tuple[Array, Array]:
-    """Return by how much (3,) the FREE turns are off that make this rotation (3,), and their Jacobian (3, 3)."""
-    x, J = np.zeros(3), np.eye(3)
+def _stands(design: Mirrors, rotation: Array) -> Array:
+    """Return by how much (3,) the FREE turns are off that make this rotation (3,)."""
+    x = np.zeros(3)
     # Newton, on three angles that are nearly linear in the turns
     for _ in range(ROUNDS):
         J = np.column_stack(
             [(_made(design, x + s) - _made(design, x - s)) / (2 * STEP_RAD) for s in STEP_RAD * np.eye(3)]
         )
         x = x - np.linalg.solve(J, _made(design, x) - rotation)
-    return x, J
+    return x
 
 
 def _made(design: Mirrors, x: Array) -> Array:

@@ -26,9 +26,9 @@ from armsight.calibrate.handeye import (
     calibrate_from_views,
     pairs_of_streams,
 )
-from armsight.calibrate.handeye.board_turns import turned_views
 from armsight.calibrate.handeye.consensus import RIGHT, consensus
 from armsight.calibrate.handeye.image_model import poses_of_views
+from armsight.calibrate.handeye.images import turned_views
 from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.action import Given

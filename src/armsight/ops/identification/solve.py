@@ -10,8 +10,8 @@ import numpy as np
 
 from armsight.arrays import Image
 from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.calibrate.identify.chain import placed_by
 from armsight.calibrate.identify.result import LeftOutJoint, PlanOutput
-from armsight.calibrate.identify.table import placed_by
 from armsight.drivers import is_video, pairs_of
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm

@@ -10,7 +10,7 @@ from math import sqrt
 import numpy as np
 
 from armsight.errors import Inconsistent
-from armsight.verify.iso9283 import arrival, drift, path, pose
+from armsight.verify.iso9283 import drift, path, pose
 from armsight.verify.iso9283.figure import Estimate, Figure, Figures, magnitude, noted, too_few, withheld
 from armsight.verify.iso9283.observations import ArrivalTest, PathTest, PoseVisits
 from armsight.verify.iso9283.pose import MIN_ACCURACY, TURNS, VISITS, barycentre_covariance, figure_of, turns_from
@@ -127,9 +127,9 @@ def _exchanged(test: Iso9283Test) -> Iterator[Figure]:
 
 def _arrivals(test: Iso9283Test) -> Iterator[Figure]:
     if not test.arrivals:
-        yield from withheld(arrival.FIGURES, "no arrivals were given", n=0, wanted=arrival.ARRIVALS)
+        yield from withheld(drift.FIGURES, "no arrivals were given", n=0, wanted=drift.ARRIVALS)
     for trace in test.arrivals:
-        yield from arrival.arrival_figures(trace)
+        yield from drift.arrival_figures(trace)
 
 
 def _paths(test: Iso9283Test) -> Iterator[Figure]:

@@ -15,7 +15,7 @@ from armsight.fields import Doc
 from armsight.records import frozen_array
 from armsight.records.checks import Shape
 from armsight.records.output import Output, figure, output
-from armsight.verify.iso9283 import arrival, path, pose
+from armsight.verify.iso9283 import drift, path, pose
 
 POSE_ORDER = ("P1", "P5", "P4", "P3", "P2", "P1")
 """One cycle of AP and RP: every pose is always reached from the same one before, from one direction."""
@@ -85,7 +85,7 @@ def motions_of(cube: TestCube) -> tuple[Motion, ...]:
 
 def _through(test: str, figures: tuple[str, ...], order: tuple[str, ...], cube: TestCube, repeats: int) -> Motion:
     points = np.array([cube.points_m[name] for name in order])
-    return Motion(test=test, figures=figures, xyz_m=points, names=order, repeats=max(repeats, arrival.ARRIVALS))
+    return Motion(test=test, figures=figures, xyz_m=points, names=order, repeats=max(repeats, drift.ARRIVALS))
 
 
 # The standard's test cube: its planes, the poses P1 to P5, the test paths (ISO 9283:1998, 6.8).

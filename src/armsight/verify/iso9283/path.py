@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
-from armsight.verify.iso9283.crossings import Crossings, Planes, cross, planes_of, planes_of_run
 from armsight.verify.iso9283.figure import (
     SIGMAS,
     Estimate,
@@ -22,7 +21,18 @@ from armsight.verify.iso9283.figure import (
     too_few,
     withheld,
 )
-from armsight.verify.iso9283.observations import CommandedPath, PathRun, PathTest, random_part, stamps_fault
+from armsight.verify.iso9283.observations import (
+    CommandedPath,
+    Crossings,
+    PathRun,
+    PathTest,
+    Planes,
+    cross,
+    planes_of,
+    planes_of_run,
+    random_part,
+    stamps_fault,
+)
 from armsight.verify.iso9283.pose import MIN_ACCURACY, MIN_REPEATABILITY, TURNS, figure_of, turns_from
 
 RUNS = 10

@@ -14,13 +14,10 @@ from armsight.calibrate.arm.fit import ArmFit, Tolerance, limits_reached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import RISING, UNPROVED, candidates, significant_gain
 from armsight.calibrate.arm.plausibility import ranges
-from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.arm.result import ArmResult, Errors, FixedParameter, TouchedFeature
-from armsight.calibrate.arm.touch.faults import Gross, check_lengths, check_moved, gross_rows
+from armsight.calibrate.arm.touch.faults import Gross, Told, check_lengths, check_moved, gross_rows, other_senses, told
 from armsight.calibrate.arm.touch.fit import TouchFit, fit_touches
-from armsight.calibrate.arm.touch.known import Told, told
 from armsight.calibrate.arm.touch.model import TouchModel, start
-from armsight.calibrate.arm.touch.senses import other_senses
 from armsight.calibrate.arm.touch.touches import Kind, Touches, check_touches, of_postures
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting.quantiles import chi2_ppf
@@ -240,10 +237,11 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
     covariance, fitted = _covariance(judged), _fitted(arm_model, best, touches, tolerance)
     at_limit = limits_reached(arm_model, fitted.p, judged.free, tolerance)
     before_m, after_m = (one.fitted.misses_m(model, judged.given) for one in (judged.levels[0], judged.best))
+    touched = judged.given.as_points()
     gross, cross = gross_rows(judged.every, best), [Errors.of(x.left_m) for x in (judged.levels[0], judged.best)]
     return ArmResult(
         arm=_arm(arm_model, best, covariance),
-        points=_points(judged, fitted.p),
+        points=replace(touched, xyz_m=arm_model.predict(fitted.p, touched)[0][:, :3, 3]),
         tolerance=tolerance,
         model=arm_model,
         fitted=fitted,
@@ -274,12 +272,6 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
         urdf=None,
         features=tuple(_feature(model, best, name) for name in touches.kinds),
     )
-
-
-def _points(judged: _Judged, p: Array) -> ArmPoints:
-    """Return the touches with the places where the arm's tip was."""
-    touched = judged.given.as_points()
-    return replace(touched, xyz_m=judged.model.arm_model.predict(p, touched)[0][:, :3, 3])
 
 
 def _fixed(judged: _Judged) -> tuple[FixedParameter, ...]:

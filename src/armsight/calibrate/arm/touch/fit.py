@@ -99,7 +99,6 @@ def fit_touches(
             # of good rows one in a hundred is beyond the scale
             loss=Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, 3))), block=3),
             evaluate=lambda x, _, W=W, held=lever: model.evaluate(x, W, held),  # type: ignore[misc]
-            local_guess=np.zeros((1, 0)),
         )
         fit = solve(problem, Settings(allow_undetermined=True, max_iterations=200, cost_tolerance=1e-8))
         p = fit.shared

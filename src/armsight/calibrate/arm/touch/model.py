@@ -150,7 +150,7 @@ class TouchModel:
         off, by_off = self.lengths(p)
         r = np.concatenate([r, np.column_stack([off, np.zeros((len(off), 2))])])
         J = np.concatenate([J, np.stack([by_off, 0.0 * by_off, 0.0 * by_off], axis=1)])
-        return Evaluation(residuals=r.reshape(1, -1), shared=J.reshape(1, -1, len(p)), local=np.empty((1, r.size, 0)))
+        return Evaluation.of_one(r, J)
 
     @property
     def n_residuals(self) -> int:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from armsight.arrays import Array
 from armsight.calibrate.arm.points import SAME_PLACE, ArmPoints, check_moves, require_joints, require_radians
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.fitting.groups import means, repeats
+from armsight.fitting.groups import means, repeats, taken
 from armsight.kinematics import Arm
-from armsight.records import frozen_array
+from armsight.records.checks import freeze
 
 
 class Kind(StrEnum):
@@ -67,9 +67,7 @@ class Touches:
 
     def __post_init__(self) -> None:
         m = len(self.feature)
-        object.__setattr__(self, "q", frozen_array("q", self.q, (m, np.shape(self.q)[-1])))
-        for name in ("reading_m", "sigma_m"):
-            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (m,)))
+        freeze(self, q=(m, np.shape(self.q)[-1]), reading_m=(m,), sigma_m=(m,))
 
     def __len__(self) -> int:
         return len(self.feature)
@@ -92,15 +90,7 @@ class Touches:
 
     def take(self, rows: NDArray[np.intp]) -> Touches:
         """Return some rows, with all lengths."""
-        return Touches(
-            q=self.q[rows],
-            feature=tuple(self.feature[i] for i in rows),
-            kind=tuple(self.kind[i] for i in rows),
-            reading_m=self.reading_m[rows],
-            sigma_m=self.sigma_m[rows],
-            lengths=self.lengths,
-            row=self.row[rows],
-        )
+        return taken(self, rows, "q", "feature", "kind", "reading_m", "sigma_m", "row")
 
     def as_points(self) -> ArmPoints:
         """Return the rows as those of a tool's point, whose places nobody measured (zeros)."""

@@ -1,4 +1,4 @@
-"""What zeros are worth beside links that are not nominal: lengths, axes and zeros as random effects.
+"""What zeros are worth beside links that are not nominal, a drift in the run, and poses that would decide.
 
 A healthy arm differs from its table by a millimetre and a milliradian here and there, and over a small workspace a zero
 does what a length does. So all geometry is drawn about nominal with deviations that are not known themselves: they are
@@ -13,12 +13,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.fitting.groups import inflation
+from armsight.kinematics import fk, fk_jacobian
+from armsight.units import MM
 from armsight.verify.effects import Effect, Kind
-from armsight.verify.evidence import Case, Evidence
-from armsight.verify.model import ModelFit, Noise, extra_noise
+from armsight.verify.evidence import Case, Evidence, by_chance, fit_linear, placement, solved
+from armsight.verify.model import Model, ModelFit, Noise, extra_noise
+from armsight.verify.records import Measured
 
 LENGTH_M, ANGLE_RAD = 1e-3, 1e-3
 """What nominal lengths are believed to, as in a cell from one recording, and axes and zeros of an arm that was
@@ -199,3 +203,153 @@ def _spent(extra: Array, rest: Array, noise: Noise, spent: float) -> Array:
     lift = rest.size / (rest.size - spent)
     own = np.median(noise.measurement**2, axis=0)
     return np.asarray(np.sqrt(np.maximum((extra**2 + own) * lift - own, 0.0)))
+
+
+# Errors that grow in the run: an arm that warms up grows, a base or a rig that is loose or warms up moves.
+
+COURSES = (0.2, 0.6, np.inf)
+"""Time constants by which a drift is tried to settle, as shares of the run; inf: it goes on evenly."""
+UNLIKELY = 1e-4
+"""Probability by chance, over all that are tried, below which a drift is one."""
+PREDICTED = 0.6
+"""Share of the time's variance that the joints predict (rows in the order of their poses) from which on a drift is
+not told from errors that hang on the poses."""
+
+
+Drift = tuple[str, dict[str, tuple[float, float]], float, float]
+"""In words; parameters as (value, standard deviation); how far it moved the tool at the most, m; the squares it leaves
+beside base and tool."""
+
+
+def drifting(evidence: Evidence, noise: Noise, case: Case, base: RigidTransform) -> Drift | None:
+    """Return the drift that the rows show beside zeros, links and what base and arm are off all the time, else None.
+
+    noise: what the evidence was whitened with. It goes by the rows' times; where they have none, by their order.
+    """
+    count, rows = evidence.linear.residual.shape
+    t = np.arange(count, dtype=float) if case.measured.t_s is None else case.measured.t_s
+    share = (t - t.min()) / max(float(np.ptp(t)), 1e-300)
+    if _predicted(case.q, share) > PREDICTED:
+        return None
+    grown = np.zeros((count, rows, 1))
+    grown[:, :3, 0] = base.rotation.apply(fk(case.bare, case.q)[:, :3, 3])
+    ways = grown, placement(case.measured.xyz_m, rows)
+    known = [*map(noise.whiten, ways), evidence.joints]
+    plain, found = evidence.with_geometry(*known), []
+    for settles in COURSES:
+        course = share if np.isinf(settles) else np.expm1(-share / settles) / np.expm1(-1.0 / settles)
+        for columns in ways:
+            drawn = columns * course[:, None, None]
+            rich = evidence.with_geometry(*known, noise.whiten(drawn))
+            # neighbouring rows hang together by the drift itself: what counts is how those do that it leaves
+            _, theta, X, y, *_ = solved(evidence.linear, noise.whiten(drawn), None)
+            linear = replace(evidence.linear, inflation=inflation((y - X @ theta).reshape(count, rows)))
+            found.append((by_chance(linear, plain, rich), rich.squares, drawn))
+    chance, _, drawn = min(found, key=lambda one: one[:2])
+    if len(found) * chance > UNLIKELY:
+        return None
+    alone = fit_linear(evidence.linear, noise.whiten(drawn))
+    moved_m = float(np.linalg.norm((drawn @ alone.values)[:, :3], axis=1).max())
+    growth = (float(alone.values[0]), float(np.sqrt(alone.covariance[0, 0]))) if len(alone.values) == 1 else None
+    return _words(growth, moved_m), {} if growth is None else {"growth": growth}, moved_m, alone.squares
+
+
+def _words(growth: tuple[float, float] | None, moved_m: float) -> str:
+    far = f"by up to {moved_m / MM:.2g} mm"
+    if growth is None:
+        return (
+            f"From the first row to the last the tool moved {far} as one with the arm's base: base, rig or target is "
+            "loose or grew warm in the run. Fasten them, let them warm up, and verify again."
+        )
+    return (
+        f"The arm's lengths grew by {1e6 * growth[0]:.3g} +- {1e6 * growth[1]:.2g} ppm in the run, which moved the "
+        f"tool {far}: the arm (or the rig that measures it) grew warm. Let it warm up, and verify again."
+    )
+
+
+def _predicted(q: Array, share: Array) -> float:
+    """Return which share of the time's variance a turn's harmonics of the joints predict, beyond chance."""
+    columns = np.column_stack([np.ones(len(q)), np.sin(q), np.cos(q)])
+    left = share - columns @ np.linalg.lstsq(columns, share, rcond=None)[0]
+    free = max(len(q) - columns.shape[1], 1)
+    return float(1.0 - (left @ left / free) / np.var(share, ddof=1))
+
+
+# Which joint positions would tell two explanations apart.
+
+DECIDING_POSES = 6
+CANDIDATES, SEED = 400, 11
+"""Joint positions looked at, drawn evenly over what the arm may do; the same rows give the same proposal."""
+OPEN_RAD, OPEN_M = np.pi, 0.3
+"""Range of a joint without limits, or with wider ones, to either side of the middle of the rows'."""
+
+
+def deciding_poses(case: Case, fitted: ModelFit, joints: tuple[int, ...]) -> Array:
+    """Return joint values (k, n), in the order of their worth, that would best tell the zeros of these joints (from 0)
+    from each other and from base and tool."""
+    rng = np.random.default_rng(SEED)
+    bare, middle = case.bare, case.q.mean(axis=0)
+    span = np.where(bare.revolute, OPEN_RAD, OPEN_M)
+    low, high = np.maximum(bare.lower, middle - span), np.minimum(bare.upper, middle + span)
+    q = rng.uniform(low, high, (CANDIDATES, bare.n))
+    sigma = np.median(fitted.noise.sigma, axis=0)
+    chosen, _ = best_poses(case, fitted.p, sigma, joints, q, DECIDING_POSES)
+    return q[chosen]
+
+
+def best_poses(
+    case: Case, p: Array, sigma: Array, joints: tuple[int, ...], q: Array, count: int
+) -> tuple[list[int], Array]:
+    """Return which of the joint positions q (c, n) to measure beside the case's, in the order of their worth, and the
+    covariances (k + 1, j, j) of the joints' zeros: with all of them, then with each left out.
+
+    p: base and tool. sigma (2,): noise of a coordinate in m and of a turn in rad.
+    """
+    n_joints = len(joints)
+    width = len(case.free) + n_joints
+    here = np.empty((0, width))
+    if len(case.q):
+        here = _columns(case, case.q, p, sigma, joints).reshape(-1, width)
+    there = _columns(case, q, p, sigma, joints)
+    every = there.reshape(-1, width)
+    H = here.T @ here
+    scale = np.sqrt(np.maximum(np.diag(H) + np.diag(every.T @ every), 1e-300))
+    H = H / np.outer(scale, scale) + 1e-9 * np.eye(len(H))
+    there = there / scale
+    gained = np.swapaxes(there, 1, 2) @ there  # (c, width, width)
+    chosen: list[int] = []
+    for _ in range(min(count, len(q))):
+        covariance = np.linalg.inv(H + gained)[:, -n_joints:, -n_joints:]
+        left_open = np.linalg.slogdet(covariance)[1]
+        left_open[chosen] = np.inf
+        best = int(np.argmin(left_open))
+        chosen.append(best)
+        H = H + gained[best]
+    less = [H, *(H - gained[k] for k in chosen)]
+    own = scale[-n_joints:]
+    return chosen, np.array([np.linalg.inv(h)[-n_joints:, -n_joints:] / np.outer(own, own) for h in less])
+
+
+def _columns(case: Case, q: Array, mounts: Array, sigma: Array, joints: tuple[int, ...]) -> Array:
+    """Return the whitened columns (m, rows, B + joints) of base, tool and the joints' zeros at joint values q."""
+    F, J = fk_jacobian(case.bare, q)
+    label = case.measured.labels[0]
+    points = _placed(case, len(q), label)
+    more = J[:, :, list(joints)]
+    model = Model(measured=points, expected=lambda _: (F, more), extra=tuple(f"zero{i}" for i in joints))
+    tool = f"tool:{label}" if label else "tool"
+    names = [name for name in case.free if name.split(".")[0] in ("base", tool)]
+    p = np.concatenate([mounts[:12], np.zeros(len(joints))])
+    _, columns = model.linearised(p)
+    out = np.zeros((*columns.shape[:2], len(case.free) + len(joints)))
+    for k, name in enumerate(case.free):
+        if name in names:
+            out[:, :, k] = columns[:, :, model.names.index(name)]
+    out[:, :, len(case.free) :] = columns[:, :, 12:]
+    return np.asarray(out / np.repeat(sigma, 3)[: columns.shape[1]][:, None])
+
+
+def _placed(case: Case, m: int, label: str) -> Measured:
+    """Return m rows in any position: only what moves with the joints counts."""
+    rotation = None if case.measured.rotation is None else np.tile(np.eye(3), (m, 1, 1))
+    return Measured(xyz_m=np.zeros((m, 3)), rotation=rotation, point=(label,) * m)
