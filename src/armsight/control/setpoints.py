@@ -124,11 +124,9 @@ class SetPointSource(Protocol):
     @property
     def name(self) -> str:
         """What events and screens call it: servo, path, jog, client."""
-        ...
 
     def next(self, now: CycleState) -> SetPoint:
         """Return what is wanted for this cycle; never blocks, and raises nothing: troubles are a Hold with its why."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,7 +25,6 @@ class RigPose(Protocol):
 
     def __call__(self, t_s: float) -> RigidTransform:
         """Return T_world_rig at t_s. Raises StaleData where it is not known."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

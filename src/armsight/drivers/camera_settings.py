@@ -140,11 +140,9 @@ class CameraCapture(Capture, Protocol):
 
     def set(self, key: int, value: float, /) -> bool:
         """Set a property; False where the driver says that it cannot."""
-        ...
 
     def getBackendName(self) -> str:
         """Return which of OpenCV's ways to cameras this is."""
-        ...
 
 
 def lock_settings(capture: CameraCapture, settings: CameraSettings, name: str, clock: Clock) -> None:

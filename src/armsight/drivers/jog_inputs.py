@@ -45,11 +45,9 @@ class JogInput(Protocol):
 
     def help(self) -> str:
         """Say what to press."""
-        ...
 
     def wait(self, timeout_s: float) -> JogAxes | None:
         """Return what is pressed, after timeout_s at the latest; None where nothing new is known."""
-        ...
 
 
 class KeyboardInput:

@@ -89,23 +89,18 @@ class Capture(Protocol):
 
     def isOpened(self) -> bool:
         """Tell whether it can be read."""
-        ...
 
     def read(self) -> tuple[bool, Any]:
         """Return (True, image) or (False, None)."""
-        ...
 
     def get(self, key: int, /) -> float:
         """Return a property."""
-        ...
 
     def set(self, key: int, value: float, /) -> bool:
         """Set a property."""
-        ...
 
     def release(self) -> None:
         """Close it."""
-        ...
 
 
 def open_video(path: str) -> Capture:

@@ -48,12 +48,10 @@ class UdpState(Protocol):
     @property
     def q(self) -> Array:
         """Joint values (n,) in rad."""
-        ...
 
     @property
     def T_base_flange(self) -> RigidTransform | None:
         """The flange's measured pose; None where it is not told."""
-        ...
 
 
 State = TypeVar("State", bound=UdpState)

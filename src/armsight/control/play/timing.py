@@ -43,11 +43,9 @@ class Way(Protocol):
 
     def pose(self, t_s: float) -> RigidTransform:
         """Return T_base_tip at a time."""
-        ...
 
     def along(self, t_s: float) -> tuple[float, float]:
         """Return the length in m, and the speed along it in m/s, at a time."""
-        ...
 
 
 class StraightSegment:

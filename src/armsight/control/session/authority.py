@@ -53,11 +53,9 @@ class AuthorityLog(Protocol):
 
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened; level: info, warning or error."""
-        ...
 
     def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
         """Keep what somebody asked and was given."""
-        ...
 
 
 class EnableLost(DeviceFailed):

@@ -32,27 +32,21 @@ class Packets(Protocol):
 
     def ping(self, id: int) -> bytes:
         """Ask whether a servo is there."""
-        ...
 
     def read(self, id: int, start: int, size: int) -> bytes:
         """Ask one servo for so many bytes of its table from start on."""
-        ...
 
     def write(self, id: int, start: int, data: bytes) -> bytes:
         """Tell one servo, which answers."""
-        ...
 
     def sync_read(self, ids: Sequence[int], start: int, size: int) -> bytes:
         """Ask several servos, who answer in this order."""
-        ...
 
     def sync_write(self, start: int, data: Mapping[int, bytes]) -> bytes:
         """Tell several servos, none of whom answers."""
-        ...
 
     def answers(self, line: bytes) -> tuple[list[Answer], int]:
         """Return the whole, sound answers on a line, in their order, and how many bytes belong to none."""
-        ...
 
 
 class StsPackets:
