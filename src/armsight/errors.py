@@ -36,11 +36,13 @@ class ArmsightError(Exception):
     """
 
     exit_code: ClassVar[int] = 1
+    usual: ClassVar[str] = ""
+    """The consequence of an error that says none."""
     kept: object = None
 
     def __init__(self, cause: str, *, consequence: str = "", cure: str = "") -> None:
         self.cause = cause
-        self.consequence = consequence
+        self.consequence = consequence or self.usual
         self.cure = cure
         super().__init__(cause)
 
@@ -86,6 +88,8 @@ class DataRefused(ArmsightError):
 
 class BadFile(DataRefused):
     """A file that cannot be read, or that says something impossible."""
+
+    usual = "The file is not used"
 
 
 class Unseen(StrEnum):

@@ -215,7 +215,6 @@ class Sweeper:
             )
 
     def _read(self, joint: int) -> None:
-        """Add the mean of some frames, and of the joint readings beside them, to the rows."""
         looks: list[Observation] = []
         readings: list[Array] = []
         while len(looks) < self._pace.frames_per_reading:

@@ -307,7 +307,7 @@ class JogSource:
     ) -> None:
         self.frame = JogFrame(frame)
         self._n = n if self.frame is JogFrame.JOINTS else 6
-        self._most = np.full(n, joint_speed) if self.frame is JogFrame.JOINTS else _both(speed_m_s, turn_rad_s)
+        self._most = np.full(n, joint_speed) if self.frame is JogFrame.JOINTS else np.repeat([speed_m_s, turn_rad_s], 3)
         self._timeout_s = timeout_s
         self._axes: tuple[float, NDArray[np.float64]] | None = None
 
@@ -342,7 +342,3 @@ class JogSource:
             turn = now.T_base_tool.rotation
             return ToolTwist(velocity_m_s=turn.apply(velocity[:3]), angular_rad_s=turn.apply(velocity[3:]))
         return ToolTwist(velocity_m_s=velocity[:3], angular_rad_s=velocity[3:])
-
-
-def _both(straight: float, turned: float) -> NDArray[np.float64]:
-    return np.array([straight] * 3 + [turned] * 3)

@@ -11,7 +11,6 @@ import math
 import threading
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -123,9 +122,7 @@ class CyclicRobot(ABC):
         self._open = True
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
         if self._open:
             if self._wrong:  # what makes the arm stand goes out until it does
@@ -238,7 +235,6 @@ class CyclicRobot(ABC):
         return False
 
     def _probe(self) -> Probe:
-        """Return what is moved to prove the link, and note from where."""
         return joint_probe(*self._goals.room())
 
     def _axes(self) -> Array:
@@ -273,7 +269,6 @@ class CyclicRobot(ABC):
         return self._controller_clock.measured_s is not None
 
     def _hold(self) -> None:
-        """Forget what was asked and not yet sent."""
         self._goals.hold()
         self._poses.hold()
 
@@ -393,7 +388,6 @@ class CyclicRobot(ABC):
         return reading
 
     def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
-        """Return a command as it goes out."""
         self._moved = self._moved or self._leads_on(q, pose)
         self._commands += 1
         self._pace = replace(self._pace, asked=self._pace.steps)

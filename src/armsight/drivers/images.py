@@ -257,7 +257,7 @@ def _decoded(data: bytes, where: str, *, colour: bool) -> NDArray[np.generic]:
                 np.frombuffer(data, np.uint8), flags | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
             )
         except cv2.error as error:
-            why = f"OpenCV cannot decode it ({_one_line(error)})"
+            why = f"OpenCV cannot decode it ({' '.join(str(error).split())[:200]})"
     if image is None:
         raise BadImage(
             f"{where} is not a whole image: {why or 'its content is damaged, or of no known kind'}",
@@ -321,7 +321,3 @@ def too_large(data: bytes) -> str:
     if len(data) > LARGEST_BYTES or size[0] * size[1] > LARGEST_PX:
         return f"{size[0]} x {size[1]} px are more than the {LARGEST_PX / 1e6:.0f} million that a camera's image has"
     return ""
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

@@ -18,12 +18,8 @@ from armsight.records import Frame, JointReading, frozen_array
 from armsight.records.result_parts import Skew
 
 
-class FrameSource(Protocol):
-    """Frames of one camera in the order of time. Its constructor opens nothing; `with` opens and closes it.
-
-    Frames carry increasing t_s, sequence 0, 1, 2 ... and the source's name or file. A source may be opened and
-    read again, unless it is live.
-    """
+class Source(Protocol):
+    """What frames come from. Its constructor opens nothing; `with` opens and closes it."""
 
     @property
     def name(self) -> str:
@@ -31,7 +27,7 @@ class FrameSource(Protocol):
 
     @property
     def total(self) -> int | None:
-        """How many frames there will be; None where that cannot be known (live, some videos)."""
+        """How many frames or moments there will be; None where that cannot be known (live, some videos)."""
 
     def __enter__(self) -> Self:
         """Open it. Raises DataRefused or DeviceFailed where that cannot be done."""
@@ -40,6 +36,14 @@ class FrameSource(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close it; legal at any time."""
+
+
+class FrameSource(Source, Protocol):
+    """Frames of one camera in the order of time.
+
+    Frames carry increasing t_s, sequence 0, 1, 2 ... and the source's name or file. A source may be opened and
+    read again, unless it is live.
+    """
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames. Raises BadImage, Inconsistent or DeviceLost at the frame that fails."""
@@ -49,31 +53,15 @@ Views: TypeAlias = tuple[Frame | None, ...]
 """A frame of each camera at one time, or None where one has none."""
 
 
-class MomentSource(Protocol):
+class MomentSource(Source, Protocol):
     """Moments in step: a frame of each of some cameras, in one order, or None where one has none.
 
-    Opened and closed like a FrameSource. Of a pair every moment has both.
+    Of a pair every moment has both.
     """
-
-    @property
-    def name(self) -> str:
-        """What the person called it."""
-
-    @property
-    def total(self) -> int | None:
-        """How many moments there will be; None where that cannot be known."""
 
     @property
     def skew(self) -> Skew | None:
         """How far apart the frames of a moment were so far; None where all views share one time stamp."""
-
-    def __enter__(self) -> Self:
-        """Open it. Raises DataRefused or DeviceFailed where that cannot be done."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it; legal at any time."""
 
     def __iter__(self) -> Iterator[Views]:
         """Yield the moments. Raises BadImage, Inconsistent or DeviceLost at the one that fails."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -59,9 +58,7 @@ class Replay(Generic[Item]):
         self._items = iter(self._open_items())
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         close: Any = getattr(self._items, "close", None)
         if close is not None:
             close()
@@ -136,9 +133,7 @@ class ReplayRobot:
         self._start_s, self._held_s = self._clock.now_s(), None
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._start_s = None
 
     def read(self) -> JointReading:

@@ -183,7 +183,6 @@ class UdpRobot(CyclicRobot, Generic[State]):
                 self._take(data, sender, newest=newest[sender] == i)
 
     def _received(self, wait_s: float) -> list[tuple[bytes, Sender]]:
-        """Return the packets that are there; wait for one for so long."""
         packets: list[tuple[bytes, Sender]] = []
         self._socket.settimeout(wait_s)
         with contextlib.suppress(OSError):  # none within the time, no more, or a datagram's error report
@@ -193,7 +192,6 @@ class UdpRobot(CyclicRobot, Generic[State]):
         return packets
 
     def _take(self, data: bytes, sender: Sender, *, newest: bool = True) -> None:
-        """Take one packet, and answer where it is a good one and none has come behind it."""
         # before it is parsed: whoever is foreign shall not even cost that
         if self._sender not in (None, sender) or self._link_settings.controller not in ("", sender[0]):
             self.counts.foreign += 1
@@ -285,7 +283,6 @@ class UdpRobot(CyclicRobot, Generic[State]):
         return self._behind >= (RESTART_PACKETS if far else RESTART_ROW)
 
     def _answer(self, state: State, sender: Sender) -> None:
-        """Answer a state with where the arm is told to go, where that can be said."""
         data = self._encode(state)
         if data is None or self._outlived():
             return

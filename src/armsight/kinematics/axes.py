@@ -126,7 +126,6 @@ def in_short_rows(arm: Arm) -> Arm:
 
 
 def _loaded(arm: Arm, joints: Sequence[AxisJoint], T_world_joint: Sequence[Array]) -> Arm:
-    """Return the arm with the masses of its links, whose joints' frames (4, 4) are those of all joints at zero."""
     if not any(joint.mass_kg for joint in joints):
         return arm
     behind = np.linalg.inv(link_frames(arm, np.zeros(arm.n))[1:-1])

@@ -115,7 +115,6 @@ def _outside(arm: Arm) -> tuple[Array, Array]:
 
 
 def _inverse(T: Array) -> Array:
-    """Return the inverse of a rigid (4, 4) matrix."""
     out = np.eye(4)
     out[:3, :3] = T[:3, :3].T
     out[:3, 3] = -T[:3, :3].T @ T[:3, 3]

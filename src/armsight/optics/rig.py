@@ -12,23 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight import records
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry.poses import skew
 from armsight.optics.camera import INTRINSICS, SIDES, Camera
 from armsight.optics.kernels.camera import project_many
 from armsight.optics.mounted import MountedCamera, MountedZoom, place_of, require_names, with_each
-from armsight.records import (
-    CameraTiming,
-    NamedCovariance,
-    NoiseModel,
-    Saveable,
-    checked_rows,
-    frozen_array,
-    one_of,
-    require_kind,
-    require_numbers,
-)
 
 PLACE = ("tx", "ty", "tz", "rx", "ry", "rz")
 """A mounted camera's pose in a rig's covariance: T_rig_camera moved as t + dt (m), Exp(dw) R (rad)."""
@@ -50,7 +40,7 @@ class RigKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, init=False)
-class Rig(Saveable):
+class Rig(records.Saveable):
     """One to eight cameras in an order, each by its name, with its pose in the rig's axes.
 
     covariance: of the calibration, named '<name>.<intrinsic>' (px) and '<name>.tx|ty|tz' (m), '<name>.rx|ry|rz' (rad)
@@ -62,7 +52,7 @@ class Rig(Saveable):
 
     kind: RigKind
     cameras: tuple[MountedCamera, ...]
-    covariance: NamedCovariance | None = None
+    covariance: records.NamedCovariance | None = None
     rms_px: float | None = None
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
@@ -71,14 +61,14 @@ class Rig(Saveable):
         *,
         kind: RigKind | str | None = None,
         cameras: Sequence[MountedCamera] | None = None,
-        covariance: NamedCovariance | None = None,
+        covariance: records.NamedCovariance | None = None,
         rms_px: float | None = None,
         left: Camera | None = None,
         right: Camera | None = None,
         T_rig_left: RigidTransform | None = None,
         T_rig_right: RigidTransform | None = None,
-        noise: Sequence[NoiseModel | None] | None = None,
-        timing: Sequence[CameraTiming | None] | None = None,
+        noise: Sequence[records.NoiseModel | None] | None = None,
+        timing: Sequence[records.CameraTiming | None] | None = None,
         zoom: Sequence[MountedZoom | None] | None = None,
     ) -> None:
         """Take the cameras; or of a pair left, right and their poses.
@@ -89,12 +79,14 @@ class Rig(Saveable):
         """
         pair = zip(SIDES, (left, right), (T_rig_left, T_rig_right), strict=True)
         given = {side: {"camera": camera, "T_rig_camera": T} for side, camera, T in pair}
-        require_kind("cameras", cameras, tuple, list, NoneType, cure="Give a tuple of MountedCamera, or left and right")
+        records.require_kind(
+            "cameras", cameras, tuple, list, NoneType, cure="Give a tuple of MountedCamera, or left and right"
+        )
         if cameras is None:
             cameras = [MountedCamera(name=side, **own) for side, own in given.items()]  # type: ignore[arg-type]  # checked there
         else:
             for one in cameras:
-                require_kind("one of cameras", one, MountedCamera)
+                records.require_kind("one of cameras", one, MountedCamera)
             for side, own in given.items():
                 some = {name: value for name, value in own.items() if value is not None}
                 if some:
@@ -115,8 +107,8 @@ class Rig(Saveable):
 
     def _check(self) -> None:
         require_names(self.names)
-        require_kind("covariance", self.covariance, NamedCovariance, NoneType)
-        require_numbers(self, "rms_px")
+        records.require_kind("covariance", self.covariance, records.NamedCovariance, NoneType)
+        records.require_numbers(self, "rms_px")
         unknown = set(self.covariance.names if self.covariance else ()) - set(self.parameters)
         if unknown:
             raise Inconsistent(
@@ -177,12 +169,12 @@ class Rig(Saveable):
         return float(np.linalg.norm(self.T_rig_right.translation - self.T_rig_left.translation))
 
     @property
-    def noise(self) -> tuple[NoiseModel | None, ...]:
+    def noise(self) -> tuple[records.NoiseModel | None, ...]:
         """The noise of each camera's grey levels, where known."""
         return tuple(one.noise for one in self.cameras)
 
     @property
-    def timing(self) -> tuple[CameraTiming | None, ...]:
+    def timing(self) -> tuple[records.CameraTiming | None, ...]:
         """When each camera's lines are exposed, where known."""
         return tuple(one.timing for one in self.cameras)
 
@@ -225,7 +217,7 @@ class Rig(Saveable):
 
     def require_pair(self, what: str) -> Rig:
         """Return itself; raise UsageError, beginning with `what`, where its cameras are not left and right alone."""
-        require_kind("what", what, str)
+        records.require_kind("what", what, str)
         if self.is_pair:
             return self
         raise UsageError(
@@ -239,7 +231,7 @@ class Rig(Saveable):
 
         NaN behind a camera, beyond its widest_rad and where a point is NaN. Raises Inconsistent for any other shape.
         """
-        X = checked_rows("points_m", points_m, 3, nan=True)
+        X = records.checked_rows("points_m", points_m, 3, nan=True)
         packed, out = PackedRig.of(self), tuple(np.empty((len(X), 2)) for _ in self.cameras)
         for k, pixels in enumerate(out):
             project_many(*packed.camera(k), X, pixels)
@@ -251,7 +243,7 @@ def _kind(kind: RigKind | str | None, names: tuple[str, ...]) -> RigKind:
     own = RigKind.STEREO if names == SIDES else RigKind.CAMERAS
     if kind is None:
         return own
-    given = one_of(RigKind, "kind", kind)
+    given = records.one_of(RigKind, "kind", kind)
     if (given is RigKind.CAMERAS) is (own is RigKind.CAMERAS):
         return given
     raise Inconsistent(
@@ -261,7 +253,7 @@ def _kind(kind: RigKind | str | None, names: tuple[str, ...]) -> RigKind:
     )
 
 
-def _held(rig: Rig, known: NamedCovariance, new: Rig) -> NamedCovariance:
+def _held(rig: Rig, known: records.NamedCovariance, new: Rig) -> records.NamedCovariance:
     """Return a rig's covariance as that of some of its cameras, whose first one is held in place of the rig's first.
 
     With all axes as they are: the whole is moved back by what the new first camera b is moved, dt_i - dt_b -
@@ -282,7 +274,7 @@ def _held(rig: Rig, known: NamedCovariance, new: Rig) -> NamedCovariance:
             J[row : row + 3, b + 3 : b + 6] += skew(apart)
     J = J[:, [names.index(name) for name in known.names]]
     free = np.flatnonzero(J.any(axis=1))
-    return NamedCovariance(names=tuple(wanted[i] for i in free), matrix=J[free] @ known.matrix @ J[free].T)
+    return records.NamedCovariance(names=tuple(wanted[i] for i in free), matrix=J[free] @ known.matrix @ J[free].T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -322,11 +314,11 @@ class PackedRig:
         poses, V = [one.T_rig_camera.inv() for one in rig.cameras], len(rig.cameras)
         first, second = rig.cameras[0].T_rig_camera, rig.cameras[min(1, V - 1)].T_rig_camera
         return cls(
-            k=frozen_array("k", [one.camera.packed for one in rig.cameras], (V, 12)),
-            R=frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (V, 3, 3)),
-            t=frozen_array("t", [pose.translation for pose in poses], (V, 3)),
-            baseline=frozen_array("baseline", second.translation - first.translation, (3,)),
-            covariance=frozen_array("covariance", _covariance(rig), (None, None)),
+            k=records.frozen_array("k", [one.camera.packed for one in rig.cameras], (V, 12)),
+            R=records.frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (V, 3, 3)),
+            t=records.frozen_array("t", [pose.translation for pose in poses], (V, 3)),
+            baseline=records.frozen_array("baseline", second.translation - first.translation, (3,)),
+            covariance=records.frozen_array("covariance", _covariance(rig), (None, None)),
         )
 
 

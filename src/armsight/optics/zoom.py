@@ -265,7 +265,6 @@ def _shape(setting: ZoomSetting) -> Array:
 
 
 def _camera(shape: Array, like: Camera) -> Camera:
-    """Return the camera of a shape (11,): the inverse of _shape."""
     fx = np.exp(shape[0])
     s = _half_diagonal(like) / fx
     d1, d2, e1, e2, d3 = shape[5:N]

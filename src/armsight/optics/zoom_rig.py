@@ -74,7 +74,9 @@ def at_zoom(rig: Rig, zoom: Zooms = ()) -> RigAtZoom:
                 cure=f"Leave --zoom-{side} away, or add the settings with armsight calibrate zoom-rig",
             )
         states.append(state)
-        if state is not None and mounted is not None and not _is_at(mounted, state.zoom):
+        if state is None or mounted is None:
+            continue
+        if abs(state.zoom - mounted.at) > 1e-9 * max(abs(state.zoom), float(np.ptp(mounted.lens.zooms))):
             moved[side] = state
     return RigAtZoom(rig=_moved(rig, moved), states=tuple(states))
 
@@ -89,11 +91,6 @@ def _required(side: str, mounted: MountedZoom, value: float | None) -> float:
         cure=f"Give --zoom-{side} with the value that the lens stood at, {low:g} to {high:g}; for a command that takes "
         "none, make the file of one setting with armsight convert rig --zoom-left --zoom-right",
     )
-
-
-def _is_at(mounted: MountedZoom, zoom: float) -> bool:
-    """Tell whether a zoom is the one at which the rig was calibrated."""
-    return abs(zoom - mounted.at) <= 1e-9 * max(abs(zoom), float(np.ptp(mounted.lens.zooms)))
 
 
 def _mounted(rig: Rig, side: str, lens: ZoomLens, at: float | None) -> MountedZoom:
@@ -125,7 +122,6 @@ def _mounted(rig: Rig, side: str, lens: ZoomLens, at: float | None) -> MountedZo
 
 
 def _moved(rig: Rig, moved: dict[str, ZoomState]) -> Rig:
-    """Return the rig without settings, the cameras in moved as their states say."""
     plain = rig.with_each(zoom=(None,) * len(rig.cameras))
     if not moved:
         return plain

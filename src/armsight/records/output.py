@@ -246,7 +246,6 @@ def _plain(value: Any, hint: Any) -> Any:
 
 @cache
 def _inner(hint: Any) -> Any:
-    """Return the type of the values of a list, tuple, dictionary or array; behind Annotated and None."""
     hint = _bare(hint)
     return (
         float

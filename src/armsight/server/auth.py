@@ -205,7 +205,6 @@ class Authenticator:
         return next((_identity(entry, login) for entry in self._tokens() if entry.sha256 == token), None)
 
     def _tokens(self) -> tuple[TokenEntry, ...]:
-        """Return the tokens as they are now; none while their file cannot be read, and nobody comes in."""
         stamp = self._stamp()
         if stamp != self._read_at and self._file is not None:
             try:

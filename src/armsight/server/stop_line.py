@@ -211,7 +211,6 @@ def run_stop_line(
 
 @contextlib.contextmanager
 def _listening(options: ServeOptions) -> Iterator[socket.socket]:
-    """Hold the listening socket of the line."""
     if options.stop_port is not None or options.port == 0:
         with listening(options.bind, options.stop_port or 0) as listener:
             yield listener

@@ -51,7 +51,6 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
     if not readings or 0 < len(pixels) < 4 or 0 < len(positions) < 3 or not (pixels or positions):
         raise BadFile(
             f"{path}: has the columns {', '.join(table.numbers)}",
-            consequence="The file is not used",
             cure=f"Give joint, q1 .. qn, and {', '.join(POSITION)} or {', '.join(STEREO_PIXELS)}",
         )
     joint = table.numbers["joint"]
@@ -72,7 +71,7 @@ def read_sweep_joints(
     readings = table.series("q")
     check_joint_values(table.stacked(readings), str(path), format_)
     if not readings:
-        raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
+        raise BadFile(f"{path}: no column q1", cure="Give q1 .. qn in every row")
     frame, joint = table.numbers["frame"], table.numbers["joint"]
     for name, column in (("frame", frame), ("joint", joint)):
         whole = (column == np.round(column)) & (column >= 0.0)
@@ -123,7 +122,7 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     table = without_lost(without_rare_rotations(table, format_.notify), format_.notify)
     readings = table.series("q")
     if not readings:
-        raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
+        raise BadFile(f"{path}: no column q1", cure="Give q1 .. qn in every row")
     check_joint_values(table.stacked(readings), str(path), format_)
     rotation = _rotation(table, path)
     t_s = table.numbers.get("t_s")
@@ -142,12 +141,10 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
 
 
 def _rotation(table: Table, path: Path) -> NDArray[np.float64] | None:
-    """Return the rotations (m, 3, 3), None where there is no quaternion. Raises BadFile for a part of one."""
     turns = [name for name in QUATERNION if name in table.numbers]
     if turns and len(turns) < len(QUATERNION):
         raise BadFile(
             f"{path}: of the quaternion only {', '.join(turns)} is there",
-            consequence="The file is not used",
             cure="Give qx, qy, qz and qw, or none of them",
         )
     if not turns:

@@ -18,7 +18,6 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from io import FileIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -63,7 +62,6 @@ def read_bytes(path: Path, *, limit: int) -> bytes:
     if len(data) > limit:
         raise BadFile(
             f"{path}: larger than {limit / 1e6:g} MB, which no file of this kind is",
-            consequence="It is not read",
             cure="Check that this is the file you meant",
         )
     return data
@@ -223,9 +221,7 @@ class RowFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

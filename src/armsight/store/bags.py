@@ -151,7 +151,6 @@ class BagTopic:
         )
 
     def _messages(self, origin_ns: int | None) -> Iterator[tuple[Any, float]]:
-        """Yield the messages with t_s."""
         last_ns: int | None = None
         zero_ns = self.origin_ns if origin_ns is None else origin_ns
         for number, (message, written_ns) in enumerate(self._decoded(), 1):

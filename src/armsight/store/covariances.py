@@ -84,7 +84,6 @@ def covariances(table: Columns, std: Array, rows: Sequence[int], lead: str = "")
         missing = next(name for name in names if name not in table.numbers)
         raise BadFile(
             f"{table.location(rows[0])}: the column {missing} is missing beside {there[0]}",
-            consequence="The file is not used",
             cure="Give the whole upper triangle of the covariance, or standard deviations only",
         )
     at = np.asarray(rows, dtype=np.intp)
@@ -142,7 +141,6 @@ def _require_positive(table: Columns, covariance: Array, std: Array, rows: Seque
         row = rows[int(related[int(np.argmax(impossible))])]
         raise BadFile(
             f"{table.location(row)}: its columns cov_... are no covariance beside its standard deviations",
-            consequence="The file is not used",
             cure="Write covariances in m and rad, in the axes of the standard deviations",
         )
 

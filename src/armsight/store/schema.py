@@ -75,11 +75,7 @@ def read_document(path: Path, format_: str) -> dict[str, Any]:
     if found == format_:
         return content
     said = f"format {found!r}" if found is not None else "no format"
-    raise BadFile(
-        f"{path}: says {str(said)[:80]}, not {format_!r}",
-        consequence="It is not read",
-        cure=_format_cure(content, format_),
-    )
+    raise BadFile(f"{path}: says {str(said)[:80]}, not {format_!r}", cure=_format_cure(content, format_))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -41,7 +41,6 @@ def parse_spot_track(data: bytes, where: str) -> SpotTrack:
     if len(back):
         raise BadFile(
             f"{table.location(int(back[0]) + 1)}, column t_s: the time goes back, or a frame stands in two places",
-            consequence=UNUSED,
             cure="Give the frames in the order of time, and the spots of a frame in rows of the same t_s",
         )
     frames, frame = np.unique(t, return_inverse=True)
@@ -64,7 +63,6 @@ def _require_sizes(table: Table) -> None:
         missing = next(name for name in DEVIATIONS if name not in given)
         raise BadFile(
             f"{table.where}: the column {given[0]} stands without {missing}",
-            consequence=UNUSED,
             cure="Give the standard deviations along both axes, or none",
         )
     for name in (*REQUIRED, *given):
@@ -77,7 +75,6 @@ def _require_sizes(table: Table) -> None:
             row = int(np.flatnonzero(wrong)[0])
             raise BadFile(
                 f"{table.location(row)}, column {name}: {values[row]:g} is {what}",
-                consequence=UNUSED,
                 cure="Correct the cell, or remove the row",
             )
 
@@ -88,14 +85,11 @@ def _require_once(table: Table, frame: NDArray[np.intp], names: tuple[str, ...])
     for row, (k, name) in enumerate(zip(frame.tolist(), names, strict=True)):
         if not name and "spot" in table.text:
             raise BadFile(
-                f"{table.location(row)}, column spot: empty",
-                consequence=UNUSED,
-                cure="Name every spot, or leave the column away",
+                f"{table.location(row)}, column spot: empty", cure="Name every spot, or leave the column away"
             )
         if name and (k, name) in seen:
             raise BadFile(
                 f"{table.location(row)}, column spot: {name[:40]!r} stands twice at this t_s",
-                consequence=UNUSED,
                 cure="Give each light of a frame once; frames that follow each other need different times",
             )
         seen.add((k, name))
@@ -126,7 +120,6 @@ def parse_picks(data: bytes, where: str) -> Picks:
         if edge and edge in ended:
             raise BadFile(
                 f"{table.location(row)}, column edge: {edge[:40]!r} ended further up",
-                consequence="The picks are not used",
                 cure="Let the rows of an edge follow each other",
             )
         if row + 1 < len(edges) and edges[row + 1] != edge:

@@ -83,7 +83,6 @@ class Table:
         if set(names) != found:
             raise BadFile(
                 f"{self.where}: the columns {', '.join(sorted(found))} are not counted {prefix}1, {prefix}2, ...",
-                consequence="The file is not used",
                 cure="Number them from 1 without a gap",
             )
         return names
@@ -137,7 +136,6 @@ def parse_table(
         if len(row) != len(header):
             raise BadFile(
                 f"{where}, line {line}: {len(row)} cells, the header has {len(header)}",
-                consequence="The file is not used",
                 cure="Give every row one cell per column",
             )
     if need_rows and not body:
@@ -167,7 +165,6 @@ def decoded(data: bytes, where: str) -> str:
     except UnicodeDecodeError as error:
         raise BadFile(
             f"{where}: byte {error.start} is not UTF-8 text",
-            consequence="The file cannot be read",
             cure="Save it as CSV in UTF-8, or check that it is not a binary file",
         ) from error
 
@@ -186,7 +183,7 @@ def csv_rows(data: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
             if any(cell.strip() for cell in row):
                 yield reader.line_num, row
     except csv.Error as error:
-        raise BadFile(f"{where}, line {reader.line_num}: {error}", consequence="The file cannot be read") from error
+        raise BadFile(f"{where}, line {reader.line_num}: {error}") from error
 
 
 def no_rows(where: str) -> NotEnoughData:
@@ -204,11 +201,10 @@ def _swallows_rows(cell: str, columns: int) -> bool:
 
 
 def _rows(data: bytes, where: str) -> tuple[list[list[str]], list[int]]:
-    """Return the rows that are not empty, and their lines."""
     found = list(csv_rows(data, where))
     rows, lines = [row for _, row in found], [line for line, _ in found]
     if not rows:
-        raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
+        raise BadFile(f"{where}: the file is empty", cure="Check the file")
     return rows, lines
 
 
@@ -220,7 +216,6 @@ def _check_header(
         raise BadFile(
             f"{where}: the column{'s' * (len(missing) > 1)} {', '.join(missing)} "
             f"{'are' if len(missing) > 1 else 'is'} missing; found {', '.join(header)[:200]}",
-            consequence="The file is not used",
             cure=_header_cure(header, required),
         )
     twice = sorted({name for name in header if header.count(name) > 1})
@@ -237,7 +232,6 @@ def _check_header(
             also = f", {series}1, {series}2, ..." if series else ""
             raise BadFile(
                 f"{where}: unknown column {name[:40]!r}" + (f" (did you mean {close[0]!r}?)" if close else ""),
-                consequence="The file is not used",
                 cure=f"Valid columns: {', '.join(known)}{also}",
             )
 
@@ -271,7 +265,9 @@ def in_time(table: Table, notify: Callable[[str], None]) -> Table:
     """
     t_s, cells = table.numbers["t_s"], [*table.numbers.values(), *(np.array(c) for c in table.text.values())]
     again = np.zeros(len(table), dtype=bool)
-    again[1:] = np.all([_equal(column[1:], column[:-1]) for column in cells], axis=0)
+    again[1:] = np.all(
+        [(c[1:] == c[:-1]) | ((c[1:] != c[1:]) & (c[:-1] != c[:-1])) for c in cells], axis=0
+    )  # NaN is NaN
     kept = np.flatnonzero(~again)
     late = np.flatnonzero(np.diff(t_s[kept]) <= 0.0)
     if late.size:
@@ -286,11 +282,6 @@ def in_time(table: Table, notify: Callable[[str], None]) -> Table:
     if again.any():
         notify(f"{table.where}: {int(again.sum())} of {len(table)} rows repeat the row before them and are left out")
     return table.take(kept)
-
-
-def _equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return where cells (n,) are equal; empty ones are to each other."""
-    return np.asarray((a == b) | ((a != a) & (b != b)))
 
 
 def number_column(cells: Sequence[str], name: str, lines: Sequence[int], where: str, may_be_blank: bool) -> Array:
@@ -316,7 +307,6 @@ def _bad_cell(cell: str, name: str, line: int, where: str) -> BadFile:
     shown = repr(cell if len(cell) <= 40 else cell[:37] + "...") if cell.strip() else "empty"
     return BadFile(
         f"{where}, line {line}, column {name}: {shown} is not a finite number",
-        consequence="The file is not used",
         cure="Correct the cell, or remove the row",
     )
 

@@ -33,7 +33,7 @@ def read_touches(path: Path, format_: TableFormat = OURS) -> Touches:
     )
     readings = table.series("q")
     if not readings:
-        raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
+        raise BadFile(f"{path}: no column q1", cure="Give q1 .. qn in every row")
     check_joint_values(table.stacked(readings), str(path), format_)
     kinds = tuple(_kind(table, row) for row in range(len(table)))
     feature, lengths = (table.text[FEATURE], ()) if FEATURE in table.text else _of_places(table)
@@ -56,7 +56,6 @@ def _kind(table: Table, row: int) -> Kind:
     if text not in set(Kind):
         raise BadFile(
             f"{table.location(row)}, column {KIND}: {text!r} is no kind of feature",
-            consequence="The file is not used",
             cure=f"Write one of: {', '.join(Kind)}",
         )
     return Kind(text)
@@ -70,7 +69,6 @@ def _readings(table: Table, kinds: tuple[Kind, ...]) -> np.ndarray:
             lacks = "a gauge needs its reading" if kind is Kind.GAUGE else f"a {kind} has no reading"
             raise BadFile(
                 f"{table.location(row)}, column {READING}: {lacks}",
-                consequence="The file is not used",
                 cure="Write what the gauge showed, in m, and leave the cell empty for all else",
             )
     return np.nan_to_num(given)

@@ -83,12 +83,11 @@ def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, bas
 def _name(element: ElementTree.Element, kind: str, where: str) -> str:
     name = element.get("name")
     if not name:
-        raise BadFile(f"{where}: a {kind} has no name", consequence="The file is not used", cure="Give it a name")
+        raise BadFile(f"{where}: a {kind} has no name", cure="Give it a name")
     return name
 
 
 def _joint(element: ElementTree.Element, where: str) -> UrdfJoint:
-    """Return one joint's kind, and the links that it joins."""
     name = _name(element, "joint", where)
     at = f"{where}: joint {name}"
     links = {}

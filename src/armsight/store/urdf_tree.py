@@ -338,11 +338,11 @@ def _limit(joint: UrdfJoint, key: str) -> float:
     limit = joint.element.find("limit")
     text = None if limit is None else limit.get(key)
     value = float(numbers(text, "0", 1, f"{joint.at}: {key} limit", endless=True)[0])
-    return math.copysign(math.inf, value) if abs(value) >= _endless(joint) else value
-
-
-def _endless(joint: UrdfJoint) -> float:
-    return ENDLESS_SLIDE_M if joint.type == "prismatic" else ENDLESS
+    return (
+        math.copysign(math.inf, value)
+        if abs(value) >= (ENDLESS_SLIDE_M if joint.type == "prismatic" else ENDLESS)
+        else value
+    )
 
 
 def _check_unit(joint: UrdfJoint, lower: float, upper: float) -> None:

@@ -172,7 +172,7 @@ def parse_yaml(data: bytes, where: str) -> dict[str, Any]:
     value = _guarded(_without_opencv_header(_decoded(data, where)), where)
     if not isinstance(value, dict):
         found = "empty" if value is None else f"a {type(value).__name__}, not a mapping of keys to values"
-        raise BadFile(f"{where}: the file is {found}", consequence="It says nothing", cure="Check the file")
+        raise BadFile(f"{where}: the file is {found}", cure="Check the file")
     return value
 
 
@@ -182,7 +182,6 @@ def _decoded(data: bytes, where: str) -> str:
     except UnicodeDecodeError as error:
         raise BadFile(
             f"{where}: byte {error.start} is not UTF-8 text",
-            consequence="The file cannot be read",
             cure="Save it as UTF-8, or check that it is not a binary file",
         ) from error
 
@@ -230,7 +229,7 @@ def _refuse_explosion(root: yaml.Node) -> None:
 
 
 def _not_yaml(position: str, reason: str) -> BadFile:
-    return BadFile(f"{position}: {reason}", consequence="The file cannot be read", cure="Correct it there")
+    return BadFile(f"{position}: {reason}", cure="Correct it there")
 
 
 def parse_yaml_documents(data: bytes, where: str) -> list[Any]:

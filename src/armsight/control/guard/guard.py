@@ -165,7 +165,6 @@ class Guard:
         return max(faults, key=lambda fault: (fault.without_robot, SEVERITY[fault.state]), default=None)
 
     def _followed(self, wanted: SetPoint) -> tuple[Move | None, Fault | None]:
-        """Return the move of a set point, or why there is none; one that met a limit first comes to rest there."""
         if self._refused is not None and not self._follower.now.at_rest:
             return None, self._refused
         move, fault = self._follower.tried(wanted, 1.0)

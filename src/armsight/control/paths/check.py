@@ -153,7 +153,6 @@ def _turns(T: Array) -> Array:
 
 
 def _tracked(track: JointPath) -> list[PathIssue]:
-    """Return reach, jumps, branches and passages of singularities; ranges and speeds are those of the limits."""
     kinds = ("unreached", "jump", "branch", "singular")
     issues = []
     for found in track.issues:
@@ -193,7 +192,6 @@ def _tool(T: Array, t_s: Array, speed: Array, limits: Limits) -> list[PathIssue]
 
 
 def _joints(arm: Arm, q: Array, rate: Array, lower: Array, upper: Array, fastest: Array) -> list[PathIssue]:
-    """Return readings beyond their ranges, and joints that would run too fast."""
     issues = []
     own = arm.values(q) if len(q) else q
     low, high = np.maximum(lower - q, arm.lower - own), np.maximum(q - upper, own - arm.upper)
@@ -224,7 +222,6 @@ def _singular(arm: Arm, values: Array, limits: Limits) -> list[PathIssue]:
 
 
 def _boxes(arm: Arm, T_base_tip: Array, limits: Limits) -> list[PathIssue]:
-    """Return rows whose tool or flange is, there or on the straight way to it, outside the workspace or in a box."""
     T_base_flange = T_base_tip @ arm.T_flange_tool.inv().as_matrix()
     issues = []
     for name, xyz in (("tool", T_base_tip[:, :3, 3]), ("flange", T_base_flange[:, :3, 3])):

@@ -118,7 +118,6 @@ def _unfit(row: int, radius_m: float, why: str) -> Inconsistent:
 
 
 def _tags(path: TaughtPath, s: Array, lengths: Array) -> tuple[str, ...]:
-    """Return the tags (k,) at the rows nearest to where they were."""
     tags = [""] * len(lengths)
     for row, tag in enumerate(path.tags):
         if not tag:
@@ -246,6 +245,5 @@ def _continuous(quat: Array) -> Array:
 
 
 def _within(step: Array, bound: float) -> Array:
-    """Return steps (n, 3) none of which is longer than the bound."""
     length = np.linalg.norm(step, axis=1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, bound / np.maximum(length, 1e-300)))

@@ -160,7 +160,6 @@ def _in_world(path: TaughtPath, arm: Arm) -> Array:
 
 
 def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransform) -> TaughtPath:
-    """Return the path with the rotations to run, no two rows alike. Raises for jumps and too few positions."""
     if settings.keep_rotation:
         T = path.T_world_tip.copy()
         T[:, :3, :3] = T_base_stand.rotation.as_matrix()
@@ -187,7 +186,6 @@ def _legs(stand: RigidTransform, start: RigidTransform, settings: PlaySettings, 
 
 
 def _leg(start: RigidTransform, end: RigidTransform, speed_m_s: float) -> Samples:
-    """Return a straight way that turns evenly; its length, of which the speed is, counts turning too (ARM_M)."""
     way = pose_difference(end, start)
     length_m = max(float(np.linalg.norm(way[:3])), ARM_M * float(np.linalg.norm(way[3:])))
     share = np.linspace(0.0, 1.0, max(LEG_SAMPLES, int(np.ceil(length_m / LEG_STEP_M)) + 1))
@@ -290,7 +288,6 @@ def _checked(
 
 
 def _rows(way: Samples) -> NDArray[np.intp]:
-    """Return the samples of a way that are checked, the last one among them."""
     every = max(1, min(int(CHECK_M / way.u[1]), 8))
     return np.unique(np.append(np.arange(0, len(way.u), every), len(way.u) - 1))
 

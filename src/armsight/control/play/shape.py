@@ -187,7 +187,6 @@ def _turns(path: TaughtPath, way: Array, turn: Array) -> str:
 
 
 def _sampled(at_rows: Array, blend_m: float, weave: Weave) -> Array:
-    """Return the parameter (n,) of samples in even steps."""
     total = float(at_rows[-1])
     if blend_m > BLEND_SHARE * total:
         raise UsageError(

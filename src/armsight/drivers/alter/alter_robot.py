@@ -210,7 +210,6 @@ class AlterRobot(CyclicRobot):
                 self._lose("its controller has fallen silent")
 
     def _take(self, state: StateFrame, *, newest: bool) -> None:
-        """Take one state, and answer it where it is good and none has come after it."""
         if self._last is None:
             if not self._may_begin(state):
                 return
@@ -238,7 +237,6 @@ class AlterRobot(CyclicRobot):
             self._first.set()
 
     def _unfit(self) -> tuple[str, str] | None:
-        """Return why the robot may not be opened, and the cure; None where nothing is known against it."""
         if clock := self._controller_clock.wrong:
             return clock, self._controller_clock.cure
         if self._obeyed or not self._answers:

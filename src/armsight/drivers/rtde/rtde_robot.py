@@ -169,7 +169,6 @@ class RtdeRobot(CyclicRobot):
             self._worker.cut()
 
     def _take(self, state: ControllerState) -> None:
-        """Take a state of the controller, and answer it with the goal of this moment."""
         if state.stamp_s < self._stamp_s:
             raise DeviceLost("its controller has started anew")
         cycles = max(1, round((state.stamp_s - self._stamp_s) / self.cycle_s))
@@ -188,7 +187,6 @@ class RtdeRobot(CyclicRobot):
             self._first.set()
 
     def _hear(self, state: ControllerState) -> None:
-        """Take the reading of a state. Raises Inconsistent where there is none, DeviceLost where nothing moves."""
         q = np.array(state.q)
         if not (np.abs(q) < LARGEST_RAD).all():
             raise Inconsistent("its controller tells joint values that no joint can have")

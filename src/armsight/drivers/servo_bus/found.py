@@ -48,7 +48,6 @@ def found(line: Line, family: Family, joints: Sequence[JointOfServo], baud: int,
 def _absent(
     line: Line, family: Family, joints: Sequence[JointOfServo], missing: list[JointOfServo], baud: int, name: str
 ) -> DeviceNotFound:
-    """Return why servos do not answer, as far as it can be found."""
     for joint in missing:
         ping, size = family.packets.ping(joint.id), 0 if family.tick is None else 3
         if all(line.garbled(ping, size) for _ in range(3)):

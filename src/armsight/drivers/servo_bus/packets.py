@@ -130,17 +130,14 @@ class DynamixelPackets:
             whole = len(line) - at >= self.extra and line.startswith(HEAD_2, at)
             size = int.from_bytes(line[at + 5 : at + 7], "little") + 7 if whole else 0
             packet = line[at : at + size]
-            if self.extra <= size <= len(line) - at and _is_status(packet):
+            sound = self.extra <= size <= len(line) - at and crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
+            if sound and packet[7] == STATUS:
                 body = packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
                 found.append(Answer(packet[4], body[0], body[1:]))
                 at += size
             else:
                 at, foreign = at + 1, foreign + 1
         return found, foreign
-
-
-def _is_status(packet: bytes) -> bool:
-    return packet[7] == STATUS and crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
 
 
 def _table() -> tuple[int, ...]:

@@ -256,7 +256,6 @@ class ServoBusRobot(CyclicRobot):
         return states
 
     def _cycle(self, cycles: int) -> None:
-        """Ask the servos, and tell them where to go."""
         self._numbers += cycles
         t_s = self._clock.now_s()
         states = self._ask()
@@ -283,7 +282,6 @@ class ServoBusRobot(CyclicRobot):
         self._tell()
 
     def _tell(self) -> None:
-        """Tell the servos their goals, where they are enabled or are being so."""
         with self._lock:
             active = self._enabled or self._enabling
             steps = tuple(joint.steps(q) for joint, q in zip(self.joints, self._goals.sent, strict=True))

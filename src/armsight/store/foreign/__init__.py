@@ -15,25 +15,3 @@ from armsight.store.foreign.transforms import (
     write_easy_handeye2,
     write_tf_launch,
 )
-
-__all__ = [
-    "FrameNames",
-    "Transform",
-    "camera_from_kalibr",
-    "camera_from_opencv",
-    "camera_from_ros",
-    "camera_to_kalibr",
-    "camera_to_opencv",
-    "camera_to_ros",
-    "cameras_to_colmap",
-    "kind_of",
-    "rig_from_kalibr",
-    "rig_from_opencv",
-    "rig_from_ros",
-    "rig_to_kalibr",
-    "rig_to_opencv",
-    "rig_to_ros",
-    "write_easy_handeye",
-    "write_easy_handeye2",
-    "write_tf_launch",
-]

@@ -230,7 +230,6 @@ def _matched(text: str, joints: bool) -> tuple[str, str] | None:
 
 
 def _joint_by_name(name: str, joints: tuple[str, ...]) -> Meaning | None:
-    """Return the joint whose own name is a part of a column's name, with its unit where it is stated."""
     text = name.strip().strip("\"'").lstrip("#%").strip()
     bracket, unit = _BRACKET.search(text), ""
     if bracket is not None:

@@ -56,7 +56,7 @@ def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted
     wanted = ROLES[role]
     format_.check()
     if not path.exists():
-        raise BadFile(f"{path}: there is no such file", consequence="Nothing is read", cure="Check its name")
+        raise BadFile(f"{path}: there is no such file", cure="Check its name")
     if path.is_dir() and len(files := pose_files(path)) == 1:
         path = files[0]  # robot_poses.csv beside its images
     if path.is_dir():
@@ -105,7 +105,6 @@ def is_ours(data: bytes, role: Role) -> bool:
 
 
 def _interpreted(raw: RawTable, role: Role, format_: TableFormat, *, original: bytes | None = None) -> Interpreted:
-    """Return the table brought to our columns; the original where only columns of ours were understood."""
     found = standard_table(raw, role, format_)
     missing = sorted(role.required - set(found.columns))
     ours = original is not None and raw.csv and not found.foreign and not format_.stated and raw.names
@@ -132,7 +131,6 @@ def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str], of_
     return BadFile(
         f"{raw.where}: the column{'s' * several} {', '.join(missing)} {'are' if several else 'is'} missing; "
         f"found {there}{understood}",
-        consequence="The file is not used",
         cure=cure,
     )
 

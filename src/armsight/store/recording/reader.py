@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -73,8 +72,6 @@ class Event(NamedTuple):
 
 @dataclass(slots=True)
 class _Content:
-    """What walking through the file once has found."""
-
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
@@ -236,9 +233,7 @@ class Recording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _records(self, topic: str, schema: str, make: Callable[[dict[str, Any]], R]) -> Iterator[R]:
@@ -305,7 +300,6 @@ def _look_through(file: BinaryIO, size: int, path: Path) -> _Content:
 
 
 def _take(content: _Content, file: BinaryIO, span: record_reader.Span, path: Path) -> None:
-    """Add what one record of the file's top level says."""
     if span.opcode == Opcode.CHUNK:
         chunk = record_reader.chunk_span(file, span, path)
         content.blocks.append(chunk)
