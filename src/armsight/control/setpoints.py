@@ -131,10 +131,7 @@ class SetPointSource(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeat:
-    """The driver is alive. enable: whether motion is allowed.
-
-    number: of the beat, which grows; one that came by another way and was overtaken does not count.
-    """
+    """The driver is alive. enable: motion is allowed. number: of the beat; one that was overtaken does not count."""
 
     enable: bool
     number: int | None = None
@@ -320,7 +317,6 @@ class JogSource:
         if values.shape != (self._n,):
             raise UsageError(
                 f"{len(axes)} axes were pushed, {self.frame} has {self._n}",
-                consequence="They are not followed",
                 cure=f"Push {self._n} values between -1 and 1",
             )
         values = np.clip(np.where(np.isfinite(values), values, 0.0), -1.0, 1.0)

@@ -65,7 +65,6 @@ class CameraSettings:
             can = ", ".join(FLAGS[setting] for setting in allowed)
             raise UsageError(
                 f"{name} cannot be given {', '.join(flags)}",
-                consequence="Nothing was opened",
                 cure=f"Cameras of this driver take {can}; leave the rest away, and set it at the camera itself"
                 if can
                 else "Leave it away: cameras of this driver take none",
@@ -76,8 +75,7 @@ class CameraSettings:
         if self.given:
             flags = ", ".join(FLAGS[setting] for setting in self.given)
             raise UsageError(
-                f"{flags} is for live cameras, and {source} is none",
-                cure=f"Leave {flags} away: recorded frames are as they were taken",
+                f"{flags} is for live cameras, and {source} is none", cure=f"Leave {flags} away for recordings"
             )
 
 

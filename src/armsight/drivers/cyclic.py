@@ -22,7 +22,7 @@ from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals, between
 from armsight.drivers.pace import ControllerClock, Heard, LinkTimes, Pace
 from armsight.drivers.proof import Probe, Proof, ProofState, Standing, joint_probe
 from armsight.drivers.protocols import PROVING, RobotState, Sent
-from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
+from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError, leads_to
 from armsight.priority import bound_control
 from armsight.records import JointReading
 from armsight.units import MS
@@ -118,7 +118,8 @@ class CyclicRobot(ABC):
         self._moved, self._stood_s = False, 0.0
         self._turns.begin()
         bound_control()  # opened in the main thread, the link's thread may go first
-        self._start()
+        with leads_to("The robot is not opened"):
+            self._start()
         self._open = True
         return self
 
@@ -152,7 +153,7 @@ class CyclicRobot(ABC):
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
         """Refuse: this link takes joint values."""
         self._ready()
-        raise UsageError(f"{self.name} takes no poses", consequence="Nothing was sent", cure="Send joint steps")
+        raise UsageError(f"{self.name} takes no poses", cure="Send joint steps")
 
     def stop(self) -> None:
         """Hold what was last sent, from the controller's next cycle on, until reset; legal always."""

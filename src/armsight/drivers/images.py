@@ -268,10 +268,7 @@ def _decoded(data: bytes, where: str, *, colour: bool) -> NDArray[np.generic]:
 
 
 def image_of_8_bits(image: NDArray[np.generic], bits: int | None, where: str) -> NDArray[np.uint8]:
-    """Return an image as uint8, black at 0 and full scale of so many bits at 255, rounded.
-
-    Raises BadImage where the bits are not told, or the image contradicts them.
-    """
+    """Return an image as uint8, full scale of its bits at 255. Raises BadImage where those are untold or wrong."""
     if image.dtype == np.uint8:
         if bits is not None:
             raise BadImage(

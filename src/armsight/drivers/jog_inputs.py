@@ -51,10 +51,7 @@ class JogInput(Protocol):
 
 
 class KeyboardInput:
-    """Keys of a terminal, a column of keys for each axis. A terminal tells no release: a key counts while it repeats.
-
-    fd: of the terminal; n: axes.
-    """
+    """Keys of a terminal (fd), two for each of n axes; one counts while it repeats: no release is told."""
 
     def __init__(self, fd: int, n: int) -> None:
         if not 1 <= n <= len(PLUS):
@@ -153,9 +150,7 @@ def open_jog_input(name: str, n: int) -> Iterator[JogInput]:
             os.close(fd)
     else:
         raise UsageError(
-            f"{name!r} is nothing to move a robot by",
-            consequence="Nothing is moved",
-            cure="Give keyboard, gamepad or gamepad:/dev/input/jsN (--with)",
+            f"{name!r} is nothing to move a robot by", cure="Give keyboard, gamepad or gamepad:/dev/input/jsN (--with)"
         )
 
 
@@ -178,9 +173,7 @@ def single_keys() -> Iterator[int]:
 
     if not sys.stdin.isatty():
         raise UsageError(
-            "there is no keyboard: the input is no terminal",
-            consequence="Nothing is moved",
-            cure="Run it in a terminal, or give --joint and --by",
+            "there is no keyboard: the input is no terminal", cure="Run it in a terminal, or give --joint and --by"
         )
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)

@@ -69,7 +69,6 @@ class LinkSettings(BaseModel):
             key = ".".join(str(part) for part in first["loc"]) or "cycle_s"  # what a check of all of them is about
             raise UsageError(
                 f"the setting {key!r} of {cls.link} cannot be: {first['msg']}",
-                consequence="The robot is not opened",
                 cure=f"Known are: {', '.join(cls.model_fields)}",
             ) from error
 

@@ -145,9 +145,7 @@ class LiveCamera(ABC):
 
     def _lost(self, what: str) -> DeviceLost:
         return DeviceLost(
-            f"{self.name} {what}",
-            consequence="No frame can be measured from here on; what was measured until then is kept",
-            cure=self.cure,
+            f"{self.name} {what}", consequence="No frame is measured from here on; those before stay", cure=self.cure
         )
 
 

@@ -54,10 +54,7 @@ Views: TypeAlias = tuple[Frame | None, ...]
 
 
 class MomentSource(Source, Protocol):
-    """Moments in step: a frame of each of some cameras, in one order, or None where one has none.
-
-    Of a pair every moment has both.
-    """
+    """Moments in step: a frame of each camera, in one order, None where one has none; of a pair both are there."""
 
     @property
     def skew(self) -> Skew | None:
@@ -194,10 +191,7 @@ class RobotTraits:
 
 
 def listen(robot: Robot, heard: Callable[[float, NDArray[np.float64]], object]) -> None:
-    """Have `heard` told of each reading of a robot: when it was sent, on the clock, and its joints (n,).
-
-    Raises UsageError for a robot that does not tell that.
-    """
+    """Have `heard` told of each reading's time, on the clock, and joints (n,). Raises UsageError where it cannot be."""
     told = RobotTraits.of(robot).listen
     if told is None:
         raise UsageError(

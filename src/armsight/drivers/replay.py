@@ -152,7 +152,7 @@ class ReplayRobot:
 
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
         """Raise UsageError: it takes no poses."""
-        raise UsageError(f"{self.name} is a recording and takes no poses", consequence="Nothing was sent")
+        raise UsageError(f"{self.name} is a recording and takes no poses")
 
     def stop(self) -> None:
         """Hold the replay where it stands."""

@@ -100,11 +100,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
         with self._lock:
             reading = self._ready()
             if np.shape(step) != (self.n_joints,) or np.any(step):  # not a number is not zero
-                raise UsageError(
-                    f"{self.name} is guided by poses",
-                    consequence="Nothing was sent",
-                    cure=f"Send poses, or {self.guided_by}",
-                )
+                raise UsageError(f"{self.name} is guided by poses", cure=f"Send poses, or {self.guided_by}")
             return self._note(reading.q, self._poses.next, ())
 
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
@@ -266,12 +262,11 @@ class UdpRobot(CyclicRobot, Generic[State]):
     def _not_opened(self) -> DeviceFailed:
         """Return the error of a link on which no controller has spoken, or none that may be opened."""
         if unfit := self._unfit():
-            return DeviceFailed(f"{self.name}: {unfit[0]}", consequence="The robot is not opened", cure=unfit[1])
+            return DeviceFailed(f"{self.name}: {unfit[0]}", cure=unfit[1])
         wrong = f" ({self.counts.refused} packets were no state)" if self.counts.refused else ""
         few = f", or fewer than {ENOUGH} packets" if self.counts.heard else ""
         return DeviceNotFound(
             f"no controller has sent to UDP port {self.port} within {self._link_settings.open_s:g} s{wrong}{few}",
-            consequence="The robot is not opened",
             cure=self.to_begin,
         )
 
@@ -365,4 +360,4 @@ def udp_port(device: str, example: str) -> int:
     """Return the UDP port that a person gave. Raises UsageError with an example such as egm:6510."""
     if device.isascii() and device.isdigit() and 0 < int(device) < 65536:
         return int(device)
-    raise UsageError(f"{device!r} is no UDP port", consequence="There is no robot", cure=f"Give for instance {example}")
+    raise UsageError(f"{device!r} is no UDP port", cure=f"Give for instance {example}")

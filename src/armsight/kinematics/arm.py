@@ -267,7 +267,6 @@ class Arm(records.Saveable):
         if array.ndim not in (1, 2) or array.shape[-1] != len(self.joints):
             raise UsageError(
                 f"{self.name} has {self.n} joints, but the joint values have shape {array.shape}",
-                consequence="No pose can be computed",
                 cure=f"Give {self.n} values per row: {', '.join(joint.name for joint in self.joints)}",
             )
         array = records.for_kernels(array)

@@ -240,10 +240,7 @@ def in_range(arm: Arm, q: Array, q_seed: Array) -> Array:
 def _closed(
     arm: Arm, family: Family, T: Array, q_seed: Array, tolerance: Tolerance
 ) -> tuple[list[Solution], list[bool]]:
-    """Return the closed form's solutions that keep the tolerance, nearest first, and which are within the limits.
-
-    They are refined where the family is not exact.
-    """
+    """Return the closed form's solutions within the tolerance, refined where not exact, and which keep the limits."""
     Q, code = np.empty((9, 6)), np.zeros(9, dtype=np.int64)
     errors, inside = np.empty((9, 3)), np.empty(9, dtype=np.bool_)
     count = closed.solve_closed(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, q_seed, Q, code)

@@ -319,7 +319,7 @@ def preset(name: str) -> Arm:
     known = f"Use one of: {', '.join(PRESETS)}"
     require_kind("name", name, str, cure=known)
     if name not in PRESETS:
-        raise UsageError(f"there is no arm named {name!r}", consequence="There is nothing to move", cure=known)
+        raise UsageError(f"there is no arm named {name!r}", cure=known)
     return PRESETS[name]()
 
 

@@ -175,10 +175,7 @@ class Camera(records.Saveable):
 
     @property
     def widest_rad(self) -> float:
-        """The angle from the optical axis up to which the camera is used: a fisheye's 85 degrees, less where it folds.
-
-        Of a pinhole 90 degrees.
-        """
+        """The angle from the optical axis up to which it is used: 90 degrees; a fisheye's 85, less where it folds."""
         if self.lens is LensKind.PINHOLE:
             return float(np.pi / 2.0)
         k1, k2, k3, k4 = self.intrinsics[5:9]

@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight import records
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
+from armsight.geometry import pose_from_rotvec
 from armsight.geometry.poses import skew
 from armsight.optics.camera import INTRINSICS, SIDES, Camera
 from armsight.optics.kernels.camera import project_many
@@ -94,13 +95,7 @@ class Rig(records.Saveable):
                     cameras = (*cameras[:k], replace(cameras[k], **some), *cameras[k + 1 :])  # type: ignore[arg-type]
         mounted = with_each(cameras, {"noise": noise, "timing": timing, "zoom": zoom})
         made = _kind(kind, tuple(one.name for one in mounted))
-        values: dict[str, object] = {
-            "cameras": mounted,
-            "kind": made,
-            "covariance": covariance,
-            "rms_px": rms_px,
-            "found": {},
-        }
+        values = {"cameras": mounted, "kind": made, "covariance": covariance, "rms_px": rms_px, "found": {}}
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._check()
@@ -196,10 +191,7 @@ class Rig(records.Saveable):
         return replace(self, cameras=with_each(self.cameras, values))
 
     def only(self, *names: str) -> Rig:
-        """Return the rig of these cameras in this order; the first is the one that the covariance holds.
-
-        The rig's axes stay. Raises UsageError for a camera that is not there.
-        """
+        """Return the rig of these cameras in this order, its axes as they are. Raises UsageError for an unknown one."""
         if names == self.names:
             return self
         cameras = tuple(self.cameras[place_of(self.cameras, name)] for name in names)
@@ -222,7 +214,6 @@ class Rig(records.Saveable):
             return self
         raise UsageError(
             f"{what}: a rig of the cameras left and right is wanted, and this one has {', '.join(self.names)}",
-            consequence="Nothing is done",
             cure="Give the rig.yaml of a pair: `armsight calibrate stereo` makes one",
         )
 
@@ -348,3 +339,48 @@ def moved_rig(rig: Rig, step: Array) -> Rig:
         for one, lens, T in zip(rig.cameras, lenses, poses, strict=True)
     )
     return Rig(kind=rig.kind, cameras=cameras)
+
+
+def parallel_rig(camera: Camera, baseline_m: float, right: Camera | None = None) -> Rig:
+    """Return a pair with parallel axes, the right camera baseline_m along the left one's x (Kapucu 2005).
+
+    The rig's axes are the left camera's. Raises Inconsistent where the baseline is not positive.
+    """
+    if not baseline_m > 0.0:
+        raise Inconsistent(
+            f"a baseline of {baseline_m} m is not positive",
+            consequence="Two views from one place tell no distance",
+            cure="Give the distance between the cameras; the right one stands at +x of the left",
+        )
+    return Rig(
+        kind=RigKind.STEREO,
+        left=camera,
+        right=right or camera,
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=RigidTransform.from_translation([baseline_m, 0.0, 0.0]),
+    )
+
+
+def converged_rig(
+    left: Camera,
+    right: Camera,
+    baseline_m: float,
+    beta1_rad: float,
+    beta2_rad: float,
+) -> Rig:
+    """Return Korayem's rig: cameras at x = -B/2 and +B/2, optical axes (sin beta, 0, cos beta) in rig axes.
+
+    Both angles count in the same sense, about the rig's y; cameras that look at one point in front have
+    beta1 > 0 > beta2 (MATH A16). The focal lengths F1, F2 are those of the cameras. The rig's origin is midway
+    between the centres of projection. Raises Inconsistent for a baseline that is not positive.
+    """
+    if not baseline_m > 0.0:
+        raise Inconsistent(f"a baseline of {baseline_m} m is not positive", cure="Give the distance between the lenses")
+    half = 0.5 * baseline_m
+    return Rig(
+        kind=RigKind.STEREO,
+        left=left,
+        right=right,
+        T_rig_left=pose_from_rotvec([-half, 0.0, 0.0], [0.0, beta1_rad, 0.0]),
+        T_rig_right=pose_from_rotvec([half, 0.0, 0.0], [0.0, beta2_rad, 0.0]),
+    )

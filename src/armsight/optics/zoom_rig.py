@@ -95,10 +95,7 @@ def _required(side: str, mounted: MountedZoom, value: float | None) -> float:
 
 def _mounted(rig: Rig, side: str, lens: ZoomLens, at: float | None) -> MountedZoom:
     if at is None:
-        raise UsageError(
-            f"it is not said at which zoom the {side} camera stood when the rig was calibrated",
-            cure=f"Give --zoom-{side}",
-        )
+        raise UsageError(f"at which zoom the {side} camera was calibrated is not said", cure=f"Give --zoom-{side}")
     camera, state = rig.camera(side), lens.at(at)
     if lens.size != (camera.width, camera.height):
         raise Inconsistent(

@@ -58,10 +58,7 @@ class Spots:
 
     @classmethod
     def of_centres(cls, uv_px: NDArray[np.float64], covariance_px2: NDArray[np.float64]) -> Spots:
-        """Return spots at uv_px (n, 2) of which only the centres are known: without height, 1 px wide.
-
-        covariance_px2: (n, 2, 2), or (2, 2) for all.
-        """
+        """Return spots at uv_px (n, 2) of which only centres are known. covariance_px2: (n, 2, 2), or (2, 2)."""
         uv_px = checks.checked_array("uv_px", uv_px, (None, 2))
         n, covariance_px2 = len(uv_px), checks.real_array("covariance_px2", covariance_px2)
         if covariance_px2.ndim < 2 or (np.diagonal(covariance_px2, axis1=-2, axis2=-1) < 0.0).any():
@@ -82,11 +79,7 @@ class Spots:
         """Return the spots at the given positions, in that order."""
         i = np.asarray(index)
         if i.ndim != 1 or (i.size and i.dtype.kind not in "iu") or (i.size and not 0 <= i.min() <= i.max() < len(self)):
-            raise UsageError(
-                f"{index!r} are not positions of {len(self)} spots",
-                consequence="None are taken",
-                cure="Give whole numbers from 0",
-            )
+            raise UsageError(f"{index!r} are not positions of {len(self)} spots", cure="Give whole numbers from 0")
         i = i.astype(np.intp)
         return checks.trusted(
             Spots,

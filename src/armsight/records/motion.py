@@ -94,10 +94,7 @@ class JointHistory:
         return self._readings[-1][0] if self._readings else None
 
     def at(self, t_s: float) -> JointsAt:
-        """Return the joints at a moment: on a straight line between two readings, or on after the last one.
-
-        Raises StaleData where no readings surround the moment closely enough.
-        """
+        """Return the joints at a moment, between readings or after the last. Raises StaleData without near ones."""
         t, q = self._near(t_s)
         k = min(max(int(np.searchsorted(t, t_s)) - 1, 0), len(t) - 2)
         step_s = float(t[k + 1] - t[k])

@@ -117,7 +117,7 @@ class Output(ByValue):
 
     def to_json(self) -> str:
         """Return it as strict JSON text in one line; a number that is not finite (no data) becomes null."""
-        return json.dumps(_finite(self.to_dict()), ensure_ascii=False, allow_nan=False)
+        return json.dumps(finite(self.to_dict()), ensure_ascii=False, allow_nan=False)
 
     def _shown(self) -> tuple[str, Sequence[Row]]:
         return type(self).__name__, list(flat_rows(self.to_dict()))
@@ -268,11 +268,12 @@ def _bare(hint: Any) -> Any:
     return hint
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Return numbers, lists and dictionaries of them with null for each number that is not finite."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

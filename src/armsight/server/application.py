@@ -205,7 +205,7 @@ class Connection:
         seq = None
         try:
             if not self._auth.knows(self._found):
-                raise UsageError(TAKEN_OUT, consequence="Nothing was done", cure="Connect with a token that counts")
+                raise UsageError(TAKEN_OUT, cure="Connect with a token that counts")
             command = session.admit(text)
             seq = command.seq
             if isinstance(command, say.ReadMessage):

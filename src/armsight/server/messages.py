@@ -29,7 +29,7 @@ def command_of(message: say.Command) -> setpoints.Command:
         case say.ResetMessage():
             return setpoints.Reset()
         case say.ReadMessage():
-            raise UsageError("read is no command of a driver", consequence="Nothing was done")
+            raise UsageError("read is no command of a driver")
         case _:
             return _motion_of(message)
 
@@ -146,6 +146,4 @@ class Session:
                 cure="Number the messages of a connection upwards",
             )
         if not isinstance(command, say.ALLOWED[self._role]):
-            raise UsageError(
-                f"{command.type} is not for this connection", consequence="Nothing was done", cure="Connect to drive"
-            )
+            raise UsageError(f"{command.type} is not for this connection", cure="Connect to drive")

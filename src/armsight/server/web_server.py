@@ -57,15 +57,10 @@ class ServeOptions:
 
 
 def check_options(options: ServeOptions) -> tuple[TokenEntry, ...]:
-    """Return the tokens of options that are safe.
-
-    Raises UsageError for an address beyond this machine without TLS and tokens, BadFile for wrong files.
-    """
+    """Return the tokens of safe options. Raises UsageError for far addresses without TLS and tokens, BadFile."""
     if (options.tls_cert is None) != (options.tls_key is None):
         raise UsageError(
-            "a certificate needs its key, and a key its certificate",
-            consequence="Nothing is served",
-            cure="Give both --tls-cert and --tls-key",
+            "a certificate needs its key, and a key its certificate", cure="Give both --tls-cert and --tls-key"
         )
     missing = [
         flag

@@ -9,7 +9,6 @@ import contextlib
 import errno
 import hashlib
 import json
-import math
 import os
 import shutil
 import stat
@@ -25,7 +24,7 @@ import numpy as np
 from armsight._files import DeviceLock, open_file, read_file, readable, real_path
 from armsight.clock import Clock, SystemClock
 from armsight.errors import BadFile, DeviceFailed, UsageError
-from armsight.records.output import Output, output
+from armsight.records.output import Output, finite, output
 
 STREAM = Path("-")
 """The standard output, in place of a file."""
@@ -148,15 +147,7 @@ def plain(value: Any) -> Any:
 
 def json_text(value: Any, *, indent: int | None = 2) -> str:
     """Return value as strict JSON text; a number that is not finite (no data) becomes null."""
-    return readable(json.dumps(_finite(plain(value)), indent=indent, ensure_ascii=False, allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return readable(json.dumps(finite(plain(value)), indent=indent, ensure_ascii=False, allow_nan=False))
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -261,7 +252,7 @@ def refuse_output(out: Path) -> None:
         if leads.parent != Path(os.path.realpath(out.parent)):
             why = f"{out} is a link out of its folder, to {leads}"
     if why:
-        raise UsageError(why, consequence="Nothing was done", cure="Give a file or a folder (-o)")
+        raise UsageError(why, cure="Give a file or a folder (-o)")
 
 
 def _written_once(out: Path) -> DeviceLock:

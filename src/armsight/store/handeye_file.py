@@ -14,13 +14,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEyeResult, ImageComparison, LeftOutErrors, PosePairs, Setup
 from armsight.calibrate.tooltip_result import ToolTipResult
-from armsight.columns import POSE6_STD, POSITION, QUATERNION
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
 from armsight.records import NamedCovariance
 from armsight.store import codec
 from armsight.store.atomic import write_text
-from armsight.store.covariances import CAMERA_COVARIANCE, UNCORRELATED, above_diagonal, covariances, has_correlations
+from armsight.store.covariances import CAMERA_COVARIANCE, above_diagonal, all_covariances
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
 from armsight.store.lost import without_lost
 from armsight.store.rigs import write_camera
@@ -106,25 +106,9 @@ def read_pairs(path: Path, format_: TableFormat = OURS) -> PosePairs:
         names = [f"{who}_{name}" for name in POSITION]
         check_positions(table.stacked(names), names, str(path), format_)
     robot, camera = (_poses(table, f"{who}_") for who in ("base_flange", "camera_target"))
-    covariance, note = _camera_covariance(table, path)
+    covariance, note = all_covariances(table, path, 6, "the camera's poses", "camera_target_")
     pairs = PosePairs.of(robot, camera, [f"row {row[line]}" for line in table.lines], covariance)
     return replace(pairs, unweighed=note)
-
-
-def _camera_covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:
-    """Return the covariances (n, 6, 6) of the camera's poses, None where not every row has them; and what to say."""
-    names = [f"camera_target_{name}" for name in POSE6_STD]
-    there = [name for name in names if name in table.numbers]
-    if not there:
-        return None, ""
-    std = np.column_stack([table.numbers.get(name, np.full(len(table), np.nan)) for name in names])
-    without = ~(std > 0.0).all(axis=1)  # an empty cell is NaN
-    if without.any():
-        rows = f"{without.sum()} of {len(table)} rows have not all"
-        return None, f"{path.name}: the standard deviations of the camera's poses are not used: {rows} six of them"
-    covariance = covariances(table, std, range(len(table)), "camera_target_")
-    related = has_correlations(table.numbers, "camera_target_")
-    return covariance, "" if related else f"{path.name} {UNCORRELATED}"
 
 
 def write_pairs(path: Path, pairs: PosePairs) -> None:

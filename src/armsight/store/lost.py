@@ -94,10 +94,7 @@ def lost_rows(table: Table, *, measured: bool = True, groups: Sequence[Sequence[
 def without_lost(
     table: Table, notify: Callable[[str], None], *, measured: bool = True, groups: Sequence[Sequence[str]] = ()
 ) -> Table:
-    """Return the table without its lost rows, which are told by count and line; see lost_rows.
-
-    Raises NotEnoughData where no row is left.
-    """
+    """Return the table without its lost rows (lost_rows), which are told. Raises NotEnoughData where none is left."""
     lost = lost_rows(table, measured=measured, groups=groups)
     if not lost:
         return table

@@ -177,10 +177,7 @@ ALONE = "camera"
 
 
 def read_zoom_rig(path: Path) -> Rig:
-    """Return the rig in a rig.yaml with all zoom settings it has; of a camera.yaml the rig of that camera alone.
-
-    Raises BadFile where it is neither.
-    """
+    """Return the rig of a rig.yaml with its zoom settings, or of a camera.yaml that camera alone. Raises BadFile."""
     content = read_yaml(path)
     if content.get("format") != CAMERA_YAML.format:
         return RIG_YAML.read(path)

@@ -43,7 +43,7 @@ def write_rosbag2(
     nothing. Raises UsageError, DeviceNotFound without the package rosbags, NotEnoughData, BadFile, DeviceFailed.
     """
     if out.exists():
-        raise UsageError(f"{out} is already there", consequence="Nothing is written", cure="Give another folder")
+        raise UsageError(f"{out} is already there", cure="Give another folder")
     with disk_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))

@@ -227,13 +227,7 @@ def file_to_write(path: str | PathLike[str], *endings: str) -> Path:
     require_kind("path", path, str, PathLike, cure="Give a file's path as text or pathlib.Path")
     file = Path(path)
     if file.suffix.lower() not in endings:
-        raise UsageError(
-            f"{file} ends in {file.suffix or 'nothing'}",
-            consequence="Nothing is written",
-            cure=f"Give a name that ends in {' or '.join(endings)}",
-        )
+        raise UsageError(f"{file} ends in {file.suffix or 'nothing'}", cure=f"End it in {' or '.join(endings)}")
     if not file.parent.is_dir():
-        raise UsageError(
-            f"there is no folder {file.parent}", consequence="Nothing is written", cure="Make it, or give another path"
-        )
+        raise UsageError(f"there is no folder {file.parent}", cure="Make it, or give another path")
     return file

@@ -74,8 +74,7 @@ def _require_sizes(table: Table) -> None:
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
             raise BadFile(
-                f"{table.location(row)}, column {name}: {values[row]:g} is {what}",
-                cure="Correct the cell, or remove the row",
+                f"{table.location(row)}, column {name}: {values[row]:g} is {what}", cure="Correct it, or remove the row"
             )
 
 

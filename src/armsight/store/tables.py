@@ -135,8 +135,7 @@ def parse_table(
     for row, line in zip(body, lines, strict=True):
         if len(row) != len(header):
             raise BadFile(
-                f"{where}, line {line}: {len(row)} cells, the header has {len(header)}",
-                cure="Give every row one cell per column",
+                f"{where}, line {line}: {len(row)} cells, the header has {len(header)}", cure="Give every row as many"
             )
     if need_rows and not body:
         raise no_rows(where)
@@ -164,8 +163,7 @@ def decoded(data: bytes, where: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadFile(
-            f"{where}: byte {error.start} is not UTF-8 text",
-            cure="Save it as CSV in UTF-8, or check that it is not a binary file",
+            f"{where}: byte {error.start} is not UTF-8 text", cure="Save it as CSV in UTF-8; it may be a binary file"
         ) from error
 
 
@@ -285,10 +283,7 @@ def in_time(table: Table, notify: Callable[[str], None]) -> Table:
 
 
 def number_column(cells: Sequence[str], name: str, lines: Sequence[int], where: str, may_be_blank: bool) -> Array:
-    """Return the numbers (n,) in a column's cells; BadFile for what is none.
-
-    may_be_blank: cells that say that there is no number (empty, nan, MISSING, ...) are NaN.
-    """
+    """Return a column's numbers (n,); BadFile for what is none. may_be_blank: cells that say so are NaN."""
     values = np.empty(len(cells))
     for i, cell in enumerate(cells):
         try:
@@ -306,8 +301,7 @@ def number_column(cells: Sequence[str], name: str, lines: Sequence[int], where: 
 def _bad_cell(cell: str, name: str, line: int, where: str) -> BadFile:
     shown = repr(cell if len(cell) <= 40 else cell[:37] + "...") if cell.strip() else "empty"
     return BadFile(
-        f"{where}, line {line}, column {name}: {shown} is not a finite number",
-        cure="Correct the cell, or remove the row",
+        f"{where}, line {line}, column {name}: {shown} is not a finite number", cure="Correct it, or remove the row"
     )
 
 

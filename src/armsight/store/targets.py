@@ -326,8 +326,4 @@ def _length_m(text: str, part: str) -> float:
 
 
 def _wrong_board(text: str, reason: str) -> UsageError:
-    return UsageError(
-        f"the board {text[:80]!r} is not understood: {reason}",
-        consequence="Nothing was done",
-        cure=f"Write {BOARD_FORMS}",
-    )
+    return UsageError(f"the board {text[:80]!r} is not understood: {reason}", cure=f"Write {BOARD_FORMS}")

@@ -197,16 +197,11 @@ def parse_poses(
         notify(f"{where}: {lost_words(lost, table)}")
     statuses = [PoseStatus.LOST if row in lost else _status(table, row) for row in range(len(table))]
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]
-    of_lights = {
-        row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY and _has(table, row, covariances.LIGHTS)
-    }
-    xyz = np.array([_full(table, row, covariances.LIGHTS if row in of_lights else POSITION) for row in seen]).reshape(
-        -1, 3
-    )
-    quat = np.array([_full(table, row, QUATERNION) if statuses[row].size == 6 else IDENTITY for row in seen]).reshape(
-        -1, 4
-    )
-    T = _stack(xyz, quat, [table.location(row) for row in seen]).as_matrix() if seen else ()
+    apart = [row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY]
+    of_lights = {row for row in apart if _has(table, row, covariances.LIGHTS)}
+    xyz = [_full(table, row, covariances.LIGHTS if row in of_lights else POSITION) for row in seen]
+    quat = [_full(table, row, QUATERNION) if statuses[row].size == 6 else IDENTITY for row in seen]
+    T = _stack(np.array(xyz), np.array(quat), [table.location(row) for row in seen]).as_matrix() if seen else ()
     poses = dict(zip(seen, T, strict=True))
     known = covariances.pose_covariances(table, [status.size for status in statuses], of_lights)
     return tuple(
@@ -230,10 +225,7 @@ def _status(table: Table, row: int) -> PoseStatus:
 
 
 def _stack(xyz_m: Array, quat_xyzw: Array, locations: Sequence[str]) -> RigidTransform:
-    """Return the poses as a stack; BadFile, with the row's place, where a quaternion is none.
-
-    At once: one by one takes a millisecond each.
-    """
+    """Return the poses as a stack, made at once; BadFile, with the row's place, where a quaternion is none."""
     far = np.abs(np.linalg.norm(np.clip(quat_xyzw, -LARGEST, LARGEST), axis=1) - 1.0) > QUAT_NORM_TOLERANCE
     for row in np.flatnonzero(far).tolist():
         with named(locations[row]):

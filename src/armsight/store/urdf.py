@@ -122,10 +122,7 @@ def _check_kind(joint: UrdfJoint) -> None:
 
 
 def _folded(before: Array, chain: list[UrdfJoint], where: str) -> tuple[list[AxisJoint], tuple[Array, Array]]:
-    """Fold fixed joints: the moving joints, the first in base axes, and flange and tool behind the last of them.
-
-    before (4, 4): where the chain begins in base axes.
-    """
+    """Fold fixed joints: the moving ones in base axes, from before (4, 4) on, and flange and tool behind the last."""
     at = before
     moving: list[AxisJoint] = []
     fixed: list[Array] = []

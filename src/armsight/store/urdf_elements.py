@@ -111,9 +111,7 @@ def _check_expanded(root: ElementTree.Element, where: str) -> None:
     raw = next((element.tag for element in root if element.tag.startswith("xacro:")), None)
     if raw is not None:
         raise BadFile(
-            f"{where}: is a xacro file as it was written: it holds <{raw[:60]}>",
-            consequence="Its links and numbers are not made yet",
-            cure=EXPAND,
+            f"{where}: is a xacro file: it holds <{raw[:60]}>", consequence="Its links are not made yet", cure=EXPAND
         )
 
 

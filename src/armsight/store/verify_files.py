@@ -293,10 +293,7 @@ def _repeats(table: Table, index: Index) -> Repeats:
 
 
 def read_reported_joints(path: Path, format_: TableFormat = OURS) -> Reported:
-    """Return joint readings q1..qn of a file, with t_s or without; rows torn by NUL bytes are NaN.
-
-    Raises BadFile that names line and column.
-    """
+    """Return joint readings q1..qn, with t_s or without; rows torn by NUL bytes are NaN. Raises BadFile."""
     rows = _parse(standard_bytes(path, "reported", format_), str(path), ("q1",))
     if rows.lost:
         format_.notify(f"{path.name}: {lost_words(rows.lost, rows.table)}")
@@ -306,10 +303,7 @@ def read_reported_joints(path: Path, format_: TableFormat = OURS) -> Reported:
 
 
 def read_commanded(path: Path, format_: TableFormat = OURS) -> CommandedFile:
-    """Return commanded poses of a path.csv, a plan.csv, a poses.csv or a TUM.
-
-    Raises BadFile that names line and column.
-    """
+    """Return commanded poses of a path.csv, plan.csv, poses.csv or TUM. Raises BadFile that names line and column."""
     rows = _parse(standard_bytes(path, "measured", format_), str(path), POSITION, measured=False)
     turned = rows.has(QUATERNION)
     T = np.tile(np.eye(4), (rows.n, 1, 1))

@@ -181,8 +181,7 @@ def _decoded(data: bytes, where: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadFile(
-            f"{where}: byte {error.start} is not UTF-8 text",
-            cure="Save it as UTF-8, or check that it is not a binary file",
+            f"{where}: byte {error.start} is not UTF-8 text", cure="Save it as UTF-8; it may be a binary file"
         ) from error
 
 

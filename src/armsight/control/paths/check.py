@@ -18,7 +18,7 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm, JointPath, track_path
 from armsight.kinematics.closed_form import singularity_distance
 from armsight.kinematics.path import JUMP
-from armsight.records import TaughtPath, frozen_array
+from armsight.records import TaughtPath, freeze
 from armsight.records.output import Output, output
 
 SLACK = 1e-9
@@ -72,8 +72,7 @@ class PathCheck:
     issues: tuple[PathIssue, ...]
 
     def __post_init__(self) -> None:
-        for name in ("q", "t_s", "joint_speed"):
-            object.__setattr__(self, name, frozen_array(name, getattr(self, name), getattr(self, name).shape))
+        freeze(self, q=self.q.shape, t_s=self.t_s.shape, joint_speed=self.joint_speed.shape)
 
     @property
     def ok(self) -> bool:
@@ -138,7 +137,7 @@ def _times(path: TaughtPath, limits: Limits, speed_m_s: float | None) -> tuple[A
     """Return the times (n,) of the rows and the speed (n - 1,) of each step; turns in place take what limits allow."""
     open_speed = limits.speed_m_s if speed_m_s is None else speed_m_s
     if not (np.isfinite(open_speed) and open_speed > 0.0):
-        raise UsageError(f"the speed {open_speed:g} m/s is not positive", consequence="The path is not checked")
+        raise UsageError(f"the speed {open_speed:g} m/s is not positive")
     speed = np.where(np.isfinite(path.speed_m_s), path.speed_m_s, open_speed)[:-1]
     took = np.diff(path.length_m) / speed
     turn = _turns(path.T_world_tip)

@@ -60,13 +60,9 @@ class PlaySettings:
         for name in ("speed_m_s", "blend_m", "approach_speed_m_s"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise UsageError(
-                    f"{name} is {value:g}, which is not above zero",
-                    consequence="Nothing is moved",
-                    cure="Give more than 0",
-                )
+                raise UsageError(f"{name} is {value:g}, which is not above zero", cure="Give more than 0")
         if not (np.isfinite(self.retract_m) and self.retract_m >= 0.0):
-            raise UsageError(f"retract_m is {self.retract_m:g}", consequence="Nothing is moved", cure="Give 0 or more")
+            raise UsageError(f"retract_m is {self.retract_m:g}", cure="Give 0 or more")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -148,7 +144,7 @@ def _in_base(path: TaughtPath, arm: Arm) -> TaughtPath:
     if path.parent == "base":
         return path
     if path.parent != "world":
-        raise UsageError(f"the path is in the frame {path.parent!r}", consequence="Nothing is moved")
+        raise UsageError(f"the path is in the frame {path.parent!r}")
     T = arm.T_world_base.inv().as_matrix() @ path.T_world_tip
     return replace(path, T_world_tip=T, parent="base")
 
@@ -168,9 +164,7 @@ def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransfo
         turn = steps(path)[1]
         only = f" at which the tool turns by {turn.sum() / DEG:.0f} deg" if turn.sum() > TURNS_RAD else ""
         raise NotEnoughData(
-            f"the path has {min(len(path), 1)} positions{only}",
-            consequence="Nothing is moved",
-            cure="Give at least two positions",
+            f"the path has {min(len(path), 1)} positions{only}", consequence="Nothing is moved", cure="Give two or more"
         )
     for jump in path_jumps(path):
         raise Inconsistent(jump.text, consequence="Nothing is moved", cure=jump.cure)
@@ -258,10 +252,7 @@ def _turned(arm: Arm, shape: Shape, samples: Samples, *, keeps: bool) -> float:
 def _checked(
     arm: Arm, limits: Limits, stand: Array, legs: list[Samples], shape: Shape, *, keeps: bool
 ) -> tuple[PathCheck, list[Samples]]:
-    """Return the check of all that is run, and the ways with their readings. Raises Inconsistent.
-
-    keeps: whether the tool's rotation is kept already.
-    """
+    """Return the check of all that is run, and the ways with readings. keeps: rotation kept. Raises Inconsistent."""
     ways: list[Samples] = [*legs, shape]
     rows = [_rows(way) for way in ways]
     joined = np.concatenate([way.T[at] for way, at in zip(ways, rows, strict=True)])

@@ -47,7 +47,6 @@ class Weave:
             if not (math.isfinite(value) and 0.0 < value <= MOST_M[name]):
                 raise UsageError(
                     f"the weave's {name} is {value:g}, which is not above zero and up to {MOST_M[name]:g} m",
-                    consequence="Nothing is moved",
                     cure="Give metres, for instance --weave sine:0.002:0.008",
                 )
 
@@ -63,7 +62,6 @@ class Weave:
         except ValueError:
             raise UsageError(
                 f"{text[:60]!r} is no weave",
-                consequence="Nothing is moved",
                 cure="Give none, sine:AMPLITUDE:WAVELENGTH or zigzag:AMPLITUDE:WAVELENGTH in metres",
             ) from None
         return cls() if not values else cls(kind=kind, amplitude_m=values[0], wavelength_m=values[1])

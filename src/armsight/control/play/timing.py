@@ -202,10 +202,7 @@ LEAST_B = 1e-14
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ceilings:
-    """What a plan may use of the limits (m,) of m values: each joint, the tip's position, its turning.
-
-    starts (m,): the first column of each value.
-    """
+    """What a plan may use of limits (m,): joints, the tip's position, its turning; starts (m,): first columns."""
 
     starts: NDArray[np.intp]
     speed: Array

@@ -306,10 +306,7 @@ class ControlAuthority:
             )
 
     def lapsed(self, now: RobotStatus) -> str:
-        """Return why the enable ended by itself, empty where it did not; letting go of it counts before the loop told.
-
-        now: the loop's newest status.
-        """
+        """Return why the enable ended by itself, '' where it did not, or was let go of. now: the newest status."""
         told = now.t_s > self._let_go_s + RELEASED_CYCLES * self.robot.cycle_s
         return now.lapsed if told else ""
 
@@ -325,7 +322,6 @@ class ControlAuthority:
         if values.shape != (self.robot.n_joints,):
             raise UsageError(
                 f"{self.robot.name} has {self.robot.n_joints} joints, but {name} has {values.size} values",
-                consequence="Nothing was sent",
                 cure=f"Give {self.robot.n_joints} values",
             )
 
@@ -343,9 +339,7 @@ class ControlAuthority:
 
     def _need_poses(self) -> None:
         if not self.robot.takes_poses or self._host.arm is None:
-            raise UsageError(
-                f"{self.robot.name} takes no poses here", consequence="Nothing was sent", cure="Send joint values"
-            )
+            raise UsageError(f"{self.robot.name} takes no poses here", cure="Send joint values")
 
     def _joints_of(self, T_base_flange: RigidTransform, near: Array) -> Array:
         """Return the joint values (n,) that bring the flange to a pose, nearest to near (n,)."""

@@ -252,7 +252,6 @@ class OperatorSession:
         if person.role != "drive":
             raise UsageError(
                 f"{person.who} may {'watch, not drive' if person.role == 'watch' else 'no longer drive'}",
-                consequence="The robot is not moved",
                 cure="Ask for a token that may drive",
             )
 
@@ -297,7 +296,7 @@ class OperatorSession:
         source = setpoints.JogSource(n, push.frame)
         axes = n if source.frame is setpoints.JogFrame.JOINTS else 6
         if not 0 <= push.axis < axes:
-            raise UsageError(f"there is no axis {push.axis + 1}", consequence="Nothing is moved")
+            raise UsageError(f"there is no axis {push.axis + 1}")
         values = np.zeros(axes)
         values[push.axis] = self._override * float(np.sign(push.sense))
         arm, now = self.arm, self._host.status()

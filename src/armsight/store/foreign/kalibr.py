@@ -102,9 +102,7 @@ def kalibr_mapping(camera: Camera) -> dict[str, Any]:
     k3 = 0.0 if fisheye else coefficients[4]
     if skew != 0.0 or k3 != 0.0:
         raise Inconsistent(
-            f"the camera has skew {skew:g} px and k3 {k3:g}",
-            consequence="Kalibr's models have neither",
-            cure="Calibrate with both fixed at zero",
+            f"the camera has skew {skew:g} px and k3 {k3:g}", consequence="Kalibr has neither", cure="Fix both at zero"
         )
     return {
         "camera_model": "pinhole",

@@ -229,10 +229,7 @@ class Rectification:
 
 
 def rectification(rig: Rig) -> Rectification:
-    """Return a rig's rectification, with zero disparity at infinity and no pixel of nothing (alpha 0).
-
-    Raises Inconsistent where the two images differ in size: one P serves both.
-    """
+    """Return a rig's rectification, no disparity at infinity, alpha 0. Raises Inconsistent for two image sizes."""
     if (rig.left.width, rig.left.height) != (rig.right.width, rig.right.height):
         raise Inconsistent("the cameras' images differ in size", consequence="One rectified pair cannot say this")
     R, t = relative(rig.T_rig_left, rig.T_rig_right)

@@ -54,10 +54,7 @@ TILTED = 0.005
 
 
 def camera_from_opencv(path: Path, *, size: Size | None = None, told: list[str] | None = None) -> Camera:
-    """Return the camera of a FileStorage file; size (width, height) is wanted where the file does not say it.
-
-    told: takes what is to be said of it.
-    """
+    """Return a FileStorage file's camera; size (width, height): where it says none. told: takes what is to be said."""
     return opencv_camera(read_storage(path), str(path), size=size, told=told)
 
 

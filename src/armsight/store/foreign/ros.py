@@ -149,9 +149,7 @@ def rig_to_ros(left: Path, right: Path, rig: Rig, *, names: tuple[str, str] = ("
     """
     if any(camera.intrinsics[4] != 0.0 for camera in (rig.left, rig.right)):
         raise Inconsistent(
-            "a camera of the rig has skew",
-            consequence="ROS's rectification leaves it out",
-            cure="Calibrate with skew fixed at zero",
+            "a camera of the rig has skew", consequence="ROS's rectification leaves it out", cure="Fix skew at zero"
         )
     found = numbers.rectification(rig)
     for path, camera, name, R_rectify, P in (

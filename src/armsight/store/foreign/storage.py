@@ -91,8 +91,7 @@ def _of_xml(data: bytes, where: str) -> dict[str, Any]:
         raise BadFile(f"{where}: {error}", cure="Correct it there") from error
     if root.tag != ROOT:
         raise BadFile(
-            f"{where}: XML whose root is {root.tag[:40]!r}",
-            cure=f"Give OpenCV's FileStorage, whose root is {ROOT}, or YAML",
+            f"{where}: XML whose root is {root.tag[:40]!r}", cure=f"Give OpenCV's FileStorage, root {ROOT}, or YAML"
         )
     return {one.tag: _value(one, where) for one in root}
 

@@ -5,6 +5,7 @@ from armsight.store.interpret.read import (
     check_joint_values,
     check_positions,
     interpret,
+    joint_readings,
     kind_of_table,
     standard_bytes,
 )

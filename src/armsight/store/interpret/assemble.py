@@ -349,10 +349,7 @@ def _flat(found: Found, values: Array) -> Array:
 
 
 def pose_of(found: Found, inverse: bool) -> tuple[Array | None, Array | None]:
-    """Return positions (n, 3) in m and quaternions (n, 4), inverted where asked.
-
-    Either is None where there are no columns, and NaN in rows that have none.
-    """
+    """Return positions (n, 3), m, and quaternions (n, 4), inverted where asked; None without columns, else NaN."""
     turned = rotations(found)
     xyz = turned.xyz_m if turned is not None and turned.xyz_m is not None else position_m(found)
     if turned is None:

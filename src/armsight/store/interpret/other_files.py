@@ -32,10 +32,7 @@ NUMBERED_PAIRS: Mapping[str, str] = {"T1": "base_flange", "T2": "camera_target"}
 
 
 def records_table(documents: Sequence[Any], where: str) -> RawTable:
-    """Return the rows of YAML documents: a list, a list under a key, one mapping for each document, or one pose.
-
-    Raises BadFile that names the entry, NotEnoughData.
-    """
+    """Return the rows of YAML documents: lists, mappings, one pose. Raises BadFile, with the entry, NotEnoughData."""
     entries, how = _entries(documents)
     records = []
     for k, entry in enumerate(entries, 1):

@@ -20,7 +20,7 @@ from armsight.store.interpret.raw import RawTable, parse_text
 from armsight.store.interpret.rotations import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.standard import UNUSED, Standard, standard_table
 from armsight.store.interpret.table_format import OURS, TableFormat
-from armsight.store.tables import MAX_BYTES
+from armsight.store.tables import MAX_BYTES, Table
 from armsight.store.yamls import parse_yaml_documents
 
 _OURS_Q = re.compile(r"q[1-9]\d*")
@@ -139,6 +139,16 @@ def check_joint_values(q: NDArray[np.float64], where: str, format_: TableFormat)
     """Raise Inconsistent where joint values (n, k) of columns q1, q2, ... in rad or m are degrees."""
     if not format_.as_stated and looks_like_degrees(q):
         raise degrees_for_radians(where, ["q1", "..."] if q.shape[1] > 1 else ["q1"], q)
+
+
+def joint_readings(table: Table, where: str, format_: TableFormat) -> NDArray[np.float64]:
+    """Return the joint readings (m, n) of columns q1 .. qn. Raises BadFile without any, Inconsistent for degrees."""
+    names = table.series("q")
+    if not names:
+        raise BadFile(f"{where}: no column q1", cure="Give q1 .. qn in every row")
+    q = table.stacked(names)
+    check_joint_values(q, where, format_)
+    return q
 
 
 def check_positions(xyz_m: NDArray[np.float64], names: Sequence[str], where: str, format_: TableFormat) -> None:

@@ -190,10 +190,7 @@ def _words(names: Sequence[str], role: Role) -> dict[str, int]:
 
 
 def _without_doubles(where: str, meanings: Mapping[int, Meaning]) -> dict[int, Meaning]:
-    """Return one column for each coordinate: none of what was commanded beside what was measured, one time.
-
-    Raises Ambiguous where two columns may be the same coordinate.
-    """
+    """Return one column for each coordinate, measured before commanded, and one time. Raises Ambiguous for several."""
     out: dict[tuple[str, str, str], int] = {}
     for k, found in meanings.items():
         key = (found.frame, found.kind, found.key)
@@ -276,10 +273,7 @@ SMOOTH = 10.0
 
 
 def _counted_ms(out: Standard, t: Array) -> str:
-    """Return why whole numbers without a unit are ms: what the table holds would not move in s; '' where they are not.
-
-    Called when the columns that move are there.
-    """
+    """Return why whole numbers without a unit are ms: the columns that move would not in s; '' where they are not."""
     step = np.diff(t)
     if len(t) < 20 or not np.isfinite(t).all() or (t != np.round(t)).any() or not (step >= 1.0).all():
         return ""

@@ -354,7 +354,7 @@ def _create(path: Path, overwrite: bool) -> FileIO:
     except (OSError, ValueError) as error:
         raise DeviceFailed(
             f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})",
-            consequence="Nothing was recorded",
+            consequence="Nothing was recorded, and the file is as it was",
             cure="Check the folder, its permissions and the free space, or choose another place",
         ) from error
 

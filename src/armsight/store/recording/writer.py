@@ -75,10 +75,7 @@ class RecordingWriter:
         return self._file.size
 
     def moment(self, frames: Mapping[str, Frame], encoded: Mapping[str, Encoded | None] = MappingProxyType({})) -> None:
-        """Add the views of one moment by camera, always in one chunk: none is ever there without the others.
-
-        encoded: the same images compressed, else they are kept raw.
-        """
+        """Add a moment's views by camera, all in one chunk; encoded: the same images compressed, else they are raw."""
         for camera, frame in frames.items():
             self._frame(camera, frame, encoded.get(camera))
         self.tick()
