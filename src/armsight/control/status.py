@@ -152,8 +152,17 @@ class EventSink(Protocol):
         """Take a reading."""
 
 
-class NoSink(EventSink):
+class NoSink:
     """Forgets everything."""
+
+    def event(self, t_s: float, message: str, level: str, name: str) -> None:
+        """Forget it."""
+
+    def command(self, t_s: float, kind: str, values: Mapping[str, Any]) -> None:
+        """Forget it."""
+
+    def joints(self, reading: JointReading) -> None:
+        """Forget it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,9 +136,6 @@ STEP = 1.0
 class CameraCapture(Capture, Protocol):
     """The part of cv2.VideoCapture that a camera needs."""
 
-    def set(self, key: int, value: float, /) -> bool:
-        """Set a property; False where the driver says that it cannot."""
-
     def getBackendName(self) -> str:
         """Return which of OpenCV's ways to cameras this is."""
 

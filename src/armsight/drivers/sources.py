@@ -96,7 +96,7 @@ class Capture(Protocol):
         """Return a property."""
 
     def set(self, key: int, value: float, /) -> bool:
-        """Set a property."""
+        """Set a property; False where the driver says that it cannot."""
 
     def release(self) -> None:
         """Close it."""

@@ -15,8 +15,11 @@ class Progress(Protocol):
         """Tell whether the person wants the work to stop."""
 
 
-class Silent(Progress):
+class Silent:
     """A Progress that says nothing and never cancels."""
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        """Say nothing."""
 
     def cancelled(self) -> bool:
         """Never."""

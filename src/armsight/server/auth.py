@@ -10,7 +10,6 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +17,7 @@ from starlette.requests import HTTPConnection
 
 from armsight.clock import Clock, SystemClock
 from armsight.control.session.channels import SESSION_BYTES, Newest
+from armsight.drivers.remote.wire import is_loopback
 from armsight.errors import BadFile
 from armsight.store.tokens import TokenEntry, read_tokens
 
@@ -318,13 +318,3 @@ def _session_of(connection: HTTPConnection) -> str:
 def address_of(connection: HTTPConnection) -> str:
     """Return the address that a request comes from."""
     return connection.client.host if connection.client else "unknown"
-
-
-def is_loopback(address: str) -> bool:
-    """Return whether an address or localhost is this machine itself; any other name may lead elsewhere."""
-    if address == "localhost":
-        return True
-    try:
-        return ip_address(address).is_loopback
-    except ValueError:
-        return False

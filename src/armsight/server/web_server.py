@@ -18,8 +18,8 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from armsight.drivers.remote import protocol as say
+from armsight.drivers.remote.wire import is_loopback
 from armsight.errors import BadFile, UsageError
-from armsight.server.auth import is_loopback
 from armsight.server.connections import HEAD_BYTES, Connections, ListeningSocket
 from armsight.server.limited import LimitedHttp, LimitedWebSocket
 from armsight.store.tokens import TokenEntry, read_tokens

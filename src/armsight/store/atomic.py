@@ -14,6 +14,7 @@ import shutil
 import stat
 import sys
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from io import FileIO
 from pathlib import Path
@@ -164,7 +165,21 @@ def sha256(path: Path) -> str:
         raise BadFile(f"{path}: cannot be read ({error.strerror or error})", cure="Check the path") from error
 
 
-class RowFile:
+class Closing(ABC):
+    """What `with` closes."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close it; a second call does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class RowFile(Closing):
     """A text file that grows row by row and holds whole rows at any moment.
 
     Rows wait in memory for at most FLUSH_S seconds or FLUSH_ROWS rows and then go to the system in one write. The
@@ -208,12 +223,6 @@ class RowFile:
                 os.fsync(self._file.fileno())
         finally:
             self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 @output

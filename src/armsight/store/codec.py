@@ -233,7 +233,7 @@ def record_of(model: Strict) -> Any:
     """Return the record that a model of `structure` holds; raises as the record does, with the key before the cause."""
     if model.record is None:
         raise TypeError(f"{type(model).__name__} was not made from a record")
-    given = [name for name in model.record.__dataclass_fields__ if name in model.model_fields_set]
+    given = [one.name for one in dataclasses.fields(model.record) if one.name in model.model_fields_set]
     return model.record(**{name: value for name, value in values(model, *given).items() if value is not None})
 
 

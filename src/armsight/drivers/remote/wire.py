@@ -65,7 +65,7 @@ class ServerAddress:
                 f"{self.url!r} is not the address of a robot server",
                 cure="Give ws://HOST:PORT, or wss://HOST:PORT where the server has a certificate",
             )
-        if self.token and parts.scheme == "ws" and not _is_loopback(host):
+        if self.token and parts.scheme == "ws" and not is_loopback(host):
             raise UsageError(f"the token would go to {host} in plain text", cure="Use wss:// (--tls-cert, --tls-key)")
 
     def tls(self) -> ssl.SSLContext | None:
@@ -271,7 +271,8 @@ def _made(make: Callable[..., say.Command], **fields: Any) -> say.Command:
         raise UsageError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Return whether an address or localhost is this machine itself; any other name may lead elsewhere."""
     try:
         return host == "localhost" or ip_address(host).is_loopback
     except ValueError:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, Self, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -19,6 +19,7 @@ from armsight.file_names import RIG, TARGET
 from armsight.geometry import pose_from_quat
 from armsight.optics import Rig
 from armsight.records import Frame, JointReading, PoseStatus, Spots, Target, TargetPose
+from armsight.store.atomic import Closing
 from armsight.store.recording import record_reader, schemas
 from armsight.store.recording.images import decode
 from armsight.store.recording.mcapfile import MAGIC
@@ -82,7 +83,7 @@ class _Content:
     finished: bool = False
 
 
-class Recording:
+class Recording(Closing):
     """A recording open for reading; use it as a context manager.
 
     Opening looks at every record's head and reads no image. Damage is told where it stands, when it is reached.
@@ -229,12 +230,6 @@ class Recording:
     def close(self) -> None:
         """Close the file; a second call does nothing."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _records(self, topic: str, schema: str, make: Callable[[dict[str, Any]], R]) -> Iterator[R]:
         if self.topics.get(topic) != schema:

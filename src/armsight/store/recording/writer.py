@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from armsight.clock import Clock
 from armsight.geometry import xyz_quat
 from armsight.optics import LensKind, Rig
 from armsight.records import Frame, JointReading, Points, Spots, TargetPose
-from armsight.store.atomic import json_text
+from armsight.store.atomic import Closing, json_text
 from armsight.store.recording import schemas
 from armsight.store.recording.images import Encoded, image_message
 from armsight.store.recording.mcapfile import CHUNK_BYTES, CHUNK_S, McapFile
@@ -31,7 +31,7 @@ POINTS_MARK = 1
 MARK_COLOUR = {"r": 1.0, "g": 0.2, "b": 0.2, "a": 1.0}
 
 
-class RecordingWriter:
+class RecordingWriter(Closing):
     """A recording being written. t_s of all records is on one clock, whose zero is origin_ns of Unix time.
 
     Every method adds one record and writes what is due; call tick() in between where records may stay away. Raises
@@ -210,12 +210,6 @@ class RecordingWriter:
     def close(self) -> None:
         """Write what waits and the index; a second call does nothing."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _ns(self, t_s: float) -> int:
         return self._origin_ns + round(t_s * schemas.NS)
