@@ -46,10 +46,7 @@ VISITED = ("The robot is held", "The run ends there")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observation:
-    """The beacon in one pair of frames: uv_px (2, 2), xyz_m (3,), or why not; taken_s: the earliest, on our clock.
-
-    std_px: of a coordinate of uv_px, where whoever found it says so.
-    """
+    """The beacon in a pair: uv_px (2, 2), std_px of each, xyz_m (3,), or why not; taken_s: the earliest, our clock."""
 
     taken_s: float
     uv_px: Array | None = None

@@ -141,10 +141,7 @@ class CameraCapture(Capture, Protocol):
 
 
 def lock_settings(capture: CameraCapture, settings: CameraSettings, name: str, clock: Clock) -> None:
-    """Switch the automatics off, set what is asked for and wait until the zoom stands.
-
-    Raises DeviceFailed as check_settings does, and for a zoom that the driver does not take.
-    """
+    """Switch automatics off, set what is asked for, wait until the zoom stands. Raises DeviceFailed."""
     if settings.zoom is not None:  # first: another focal length may want another focus
         if not capture.set(cv2.CAP_PROP_ZOOM, settings.zoom):
             raise not_locked(name, "zoom", f"{settings.zoom:g} is not taken")

@@ -192,10 +192,7 @@ def natural_key(text: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
 
 
 def list_images(text: str) -> tuple[Path, ...]:
-    """Return the image files of a folder or of a pattern such as 'shots/left*.png', in natural order.
-
-    Raises BadFile where there is no such folder, NotEnoughData where it holds no image.
-    """
+    """Return the images of a folder or pattern, in natural order. Raises BadFile, NotEnoughData without one."""
     folder = Path(text)
     if folder.is_dir():
         files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")]

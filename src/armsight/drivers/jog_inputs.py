@@ -134,10 +134,7 @@ def gone() -> DeviceFailed:
 
 @contextmanager
 def open_jog_input(name: str, n: int) -> Iterator[JogInput]:
-    """Open `keyboard` or `gamepad[:DEVICE]` for n axes, and leave the terminal as it was.
-
-    Raises UsageError for another name or where there is no terminal; DeviceNotFound without the gamepad.
-    """
+    """Open `keyboard` or `gamepad[:DEVICE]` for n axes; the terminal stays. Raises UsageError, DeviceNotFound."""
     kind, _, device = name.partition(":")
     if kind == "keyboard" and not device:
         with single_keys() as fd:

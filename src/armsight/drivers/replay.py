@@ -91,10 +91,7 @@ def check_forward(name: str, before_s: float, t_s: float) -> None:
 
 
 class ReplayRobot:
-    """Joint readings that were recorded, as a robot that can be read but does as it did, not as it is told.
-
-    speed: as in Replay, above 0. Commands raise DeviceFailed; stop is legal and holds the replay where it stands.
-    """
+    """Recorded joints as a robot that is read, speed times as fast; stop holds it, commands raise DeviceFailed."""
 
     takes_poses = False
 

@@ -244,10 +244,7 @@ class Arm(records.Saveable):
         return tau.reshape(values.shape)
 
     def sagged(self, q: ArrayLike) -> Array:
-        """Return where joints that are driven to q, (n,) or (m, n), come to rest: q + compliance * torque there.
-
-        Raises Inconsistent where they find no rest: the arm would fall.
-        """
+        """Return where joints driven to q, (n,) or (m, n), rest under torque. Raises Inconsistent where they fall."""
         values = self.checked(q)
         if not self.compliant:
             return values

@@ -191,10 +191,7 @@ def ik_each(
     *,
     task: Task | str | None = None,
 ) -> tuple[Inverse, ...]:
-    """Return the solutions of each pose, near (n,) for the first and then near the one before, or near rows (m, n).
-
-    Raises as ik, and Inconsistent where there are other counts of rows and poses.
-    """
+    """Return the solutions of each pose, near (n,), then the one before, or near rows (m, n). Raises as ik."""
     T = target_matrices(arm, poses)
     rows = None if q_seed is None else arm.checked(q_seed)
     if rows is not None and rows.ndim == 2 and len(rows) != len(T):

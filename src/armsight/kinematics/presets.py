@@ -324,10 +324,7 @@ def preset(name: str) -> Arm:
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, everything that this package runs but the kernels for all cores.
-
-    Half a minute the first time, a second from the cache. Kernels do not depend on the arm.
-    """
+    """Load all that this package compiles, but for all cores: half a minute the first time, then a second."""
     arm = ur10()
     q = np.array([0.3, -1.0, 1.2, 0.4, 0.9, 0.1])
     T = fk(arm, q)

@@ -195,10 +195,7 @@ class Camera(records.Saveable):
         return np.asarray(self.intrinsics[5:9] if self.lens is LensKind.FISHEYE else self.intrinsics[5:])
 
     def project(self, points_m: ArrayLike) -> Array:
-        """Return the pixels (n, 2) of points (n, 3) or one (3,) in camera axes, in m.
-
-        NaN behind the camera, beyond widest_rad and where a point is NaN. Raises Inconsistent for any other shape.
-        """
+        """Return pixels (n, 2) of points (n, 3) or (3,) in camera axes, m; NaN without one. Raises Inconsistent."""
         X = records.checked_rows("points_m", points_m, 3, nan=True)
         uv = np.empty((len(X), 2))
         project_many(self.packed, NO_TURN, NO_SHIFT, X, uv)

@@ -310,10 +310,7 @@ def as_html(title: str, rows: Sequence[Row]) -> str:
 
 
 def flat_rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[Row]:
-    """Yield each figure of a nested dictionary under its dotted name, in SI units as the name says.
-
-    Figures that are withheld are counted: a hundred reasons would bury the verdict.
-    """
+    """Yield a nested dictionary's figures under dotted names, in SI; those withheld are counted only."""
     withheld = 0
     for name, value in content.items():
         if isinstance(value, Mapping) and value.get("withheld"):

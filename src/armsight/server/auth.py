@@ -105,10 +105,7 @@ LOCAL_HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IG
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Who it is and what they may do.
-
-    token: its SHA-256; login: the SHA-256 of the id of a browser's log-in, empty where the token itself was sent.
-    """
+    """Who it is and what they may do; token: its SHA-256; login: that of a browser's log-in id, else empty."""
 
     who: str
     role: Role

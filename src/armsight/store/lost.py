@@ -106,10 +106,7 @@ def without_lost(
 
 
 def without_rare_rotations(table: Table, notify: Callable[[str], None]) -> Table:
-    """Return the table without its rotations where most of the rows with a position have none, which is told.
-
-    For tables that can do without: the rows would be lost else.
-    """
+    """Return the table without its rotations, which is told, where most rows have none: the rows would be lost else."""
     if not all(name in table.numbers for name in (*POSITION, *QUATERNION)):
         return table
     placed = known(table.stacked(POSITION)).all(axis=1)

@@ -31,10 +31,7 @@ from armsight.store.zoom import (
 
 
 def add_noise(path: Path, noise: Mapping[str, NoiseModel], *, inputs: Sequence[Path] = ()) -> None:
-    """Write the noise into a camera.yaml (side "") or a rig.yaml (by camera); all else in it stays.
-
-    The file must have been read before, as what it is: nothing is checked here.
-    """
+    """Write the noise into a camera.yaml (side "") or rig.yaml (by camera) that was read before; all else stays."""
     content = read_yaml(path)
     for side, one in noise.items():
         camera = content["cameras"][side] if side else content

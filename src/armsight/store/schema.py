@@ -44,10 +44,7 @@ def write_document(
     *,
     earlier: Sequence[Mapping[str, str]] = (),
 ) -> None:
-    """Write a YAML file of ours: format, version (1, if content says no other), content without None, and origin.
-
-    earlier: inputs as the file held them before, kept in front of the new ones.
-    """
+    """Write a YAML file of ours; content without None, its version 1 or said. earlier: inputs it had, put first."""
     document = {
         "format": format_,
         "version": 1,

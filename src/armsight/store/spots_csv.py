@@ -108,10 +108,7 @@ def read_picks(path: Path) -> Picks:
 
 
 def parse_picks(data: bytes, where: str) -> Picks:
-    """Return the picks in the bytes of a table u_px,v_px[,edge].
-
-    Rows of one edge follow each other. Raises BadFile that names file, line and column; NotEnoughData without a row.
-    """
+    """Return the picks of u_px,v_px[,edge], an edge's rows together. Raises BadFile, with the cell, NotEnoughData."""
     table = parse_table(data, where, ("u_px", "v_px"), optional=("edge",), text=("edge",))
     edges = table.text.get("edge", ("",) * len(table))
     ended: set[str] = set()

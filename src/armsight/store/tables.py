@@ -41,10 +41,7 @@ _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Table:
-    """Columns of numbers (n,) and of text by name; NaN where a cell was allowed to be empty.
-
-    where: the file's name. lines: (n,) the line of the file that each row came from, from 1.
-    """
+    """Columns of numbers (n,), NaN where empty, and of text; where: the file; lines: (n,) of the rows, from 1."""
 
     where: str
     numbers: dict[str, Array]
@@ -316,10 +313,7 @@ def zeros(values: Array) -> NDArray[np.bool_]:
 
 
 def filled(values: Array) -> NDArray[np.bool_]:
-    """Return which rows of positions (n, 3) hold one number in all cells, as other rows do, far beyond all the rest.
-
-    Such as -9999. A place of three equal coordinates may be visited again.
-    """
+    """Return which rows of positions (n, 3) hold one number, such as -9999, as other rows do, far beyond the rest."""
     same = (values == values[:, :1]).all(axis=1) & (values[:, 0] != 0.0)
     _, of, count = np.unique(values[same, 0], return_inverse=True, return_counts=True)
     out = np.zeros(len(values), bool)

@@ -52,10 +52,7 @@ class PosesWriter(_Writer):
 
 
 class MovingPosesWriter(_Writer):
-    """poses.csv of a target in motion: after the columns of a pose, velocity and its standard deviations.
-
-    Of the target's origin in m/s, and angular in rad/s, both in the axes of the poses' frame.
-    """
+    """poses.csv with velocities, m/s and rad/s in the poses' frame, and their standard deviations behind."""
 
     columns = (*covariances.POSE_COLUMNS, *covariances.POSE_EXTRAS)
 

@@ -148,10 +148,7 @@ def _folded(before: Array, chain: list[UrdfJoint], where: str) -> tuple[list[Axi
 
 
 def _check_lengths(arm: Arm, chain: Sequence[UrdfJoint]) -> None:
-    """Raise BadFile where the arm, from its first joint on, is as long as one in millimetres.
-
-    Where it stands may be far, and an origin may lie anywhere along its axis.
-    """
+    """Raise BadFile where the arm from its first joint on, wherever that stands, is as long as in millimetres."""
     rows = arm.chain[1:-1]
     total_m = float(np.hypot(rows[:, 3], rows[:, 4]).sum() + np.linalg.norm(arm.T_flange_tool.translation))
     if not looks_like_mm(total_m):

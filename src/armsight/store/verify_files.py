@@ -127,10 +127,7 @@ def read_measured(path: Path, format_: TableFormat = OURS) -> MeasuredFile:
 def _parse(
     data: bytes, where: str, required: tuple[str, ...], *, measured: bool = True, rotations: bool = True
 ) -> _Rows:
-    """Return the table of a file, torn rows left out and counted, lost ones named.
-
-    rotations: the table is of no use without them; else they are left out where most rows have none.
-    """
+    """Return a file's table, torn rows counted, lost ones named; rotations: rows are of no use without them."""
     lines = data.splitlines(keepends=True)
     torn = [i for i, line in enumerate(lines, start=1) if NUL in line]
     if 1 in torn:

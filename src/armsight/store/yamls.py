@@ -232,10 +232,7 @@ def _not_yaml(position: str, reason: str) -> BadFile:
 
 
 def parse_yaml_documents(data: bytes, where: str) -> list[Any]:
-    """Return the documents in YAML bytes (UTF-8), of whatever kind, apart by '---'; JSON is YAML too.
-
-    The limits of parse_yaml hold for each document. Raises BadFile and nothing else.
-    """
+    """Return the documents in YAML (or JSON) bytes, apart by '---', each within parse_yaml's limits. Raises BadFile."""
     text = _without_opencv_header(_decoded(data, where))
     out = []
     for part in re.split(r"(?m)^---[ \t]*$", text):

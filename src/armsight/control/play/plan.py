@@ -231,10 +231,7 @@ def _slowest(track: Track, speed: Array) -> str:
 
 
 def _turned(arm: Arm, shape: Shape, samples: Samples, *, keeps: bool) -> float:
-    """Return how far the tool is turned from what was asked for at most, rad: an arm of less than six joints turns it.
-
-    Raises Inconsistent where the path's own rotation is not met.
-    """
+    """Return how far the tool is off the rotation asked for at most, rad. Raises Inconsistent where it must not be."""
     R = Rotation.from_matrix(samples.T[:, :3, :3]) * Rotation.from_matrix(shape.T[:, :3, :3]).inv()
     off = np.asarray(R.magnitude())
     worst = int(np.argmax(off))

@@ -103,10 +103,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def meaning(name: str, format_: TableFormat, *, frames: bool = False, joints: bool = True) -> Meaning | None:
-    """Return what a column's name says, None where it says nothing known.
-
-    frames: the table has two poses, each with a frame before its columns. joints: the table has joint values.
-    """
+    """Return what a column's name says, or None; frames: the table has two poses. joints: it has joint values."""
     named = _joint_by_name(name, format_.joints) if joints else None
     if named is not None:
         return named

@@ -282,10 +282,7 @@ def _of_columns(columns: dict[str, Array], where: str, how: str, names: tuple[st
 
 
 def folder_table(folder: Path, read: Callable[[Path], RawTable]) -> RawTable:
-    """Return the poses of a folder with one file per pose, in the order of the numbers in their names.
-
-    read: returns the table of one file. Each row says its file. Raises BadFile, NotEnoughData.
-    """
+    """Return a folder's poses in the order of their numbers; read: one file's table. Raises BadFile, NotEnoughData."""
     files = pose_files(folder)
     if not files:
         raise NotEnoughData(

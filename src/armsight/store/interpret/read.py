@@ -158,10 +158,7 @@ def check_positions(xyz_m: NDArray[np.float64], names: Sequence[str], where: str
 
 
 def kind_of_table(path: Path, format_: TableFormat, among: Sequence[str]) -> str:
-    """Return which kind of table a file can be: that which leaves the fewest of its columns unused.
-
-    Raises UsageError where it can be none of them, Inconsistent, Ambiguous.
-    """
+    """Return which kind of table leaves fewest columns unused. Raises UsageError for none, Inconsistent, Ambiguous."""
     best, fewest, why = "", 10**9, None
     if path.is_file():
         _raw(path, format_)  # what can be no table at all says why

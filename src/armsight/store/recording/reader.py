@@ -175,10 +175,7 @@ class Recording(Closing):
                         yield Recorded(topic, schema, encoding, message.sequence, message.t_ns, message.data)
 
     def frames(self, camera: str) -> Iterator[Frame]:
-        """Yield a camera's frames with the numbers they were recorded with.
-
-        Raises NotEnoughData where there are none, Inconsistent where time runs backwards, BadFile, BadImage.
-        """
+        """Yield a camera's frames, numbered as recorded. Raises NotEnoughData, Inconsistent, BadFile, BadImage."""
         topic = f"/{camera}/image"
         if self.topics.get(topic) not in IMAGES:
             raise self._lacks(topic, "images")
