@@ -115,11 +115,6 @@ class Shape(Samples):
     turns: str
 
     @property
-    def seam_m(self) -> Array:
-        """The path's positions (n, 3) without the weave."""
-        return self.paced_m
-
-    @property
     def tip_m(self) -> Array:
         """The path's positions (n, 3) as they are run."""
         return self.T[:, :3, 3]
