@@ -94,8 +94,8 @@ class Rig(records.Saveable):
                     k = place_of(cameras, side)
                     cameras = (*cameras[:k], replace(cameras[k], **some), *cameras[k + 1 :])  # type: ignore[arg-type]
         mounted = with_each(cameras, {"noise": noise, "timing": timing, "zoom": zoom})
-        made = _kind(kind, tuple(one.name for one in mounted))
-        values = {"cameras": mounted, "kind": made, "covariance": covariance, "rms_px": rms_px, "found": {}}
+        values: dict[str, object] = {"cameras": mounted, "kind": _kind(kind, tuple(one.name for one in mounted))}
+        values |= {"covariance": covariance, "rms_px": rms_px, "found": {}}
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._check()
