@@ -66,7 +66,10 @@ class ServerAddress:
                 cure="Give ws://HOST:PORT, or wss://HOST:PORT where the server has a certificate",
             )
         if self.token and parts.scheme == "ws" and not is_loopback(host):
-            raise UsageError(f"the token would go to {host} in plain text", cure="Use wss:// (--tls-cert, --tls-key)")
+            raise UsageError(
+                f"the token would go to {host} in plain text",
+                cure="Use wss://, and a server with --tls-cert and --tls-key",
+            )
 
     def tls(self) -> ssl.SSLContext | None:
         """Return how the server's certificate is checked; None without TLS. Raises UsageError for a wrong ca_file."""
