@@ -21,7 +21,8 @@ ArmsightError                     exit code 1
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from typing import ClassVar
 
@@ -36,11 +37,13 @@ class ArmsightError(Exception):
     """
 
     exit_code: ClassVar[int] = 1
+    usual: ClassVar[str] = ""
+    """The consequence of an error that says none."""
     kept: object = None
 
     def __init__(self, cause: str, *, consequence: str = "", cure: str = "") -> None:
         self.cause = cause
-        self.consequence = consequence
+        self.consequence = consequence or self.usual
         self.cure = cure
         super().__init__(cause)
 
@@ -49,6 +52,16 @@ class ArmsightError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         return (rebuilt, (type(self), self.cause, self.consequence, self.cure), self.__dict__)
+
+
+@contextmanager
+def leads_to(consequence: str) -> Iterator[None]:
+    """Give the errors raised within that say no consequence this one."""
+    try:
+        yield
+    except ArmsightError as error:
+        error.consequence = error.consequence or consequence
+        raise
 
 
 def _sentence(text: str) -> str:
@@ -67,15 +80,12 @@ class UsageError(ArmsightError):
     """The call itself is wrong."""
 
     exit_code = 2
+    usual = "Nothing was done"
 
 
 def not_one_of(name: str, value: object, words: Iterable[str]) -> UsageError:
     """Return the error of a value that is none of the words."""
-    return UsageError(
-        f"{name} is {value!r}, which is not known",
-        consequence="It cannot be used",
-        cure=f"Use one of: {', '.join(words)}",
-    )
+    return UsageError(f"{name} is {value!r}, which is not known", cure=f"Use one of: {', '.join(words)}")
 
 
 class DataRefused(ArmsightError):
@@ -86,6 +96,8 @@ class DataRefused(ArmsightError):
 
 class BadFile(DataRefused):
     """A file that cannot be read, or that says something impossible."""
+
+    usual = "The file is not used"
 
 
 class Unseen(StrEnum):

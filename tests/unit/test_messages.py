@@ -93,7 +93,7 @@ MESSAGES: dict[type[errors.ArmsightError], tuple[Callable[[], object], Sequence[
     ),
     errors.BadFile: (
         lambda: parse_yaml(b"", "rig.yaml"),
-        ("rig.yaml: the file is empty.", "It says nothing.", "Check the file."),
+        ("rig.yaml: the file is empty.", "The file is not used.", "Check the file."),
     ),
     errors.BadImage: (
         lambda: decode_image(b"x", "a.png"),
@@ -167,7 +167,7 @@ MESSAGES: dict[type[errors.ArmsightError], tuple[Callable[[], object], Sequence[
         lambda: look(there=True),
         (
             "camera:3 stopped sending after 1 frames.",
-            "No frame can be measured from here on; what was measured until then is kept.",
+            "No frame is measured from here on; those before stay.",
             "Check the plug and the cable, and start again.",
         ),
     ),

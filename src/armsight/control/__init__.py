@@ -15,19 +15,3 @@ from armsight.control.setpoints import (
     ToolTwist,
 )
 from armsight.control.status import RobotStatus
-
-__all__ = [
-    "CycleState",
-    "Finished",
-    "FlangePose",
-    "Hold",
-    "JointGoal",
-    "JointStep",
-    "JointVelocity",
-    "Motion",
-    "RobotStatus",
-    "SetPoint",
-    "SetPointSource",
-    "ToolPose",
-    "ToolTwist",
-]

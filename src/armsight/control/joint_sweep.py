@@ -46,10 +46,7 @@ VISITED = ("The robot is held", "The run ends there")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observation:
-    """The beacon in one pair of frames: uv_px (2, 2), xyz_m (3,), or why not; taken_s: the earliest, on our clock.
-
-    std_px: of a coordinate of uv_px, where whoever found it says so.
-    """
+    """The beacon in a pair: uv_px (2, 2), std_px of each, xyz_m (3,), or why not; taken_s: the earliest, our clock."""
 
     taken_s: float
     uv_px: Array | None = None
@@ -215,7 +212,6 @@ class Sweeper:
             )
 
     def _read(self, joint: int) -> None:
-        """Add the mean of some frames, and of the joint readings beside them, to the rows."""
         looks: list[Observation] = []
         readings: list[Array] = []
         while len(looks) < self._pace.frames_per_reading:

@@ -43,7 +43,6 @@ class FollowsTarget(Protocol):
 
     def target(self, now_s: float) -> tuple[TargetState, float | None]:
         """Return what is known of the target, and the age in s of the newest frame that shows it."""
-        ...
 
 
 class ControlLoop:

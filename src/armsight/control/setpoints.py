@@ -124,19 +124,14 @@ class SetPointSource(Protocol):
     @property
     def name(self) -> str:
         """What events and screens call it: servo, path, jog, client."""
-        ...
 
     def next(self, now: CycleState) -> SetPoint:
         """Return what is wanted for this cycle; never blocks, and raises nothing: troubles are a Hold with its why."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeat:
-    """The driver is alive. enable: whether motion is allowed.
-
-    number: of the beat, which grows; one that came by another way and was overtaken does not count.
-    """
+    """The driver is alive. enable: motion is allowed. number: of the beat; one that was overtaken does not count."""
 
     enable: bool
     number: int | None = None
@@ -309,7 +304,7 @@ class JogSource:
     ) -> None:
         self.frame = JogFrame(frame)
         self._n = n if self.frame is JogFrame.JOINTS else 6
-        self._most = np.full(n, joint_speed) if self.frame is JogFrame.JOINTS else _both(speed_m_s, turn_rad_s)
+        self._most = np.full(n, joint_speed) if self.frame is JogFrame.JOINTS else np.repeat([speed_m_s, turn_rad_s], 3)
         self._timeout_s = timeout_s
         self._axes: tuple[float, NDArray[np.float64]] | None = None
 
@@ -322,7 +317,6 @@ class JogSource:
         if values.shape != (self._n,):
             raise UsageError(
                 f"{len(axes)} axes were pushed, {self.frame} has {self._n}",
-                consequence="They are not followed",
                 cure=f"Push {self._n} values between -1 and 1",
             )
         values = np.clip(np.where(np.isfinite(values), values, 0.0), -1.0, 1.0)
@@ -344,7 +338,3 @@ class JogSource:
             turn = now.T_base_tool.rotation
             return ToolTwist(velocity_m_s=turn.apply(velocity[:3]), angular_rad_s=turn.apply(velocity[3:]))
         return ToolTwist(velocity_m_s=velocity[:3], angular_rad_s=velocity[3:])
-
-
-def _both(straight: float, turned: float) -> NDArray[np.float64]:
-    return np.array([straight] * 3 + [turned] * 3)

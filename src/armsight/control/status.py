@@ -144,15 +144,12 @@ class EventSink(Protocol):
 
     def event(self, t_s: float, message: str, level: str, name: str) -> None:
         """Take a state change or a fault; level: info, warning or error."""
-        ...
 
     def command(self, t_s: float, kind: str, values: Mapping[str, Any]) -> None:
         """Take what was sent to the robot."""
-        ...
 
     def joints(self, reading: JointReading) -> None:
         """Take a reading."""
-        ...
 
 
 class NoSink:

@@ -25,7 +25,6 @@ class RigPose(Protocol):
 
     def __call__(self, t_s: float) -> RigidTransform:
         """Return T_world_rig at t_s. Raises StaleData where it is not known."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,12 +191,9 @@ class PathRecorder:
             return forgotten
 
     def tag(self, word: str) -> None:
-        """Mark the position where the tip is now: the next row, or the stretch's last where none follows.
-
-        Raises UsageError for what is not one word.
-        """
+        """Mark where the tip is: the next row, or the stretch's last. Raises UsageError for more than one word."""
         if not TAG.fullmatch(word):
-            raise UsageError(f"the tag {word[:40]!r} is not one word", consequence="The place is not marked")
+            raise UsageError(f"the tag {word[:40]!r} is not one word")
         with self._lock:
             self._tag = word
             self._notify(f"tag {word}")

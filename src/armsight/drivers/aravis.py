@@ -159,7 +159,6 @@ class AravisCamera(LiveCamera):
             )
 
     def _set_up(self, api: Any, camera: Any) -> None:
-        """Set what is asked for. Raises DeviceFailed where the camera does otherwise, or a GLib error."""
         asked = self._settings
         if asked.pixel_format is not None:
             _require_known(self.name, "pixel_format", asked.pixel_format, _formats(camera))

@@ -65,7 +65,6 @@ class CameraSettings:
             can = ", ".join(FLAGS[setting] for setting in allowed)
             raise UsageError(
                 f"{name} cannot be given {', '.join(flags)}",
-                consequence="Nothing was opened",
                 cure=f"Cameras of this driver take {can}; leave the rest away, and set it at the camera itself"
                 if can
                 else "Leave it away: cameras of this driver take none",
@@ -76,8 +75,7 @@ class CameraSettings:
         if self.given:
             flags = ", ".join(FLAGS[setting] for setting in self.given)
             raise UsageError(
-                f"{flags} is for live cameras, and {source} is none",
-                cure=f"Leave {flags} away: recorded frames are as they were taken",
+                f"{flags} is for live cameras, and {source} is none", cure=f"Leave {flags} away for recordings"
             )
 
 
@@ -138,20 +136,12 @@ STEP = 1.0
 class CameraCapture(Capture, Protocol):
     """The part of cv2.VideoCapture that a camera needs."""
 
-    def set(self, key: int, value: float, /) -> bool:
-        """Set a property; False where the driver says that it cannot."""
-        ...
-
     def getBackendName(self) -> str:
         """Return which of OpenCV's ways to cameras this is."""
-        ...
 
 
 def lock_settings(capture: CameraCapture, settings: CameraSettings, name: str, clock: Clock) -> None:
-    """Switch the automatics off, set what is asked for and wait until the zoom stands.
-
-    Raises DeviceFailed as check_settings does, and for a zoom that the driver does not take.
-    """
+    """Switch automatics off, set what is asked for, wait until the zoom stands. Raises DeviceFailed."""
     if settings.zoom is not None:  # first: another focal length may want another focus
         if not capture.set(cv2.CAP_PROP_ZOOM, settings.zoom):
             raise not_locked(name, "zoom", f"{settings.zoom:g} is not taken")

@@ -11,7 +11,6 @@ import math
 import threading
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -23,7 +22,7 @@ from armsight.drivers.goals import JointGoals, JointLimits, PoseGoals, between
 from armsight.drivers.pace import ControllerClock, Heard, LinkTimes, Pace
 from armsight.drivers.proof import Probe, Proof, ProofState, Standing, joint_probe
 from armsight.drivers.protocols import PROVING, RobotState, Sent
-from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
+from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError, leads_to
 from armsight.priority import bound_control
 from armsight.records import JointReading
 from armsight.units import MS
@@ -119,13 +118,12 @@ class CyclicRobot(ABC):
         self._moved, self._stood_s = False, 0.0
         self._turns.begin()
         bound_control()  # opened in the main thread, the link's thread may go first
-        self._start()
+        with leads_to("The robot is not opened"):
+            self._start()
         self._open = True
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
         if self._open:
             if self._wrong:  # what makes the arm stand goes out until it does
@@ -155,7 +153,7 @@ class CyclicRobot(ABC):
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
         """Refuse: this link takes joint values."""
         self._ready()
-        raise UsageError(f"{self.name} takes no poses", consequence="Nothing was sent", cure="Send joint steps")
+        raise UsageError(f"{self.name} takes no poses", cure="Send joint steps")
 
     def stop(self) -> None:
         """Hold what was last sent, from the controller's next cycle on, until reset; legal always."""
@@ -238,7 +236,6 @@ class CyclicRobot(ABC):
         return False
 
     def _probe(self) -> Probe:
-        """Return what is moved to prove the link, and note from where."""
         return joint_probe(*self._goals.room())
 
     def _axes(self) -> Array:
@@ -273,7 +270,6 @@ class CyclicRobot(ABC):
         return self._controller_clock.measured_s is not None
 
     def _hold(self) -> None:
-        """Forget what was asked and not yet sent."""
         self._goals.hold()
         self._poses.hold()
 
@@ -393,7 +389,6 @@ class CyclicRobot(ABC):
         return reading
 
     def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
-        """Return a command as it goes out."""
         self._moved = self._moved or self._leads_on(q, pose)
         self._commands += 1
         self._pace = replace(self._pace, asked=self._pace.steps)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -88,36 +87,14 @@ EgmRobotMessage: Any = CLASSES["EgmRobot"]
 EgmSensorMessage: Any = CLASSES["EgmSensor"]
 
 
-class MessageType(IntEnum):
-    """What a packet is (EgmHeader.mtype)."""
+DATA, CORRECTION = 2, 3
+"""What a packet is (EgmHeader.mtype)."""
 
-    DATA = 2
-    CORRECTION = 3
+MOTORS_OFF, PROGRAM_STOPPED = 2, 1
+"""Of motorState and of rapidExecState."""
 
-
-class MotorState(IntEnum):
-    """Whether the motors are on."""
-
-    UNDEFINED = 0
-    ON = 1
-    OFF = 2
-
-
-class MciState(IntEnum):
-    """Whether EGM takes motion."""
-
-    UNDEFINED = 0
-    ERROR = 1
-    STOPPED = 2
-    RUNNING = 3
-
-
-class RapidState(IntEnum):
-    """Whether the controller's program runs."""
-
-    UNDEFINED = 0
-    STOPPED = 1
-    RUNNING = 2
+EGM_ERROR, EGM_STOPPED, EGM_RUNNING = 1, 2, 3
+"""Of mciState: whether EGM takes motion."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -148,7 +125,7 @@ def parse(data: bytes, n: int) -> ControllerPacket:
         raise Inconsistent(f"a packet is no EgmRobot message: {error}") from error
     if not (message.HasField("header") and message.header.HasField("seqno") and message.header.HasField("tm")):
         raise Inconsistent("a packet has no number or time")
-    if message.header.mtype != MessageType.DATA:
+    if message.header.mtype != DATA:
         raise Inconsistent(f"a packet is of type {message.header.mtype}, not of a controller's data")
     if not message.HasField("mciState"):
         raise Inconsistent("a packet does not tell whether EGM runs")
@@ -187,7 +164,7 @@ def _answer(sequence: int, tm_ms: int) -> Any:
     message = EgmSensorMessage()
     message.header.seqno = sequence & 0xFFFFFFFF
     message.header.tm = tm_ms & 0xFFFFFFFF
-    message.header.mtype = MessageType.CORRECTION
+    message.header.mtype = CORRECTION
     return message
 
 
@@ -215,14 +192,14 @@ def _pose(part: Any) -> RigidTransform | None:
 
 
 def _why_still(message: Any) -> str:
-    if message.HasField("motorState") and message.motorState.state == MotorState.OFF:
+    if message.HasField("motorState") and message.motorState.state == MOTORS_OFF:
         return "the motors are off"
-    if message.HasField("rapidExecState") and message.rapidExecState.state == RapidState.STOPPED:
+    if message.HasField("rapidExecState") and message.rapidExecState.state == PROGRAM_STOPPED:
         return "the controller's program is stopped"
     state = message.mciState.state
-    if state == MciState.RUNNING:
+    if state == EGM_RUNNING:
         return ""
-    words = {MciState.ERROR: "EGM has failed on the controller", MciState.STOPPED: "EGM is stopped on the controller"}
+    words = {EGM_ERROR: "EGM has failed on the controller", EGM_STOPPED: "EGM is stopped on the controller"}
     return words.get(state, "EGM is not running on the controller")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,32 +42,58 @@ class JointLimits:
             object.__setattr__(self, name, values)
 
 
-class JointGoals:
-    """The goal of one arm, safe between the thread that asks and the thread that sends.
+G = TypeVar("G", Array, RigidTransform)
+
+
+class _Goals(Generic[G]):
+    """A goal, safe between the thread that asks and the thread that sends. name: of the robot."""
+
+    def __init__(self, name: str, cycle_s: float, at: G) -> None:
+        self._name = name
+        self._cycle_s = cycle_s
+        self._lock = threading.Lock()
+        self._sent: G = at
+        self._next: G = at
+
+    @property
+    def sent(self) -> G:
+        """Where the controller was last told to go: joints (n,), or T_base_flange."""
+        return self._sent
+
+    def start(self, at: G) -> None:
+        """Begin there, with nothing asked."""
+        with self._lock:
+            self._sent = self._next = at
+
+    def hold(self) -> None:
+        """Forget what was asked and not yet sent."""
+        with self._lock:
+            self._next = self._sent
+
+    def take(self) -> G:
+        """Return what goes on the wire now."""
+        with self._lock:
+            self._sent = self._next
+            return self._sent
+
+
+class JointGoals(_Goals[Array]):
+    """The goal of one arm's joints.
 
     Commands of one cycle change the goal of that cycle and never add up beyond its way; a cycle ends when `take` hands
     the goal to the wire. A goal that the controller may not have taken goes out again: no two steps reach it as one.
     """
 
     def __init__(self, name: str, limits: JointLimits, cycle_s: float) -> None:
-        self._name = name
+        super().__init__(name, cycle_s, np.zeros(len(limits.max_speed)))
         self._limits = limits
-        self._cycle_s = cycle_s
         self._longest = limits.max_speed * cycle_s
         self._lead = limits.max_speed * max(LEAD_S, 2.0 * cycle_s)
-        self._lock = threading.Lock()
-        self._sent = np.zeros(len(limits.max_speed))
-        self._next = self._sent
 
     @property
     def n(self) -> int:
         """How many joints."""
         return len(self._longest)
-
-    @property
-    def sent(self) -> Array:
-        """Where the controller was last told to go, (n,)."""
-        return self._sent
 
     @property
     def limits(self) -> JointLimits:
@@ -94,21 +121,9 @@ class JointGoals:
             self._longest = np.minimum(self._longest, limits.max_speed * self._cycle_s)
             self._lead = np.minimum(self._lead, limits.max_speed * max(LEAD_S, 2.0 * self._cycle_s))
 
-    def start(self, q: Array) -> None:
-        """Begin at q (n,), with nothing asked."""
-        with self._lock:
-            self._sent = self._next = np.array(q, dtype=float)
-
-    def hold(self) -> None:
-        """Forget what was asked and not yet sent."""
-        with self._lock:
-            self._next = self._sent
-
-    def take(self) -> Array:
-        """Return what goes on the wire now, (n,)."""
-        with self._lock:
-            self._sent = self._next
-            return self._sent
+    def start(self, at: Array) -> None:
+        """Begin at joints (n,), with nothing asked."""
+        super().start(np.array(at, dtype=float))
 
     def step(self, step: Array, q: Array) -> tuple[Array, tuple[str, ...]]:
         """Move the goal on by step (n,) as far as this cycle allows; return the goal and what cut it, in words.
@@ -119,9 +134,7 @@ class JointGoals:
         values = np.asarray(step, dtype=float)
         if values.shape != (self.n,):
             raise UsageError(
-                f"{self._name} has {self.n} joints, but the step has shape {values.shape}",
-                consequence="Nothing was sent",
-                cure=f"Give {self.n} values",
+                f"{self._name} has {self.n} joints, but the step has shape {values.shape}", cure=f"Give {self.n} values"
             )
         if not np.isfinite(values).all():
             raise Inconsistent(f"{self._name}: a step is not finite", consequence="Nothing was sent")
@@ -146,45 +159,17 @@ class JointGoals:
             return goal, tuple(words)
 
 
-class PoseGoals:
-    """The goal pose of one flange, T_base_flange, safe between the thread that asks and the thread that sends.
-
-    Speeds in m/s and rad/s; commands of one cycle never add up beyond its way.
-    """
+class PoseGoals(_Goals[RigidTransform]):
+    """The goal pose of one flange, T_base_flange; speeds in m/s and rad/s, which commands of one cycle never exceed."""
 
     def __init__(self, name: str, speed_m_s: float, speed_rad_s: float, cycle_s: float) -> None:
-        self._name = name
+        super().__init__(name, cycle_s, RigidTransform.identity())
         self._speeds = (speed_m_s, speed_rad_s)
-        self._cycle_s = cycle_s
-        self._lock = threading.Lock()
-        self._sent = RigidTransform.identity()
-        self._next = self._sent
-
-    @property
-    def sent(self) -> RigidTransform:
-        """Where the controller was last told to go."""
-        return self._sent
 
     @property
     def next(self) -> RigidTransform:
         """Where it is told to go with the next packet."""
         return self._next
-
-    def start(self, pose: RigidTransform) -> None:
-        """Begin at a pose, with nothing asked."""
-        with self._lock:
-            self._sent = self._next = pose
-
-    def hold(self) -> None:
-        """Forget what was asked and not yet sent."""
-        with self._lock:
-            self._next = self._sent
-
-    def take(self) -> RigidTransform:
-        """Return what goes on the wire now."""
-        with self._lock:
-            self._sent = self._next
-            return self._sent
 
     def go(self, goal: RigidTransform, here: RigidTransform) -> tuple[RigidTransform, tuple[str, ...]]:
         """Move the goal towards a pose as far as this cycle allows; return the goal and what cut it, in words.

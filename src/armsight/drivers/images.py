@@ -192,10 +192,7 @@ def natural_key(text: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
 
 
 def list_images(text: str) -> tuple[Path, ...]:
-    """Return the image files of a folder or of a pattern such as 'shots/left*.png', in natural order.
-
-    Raises BadFile where there is no such folder, NotEnoughData where it holds no image.
-    """
+    """Return the images of a folder or pattern, in natural order. Raises BadFile, NotEnoughData without one."""
     folder = Path(text)
     if folder.is_dir():
         files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")]
@@ -257,7 +254,7 @@ def _decoded(data: bytes, where: str, *, colour: bool) -> NDArray[np.generic]:
                 np.frombuffer(data, np.uint8), flags | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
             )
         except cv2.error as error:
-            why = f"OpenCV cannot decode it ({_one_line(error)})"
+            why = f"OpenCV cannot decode it ({' '.join(str(error).split())[:200]})"
     if image is None:
         raise BadImage(
             f"{where} is not a whole image: {why or 'its content is damaged, or of no known kind'}",
@@ -268,10 +265,7 @@ def _decoded(data: bytes, where: str, *, colour: bool) -> NDArray[np.generic]:
 
 
 def image_of_8_bits(image: NDArray[np.generic], bits: int | None, where: str) -> NDArray[np.uint8]:
-    """Return an image as uint8, black at 0 and full scale of so many bits at 255, rounded.
-
-    Raises BadImage where the bits are not told, or the image contradicts them.
-    """
+    """Return an image as uint8, full scale of its bits at 255. Raises BadImage where those are untold or wrong."""
     if image.dtype == np.uint8:
         if bits is not None:
             raise BadImage(
@@ -321,7 +315,3 @@ def too_large(data: bytes) -> str:
     if len(data) > LARGEST_BYTES or size[0] * size[1] > LARGEST_PX:
         return f"{size[0]} x {size[1]} px are more than the {LARGEST_PX / 1e6:.0f} million that a camera's image has"
     return ""
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

@@ -45,18 +45,13 @@ class JogInput(Protocol):
 
     def help(self) -> str:
         """Say what to press."""
-        ...
 
     def wait(self, timeout_s: float) -> JogAxes | None:
         """Return what is pressed, after timeout_s at the latest; None where nothing new is known."""
-        ...
 
 
 class KeyboardInput:
-    """Keys of a terminal, a column of keys for each axis. A terminal tells no release: a key counts while it repeats.
-
-    fd: of the terminal; n: axes.
-    """
+    """Keys of a terminal (fd), two for each of n axes; one counts while it repeats: no release is told."""
 
     def __init__(self, fd: int, n: int) -> None:
         if not 1 <= n <= len(PLUS):
@@ -139,10 +134,7 @@ def gone() -> DeviceFailed:
 
 @contextmanager
 def open_jog_input(name: str, n: int) -> Iterator[JogInput]:
-    """Open `keyboard` or `gamepad[:DEVICE]` for n axes, and leave the terminal as it was.
-
-    Raises UsageError for another name or where there is no terminal; DeviceNotFound without the gamepad.
-    """
+    """Open `keyboard` or `gamepad[:DEVICE]` for n axes; the terminal stays. Raises UsageError, DeviceNotFound."""
     kind, _, device = name.partition(":")
     if kind == "keyboard" and not device:
         with single_keys() as fd:
@@ -155,9 +147,7 @@ def open_jog_input(name: str, n: int) -> Iterator[JogInput]:
             os.close(fd)
     else:
         raise UsageError(
-            f"{name!r} is nothing to move a robot by",
-            consequence="Nothing is moved",
-            cure="Give keyboard, gamepad or gamepad:/dev/input/jsN (--with)",
+            f"{name!r} is nothing to move a robot by", cure="Give keyboard, gamepad or gamepad:/dev/input/jsN (--with)"
         )
 
 
@@ -180,9 +170,7 @@ def single_keys() -> Iterator[int]:
 
     if not sys.stdin.isatty():
         raise UsageError(
-            "there is no keyboard: the input is no terminal",
-            consequence="Nothing is moved",
-            cure="Run it in a terminal, or give --joint and --by",
+            "there is no keyboard: the input is no terminal", cure="Run it in a terminal, or give --joint and --by"
         )
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)

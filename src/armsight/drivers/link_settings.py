@@ -26,24 +26,19 @@ class ArmOnLink(Protocol):
 
     def fk(self, q: NDArray[np.float64]) -> RigidTransform:
         """Return T_base_flange of joint values q (6,) in rad or m."""
-        ...
 
     def ik(self, T_base_flange: RigidTransform, near: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return joint values (6,) of a pose, on the branch of near (6,). Raises DataRefused out of reach."""
-        ...
 
     def flange(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return T_base_flange (4, 4) of joint values q (n,): what a cycle has no time to make a transform of."""
-        ...
 
     def jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the flange's way and turn (6, n) in base axes by joint values q (n,)."""
-        ...
 
     @property
     def ranges(self) -> NDArray[np.float64]:
         """Lower and upper ends (2, n) of its joint values by the arm's file, in rad or m; infinite where open."""
-        ...
 
 
 class LinkSettings(BaseModel):
@@ -74,7 +69,6 @@ class LinkSettings(BaseModel):
             key = ".".join(str(part) for part in first["loc"]) or "cycle_s"  # what a check of all of them is about
             raise UsageError(
                 f"the setting {key!r} of {cls.link} cannot be: {first['msg']}",
-                consequence="The robot is not opened",
                 cure=f"Known are: {', '.join(cls.model_fields)}",
             ) from error
 

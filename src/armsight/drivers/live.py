@@ -7,7 +7,6 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import cv2
@@ -15,14 +14,7 @@ import numpy as np
 
 from armsight._files import DeviceLock, is_utf8
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.camera_settings import (
-    AUTOMATIC,
-    SETTINGS,
-    CameraCapture,
-    CameraSettings,
-    check_settings,
-    lock_settings,
-)
+from armsight.drivers import camera_settings
 from armsight.drivers.usb import crowd_of
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
@@ -40,11 +32,11 @@ SETTLED = 30
 """Frames after which locked settings are looked at again: some cameras take to their automatics once frames flow."""
 
 
-def open_camera(device: str) -> CameraCapture:
+def open_camera(device: str) -> camera_settings.CameraCapture:
     """Open a camera by number or device file with OpenCV. Raises DeviceNotFound for a name that it crashes at."""
     if not is_utf8(device):
         raise DeviceNotFound(f"there is no camera {device}: its name is not UTF-8", cure="Give its number, or its file")
-    capture: CameraCapture = cv2.VideoCapture(int(device) if device.isdecimal() else device)
+    capture: camera_settings.CameraCapture = cv2.VideoCapture(int(device) if device.isdecimal() else device)
     return capture
 
 
@@ -106,9 +98,7 @@ class LiveCamera(ABC):
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=SILENCE_S)
@@ -155,9 +145,7 @@ class LiveCamera(ABC):
 
     def _lost(self, what: str) -> DeviceLost:
         return DeviceLost(
-            f"{self.name} {what}",
-            consequence="No frame can be measured from here on; what was measured until then is kept",
-            cure=self.cure,
+            f"{self.name} {what}", consequence="No frame is measured from here on; those before stay", cure=self.cure
         )
 
 
@@ -176,19 +164,19 @@ class OpenCvCamera(LiveCamera):
         colour: bool = False,
         clock: Clock | None = None,
         origin_s: float | None = None,
-        settings: CameraSettings = AUTOMATIC,
-        open_capture: Callable[[str], CameraCapture] = open_camera,
+        settings: camera_settings.CameraSettings = camera_settings.AUTOMATIC,
+        open_capture: Callable[[str], camera_settings.CameraCapture] = open_camera,
         lock: DeviceLock | None = None,
     ) -> None:
         name = f"camera:{device}"
-        settings.require_only(SETTINGS, name)
+        settings.require_only(camera_settings.SETTINGS, name)
         own = DeviceLock(name) if lock is None and open_capture is open_camera else lock
         super().__init__(name, clock=clock, origin_s=origin_s, lock=own)
         self._device = device
         self._colour = colour
         self._settings = settings
         self._open_capture = open_capture
-        self._capture: CameraCapture | None = None
+        self._capture: camera_settings.CameraCapture | None = None
         self._started = False
 
     def _open_device(self) -> None:
@@ -202,7 +190,7 @@ class OpenCvCamera(LiveCamera):
                 cure=f"Cameras there: {there}. Another program may hold it" if there else "No camera is connected",
             )
         try:
-            lock_settings(capture, self._settings, self.name, self._clock)
+            camera_settings.lock_settings(capture, self._settings, self.name, self._clock)
         except BaseException:
             capture.release()
             raise
@@ -226,14 +214,13 @@ class OpenCvCamera(LiveCamera):
                 self._put(Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=self.name))
                 sequence, failed, self._started = sequence + 1, 0, True
                 if sequence == SETTLED:
-                    check_settings(capture, self._settings, self.name)
+                    camera_settings.check_settings(capture, self._settings, self.name)
                 continue
             failed += 1
             if failed >= FAILED_READS:
                 raise self._lost(f"stopped sending after {sequence} frames")
 
     def _lost(self, what: str) -> DeviceLost:
-        """Return that it is lost; of a camera that never started also what its bus has no room for."""
         lost = super()._lost(what)
         lost.cure = ("" if self._started else crowd_of(self._device)) or lost.cure
         return lost

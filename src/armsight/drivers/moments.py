@@ -10,7 +10,6 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -118,9 +117,7 @@ class Moments(ABC):
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     def _check(self) -> None:  # noqa: B027  # most have nothing to check
@@ -174,7 +171,8 @@ class FileMoments(Moments):
                 if len(ended) == len(frames) or (ended and self._rows):
                     return
                 for k in ended:
-                    early = ended_early(self.sources[k], self._longer(ended), count)
+                    longer = next(source for j, source in enumerate(self.sources) if j not in ended)
+                    early = ended_early(self.sources[k], longer, count)
                     if not self._partial:
                         raise early
                     if self.names[k] not in self.lost:
@@ -188,9 +186,6 @@ class FileMoments(Moments):
                     count += 1
                 else:
                     self.n_dropped += sum(frame is not None for frame in frames)
-
-    def _longer(self, ended: Sequence[int]) -> FrameSource:
-        return next(source for k, source in enumerate(self.sources) if k not in ended)
 
 
 def ended_early(short: FrameSource, long: FrameSource, count: int) -> Inconsistent:

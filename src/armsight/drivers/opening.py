@@ -82,10 +82,7 @@ def open_moments(
     reading: ImageReading = AS_THEY_ARE,
     tell: Callable[[str], None] = warnings.warn,
 ) -> Moments:
-    """Return the moments of cameras' sources by their names, all live or none; nothing is opened yet.
-
-    settings: what is asked of live ones, by name. Raises UsageError as open_source does.
-    """
+    """Return the moments of sources by name, all live or none, unopened; settings: of live ones. Raises UsageError."""
     live = any(map(is_live, cameras.values()))
     more: dict[str, Any] = {"fps": fps, "times_s": times_s}
     if live:

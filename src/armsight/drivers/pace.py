@@ -66,11 +66,9 @@ class Paced(Protocol):
 
     def wait_step(self, after: int, wait_s: float) -> Pace:
         """Return the pace once more than `after` steps and the last command went out, or what it is after wait_s."""
-        ...
 
     def slow_down(self, max_speed: Array) -> None:
         """Let no joint go faster than max_speed (n,) in rad/s or m/s, whoever asks."""
-        ...
 
 
 LARGEST_RAD = 100.0

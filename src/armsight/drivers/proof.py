@@ -261,7 +261,6 @@ class Proof:
         return True
 
     def _note(self, y: Array, cycles: int, *, taken: bool) -> None:
-        """Take a reading, and choose what goes out next."""
         shares = self._shares if self._shares is not None else np.zeros(0)
         away = y[self._moved] - self._rest
         if taken:

@@ -92,7 +92,9 @@ def _not_back(seen: Evidence) -> str:
             "(RSI: AXISCORR and POSCORR absolute)"
         )
     far = int(np.argmax(np.abs(seen.end) / seen.noise))
-    return f"{seen.names[far]} did not come back from the probe: it stands {_way(seen.end[far])} away"
+    way = abs(seen.end[far])
+    stands = f"{way / DEG:.3f} degrees (or {1e3 * way:.3f} mm) away"
+    return f"{seen.names[far]} did not come back from the probe: it stands {stands}"
 
 
 def _scaled(gain: Array, alike: float) -> str:
@@ -145,7 +147,6 @@ def _exchanged(seen: Evidence) -> str:
 
 
 def _single(seen: Evidence, gain: Array) -> str:
-    """Return the cause where one axis alone, or few, move as they should not."""
     names, wrong = seen.names, np.flatnonzero(np.abs(gain - 1.0) > (EARLY if seen.early else seen.tolerance))
     if len(wrong) == 0 or len(wrong) > max(1, len(gain) // 2):
         return ""
@@ -169,7 +170,3 @@ def _by_pose(names: tuple[str, ...]) -> str:
     """Return what moves a flange otherwise on several axes at once."""
     flange = any("flange" in name for name in names)
     return "; a gear ratio, or a length, on the controller is not the arm's" if flange else ""
-
-
-def _way(value: float) -> str:
-    return f"{abs(value) / DEG:.3f} degrees (or {1e3 * abs(value):.3f} mm)"

@@ -18,76 +18,50 @@ from armsight.records import Frame, JointReading, frozen_array
 from armsight.records.result_parts import Skew
 
 
-class FrameSource(Protocol):
-    """Frames of one camera in the order of time. Its constructor opens nothing; `with` opens and closes it.
-
-    Frames carry increasing t_s, sequence 0, 1, 2 ... and the source's name or file. A source may be opened and
-    read again, unless it is live.
-    """
+class Source(Protocol):
+    """What frames come from. Its constructor opens nothing; `with` opens and closes it."""
 
     @property
     def name(self) -> str:
         """What the person called it: folder, pattern, video file, camera."""
-        ...
 
     @property
     def total(self) -> int | None:
-        """How many frames there will be; None where that cannot be known (live, some videos)."""
-        ...
+        """How many frames or moments there will be; None where that cannot be known (live, some videos)."""
 
     def __enter__(self) -> Self:
         """Open it. Raises DataRefused or DeviceFailed where that cannot be done."""
-        ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close it; legal at any time."""
-        ...
+
+
+class FrameSource(Source, Protocol):
+    """Frames of one camera in the order of time.
+
+    Frames carry increasing t_s, sequence 0, 1, 2 ... and the source's name or file. A source may be opened and
+    read again, unless it is live.
+    """
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames. Raises BadImage, Inconsistent or DeviceLost at the frame that fails."""
-        ...
 
 
 Views: TypeAlias = tuple[Frame | None, ...]
 """A frame of each camera at one time, or None where one has none."""
 
 
-class MomentSource(Protocol):
-    """Moments in step: a frame of each of some cameras, in one order, or None where one has none.
-
-    Opened and closed like a FrameSource. Of a pair every moment has both.
-    """
-
-    @property
-    def name(self) -> str:
-        """What the person called it."""
-        ...
-
-    @property
-    def total(self) -> int | None:
-        """How many moments there will be; None where that cannot be known."""
-        ...
+class MomentSource(Source, Protocol):
+    """Moments in step: a frame of each camera, in one order, None where one has none; of a pair both are there."""
 
     @property
     def skew(self) -> Skew | None:
         """How far apart the frames of a moment were so far; None where all views share one time stamp."""
-        ...
-
-    def __enter__(self) -> Self:
-        """Open it. Raises DataRefused or DeviceFailed where that cannot be done."""
-        ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it; legal at any time."""
-        ...
 
     def __iter__(self) -> Iterator[Views]:
         """Yield the moments. Raises BadImage, Inconsistent or DeviceLost at the one that fails."""
-        ...
 
 
 class RobotState(StrEnum):
@@ -133,41 +107,33 @@ class Robot(Protocol):
     @property
     def name(self) -> str:
         """What the person called it."""
-        ...
 
     @property
     def n_joints(self) -> int:
         """How many joints it has."""
-        ...
 
     @property
     def cycle_s(self) -> float:
         """Time between two commands that the controller takes, in s."""
-        ...
 
     @property
     def takes_poses(self) -> bool:
         """Whether move_pose is possible."""
-        ...
 
     @property
     def state(self) -> RobotState:
         """What it can do just now; never raises."""
-        ...
 
     def __enter__(self) -> Self:
         """Open the link. Raises DeviceFailed where that cannot be done."""
-        ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop it and close the link; legal at any time."""
-        ...
 
     def read(self) -> JointReading:
         """Return the newest reading. Raises StaleData where it is too old, DeviceLost without a link, DeviceFailed."""
-        ...
 
     def step_joints(self, step: NDArray[np.float64]) -> Sent:
         """Move on from where it was last told to go by step (n,) in rad or m; return what was really sent.
@@ -175,22 +141,18 @@ class Robot(Protocol):
         Raises UsageError for another number of joints, Inconsistent for values that are not finite, DeviceFailed
         where the robot is closed or stopped, DeviceLost.
         """
-        ...
 
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
         """Move towards a pose of the flange as far as one cycle allows; return what was really sent.
 
         Raises as step_joints does; UsageError where the robot takes no poses, Inconsistent out of its reach.
         """
-        ...
 
     def stop(self) -> None:
         """Come to rest and take no commands until reset. Legal at any time, in any state; never raises."""
-        ...
 
     def reset(self) -> None:
         """Take commands again after a stop, from where it stands. Raises DeviceFailed where closed, DeviceLost."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,10 +191,7 @@ class RobotTraits:
 
 
 def listen(robot: Robot, heard: Callable[[float, NDArray[np.float64]], object]) -> None:
-    """Have `heard` told of each reading of a robot: when it was sent, on the clock, and its joints (n,).
-
-    Raises UsageError for a robot that does not tell that.
-    """
+    """Have `heard` told of each reading's time, on the clock, and joints (n,). Raises UsageError where it cannot be."""
     told = RobotTraits.of(robot).listen
     if told is None:
         raise UsageError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -59,9 +58,7 @@ class Replay(Generic[Item]):
         self._items = iter(self._open_items())
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         close: Any = getattr(self._items, "close", None)
         if close is not None:
             close()
@@ -94,10 +91,7 @@ def check_forward(name: str, before_s: float, t_s: float) -> None:
 
 
 class ReplayRobot:
-    """Joint readings that were recorded, as a robot that can be read but does as it did, not as it is told.
-
-    speed: as in Replay, above 0. Commands raise DeviceFailed; stop is legal and holds the replay where it stands.
-    """
+    """Recorded joints as a robot that is read, speed times as fast; stop holds it, commands raise DeviceFailed."""
 
     takes_poses = False
 
@@ -136,9 +130,7 @@ class ReplayRobot:
         self._start_s, self._held_s = self._clock.now_s(), None
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._start_s = None
 
     def read(self) -> JointReading:
@@ -157,7 +149,7 @@ class ReplayRobot:
 
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
         """Raise UsageError: it takes no poses."""
-        raise UsageError(f"{self.name} is a recording and takes no poses", consequence="Nothing was sent")
+        raise UsageError(f"{self.name} is a recording and takes no poses")
 
     def stop(self) -> None:
         """Hold the replay where it stands."""

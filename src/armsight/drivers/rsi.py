@@ -323,10 +323,7 @@ class RsiRobot(UdpRobot[RobMessage]):
         return bool((self._goals.sent != self._start_q).any())
 
     def _late_since(self, state: RobMessage) -> int | None:
-        """Return how many answers were late since the last one, and that one, beyond the cycles that had none.
-
-        0: the last was in time. None where the controller does not tell.
-        """
+        """Return how many answers were late since the last one, beyond cycles without; None where it is not told."""
         if self._late_when_answered is None or state.n_late is None or self._answered_ipoc is None:
             return None
         without = max(round((state.ipoc - self._answered_ipoc) * MS / self.cycle_s), 1) - 1

@@ -8,7 +8,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import chain, islice, repeat
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol, Self, TypeVar
 
 import cv2
@@ -89,23 +88,18 @@ class Capture(Protocol):
 
     def isOpened(self) -> bool:
         """Tell whether it can be read."""
-        ...
 
     def read(self) -> tuple[bool, Any]:
         """Return (True, image) or (False, None)."""
-        ...
 
     def get(self, key: int, /) -> float:
         """Return a property."""
-        ...
 
     def set(self, key: int, value: float, /) -> bool:
-        """Set a property."""
-        ...
+        """Set a property; False where the driver says that it cannot."""
 
     def release(self) -> None:
         """Close it."""
-        ...
 
 
 def open_video(path: str) -> Capture:
@@ -173,9 +167,7 @@ class ImageFolder:
             raise wrong_times(self._times_s, self.name, len(self._paths))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pass
 
     def __iter__(self) -> Iterator[Frame]:
@@ -206,7 +198,6 @@ class ImageFolder:
         return (self.moments[sequence] if self.moments else sequence) / self._fps
 
     def _read(self, path: Path) -> NDArray[np.uint8] | DataRefused:
-        """Return the image, or the error where it may be passed over. Raises BadImage for bits that are not told."""
         try:
             pixels = read_pixels(path, colour=self._colour)
         except (BadFile, BadImage) as error:
@@ -216,7 +207,6 @@ class ImageFolder:
         return image_of_8_bits(pixels, self._reading.bits, str(path))
 
     def _first_shape(self, error: DataRefused) -> tuple[int, ...]:
-        """Return the shape of the first image that can be read. Raises the error where there is none."""
         for path in self._paths:
             image = self._read(path)
             if not isinstance(image, DataRefused):
@@ -269,9 +259,7 @@ class VideoFile:
         self._said = int(count) if np.isfinite(count) and 0 < count < 1e9 else 0
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._capture is not None:
             self._capture.release()
             self._capture = None

@@ -160,10 +160,7 @@ class TimedMoments(Moments):
 
 
 class RecordedMoments(TimedMoments):
-    """Those of one recording or bag, or of several, or of videos, matched by time; what does not fit is refused.
-
-    end_together: one that ends before the other is refused there.
-    """
+    """Those of recordings, bags or videos, matched by time; end_together: one that ends before another is refused."""
 
     def __init__(
         self,

@@ -48,12 +48,10 @@ class UdpState(Protocol):
     @property
     def q(self) -> Array:
         """Joint values (n,) in rad."""
-        ...
 
     @property
     def T_base_flange(self) -> RigidTransform | None:
         """The flange's measured pose; None where it is not told."""
-        ...
 
 
 State = TypeVar("State", bound=UdpState)
@@ -102,11 +100,7 @@ class UdpRobot(CyclicRobot, Generic[State]):
         with self._lock:
             reading = self._ready()
             if np.shape(step) != (self.n_joints,) or np.any(step):  # not a number is not zero
-                raise UsageError(
-                    f"{self.name} is guided by poses",
-                    consequence="Nothing was sent",
-                    cure=f"Send poses, or {self.guided_by}",
-                )
+                raise UsageError(f"{self.name} is guided by poses", cure=f"Send poses, or {self.guided_by}")
             return self._note(reading.q, self._poses.next, ())
 
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
@@ -185,7 +179,6 @@ class UdpRobot(CyclicRobot, Generic[State]):
                 self._take(data, sender, newest=newest[sender] == i)
 
     def _received(self, wait_s: float) -> list[tuple[bytes, Sender]]:
-        """Return the packets that are there; wait for one for so long."""
         packets: list[tuple[bytes, Sender]] = []
         self._socket.settimeout(wait_s)
         with contextlib.suppress(OSError):  # none within the time, no more, or a datagram's error report
@@ -195,7 +188,6 @@ class UdpRobot(CyclicRobot, Generic[State]):
         return packets
 
     def _take(self, data: bytes, sender: Sender, *, newest: bool = True) -> None:
-        """Take one packet, and answer where it is a good one and none has come behind it."""
         # before it is parsed: whoever is foreign shall not even cost that
         if self._sender not in (None, sender) or self._link_settings.controller not in ("", sender[0]):
             self.counts.foreign += 1
@@ -270,12 +262,11 @@ class UdpRobot(CyclicRobot, Generic[State]):
     def _not_opened(self) -> DeviceFailed:
         """Return the error of a link on which no controller has spoken, or none that may be opened."""
         if unfit := self._unfit():
-            return DeviceFailed(f"{self.name}: {unfit[0]}", consequence="The robot is not opened", cure=unfit[1])
+            return DeviceFailed(f"{self.name}: {unfit[0]}", cure=unfit[1])
         wrong = f" ({self.counts.refused} packets were no state)" if self.counts.refused else ""
         few = f", or fewer than {ENOUGH} packets" if self.counts.heard else ""
         return DeviceNotFound(
             f"no controller has sent to UDP port {self.port} within {self._link_settings.open_s:g} s{wrong}{few}",
-            consequence="The robot is not opened",
             cure=self.to_begin,
         )
 
@@ -287,7 +278,6 @@ class UdpRobot(CyclicRobot, Generic[State]):
         return self._behind >= (RESTART_PACKETS if far else RESTART_ROW)
 
     def _answer(self, state: State, sender: Sender) -> None:
-        """Answer a state with where the arm is told to go, where that can be said."""
         data = self._encode(state)
         if data is None or self._outlived():
             return
@@ -370,4 +360,4 @@ def udp_port(device: str, example: str) -> int:
     """Return the UDP port that a person gave. Raises UsageError with an example such as egm:6510."""
     if device.isascii() and device.isdigit() and 0 < int(device) < 65536:
         return int(device)
-    raise UsageError(f"{device!r} is no UDP port", consequence="There is no robot", cure=f"Give for instance {example}")
+    raise UsageError(f"{device!r} is no UDP port", cure=f"Give for instance {example}")

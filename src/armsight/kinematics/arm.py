@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from armsight import records
 from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.joints import (
@@ -27,16 +28,6 @@ from armsight.kinematics.joints import (
 )
 from armsight.kinematics.kernels.chain import one_pose
 from armsight.kinematics.kernels.derivatives import many_torques, settle_under_weight
-from armsight.records import (
-    NamedCovariance,
-    Saveable,
-    for_kernels,
-    frozen_array,
-    one_of,
-    real_array,
-    require_kind,
-    require_number,
-)
 
 if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
@@ -57,7 +48,7 @@ GRAVITY_M_S2 = 9.80665
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Arm(Saveable):
+class Arm(records.Saveable):
     """A serial arm: joints from base to flange, T_world_base, T_base_frame0, T_flange_tool.
 
     base is the model's root: the base link of a URDF, the first frame of a DH table. T_base_frame0: where that table's
@@ -82,7 +73,7 @@ class Arm(Saveable):
     T_base_frame0: RigidTransform = field(default_factory=RigidTransform.identity)
     T_flange_tool: RigidTransform = field(default_factory=RigidTransform.identity)
     source: str = ""
-    covariance: NamedCovariance | None = None
+    covariance: records.NamedCovariance | None = None
     couplings: tuple[Coupling, ...] = ()
     tool_points: tuple[ToolPoint, ...] = ()
     down_in_base: Array | None = None
@@ -93,17 +84,19 @@ class Arm(Saveable):
 
     def __post_init__(self) -> None:
         for field_name in ("name", "source", "base_link", "tool_link"):
-            require_kind(field_name, getattr(self, field_name), str)
+            records.require_kind(field_name, getattr(self, field_name), str)
         for field_name, kind in (("joints", Joint), ("couplings", Coupling), ("tool_points", ToolPoint)):
             entries = getattr(self, field_name)
-            require_kind(field_name, entries, Sequence, cure=f"Give a tuple of {kind.__name__}")
+            records.require_kind(field_name, entries, Sequence, cure=f"Give a tuple of {kind.__name__}")
             for entry in entries:
-                require_kind(f"an entry of {field_name}", entry, kind)
+                records.require_kind(f"an entry of {field_name}", entry, kind)
             object.__setattr__(self, field_name, tuple(entries))
         for field_name in ("T_world_base", "T_base_frame0", "T_flange_tool"):
-            require_kind(field_name, getattr(self, field_name), RigidTransform, cure="RigidTransform.from_matrix(T)")
-        require_kind("covariance", self.covariance, NamedCovariance, NoneType)
-        object.__setattr__(self, "convention", one_of(Convention, "convention", self.convention))
+            records.require_kind(
+                field_name, getattr(self, field_name), RigidTransform, cure="RigidTransform.from_matrix(T)"
+            )
+        records.require_kind("covariance", self.covariance, records.NamedCovariance, NoneType)
+        object.__setattr__(self, "convention", records.one_of(Convention, "convention", self.convention))
         if not self.joints:
             raise Inconsistent("an arm needs at least one joint", consequence="There is nothing to move")
         names = [joint.name for joint in self.joints]
@@ -251,10 +244,7 @@ class Arm(Saveable):
         return tau.reshape(values.shape)
 
     def sagged(self, q: ArrayLike) -> Array:
-        """Return where joints that are driven to q, (n,) or (m, n), come to rest: q + compliance * torque there.
-
-        Raises Inconsistent where they find no rest: the arm would fall.
-        """
+        """Return where joints driven to q, (n,) or (m, n), rest under torque. Raises Inconsistent where they fall."""
         values = self.checked(q)
         if not self.compliant:
             return values
@@ -270,14 +260,13 @@ class Arm(Saveable):
 
     def checked(self, q: ArrayLike) -> Array:
         """Return joint values as float64 (n,) or (m, n); Inconsistent where their number or size cannot be."""
-        array = real_array("q", q)
+        array = records.real_array("q", q)
         if array.ndim not in (1, 2) or array.shape[-1] != len(self.joints):
             raise UsageError(
                 f"{self.name} has {self.n} joints, but the joint values have shape {array.shape}",
-                consequence="No pose can be computed",
                 cure=f"Give {self.n} values per row: {', '.join(joint.name for joint in self.joints)}",
             )
-        array = for_kernels(array)
+        array = records.for_kernels(array)
         flat = array.ravel()
         if not (flat.dot(flat) <= FAR_TURNED_RAD**2 or np.abs(flat).max(initial=0.0) <= FAR_TURNED_RAD):  # NaN too
             self._require_sizes(array)
@@ -370,9 +359,9 @@ class Arm(Saveable):
         """Return the arm with parameters changed by so much: {"j3.theta_rad": 0.005}; see kinematics.moved."""
         from armsight.kinematics.derivatives import moved
 
-        require_kind("changes", changes, Mapping, cure='Give {"j3.theta_rad": 0.005}')
+        records.require_kind("changes", changes, Mapping, cure='Give {"j3.theta_rad": 0.005}')
         for name, by in changes.items():
-            require_number(name, by)
+            records.require_number(name, by)
         return moved(self, changes)
 
     def within_limits(self, q: ArrayLike) -> Mask:
@@ -384,7 +373,7 @@ class Arm(Saveable):
 
 def _unit(down: Array) -> Array:
     """Return the direction (3,) at unit length, read-only; Inconsistent where it is none."""
-    down = np.array(frozen_array("down_in_base", down, (3,)))
+    down = np.array(records.frozen_array("down_in_base", down, (3,)))
     if not abs((size := float(np.linalg.norm(down))) - 1.0) < 1e-3:
         raise Inconsistent(
             f"down_in_base {down.tolist()} is not of unit length",

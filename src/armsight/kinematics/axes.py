@@ -126,7 +126,6 @@ def in_short_rows(arm: Arm) -> Arm:
 
 
 def _loaded(arm: Arm, joints: Sequence[AxisJoint], T_world_joint: Sequence[Array]) -> Arm:
-    """Return the arm with the masses of its links, whose joints' frames (4, 4) are those of all joints at zero."""
     if not any(joint.mass_kg for joint in joints):
         return arm
     behind = np.linalg.inv(link_frames(arm, np.zeros(arm.n))[1:-1])
@@ -159,10 +158,7 @@ def _row(joint: AxisJoint, sign: float, a: float, alpha: float, d: float, theta:
 
 
 def axes_of(arm: Arm) -> tuple[Array, list[AxisJoint], Array, Array]:
-    """Return what `arm_from_axes` takes after the name; every joint moves about or along the z axis of its frame.
-
-    Raises Inconsistent for a joint with a scale, which URDF cannot say.
-    """
+    """Return what `arm_from_axes` takes after the name, axes along z. Raises Inconsistent for a joint with a scale."""
     standard = in_convention(arm, Convention.STANDARD)
     before = standard.T_base_frame0.as_matrix()
     out = []

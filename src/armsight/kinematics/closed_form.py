@@ -32,10 +32,7 @@ class Wrist(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Family:
-    """A closed form with its constants; exact is False where the arm is only close to it.
-
-    numbers (29,), T_base_world (12,) and T_tool_six (12,): as kernels.closed takes them.
-    """
+    """A closed form, exact or close, with numbers (29,), T_base_world (12,), T_tool_six (12,) for kernels.closed."""
 
     wrist: Wrist
     exact: bool
@@ -115,7 +112,6 @@ def _outside(arm: Arm) -> tuple[Array, Array]:
 
 
 def _inverse(T: Array) -> Array:
-    """Return the inverse of a rigid (4, 4) matrix."""
     out = np.eye(4)
     out[:3, :3] = T[:3, :3].T
     out[:3, 3] = -T[:3, :3].T @ T[:3, 3]

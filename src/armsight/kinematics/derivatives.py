@@ -69,10 +69,7 @@ def _craig_columns(arm: Arm, T: Array, J: Array) -> Array:
 
 
 def moved(arm: Arm, changes: Mapping[str, float]) -> Arm:
-    """Return the arm with the named parameters changed by the given amounts (m or rad); see `parameter_names`.
-
-    Its covariance is dropped. Raises UsageError for an unknown name, listing the valid ones.
-    """
+    """Return the arm with named parameters changed (m, rad), without covariance. Raises UsageError for others."""
     unknown = set(changes) - set(parameter_names(arm))
     if unknown:
         raise UsageError(

@@ -125,8 +125,4 @@ def _pinocchio() -> Any:
     try:
         return importlib.import_module("pinocchio")
     except ImportError as error:
-        raise UsageError(
-            "Pinocchio is not installed",
-            consequence="No efforts can be computed",
-            cure="pip install 'armsight[dynamics]'",
-        ) from error
+        raise UsageError("Pinocchio is not installed", cure="pip install 'armsight[dynamics]'") from error

@@ -65,10 +65,7 @@ def jacobian(arm: Arm, q: ArrayLike, *, axes: Axes = "world") -> Array:
 def fk_jacobian(
     arm: Arm, q: ArrayLike, *, axes: Axes = "world", all_cores: bool = True, out: tuple[Array, Array] | None = None
 ) -> tuple[Array, Array]:
-    """Return T_world_tool (4, 4) and the Jacobian (6, n), or both for each row of q (m, n); see `jacobian`.
-
-    out: arrays to fill in place of new ones, for callers that come back often with big batches.
-    """
+    """Return T_world_tool (4, 4) and Jacobian (6, n), for q (m, n) of each row; out: arrays to fill instead."""
     if axes not in ("world", "base", "tool"):
         raise UsageError(f"the axes {axes!r} are not known", cure="Use world, base or tool")
     values = arm.checked(q)

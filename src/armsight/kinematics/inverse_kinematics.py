@@ -17,18 +17,7 @@ from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
 from armsight.kinematics.closed_form import Family, family_of, motions, near_singularities
-from armsight.kinematics.kernels.closed import (
-    AT_ELBOW,
-    AT_SHOULDER,
-    AT_WRIST,
-    DOWN,
-    FLIP,
-    LEFT,
-    nearest_turns,
-    settle,
-    solve_closed,
-    solve_closed_many,
-)
+from armsight.kinematics.kernels import closed
 from armsight.kinematics.kernels.numeric import solve_damped_least_squares
 from armsight.kinematics.numeric import (
     MAX_STEPS,
@@ -142,16 +131,16 @@ class Inverse:
 def branch_names(code: int) -> tuple[str, str, str]:
     """Return the branch of a solution's code (kernels.closed) in words."""
     return (
-        "shoulder left" if code & LEFT else "shoulder right",
-        "elbow down" if code & DOWN else "elbow up",
-        "wrist flip" if code & FLIP else "wrist no flip",
+        "shoulder left" if code & closed.LEFT else "shoulder right",
+        "elbow down" if code & closed.DOWN else "elbow up",
+        "wrist flip" if code & closed.FLIP else "wrist no flip",
     )
 
 
 @cache
 def singular_names(code: int) -> tuple[str, ...]:
     """Return the names of the singularities in a solution's code."""
-    names = ((AT_SHOULDER, "shoulder"), (AT_ELBOW, "elbow"), (AT_WRIST, "wrist"))
+    names = ((closed.AT_SHOULDER, "shoulder"), (closed.AT_ELBOW, "elbow"), (closed.AT_WRIST, "wrist"))
     return tuple(name for bit, name in names if code & bit)
 
 
@@ -202,10 +191,7 @@ def ik_each(
     *,
     task: Task | str | None = None,
 ) -> tuple[Inverse, ...]:
-    """Return the solutions of each pose, near (n,) for the first and then near the one before, or near rows (m, n).
-
-    Raises as ik, and Inconsistent where there are other counts of rows and poses.
-    """
+    """Return the solutions of each pose, near (n,), then the one before, or near rows (m, n). Raises as ik."""
     T = target_matrices(arm, poses)
     rows = None if q_seed is None else arm.checked(q_seed)
     if rows is not None and rows.ndim == 2 and len(rows) != len(T):
@@ -237,31 +223,30 @@ def ik_many(
     Q = np.full((len(T), 8, 6), np.nan)
     code, count = np.zeros((len(T), 8), dtype=np.int64), np.empty(len(T), dtype=np.int64)
     here = start_values(arm, q_seed)
-    solve_closed_many(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, here, Q, code, count)
+    closed.solve_closed_many(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, here, Q, code, count)
     return Q, code, count
 
 
 def in_range(arm: Arm, q: Array, q_seed: Array) -> Array:
     """Return q (n,) with turning joints moved by whole turns: within the limits where possible, nearest to here."""
     out = q.copy()
-    nearest_turns(arm.chain, out, q_seed, LIMIT_SLACK)
+    closed.nearest_turns(arm.chain, out, q_seed, LIMIT_SLACK)
     return out
 
 
 def _closed(
     arm: Arm, family: Family, T: Array, q_seed: Array, tolerance: Tolerance
 ) -> tuple[list[Solution], list[bool]]:
-    """Return the closed form's solutions that keep the tolerance, nearest first, and which are within the limits.
-
-    They are refined where the family is not exact.
-    """
+    """Return the closed form's solutions within the tolerance, refined where not exact, and which keep the limits."""
     Q, code = np.empty((9, 6)), np.zeros(9, dtype=np.int64)
     errors, inside = np.empty((9, 3)), np.empty(9, dtype=np.bool_)
-    count = solve_closed(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, q_seed, Q, code)
+    count = closed.solve_closed(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, q_seed, Q, code)
     if not family.exact:
         Q[count], code[count] = q_seed, -1
         count = _refine(arm, T, Q, code, count + 1, tolerance)
-    count = settle(arm.chain, T, count, q_seed, (LIMIT_SLACK, tolerance.m, tolerance.rad), Q, code, errors, inside)
+    count = closed.settle(
+        arm.chain, T, count, q_seed, (LIMIT_SLACK, tolerance.m, tolerance.rad), Q, code, errors, inside
+    )
     Q.setflags(write=False)
     found: list[Solution] = []
     for q, bits, (m, rad, _) in zip(Q[:count], code.tolist(), errors.tolist(), strict=False):
@@ -286,7 +271,7 @@ def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, t
             continue
         if any(_gap(arm, q, other) < SAME_SOLUTION for other in Q[:kept]):
             continue
-        Q[kept], code[kept] = q, code[k] if code[k] < 0 else code[k] & (LEFT | DOWN | FLIP)
+        Q[kept], code[kept] = q, code[k] if code[k] < 0 else code[k] & (closed.LEFT | closed.DOWN | closed.FLIP)
         kept += 1
     return kept
 

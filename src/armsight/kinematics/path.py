@@ -14,16 +14,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array, Mask
 from armsight.errors import NotConverged, UsageError
 from armsight.fields import Doc
+from armsight.kinematics import closed_form
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
-from armsight.kinematics.closed_form import (
-    NEAR,
-    UNNAMED,
-    Family,
-    family_of,
-    motions,
-    singular_values,
-    singularity_measures,
-)
 from armsight.kinematics.inverse_kinematics import branch_names, ik, in_range
 from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
 from armsight.kinematics.numeric import FROM_START_ONLY, solve_numeric
@@ -142,8 +134,7 @@ def _best_track(
 
 
 def _track(arm: Arm, T: Array, q0: Array, times: Array | None, task: Task, tolerance: Tolerance) -> JointPath:
-    """Return the track that starts at q0."""
-    family = family_of(arm) if task is Task.POSE else None
+    family = closed_form.family_of(arm) if task is Task.POSE else None
     rows, codes, why = [np.array(q0)], [-1], ""
     if family is not None and family.exact:
         codes = [_nearest_closed(arm, family, T[0], q0)[1]]
@@ -171,7 +162,7 @@ def _track(arm: Arm, T: Array, q0: Array, times: Array | None, task: Task, toler
     return JointPath(q=q_all, t_s=times, poses=len(T), branch=branch, issues=tuple(issues))
 
 
-def _nearest_closed(arm: Arm, family: Family, T: Array, q_seed: Array) -> tuple[Array | None, int]:
+def _nearest_closed(arm: Arm, family: closed_form.Family, T: Array, q_seed: Array) -> tuple[Array | None, int]:
     """Return the closed-form solution whose largest joint step from here is least, and its code."""
     Q, code = np.empty((8, 6)), np.zeros(8, dtype=np.int64)
     count = solve_closed(arm.chain, family.numbers, family.T_base_world, family.T_tool_six, T, q_seed, Q, code)
@@ -199,7 +190,6 @@ def _weight(issue: Issue) -> float:
 
 
 def _runs(bad: Mask) -> Iterable[tuple[int, int]]:
-    """Yield first and last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
     return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -232,7 +222,6 @@ def _steps(arm: Arm, q: Array, times: Array | None) -> list[Issue]:
 
 
 def _beyond(arm: Arm, q: Array) -> list[Issue]:
-    """Return where joints are beyond their limits."""
     issues = []
     for i, joint in enumerate(arm.joints):
         excess = np.maximum(joint.lower - q[:, i], q[:, i] - joint.upper)
@@ -263,18 +252,18 @@ def _branches(codes: list[int]) -> list[Issue]:
 def _singular(arm: Arm, q: Array, task: Task) -> list[Issue]:
     """Return passages through or close to singularities, by name."""
     measures: dict[str, Array] = {}
-    if task is Task.POSE and singularity_measures(arm, q[0]):
-        rows = [singularity_measures(arm, row) for row in q]
+    if task is Task.POSE and closed_form.singularity_measures(arm, q[0]):
+        rows = [closed_form.singularity_measures(arm, row) for row in q]
         measures = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     else:
-        values = singular_values(arm, q, task)
-        measures = {UNNAMED: values[:, motions(arm, task) - 1] / values[:, 0]}
+        values = closed_form.singular_values(arm, q, task)
+        measures = {closed_form.UNNAMED: values[:, closed_form.motions(arm, task) - 1] / values[:, 0]}
     issues = []
     for name, value in measures.items():
         crossed = np.concatenate([[False], np.sign(value[1:]) * np.sign(value[:-1]) < 0.0])
-        for a, b in _runs((np.abs(value) < NEAR) | crossed):
+        for a, b in _runs((np.abs(value) < closed_form.NEAR) | crossed):
             worst = a + int(np.abs(value[a : b + 1]).argmin())
             how = "passes through" if crossed[a : b + 1].any() or abs(value[worst]) < 1e-9 else "comes close to"
             text = f"the track {how} the {name} singularity at pose {worst} (measure {abs(value[worst]):.2g})"
-            issues.append(_issue(Trouble.SINGULAR, a, b, worst, "", float(abs(value[worst])), NEAR, text))
+            issues.append(_issue(Trouble.SINGULAR, a, b, worst, "", float(abs(value[worst])), closed_form.NEAR, text))
     return issues

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import inf, pi
 from types import MappingProxyType
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
+from armsight.kinematics.axes import AxisJoint, arm_from_axes
 from armsight.kinematics.derivatives import parameter_jacobian
 from armsight.kinematics.forward_kinematics import fk, fk_jacobian, link_frames
 from armsight.kinematics.inverse_kinematics import ik, ik_many, in_range
 from armsight.kinematics.joints import Convention, Joint, JointType
 from armsight.kinematics.numeric import Method, solve_numeric, solve_numeric_many
-from armsight.kinematics.so_arms import so100, so101
 from armsight.records import require_kind
 from armsight.units import DEG
 
@@ -23,9 +26,29 @@ PER_M = 1000.0
 """Millimetres in a metre: dividing by it gives the float64 nearest to the printed number."""
 
 
+def _arm(
+    name: str,
+    columns: str,
+    rows: Sequence[Sequence[float]],
+    source: str,
+    convention: Convention = Convention.STANDARD,
+) -> Arm:
+    """Return an arm of joints j1, j2 ...; columns: fields of Joint, such as d_m:mm and lower:deg where so printed."""
+    joints = (
+        Joint(name=f"j{i}", **dict(map(_si, columns.split(), row)))  # type: ignore[arg-type]  # numbers all
+        for i, row in enumerate(rows, start=1)
+    )
+    return Arm(name=name, joints=tuple(joints), convention=convention, source=source)
+
+
+def _si(column: str, value: float) -> tuple[str, float]:
+    field, _, unit = column.partition(":")
+    return field, value / PER_M if unit == "mm" else value * DEG if unit == "deg" else value
+
+
 def korayem6r() -> Arm:
     """Return the 6R arm of Korayem 2018: geometry of Table 2, motors of Table 3. Limits are not given there."""
-    table = (  # a, alpha, d in mm and degrees; stall torque in N m, no-load speed in rad/s
+    rows = (
         (36.5, -90, 438.0, 114.0, 1.3),
         (251.5, 0, 0.0, 98.0, 1.04),
         (125.0, 0, 0.0, 382.2, 0.73),
@@ -33,16 +56,13 @@ def korayem6r() -> Arm:
         (0.0, -90, 0.0, 40.4, 0.9),
         (0.0, 0, 152.8, 40.4, 0.9),
     )
-    joints = tuple(
-        Joint(name=f"j{i}", a_m=a / PER_M, alpha_rad=alpha * DEG, d_m=d / PER_M, max_speed=speed, stall_effort=torque)
-        for i, (a, alpha, d, torque, speed) in enumerate(table, start=1)
-    )
-    return Arm(name="korayem6r", joints=joints, source="Korayem et al. 2018, Tables 2 and 3; no limits are given")
+    source = "Korayem et al. 2018, Tables 2 and 3; no limits are given"
+    return _arm("korayem6r", "a_m:mm alpha_rad:deg d_m:mm stall_effort max_speed", rows, source)
 
 
 def puma761() -> Arm:
     """Return the Puma 761 of Pachidis 2005 with assumed lengths; base height zero (it is free)."""
-    table = (  # a, alpha, d in mm and degrees, after Paul and Zhang's frames of the Puma family
+    rows = (  # after Paul and Zhang's frames of the Puma family
         (0.0, -90, 0.0),
         (650.0, 0, 190.0),
         (0.0, 90, 0.0),
@@ -50,16 +70,12 @@ def puma761() -> Arm:
         (0.0, 90, 0.0),
         (0.0, 0, 125.0),
     )
-    joints = tuple(
-        Joint(name=f"j{i}", a_m=a / PER_M, alpha_rad=alpha * DEG, d_m=d / PER_M)
-        for i, (a, alpha, d) in enumerate(table, start=1)
-    )
     source = (
         "ASSUMED: no public source gives the Puma 761's lengths; these are commonly printed for its sister, the "
         "Puma 762 (a2 650, d3 190, d4 600, d6 125 mm, spherical wrist; d3 is entered at joint 2, whose axis is "
         "parallel). The base height is free and zero here; limits are not known"
     )
-    return Arm(name="puma761", joints=joints, source=source)
+    return _arm("puma761", "a_m:mm alpha_rad:deg d_m:mm", rows, source)
 
 
 def stanford_rrp() -> Arm:
@@ -94,7 +110,6 @@ UR_TORQUE = {
 
 
 def _universal_robots(name: str, size: str, a_m: tuple[float, float], d_m: tuple[float, ...], *, endless: bool) -> Arm:
-    """Return an arm of Universal Robots. a_m: of joints 2 and 3; d_m: of 1, 4, 5, 6; endless: joint 6 has no limits."""
     joints = tuple(
         Joint(
             name=f"j{i + 1}",
@@ -152,7 +167,7 @@ def ur16e() -> Arm:
 
 def kr6() -> Arm:
     """Return the KUKA KR 6 R900 sixx (KR AGILUS), its base and flange as the controller's ROBROOT and FLANGE."""
-    table = (  # a, alpha, d in mm and degrees, theta, sign, lower, upper in degrees, speed in degrees/s
+    rows = (
         (25.0, -90, 400.0, 0, -1, -170, 170, 360),
         (455.0, 0, 0.0, 0, 1, -190, 45, 300),
         (35.0, -90, 0.0, -90, 1, -120, 156, 360),
@@ -160,60 +175,37 @@ def kr6() -> Arm:
         (0.0, -90, 0.0, 0, 1, -120, 120, 388),
         (0.0, 0, 80.0, 180, -1, -350, 350, 615),
     )
-    joints = tuple(
-        Joint(
-            name=f"j{i}",
-            a_m=a / PER_M,
-            alpha_rad=alpha * DEG,
-            d_m=d / PER_M,
-            theta_rad=theta * DEG,
-            sign=sign,
-            lower=low * DEG,
-            upper=high * DEG,
-            max_speed=speed * DEG,
-        )
-        for i, (a, alpha, d, theta, sign, low, high, speed) in enumerate(table, start=1)
-    )
     source = (
         "KUKA, specification KR AGILUS sixx, KR 6 R900 sixx: dimensions 400, 25, 455, 35, 420, 80 mm, ranges and "
         "speeds; the sense of the axes as in kuka_experimental's URDF. Another KR 6 (R700 sixx, R1820, KR 6-2) has "
         "other lengths"
     )
-    return Arm(name="kr6", joints=joints, source=source)
+    columns = "a_m:mm alpha_rad:deg d_m:mm theta_rad:deg sign lower:deg upper:deg max_speed:deg"
+    return _arm("kr6", columns, rows, source)
 
 
 def iiwa14() -> Arm:
     """Return the KUKA LBR iiwa 14 R820 with its bare flange: a media flange adds its own length to the tool."""
-    table = (  # alpha, d in degrees and mm, limit in degrees to both sides, speed in degrees/s
-        (-90, 360.0, 170, 85),
-        (90, 0.0, 120, 85),
-        (90, 420.0, 170, 100),
-        (-90, 0.0, 120, 75),
-        (-90, 400.0, 170, 130),
-        (90, 0.0, 120, 135),
-        (0, 126.0, 175, 135),
-    )
-    joints = tuple(
-        Joint(
-            name=f"j{i}",
-            alpha_rad=alpha * DEG,
-            d_m=d / PER_M,
-            lower=-limit * DEG,
-            upper=limit * DEG,
-            max_speed=speed * DEG,
-        )
-        for i, (alpha, d, limit, speed) in enumerate(table, start=1)
+    rows = (
+        (-90, 360.0, -170, 170, 85),
+        (90, 0.0, -120, 120, 85),
+        (90, 420.0, -170, 170, 100),
+        (-90, 0.0, -120, 120, 75),
+        (-90, 400.0, -170, 170, 130),
+        (90, 0.0, -120, 120, 135),
+        (0, 126.0, -175, 175, 135),
     )
     source = (
         "KUKA, specification LBR iiwa 14 R820: dimensions 360, 420, 400, 126 mm (without a media flange), ranges and "
         "speeds; the sense of the axes as in the public URDF (iiwa_stack)"
     )
-    return Arm(name="iiwa14", joints=joints, source=source)
+    columns = "alpha_rad:deg d_m:mm lower:deg upper:deg max_speed:deg"
+    return _arm("iiwa14", columns, rows, source)
 
 
 def panda() -> Arm:
     """Return the Franka Emika Panda up to its flange, without the hand; Craig's parameters, as its maker gives them."""
-    table = (  # a, alpha, d in mm and degrees, lower, upper in rad, speed in rad/s, torque in N m
+    rows = (
         (0.0, 0, 333.0, -2.8973, 2.8973, 2.175, 87.0),
         (0.0, -90, 0.0, -1.7628, 1.7628, 2.175, 87.0),
         (0.0, 90, 316.0, -2.8973, 2.8973, 2.175, 87.0),
@@ -222,30 +214,18 @@ def panda() -> Arm:
         (0.0, 90, 0.0, -0.0175, 3.7525, 2.61, 12.0),
         (88.0, 90, 107.0, -2.8973, 2.8973, 2.61, 12.0),
     )
-    joints = tuple(
-        Joint(
-            name=f"j{i}",
-            a_m=a / PER_M,
-            alpha_rad=alpha * DEG,
-            d_m=d / PER_M,
-            lower=low,
-            upper=high,
-            max_speed=speed,
-            stall_effort=torque,
-        )
-        for i, (a, alpha, d, low, high, speed, torque) in enumerate(table, start=1)
-    )
     source = (
         "Franka Emika, FCI documentation, 'Robot and interface specifications': Denavit-Hartenberg parameters (Craig), "
         "limits, speeds and torques of the Panda; the flange's 107 mm are joint 7's d. The hand turns by -45 degrees "
         "and adds 103.4 mm to its centre, which is a tool's"
     )
-    return Arm(name="panda", joints=joints, convention=Convention.CRAIG, source=source)
+    columns = "a_m:mm alpha_rad:deg d_m:mm lower upper max_speed stall_effort"
+    return _arm("panda", columns, rows, source, Convention.CRAIG)
 
 
 def irb120() -> Arm:
     """Return the ABB IRB 120-3/0.6."""
-    table = (  # a, alpha, d in mm and degrees, theta, lower, upper in degrees, speed in degrees/s
+    rows = (
         (0.0, -90, 290.0, 0, -165, 165, 250),
         (270.0, 0, 0.0, -90, -110, 110, 250),
         (70.0, -90, 0.0, 0, -110, 70, 250),
@@ -253,41 +233,83 @@ def irb120() -> Arm:
         (0.0, -90, 0.0, 0, -120, 120, 320),
         (0.0, 0, 72.0, 180, -400, 400, 420),
     )
-    joints = tuple(
-        Joint(
-            name=f"j{i}",
-            a_m=a / PER_M,
-            alpha_rad=alpha * DEG,
-            d_m=d / PER_M,
-            theta_rad=theta * DEG,
-            lower=low * DEG,
-            upper=high * DEG,
-            max_speed=speed * DEG,
-        )
-        for i, (a, alpha, d, theta, low, high, speed) in enumerate(table, start=1)
-    )
     source = "ABB, product specification IRB 120 (3HAC035960): dimensions 290, 270, 70, 302, 72 mm, ranges and speeds"
-    return Arm(name="irb120", joints=joints, source=source)
+    columns = "a_m:mm alpha_rad:deg d_m:mm theta_rad:deg lower:deg upper:deg max_speed:deg"
+    return _arm("irb120", columns, rows, source)
+
+
+SO_NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+
+Row = tuple[tuple[float, float, float], tuple[float, float, float], tuple[int, int, int], tuple[float, float]]
+"""Of a joint: its place in the link before, x y z in m and roll pitch yaw in rad; its axis; its range in rad."""
+
+SO101: tuple[Row, ...] = (
+    ((0.0388353, 0.0, 0.0624), (pi, 0.0, -pi), (0, 0, 1), (-1.91986, 1.91986)),
+    ((-0.0303992, -0.0182778, -0.0542), (-pi / 2, -pi / 2, 0.0), (0, 0, 1), (-1.74533, 1.74533)),
+    ((-0.11257, -0.028, 0.0), (0.0, 0.0, pi / 2), (0, 0, 1), (-1.69, 1.69)),
+    ((-0.1349, 0.0052, 0.0), (0.0, 0.0, -pi / 2), (0, 0, 1), (-1.65806, 1.65806)),
+    ((0.0, -0.0611, 0.0181), (pi / 2, 0.0486795, pi), (0, 0, 1), (-2.74385, 2.84121)),
+)
+SO101_TOOL = ((-0.0079, -0.000218121, -0.0981274), (0.0, pi, 0.0))
+
+SO100: tuple[Row, ...] = (
+    ((0.0, -0.0452, 0.0165), (pi / 2, 0.0, 0.0), (0, 1, 0), (-2.0, 2.0)),
+    ((0.0, 0.1025, 0.0306), (-1.8, 0.0, 0.0), (1, 0, 0), (0.0, 3.5)),
+    ((0.0, 0.11257, 0.028), (pi / 2, 0.0, 0.0), (1, 0, 0), (-pi, 0.0)),
+    ((0.0, 0.0052, 0.1349), (-1.0, 0.0, 0.0), (1, 0, 0), (-2.5, 1.2)),
+    ((0.0, -0.0601, 0.0), (0.0, pi / 2, 0.0), (0, 1, 0), (-pi, pi)),
+)
+
+SO_MAKERS = "TheRobotStudio, SO-ARM100 (Apache-2.0)"
+
+
+def so101() -> Arm:
+    """Return the SO-101 with its tool between the jaws; zero of every joint is the middle of its range."""
+    source = (
+        f"{SO_MAKERS}, Simulation/SO101/so101_new_calib.urdf, right angles as such: zero is the middle of each joint's "
+        "range, the tool link is gripper_frame_link between the jaws; the ranges are its makers' approximations, no "
+        "speeds are known. LeRobot's degrees have their zero in the middle of what was swept by hand: find it with "
+        "armsight calibrate arm"
+    )
+    return _so_arm("so101", SO101, _place(*SO101_TOOL), ("base_link", "gripper_frame_link"), source)
+
+
+def so100() -> Arm:
+    """Return the SO-100 with its fixed jaw's frame as tool, on the axis of the wrist's roll."""
+    source = (
+        f"{SO_MAKERS}, Simulation/SO100/so100.urdf, right angles as such: zero of lift and elbow is the end of their "
+        "range, where the arm is folded; the tool link is gripper, the fixed jaw's frame on the last joint's axis; no "
+        "speeds are known. LeRobot's degrees have another zero: find it with armsight calibrate arm"
+    )
+    return _so_arm("so100", SO100, np.eye(4), ("base", "gripper"), source)
+
+
+def _so_arm(name: str, rows: Sequence[Row], T_last_tool: Array, links: tuple[str, str], source: str) -> Arm:
+    joints = [
+        AxisJoint(
+            name=called,
+            type=JointType.REVOLUTE,
+            T_parent_joint=_place(xyz, rpy),
+            axis=np.array(axis, dtype=float),
+            lower=lower,
+            upper=upper,
+        )
+        for called, (xyz, rpy, axis, (lower, upper)) in zip(SO_NAMES, rows, strict=True)
+    ]
+    arm = arm_from_axes(name, np.eye(4), joints, T_last_tool, np.eye(4))
+    return replace(arm, source=source, base_link=links[0], tool_link=links[1])
+
+
+def _place(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Array:
+    """Return (4, 4) of a URDF's origin: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    return np.asarray(RigidTransform.from_components(np.array(xyz), Rotation.from_euler("xyz", rpy)).as_matrix())
 
 
 PRESETS: Mapping[str, Callable[[], Arm]] = MappingProxyType(
-    {
-        "korayem6r": korayem6r,
-        "puma761": puma761,
-        "stanford-rrp": stanford_rrp,
-        "ur3": ur3,
-        "ur5": ur5,
-        "ur10": ur10,
-        "ur3e": ur3e,
-        "ur5e": ur5e,
-        "ur10e": ur10e,
-        "ur16e": ur16e,
-        "kr6": kr6,
-        "iiwa14": iiwa14,
-        "panda": panda,
-        "irb120": irb120,
-        "so100": so100,
-        "so101": so101,
+    {"korayem6r": korayem6r, "puma761": puma761, "stanford-rrp": stanford_rrp}
+    | {
+        make.__name__: make
+        for make in (ur3, ur5, ur10, ur3e, ur5e, ur10e, ur16e, kr6, iiwa14, panda, irb120, so100, so101)
     }
 )
 
@@ -297,15 +319,12 @@ def preset(name: str) -> Arm:
     known = f"Use one of: {', '.join(PRESETS)}"
     require_kind("name", name, str, cure=known)
     if name not in PRESETS:
-        raise UsageError(f"there is no arm named {name!r}", consequence="There is nothing to move", cure=known)
+        raise UsageError(f"there is no arm named {name!r}", cure=known)
     return PRESETS[name]()
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, everything that this package runs but the kernels for all cores.
-
-    Half a minute the first time, a second from the cache. Kernels do not depend on the arm.
-    """
+    """Load all that this package compiles, but for all cores: half a minute the first time, then a second."""
     arm = ur10()
     q = np.array([0.3, -1.0, 1.2, 0.4, 0.9, 0.1])
     T = fk(arm, q)

@@ -94,7 +94,6 @@ def formulas(arm: Arm, *, numbers: bool = False) -> Formulas:
 def _gathered(
     arm: Arm, R: Any, p: Any, axes: list[Any], kinds: list[JointType], joints: Any, constants: dict[Any, float]
 ) -> Formulas:
-    """Differentiate, give sines and cosines their short names, and pack everything up."""
     columns = []
     for q, axis, kind, joint in zip(joints, axes, kinds, arm.joints, strict=True):
         turn = _sign(joint.sign) * axis if kind is JointType.REVOLUTE else sp.zeros(3, 1)
@@ -120,7 +119,7 @@ def python_source(arm: Arm, *, name: str = "forward") -> str:
     if not name.isidentifier() or keyword.iskeyword(name):
         raise UsageError(f"{name!r} is not a name for a Python function")
     f = formulas(arm)
-    text = _printer()
+    text = PythonCodePrinter({"fully_qualified_modules": False})
     lines = [
         f'"""Forward kinematics and Jacobian of {_plain(arm.name)}, written by armsight. m, rad."""',
         "",
@@ -171,10 +170,6 @@ def latex_source(arm: Arm) -> str:
 def _plain(text: str) -> str:
     """Return text without anything that could end a comment or a string."""
     return re.sub(r"[^\w .,()+-]", " ", text)
-
-
-def _printer() -> Any:
-    return PythonCodePrinter({"fully_qualified_modules": False})
 
 
 def _sign(sign: float) -> Any:

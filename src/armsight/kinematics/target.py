@@ -83,21 +83,18 @@ def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
     if T.ndim not in (2, 3) or T.shape[-2:] != (4, 4):
         raise UsageError(
             f"a pose is a 4x4 matrix, not an array of shape {T.shape}",
-            consequence="No joint values can be given",
             cure="Give T_world_tool as (4, 4), (n, 4, 4) or a RigidTransform",
         )
     T = for_kernels(T.reshape(-1, 4, 4))
     fault, row, value = check_poses(T, ROTATION_TOLERANCE)
     if fault == NOT_FINITE:
         raise Inconsistent(
-            f"pose {row} holds a value that is not finite",
-            consequence="No joint values can be given",
-            cure="Leave out the rows in which nothing was measured",
+            f"pose {row} holds a value that is not finite", consequence="No joint values are given", cure="Leave it out"
         )
     if fault == NO_ROTATION:
         raise Inconsistent(
             f"the orientation of pose {row} is not a rotation (off by {value:.2g})",
-            consequence="No joint values can be given",
+            consequence="No joint values are given",
             cure="Check the order of the columns and their precision",
         )
     distance, row = farthest(T, arm.chain)
@@ -106,7 +103,7 @@ def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
         times = distance / max(size, SMALLEST_M)
         raise Inconsistent(
             f"pose {row} is {distance:.4g} m from the base, {times:.0f} times the size of {arm.name}",
-            consequence="No joint values can be given",
+            consequence="No joint values are given",
             cure="Give metres: the numbers look like millimetres",
         )
     return T

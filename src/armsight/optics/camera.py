@@ -9,21 +9,11 @@ from types import NoneType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armsight import records
 from armsight.arrays import Array
 from armsight.defaults import GLASS
 from armsight.errors import Inconsistent
 from armsight.optics.kernels.camera import FISHEYE, project_many, undistort_many
-from armsight.records import (
-    Saveable,
-    checked_array,
-    checked_rows,
-    frozen_array,
-    one_of,
-    real_array,
-    require_count,
-    require_kind,
-    require_number,
-)
 
 SIDES = ("left", "right")
 
@@ -41,7 +31,7 @@ FURTHEST_OUTSIDE = 1.0
 """Image sizes by which the principal point may lie outside, as in the corner of a sensor that was cut out of it; and
 always a focal length: a lens draws at 45 degrees from its axis, so that small windows of large sensors are taken."""
 
-NO_TURN, NO_SHIFT = frozen_array("R", np.eye(3), (3, 3)), frozen_array("t", np.zeros(3), (3,))
+NO_TURN, NO_SHIFT = records.frozen_array("R", np.eye(3), (3, 3)), records.frozen_array("t", np.zeros(3), (3,))
 
 
 class LensKind(StrEnum):
@@ -70,7 +60,7 @@ class Plate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Camera(Saveable):
+class Camera(records.Saveable):
     """Image size in px and intrinsics (10,) in the order of INTRINSICS, of a fisheye lens of FISHEYE_INTRINSICS.
 
     Model: x = X/Z, y = Y/Z; Brown-Conrady with k1, k2, k3 radial and p1, p2 tangential (OpenCV's order in
@@ -90,11 +80,11 @@ class Camera(Saveable):
     packed: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        require_count("width", self.width)
-        require_count("height", self.height)
-        require_kind("plate", self.plate, Plate, NoneType)
-        object.__setattr__(self, "lens", one_of(LensKind, "lens", self.lens))
-        k = frozen_array("intrinsics", self.intrinsics, (len(INTRINSICS),))
+        records.require_count("width", self.width)
+        records.require_count("height", self.height)
+        records.require_kind("plate", self.plate, Plate, NoneType)
+        object.__setattr__(self, "lens", records.one_of(LensKind, "lens", self.lens))
+        k = records.frozen_array("intrinsics", self.intrinsics, (len(INTRINSICS),))
         object.__setattr__(self, "intrinsics", k)
         if self.width < 1 or self.height < 1:
             raise Inconsistent(f"an image of {self.width}x{self.height} px cannot be", cure="Give its size in px")
@@ -151,7 +141,7 @@ class Camera(Saveable):
         return cls(
             width=width,
             height=height,
-            intrinsics=_intrinsics(fx, fy, cx, cy, skew, checked_array("distortion", distortion, (5,))),
+            intrinsics=_intrinsics(fx, fy, cx, cy, skew, records.checked_array("distortion", distortion, (5,))),
         )
 
     @classmethod
@@ -168,14 +158,14 @@ class Camera(Saveable):
         distortion: ArrayLike = (0.0, 0.0, 0.0, 0.0),
     ) -> Camera:
         """Return a camera with a fisheye lens; distortion is k1, k2, k3, k4. Raises Inconsistent for another number."""
-        k = real_array("distortion", distortion)
+        k = records.real_array("distortion", distortion)
         if k.shape != (4,):
             raise Inconsistent(
                 f"a fisheye lens with {k.size} coefficients",
                 consequence="The model has four: k1, k2, k3, k4",
                 cure="Say lens: pinhole for k1, k2, p1, p2, k3",
             )
-        intrinsics = _intrinsics(fx, fy, cx, cy, skew, [*checked_array("distortion", k, (4,)), 0.0])
+        intrinsics = _intrinsics(fx, fy, cx, cy, skew, [*records.checked_array("distortion", k, (4,)), 0.0])
         return cls(width=width, height=height, intrinsics=intrinsics, lens=LensKind.FISHEYE)
 
     @property
@@ -185,10 +175,7 @@ class Camera(Saveable):
 
     @property
     def widest_rad(self) -> float:
-        """The angle from the optical axis up to which the camera is used: a fisheye's 85 degrees, less where it folds.
-
-        Of a pinhole 90 degrees.
-        """
+        """The angle from the optical axis up to which it is used: 90 degrees; a fisheye's 85, less where it folds."""
         if self.lens is LensKind.PINHOLE:
             return float(np.pi / 2.0)
         k1, k2, k3, k4 = self.intrinsics[5:9]
@@ -208,11 +195,8 @@ class Camera(Saveable):
         return np.asarray(self.intrinsics[5:9] if self.lens is LensKind.FISHEYE else self.intrinsics[5:])
 
     def project(self, points_m: ArrayLike) -> Array:
-        """Return the pixels (n, 2) of points (n, 3) or one (3,) in camera axes, in m.
-
-        NaN behind the camera, beyond widest_rad and where a point is NaN. Raises Inconsistent for any other shape.
-        """
-        X = checked_rows("points_m", points_m, 3, nan=True)
+        """Return pixels (n, 2) of points (n, 3) or (3,) in camera axes, m; NaN without one. Raises Inconsistent."""
+        X = records.checked_rows("points_m", points_m, 3, nan=True)
         uv = np.empty((len(X), 2))
         project_many(self.packed, NO_TURN, NO_SHIFT, X, uv)
         return uv
@@ -223,15 +207,15 @@ class Camera(Saveable):
         NaN where a pixel has none or is NaN. Raises Inconsistent for any other shape.
         Directions: through a plate a ray does not go through the camera's centre, but up to 0.2 mm beside it.
         """
-        uv = checked_rows("uv_px", uv_px, 2, nan=True)
+        uv = records.checked_rows("uv_px", uv_px, 2, nan=True)
         xy = np.empty_like(uv)
         undistort_many(self.packed, uv, xy)
         return xy
 
     def is_close(self, other: Camera, *, tol: float) -> bool:
         """Tell whether two cameras have the same size, lens, intrinsics and plate within tol."""
-        require_kind("other", other, Camera)
-        require_number("tol", tol)
+        records.require_kind("other", other, Camera)
+        records.require_number("tol", tol)
         return (self.width, self.height, self.lens) == (other.width, other.height, other.lens) and bool(
             np.allclose(self.packed, other.packed, rtol=0.0, atol=tol)
         )
@@ -240,5 +224,5 @@ class Camera(Saveable):
 def _intrinsics(fx: float, fy: float, cx: float, cy: float, skew: float, distortion: ArrayLike) -> Array:
     """Return fx, fy, cx, cy, skew (px) with the coefficients (5,) as one vector; raises UsageError for no numbers."""
     for name, value in (("fx", fx), ("fy", fy), ("cx", cx), ("cy", cy), ("skew", skew)):
-        require_number(name, value)
+        records.require_number(name, value)
     return np.concatenate([[fx, fy, cx, cy, skew], np.asarray(distortion, float)])

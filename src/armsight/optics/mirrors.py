@@ -138,10 +138,7 @@ def triangulate_paper(camera: Camera, form: PaperForm, left_px: ArrayLike, right
 
 
 def triangulate_exact(camera: Camera, mirrors: Mirrors, left_px: ArrayLike, right_px: ArrayLike) -> Array:
-    """Return points (n, 3) in rig axes by eq. (4) with m = l = mu of each left ray: exact without noise (MATH 3.1).
-
-    For the points of greatest likelihood give Mirrors.rig to optics.triangulate.
-    """
+    """Return points (n, 3) in rig axes by eq. (4), m = l = mu of each left ray: exact without noise (MATH 3.1)."""
     left = camera.rays(left_px)
     mu = np.array([plate_shift(mirrors.plate.thickness_m, mirrors.plate.index, U, V) for U, V in left])
     return _closed(camera, left_px, right_px, mirrors.baseline_m, mu, mu)

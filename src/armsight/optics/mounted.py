@@ -73,9 +73,7 @@ def place_of(cameras: Sequence[MountedCamera], name: str) -> int:
     """Return which of the cameras has a name; UsageError, with the names there are, where none has."""
     names = [one.name for one in cameras]
     if name not in names:
-        raise UsageError(
-            f"there is no camera {name!r}", consequence="None is given", cure=f"Use one of: {', '.join(names)}"
-        )
+        raise UsageError(f"there is no camera {name!r}", cure=f"Use one of: {', '.join(names)}")
     return names.index(name)
 
 
@@ -100,9 +98,7 @@ def require_names(names: tuple[str, ...]) -> None:
     """Raise Inconsistent for a number of cameras that no rig has, and for a name that is there twice."""
     if not 1 <= len(names) <= MOST_CAMERAS:
         raise Inconsistent(
-            f"a rig of {len(names)} cameras",
-            consequence="It cannot be used",
-            cure=f"A rig has one to {MOST_CAMERAS}: leave those away that see least",
+            f"a rig of {len(names)} cameras", consequence="It cannot be used", cure=f"Take one to {MOST_CAMERAS}"
         )
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

@@ -72,7 +72,6 @@ def parallelism(rig: Rig, depths_m: ArrayLike = (0.5, 1.0, 2.0, 4.0)) -> Paralle
 
 
 def _measures(rig: Rig, depths: Array) -> Array:
-    """Return _SCALARS and the gaps (6 + n,)."""
     T_left_right = rig.T_rig_left.inv() * rig.T_rig_right
     R, t = T_left_right.rotation.as_matrix(), np.asarray(T_left_right.translation)
     axis = R[:, 2]

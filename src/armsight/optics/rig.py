@@ -12,23 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight import records
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
+from armsight.geometry import pose_from_rotvec
 from armsight.geometry.poses import skew
 from armsight.optics.camera import INTRINSICS, SIDES, Camera
 from armsight.optics.kernels.camera import project_many
 from armsight.optics.mounted import MountedCamera, MountedZoom, place_of, require_names, with_each
-from armsight.records import (
-    CameraTiming,
-    NamedCovariance,
-    NoiseModel,
-    Saveable,
-    checked_rows,
-    frozen_array,
-    one_of,
-    require_kind,
-    require_numbers,
-)
 
 PLACE = ("tx", "ty", "tz", "rx", "ry", "rz")
 """A mounted camera's pose in a rig's covariance: T_rig_camera moved as t + dt (m), Exp(dw) R (rad)."""
@@ -50,7 +41,7 @@ class RigKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, init=False)
-class Rig(Saveable):
+class Rig(records.Saveable):
     """One to eight cameras in an order, each by its name, with its pose in the rig's axes.
 
     covariance: of the calibration, named '<name>.<intrinsic>' (px) and '<name>.tx|ty|tz' (m), '<name>.rx|ry|rz' (rad)
@@ -62,7 +53,7 @@ class Rig(Saveable):
 
     kind: RigKind
     cameras: tuple[MountedCamera, ...]
-    covariance: NamedCovariance | None = None
+    covariance: records.NamedCovariance | None = None
     rms_px: float | None = None
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
@@ -71,14 +62,14 @@ class Rig(Saveable):
         *,
         kind: RigKind | str | None = None,
         cameras: Sequence[MountedCamera] | None = None,
-        covariance: NamedCovariance | None = None,
+        covariance: records.NamedCovariance | None = None,
         rms_px: float | None = None,
         left: Camera | None = None,
         right: Camera | None = None,
         T_rig_left: RigidTransform | None = None,
         T_rig_right: RigidTransform | None = None,
-        noise: Sequence[NoiseModel | None] | None = None,
-        timing: Sequence[CameraTiming | None] | None = None,
+        noise: Sequence[records.NoiseModel | None] | None = None,
+        timing: Sequence[records.CameraTiming | None] | None = None,
         zoom: Sequence[MountedZoom | None] | None = None,
     ) -> None:
         """Take the cameras; or of a pair left, right and their poses.
@@ -89,34 +80,30 @@ class Rig(Saveable):
         """
         pair = zip(SIDES, (left, right), (T_rig_left, T_rig_right), strict=True)
         given = {side: {"camera": camera, "T_rig_camera": T} for side, camera, T in pair}
-        require_kind("cameras", cameras, tuple, list, NoneType, cure="Give a tuple of MountedCamera, or left and right")
+        records.require_kind(
+            "cameras", cameras, tuple, list, NoneType, cure="Give a tuple of MountedCamera, or left and right"
+        )
         if cameras is None:
             cameras = [MountedCamera(name=side, **own) for side, own in given.items()]  # type: ignore[arg-type]  # checked there
         else:
             for one in cameras:
-                require_kind("one of cameras", one, MountedCamera)
+                records.require_kind("one of cameras", one, MountedCamera)
             for side, own in given.items():
                 some = {name: value for name, value in own.items() if value is not None}
                 if some:
                     k = place_of(cameras, side)
                     cameras = (*cameras[:k], replace(cameras[k], **some), *cameras[k + 1 :])  # type: ignore[arg-type]
         mounted = with_each(cameras, {"noise": noise, "timing": timing, "zoom": zoom})
-        made = _kind(kind, tuple(one.name for one in mounted))
-        values: dict[str, object] = {
-            "cameras": mounted,
-            "kind": made,
-            "covariance": covariance,
-            "rms_px": rms_px,
-            "found": {},
-        }
+        values: dict[str, object] = {"cameras": mounted, "kind": _kind(kind, tuple(one.name for one in mounted))}
+        values |= {"covariance": covariance, "rms_px": rms_px, "found": {}}
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._check()
 
     def _check(self) -> None:
         require_names(self.names)
-        require_kind("covariance", self.covariance, NamedCovariance, NoneType)
-        require_numbers(self, "rms_px")
+        records.require_kind("covariance", self.covariance, records.NamedCovariance, NoneType)
+        records.require_numbers(self, "rms_px")
         unknown = set(self.covariance.names if self.covariance else ()) - set(self.parameters)
         if unknown:
             raise Inconsistent(
@@ -177,12 +164,12 @@ class Rig(Saveable):
         return float(np.linalg.norm(self.T_rig_right.translation - self.T_rig_left.translation))
 
     @property
-    def noise(self) -> tuple[NoiseModel | None, ...]:
+    def noise(self) -> tuple[records.NoiseModel | None, ...]:
         """The noise of each camera's grey levels, where known."""
         return tuple(one.noise for one in self.cameras)
 
     @property
-    def timing(self) -> tuple[CameraTiming | None, ...]:
+    def timing(self) -> tuple[records.CameraTiming | None, ...]:
         """When each camera's lines are exposed, where known."""
         return tuple(one.timing for one in self.cameras)
 
@@ -204,10 +191,7 @@ class Rig(Saveable):
         return replace(self, cameras=with_each(self.cameras, values))
 
     def only(self, *names: str) -> Rig:
-        """Return the rig of these cameras in this order; the first is the one that the covariance holds.
-
-        The rig's axes stay. Raises UsageError for a camera that is not there.
-        """
+        """Return the rig of these cameras in this order, its axes as they are. Raises UsageError for an unknown one."""
         if names == self.names:
             return self
         cameras = tuple(self.cameras[place_of(self.cameras, name)] for name in names)
@@ -225,12 +209,11 @@ class Rig(Saveable):
 
     def require_pair(self, what: str) -> Rig:
         """Return itself; raise UsageError, beginning with `what`, where its cameras are not left and right alone."""
-        require_kind("what", what, str)
+        records.require_kind("what", what, str)
         if self.is_pair:
             return self
         raise UsageError(
             f"{what}: a rig of the cameras left and right is wanted, and this one has {', '.join(self.names)}",
-            consequence="Nothing is done",
             cure="Give the rig.yaml of a pair: `armsight calibrate stereo` makes one",
         )
 
@@ -239,7 +222,7 @@ class Rig(Saveable):
 
         NaN behind a camera, beyond its widest_rad and where a point is NaN. Raises Inconsistent for any other shape.
         """
-        X = checked_rows("points_m", points_m, 3, nan=True)
+        X = records.checked_rows("points_m", points_m, 3, nan=True)
         packed, out = PackedRig.of(self), tuple(np.empty((len(X), 2)) for _ in self.cameras)
         for k, pixels in enumerate(out):
             project_many(*packed.camera(k), X, pixels)
@@ -251,7 +234,7 @@ def _kind(kind: RigKind | str | None, names: tuple[str, ...]) -> RigKind:
     own = RigKind.STEREO if names == SIDES else RigKind.CAMERAS
     if kind is None:
         return own
-    given = one_of(RigKind, "kind", kind)
+    given = records.one_of(RigKind, "kind", kind)
     if (given is RigKind.CAMERAS) is (own is RigKind.CAMERAS):
         return given
     raise Inconsistent(
@@ -261,7 +244,7 @@ def _kind(kind: RigKind | str | None, names: tuple[str, ...]) -> RigKind:
     )
 
 
-def _held(rig: Rig, known: NamedCovariance, new: Rig) -> NamedCovariance:
+def _held(rig: Rig, known: records.NamedCovariance, new: Rig) -> records.NamedCovariance:
     """Return a rig's covariance as that of some of its cameras, whose first one is held in place of the rig's first.
 
     With all axes as they are: the whole is moved back by what the new first camera b is moved, dt_i - dt_b -
@@ -282,7 +265,7 @@ def _held(rig: Rig, known: NamedCovariance, new: Rig) -> NamedCovariance:
             J[row : row + 3, b + 3 : b + 6] += skew(apart)
     J = J[:, [names.index(name) for name in known.names]]
     free = np.flatnonzero(J.any(axis=1))
-    return NamedCovariance(names=tuple(wanted[i] for i in free), matrix=J[free] @ known.matrix @ J[free].T)
+    return records.NamedCovariance(names=tuple(wanted[i] for i in free), matrix=J[free] @ known.matrix @ J[free].T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -322,11 +305,11 @@ class PackedRig:
         poses, V = [one.T_rig_camera.inv() for one in rig.cameras], len(rig.cameras)
         first, second = rig.cameras[0].T_rig_camera, rig.cameras[min(1, V - 1)].T_rig_camera
         return cls(
-            k=frozen_array("k", [one.camera.packed for one in rig.cameras], (V, 12)),
-            R=frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (V, 3, 3)),
-            t=frozen_array("t", [pose.translation for pose in poses], (V, 3)),
-            baseline=frozen_array("baseline", second.translation - first.translation, (3,)),
-            covariance=frozen_array("covariance", _covariance(rig), (None, None)),
+            k=records.frozen_array("k", [one.camera.packed for one in rig.cameras], (V, 12)),
+            R=records.frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (V, 3, 3)),
+            t=records.frozen_array("t", [pose.translation for pose in poses], (V, 3)),
+            baseline=records.frozen_array("baseline", second.translation - first.translation, (3,)),
+            covariance=records.frozen_array("covariance", _covariance(rig), (None, None)),
         )
 
 
@@ -356,3 +339,48 @@ def moved_rig(rig: Rig, step: Array) -> Rig:
         for one, lens, T in zip(rig.cameras, lenses, poses, strict=True)
     )
     return Rig(kind=rig.kind, cameras=cameras)
+
+
+def parallel_rig(camera: Camera, baseline_m: float, right: Camera | None = None) -> Rig:
+    """Return a pair with parallel axes, the right camera baseline_m along the left one's x (Kapucu 2005).
+
+    The rig's axes are the left camera's. Raises Inconsistent where the baseline is not positive.
+    """
+    if not baseline_m > 0.0:
+        raise Inconsistent(
+            f"a baseline of {baseline_m} m is not positive",
+            consequence="Two views from one place tell no distance",
+            cure="Give the distance between the cameras; the right one stands at +x of the left",
+        )
+    return Rig(
+        kind=RigKind.STEREO,
+        left=camera,
+        right=right or camera,
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=RigidTransform.from_translation([baseline_m, 0.0, 0.0]),
+    )
+
+
+def converged_rig(
+    left: Camera,
+    right: Camera,
+    baseline_m: float,
+    beta1_rad: float,
+    beta2_rad: float,
+) -> Rig:
+    """Return Korayem's rig: cameras at x = -B/2 and +B/2, optical axes (sin beta, 0, cos beta) in rig axes.
+
+    Both angles count in the same sense, about the rig's y; cameras that look at one point in front have
+    beta1 > 0 > beta2 (MATH A16). The focal lengths F1, F2 are those of the cameras. The rig's origin is midway
+    between the centres of projection. Raises Inconsistent for a baseline that is not positive.
+    """
+    if not baseline_m > 0.0:
+        raise Inconsistent(f"a baseline of {baseline_m} m is not positive", cure="Give the distance between the lenses")
+    half = 0.5 * baseline_m
+    return Rig(
+        kind=RigKind.STEREO,
+        left=left,
+        right=right,
+        T_rig_left=pose_from_rotvec([-half, 0.0, 0.0], [0.0, beta1_rad, 0.0]),
+        T_rig_right=pose_from_rotvec([half, 0.0, 0.0], [0.0, beta2_rad, 0.0]),
+    )

@@ -33,10 +33,7 @@ _WORDS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Triangulation:
-    """Points xyz_m (n, 3) in rig axes, covariance_m2 (n, 3, 3), chi2 (n,) of reprojection with 1 degree of freedom.
-
-    verdict: (n,) of Verdict. Rows that are not FOUND are NaN: a batch keeps its order.
-    """
+    """Points xyz_m (n, 3) in rig axes, covariance_m2 (n, 3, 3), chi2 (n,), verdict (n,); NaN where not FOUND."""
 
     xyz_m: Array
     covariance_m2: Array

@@ -131,10 +131,7 @@ class ZoomLens:
         return next((one for one in self.settings if abs(one.zoom - zoom) <= tolerance), None)
 
     def at(self, zoom: float) -> ZoomState:
-        """Return the camera at a zoom: as calibrated there, else interpolated between three settings or more.
-
-        Raises NotEnoughData outside the calibrated range, and between fewer than three settings.
-        """
+        """Return the camera at a zoom, calibrated or interpolated between three. Raises NotEnoughData outside."""
         found = self.setting(zoom)
         if found is not None:
             return _as_calibrated(found)
@@ -265,7 +262,6 @@ def _shape(setting: ZoomSetting) -> Array:
 
 
 def _camera(shape: Array, like: Camera) -> Camera:
-    """Return the camera of a shape (11,): the inverse of _shape."""
     fx = np.exp(shape[0])
     s = _half_diagonal(like) / fx
     d1, d2, e1, e2, d3 = shape[5:N]

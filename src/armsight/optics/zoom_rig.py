@@ -74,7 +74,9 @@ def at_zoom(rig: Rig, zoom: Zooms = ()) -> RigAtZoom:
                 cure=f"Leave --zoom-{side} away, or add the settings with armsight calibrate zoom-rig",
             )
         states.append(state)
-        if state is not None and mounted is not None and not _is_at(mounted, state.zoom):
+        if state is None or mounted is None:
+            continue
+        if abs(state.zoom - mounted.at) > 1e-9 * max(abs(state.zoom), float(np.ptp(mounted.lens.zooms))):
             moved[side] = state
     return RigAtZoom(rig=_moved(rig, moved), states=tuple(states))
 
@@ -91,17 +93,9 @@ def _required(side: str, mounted: MountedZoom, value: float | None) -> float:
     )
 
 
-def _is_at(mounted: MountedZoom, zoom: float) -> bool:
-    """Tell whether a zoom is the one at which the rig was calibrated."""
-    return abs(zoom - mounted.at) <= 1e-9 * max(abs(zoom), float(np.ptp(mounted.lens.zooms)))
-
-
 def _mounted(rig: Rig, side: str, lens: ZoomLens, at: float | None) -> MountedZoom:
     if at is None:
-        raise UsageError(
-            f"it is not said at which zoom the {side} camera stood when the rig was calibrated",
-            cure=f"Give --zoom-{side}",
-        )
+        raise UsageError(f"at which zoom the {side} camera was calibrated is not said", cure=f"Give --zoom-{side}")
     camera, state = rig.camera(side), lens.at(at)
     if lens.size != (camera.width, camera.height):
         raise Inconsistent(
@@ -125,7 +119,6 @@ def _mounted(rig: Rig, side: str, lens: ZoomLens, at: float | None) -> MountedZo
 
 
 def _moved(rig: Rig, moved: dict[str, ZoomState]) -> Rig:
-    """Return the rig without settings, the cameras in moved as their states say."""
     plain = rig.with_each(zoom=(None,) * len(rig.cameras))
     if not moved:
         return plain

@@ -83,20 +83,14 @@ def require_kind(name: str, value: object, *kinds: type, cure: str = "") -> None
     """Raise UsageError where value is of none of these kinds: a path for a record, a dict for settings."""
     if not isinstance(value, kinds):
         wanted = " or ".join(kind.__name__ for kind in kinds)
-        raise UsageError(
-            f"{name} is of type {type(value).__name__}, not {wanted}",
-            consequence="It cannot be used",
-            cure=cure or f"Give a {wanted}",
-        )
+        raise UsageError(f"{name} is of type {type(value).__name__}, not {wanted}", cure=cure or f"Give a {wanted}")
 
 
 def require_number(name: str, value: object, *, cure: str = "") -> None:
     """Raise UsageError where value is no finite real number: a text, an array, a truth value."""
     real = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
     if not real or not isfinite(float(value)):  # type: ignore[arg-type]  # it is real
-        raise UsageError(
-            f"{name} is {value!r}, no number", consequence="It cannot be used", cure=cure or "Give a number"
-        )
+        raise UsageError(f"{name} is {value!r}, no number", cure=cure or "Give a number")
 
 
 def require_numbers(record: object, *names: str) -> None:
@@ -110,17 +104,13 @@ def require_numbers(record: object, *names: str) -> None:
 def require_count(name: str, value: object, least: int = 0) -> None:
     """Raise UsageError where value is no whole number of at least so many."""
     if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-        raise UsageError(
-            f"{name} is {value!r}, not a whole number from {least}",
-            consequence="It cannot be used",
-            cure="Give a whole number",
-        )
+        raise UsageError(f"{name} is {value!r}, not a whole number from {least}", cure="Give a whole number")
 
 
 def require_texts(name: str, values: object) -> tuple[str, ...]:
     """Return a sequence of texts as a tuple; raises UsageError where it is one text or holds anything else."""
     if isinstance(values, str) or not isinstance(values, Iterable):
-        raise UsageError(f"{name} is no list of texts", consequence="It cannot be used", cure="Give one text a row")
+        raise UsageError(f"{name} is no list of texts", cure="Give one text a row")
     found = tuple(values)
     for value in found:
         require_kind(f"an entry of {name}", value, str)
@@ -219,7 +209,7 @@ def _require_finite(name: str, array: NDArray[np.float64], *, nan: bool = False)
         raise Inconsistent(
             f"{name} holds a value that is {'infinite' if nan else 'not finite'}{row}",
             consequence="It cannot be used",
-            cure="Leave out what was not measured",
+            cure="Leave out the poses in which nothing was measured",
         )
 
 
@@ -269,10 +259,7 @@ def _in(hint: Any) -> Iterator[Bounds]:
 
 
 def require_bounds(record: object, of: str = "") -> None:
-    """Raise UsageError where a field of a record is no number, Inconsistent where it is not within its Bounds.
-
-    None is let through.
-    """
+    """Raise UsageError where a record's field is no number, Inconsistent where it is beyond its Bounds; None may be."""
     kind: Any = type(record)  # a class can be hashed
     for name, limit in _bounds(kind):
         value = getattr(record, name)

@@ -16,15 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Index
 from armsight.errors import Inconsistent, Unseen, UsageError
-from armsight.records.checks import (
-    checked_array,
-    freeze,
-    frozen_array,
-    real_array,
-    require_kind,
-    require_texts,
-    trusted,
-)
+from armsight.records import checks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,10 +36,10 @@ class Spots:
     rejected: tuple[tuple[float, float, str], ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "model", require_texts("model", self.model))
-        require_kind("rejected", self.rejected, tuple, cure="Give a tuple of (u, v, why)")
+        object.__setattr__(self, "model", checks.require_texts("model", self.model))
+        checks.require_kind("rejected", self.rejected, tuple, cure="Give a tuple of (u, v, why)")
         n = len(self.model)
-        freeze(self, uv_px=(n, 2), covariance_px2=(n, 2, 2), peak=(n,), size_px=(n,))
+        checks.freeze(self, uv_px=(n, 2), covariance_px2=(n, 2, 2), peak=(n,), size_px=(n,))
 
     def __len__(self) -> int:
         return len(self.model)
@@ -66,12 +58,9 @@ class Spots:
 
     @classmethod
     def of_centres(cls, uv_px: NDArray[np.float64], covariance_px2: NDArray[np.float64]) -> Spots:
-        """Return spots at uv_px (n, 2) of which only the centres are known: without height, 1 px wide.
-
-        covariance_px2: (n, 2, 2), or (2, 2) for all.
-        """
-        uv_px = checked_array("uv_px", uv_px, (None, 2))
-        n, covariance_px2 = len(uv_px), real_array("covariance_px2", covariance_px2)
+        """Return spots at uv_px (n, 2) of which only centres are known. covariance_px2: (n, 2, 2), or (2, 2)."""
+        uv_px = checks.checked_array("uv_px", uv_px, (None, 2))
+        n, covariance_px2 = len(uv_px), checks.real_array("covariance_px2", covariance_px2)
         if covariance_px2.ndim < 2 or (np.diagonal(covariance_px2, axis1=-2, axis2=-1) < 0.0).any():
             raise Inconsistent(
                 "covariance_px2 is no covariance",
@@ -90,13 +79,9 @@ class Spots:
         """Return the spots at the given positions, in that order."""
         i = np.asarray(index)
         if i.ndim != 1 or (i.size and i.dtype.kind not in "iu") or (i.size and not 0 <= i.min() <= i.max() < len(self)):
-            raise UsageError(
-                f"{index!r} are not positions of {len(self)} spots",
-                consequence="None are taken",
-                cure="Give whole numbers from 0",
-            )
+            raise UsageError(f"{index!r} are not positions of {len(self)} spots", cure="Give whole numbers from 0")
         i = i.astype(np.intp)
-        return trusted(
+        return checks.trusted(
             Spots,
             uv_px=self.uv_px[i],
             covariance_px2=self.covariance_px2[i],
@@ -117,7 +102,7 @@ class Points:
 
     def __post_init__(self) -> None:
         n = len(self.names)
-        freeze(self, xyz_m=(n, 3), covariance_m2=(n, 3, 3))
+        checks.freeze(self, xyz_m=(n, 3), covariance_m2=(n, 3, 3))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -170,10 +155,10 @@ class TargetPose:
             raise Inconsistent(f"a pose of status {self.status} must have both pose and covariance, or neither")
         for name in ("covariance", "systematic_covariance"):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen_array(name, getattr(self, name), (size, size)))
+                object.__setattr__(self, name, checks.frozen_array(name, getattr(self, name), (size, size)))
         if self.T_parent_target is not None:
-            freeze(self, T_parent_target=(4, 4))
-        freeze(self, residual_px=(None,))
+            checks.freeze(self, T_parent_target=(4, 4))
+        checks.freeze(self, residual_px=(None,))
 
     @property
     def pose(self) -> RigidTransform | None:

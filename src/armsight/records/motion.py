@@ -12,17 +12,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, StaleData
+from armsight.records import checks
 from armsight.records.by_value import Saveable
-from armsight.records.checks import (
-    checked_array,
-    checked_poses,
-    freeze,
-    frozen_array,
-    real_array,
-    require_kind,
-    require_numbers,
-    require_texts,
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,9 +26,9 @@ class JointReading:
     source: str
 
     def __post_init__(self) -> None:
-        freeze(self, q=(None,))
-        require_numbers(self, "sequence")
-        require_kind("t_s", self.t_s, Real)
+        checks.freeze(self, q=(None,))
+        checks.require_numbers(self, "sequence")
+        checks.require_kind("t_s", self.t_s, Real)
         if not np.isfinite(self.t_s):
             raise Inconsistent(f"{self.source}: the time {self.t_s} is not finite")
 
@@ -50,8 +41,8 @@ class Motion:
     q: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        freeze(self, t_s=(None,))
-        freeze(self, q=(len(self.t_s), None))
+        checks.freeze(self, t_s=(None,))
+        checks.freeze(self, q=(len(self.t_s), None))
         if (np.diff(self.t_s) <= 0.0).any():
             row = int(np.argmax(np.diff(self.t_s) <= 0.0)) + 1
             raise Inconsistent(
@@ -103,10 +94,7 @@ class JointHistory:
         return self._readings[-1][0] if self._readings else None
 
     def at(self, t_s: float) -> JointsAt:
-        """Return the joints at a moment: on a straight line between two readings, or on after the last one.
-
-        Raises StaleData where no readings surround the moment closely enough.
-        """
+        """Return the joints at a moment, between readings or after the last. Raises StaleData without near ones."""
         t, q = self._near(t_s)
         k = min(max(int(np.searchsorted(t, t_s)) - 1, 0), len(t) - 2)
         step_s = float(t[k + 1] - t[k])
@@ -172,13 +160,13 @@ class TaughtPath(Saveable):
     parent: str = "world"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tags", require_texts("tags", self.tags))
-        require_kind("parent", self.parent, str, cure="Name the frame of the poses")
+        object.__setattr__(self, "tags", checks.require_texts("tags", self.tags))
+        checks.require_kind("parent", self.parent, str, cure="Name the frame of the poses")
         n = len(self.tags)
-        T = frozen_array("T_world_tip", checked_poses("T_world_tip", self.T_world_tip, n), (n, 4, 4))
+        T = checks.frozen_array("T_world_tip", checks.checked_poses("T_world_tip", self.T_world_tip, n), (n, 4, 4))
         object.__setattr__(self, "T_world_tip", T)
         for name in ("t_s", "speed_m_s"):
-            values = checked_array(name, getattr(self, name), (n,), nan=True).copy()
+            values = checks.checked_array(name, getattr(self, name), (n,), nan=True).copy()
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         known = self.t_s[np.isfinite(self.t_s)]
@@ -201,8 +189,8 @@ class TaughtPath(Saveable):
         parent: str = "world",
     ) -> TaughtPath:
         """Return the path through poses, RigidTransform (n) or (n, 4, 4), without tags."""
-        T = checked_poses("poses", poses.as_matrix() if isinstance(poses, RigidTransform) else poses)
-        n, speeds = len(T), real_array("speed_m_s", speed_m_s)
+        T = checks.checked_poses("poses", poses.as_matrix() if isinstance(poses, RigidTransform) else poses)
+        n, speeds = len(T), checks.real_array("speed_m_s", speed_m_s)
         return cls(
             T_world_tip=T,
             t_s=np.full(n, np.nan) if t_s is None else t_s,

@@ -117,7 +117,7 @@ class Output(ByValue):
 
     def to_json(self) -> str:
         """Return it as strict JSON text in one line; a number that is not finite (no data) becomes null."""
-        return json.dumps(_finite(self.to_dict()), ensure_ascii=False, allow_nan=False)
+        return json.dumps(finite(self.to_dict()), ensure_ascii=False, allow_nan=False)
 
     def _shown(self) -> tuple[str, Sequence[Row]]:
         return type(self).__name__, list(flat_rows(self.to_dict()))
@@ -246,7 +246,6 @@ def _plain(value: Any, hint: Any) -> Any:
 
 @cache
 def _inner(hint: Any) -> Any:
-    """Return the type of the values of a list, tuple, dictionary or array; behind Annotated and None."""
     hint = _bare(hint)
     return (
         float
@@ -269,11 +268,12 @@ def _bare(hint: Any) -> Any:
     return hint
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Return numbers, lists and dictionaries of them with null for each number that is not finite."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -310,10 +310,7 @@ def as_html(title: str, rows: Sequence[Row]) -> str:
 
 
 def flat_rows(content: Mapping[str, Any], prefix: str = "") -> Iterator[Row]:
-    """Yield each figure of a nested dictionary under its dotted name, in SI units as the name says.
-
-    Figures that are withheld are counted: a hundred reasons would bury the verdict.
-    """
+    """Yield a nested dictionary's figures under dotted names, in SI; those withheld are counted only."""
     withheld = 0
     for name, value in content.items():
         if isinstance(value, Mapping) and value.get("withheld"):

@@ -10,11 +10,9 @@ class Progress(Protocol):
 
     def update(self, done: float, total: float, note: str = "") -> None:
         """Say that done of total is finished; total 0 means unknown."""
-        ...
 
     def cancelled(self) -> bool:
         """Tell whether the person wants the work to stop."""
-        ...
 
 
 class Silent:

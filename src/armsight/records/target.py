@@ -10,19 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
+from armsight.records import checks
 from armsight.records.by_value import Saveable
-from armsight.records.checks import (
-    PITCH_M,
-    TARGET_M,
-    check_metres,
-    freeze,
-    frozen_array,
-    one_of,
-    require_count,
-    require_kind,
-    require_numbers,
-    require_texts,
-)
 
 
 class TargetKind(StrEnum):
@@ -45,9 +34,9 @@ class Colour:
     min_value: float = 0.3
 
     def __post_init__(self) -> None:
-        hue_deg = frozen_array("hue_deg", self.hue_deg, (2,))
+        hue_deg = checks.frozen_array("hue_deg", self.hue_deg, (2,))
         object.__setattr__(self, "hue_deg", tuple(hue_deg.tolist()))
-        require_numbers(self, "min_saturation", "min_value")
+        checks.require_numbers(self, "min_saturation", "min_value")
         if not ((hue_deg >= 0.0) & (hue_deg <= 360.0)).all():
             raise Inconsistent(f"hue {self.hue_deg} is outside 0 to 360 degrees", cure="Give (from, to) in degrees")
         if not (0.0 <= self.min_saturation <= 1.0 and 0.0 <= self.min_value <= 1.0):
@@ -87,29 +76,31 @@ class Target(Saveable):
     covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", one_of(TargetKind, "kind", self.kind))
-        object.__setattr__(self, "names", require_texts("names", self.names))
-        require_kind("colour", self.colour, Colour, NoneType)
-        require_kind("dictionary", self.dictionary, str)
-        require_kind("model_known", self.model_known, bool)
-        require_numbers(self, "diameter_m", "pitch_m", "marker_m")
+        object.__setattr__(self, "kind", checks.one_of(TargetKind, "kind", self.kind))
+        object.__setattr__(self, "names", checks.require_texts("names", self.names))
+        checks.require_kind("colour", self.colour, Colour, NoneType)
+        checks.require_kind("dictionary", self.dictionary, str)
+        checks.require_kind("model_known", self.model_known, bool)
+        checks.require_numbers(self, "diameter_m", "pitch_m", "marker_m")
         for count in ("columns", "rows"):
-            require_count(count, getattr(self, count))
-        freeze(self, xyz_m=(len(self.names), 3))
+            checks.require_count(count, getattr(self, count))
+        checks.freeze(self, xyz_m=(len(self.names), 3))
         if self.covariance is not None:
             size = 3 * len(self.names)
-            freeze(self, covariance=(size, size))
+            checks.freeze(self, covariance=(size, size))
         if not self.names or len(set(self.names)) != len(self.names):
             raise Inconsistent(
                 "a target needs at least one spot, and every spot a name of its own",
                 consequence="There is nothing to look for",
                 cure="Name the lights A, B, C ... and give each its place",
             )
-        check_metres(np.ptp(self.xyz_m, axis=0).max(), TARGET_M, "the target's points spread over")
-        check_metres(np.linalg.norm(self.xyz_m, axis=1).max(), TARGET_M, "a point of the target lies off its origin by")
+        checks.check_metres(np.ptp(self.xyz_m, axis=0).max(), checks.TARGET_M, "the target's points spread over")
+        checks.check_metres(
+            np.linalg.norm(self.xyz_m, axis=1).max(), checks.TARGET_M, "a point of the target lies off its origin by"
+        )
         if self.diameter_m is not None and not self.diameter_m > 0.0:
             raise Inconsistent(f"a spot's diameter of {self.diameter_m} m is not positive", cure="Leave it out")
-        check_metres(self.diameter_m or 0.0, PITCH_M, "a spot of the target has a diameter of")
+        checks.check_metres(self.diameter_m or 0.0, checks.PITCH_M, "a spot of the target has a diameter of")
 
     @property
     def covariance_names(self) -> tuple[str, ...]:
@@ -130,7 +121,7 @@ def spot_target(
     covariance: NDArray[np.float64] | None = None,
 ) -> Target:
     """Return a lit target from the named positions of its spots in m; covariance (3 n, 3 n) of these, m^2."""
-    places = [frozen_array(f"the place of light {name}", position, (3,)) for name, position in spots_m.items()]
+    places = [checks.frozen_array(f"the place of light {name}", position, (3,)) for name, position in spots_m.items()]
     return Target(
         kind=TargetKind.SPOTS,
         names=tuple(spots_m),
@@ -179,7 +170,7 @@ def board_target(
             cure="Count the inner corners, circles, squares (ChArUco) or tags (AprilGrid), two or more each way, and "
             "give the pitch in metres",
         )
-    check_metres(pitch_m, PITCH_M, "the board's points are apart by")
+    checks.check_metres(pitch_m, checks.PITCH_M, "the board's points are apart by")
     n_columns, n_rows = (columns - 1, rows - 1) if kind is TargetKind.CHARUCO else (columns, rows)
     if kind is TargetKind.APRILGRID:
         n_columns, n_rows = 2 * columns, 2 * rows

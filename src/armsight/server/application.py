@@ -173,7 +173,6 @@ class Connection:
         )
 
     async def _listen(self, session: Session) -> str:
-        """Answer messages until the end; return why it came."""
         while True:
             try:
                 message = await self._socket.receive()
@@ -203,11 +202,10 @@ class Connection:
         return f"{self._who} is gone" if code in (None, 1005, 1006, 1011) else f"{self._who} left"
 
     def _answer(self, session: Session, text: str | bytes, age_s: float) -> say.ServerMessage:
-        """Do what a message says and return the answer; what is refused is kept in the log."""
         seq = None
         try:
             if not self._auth.knows(self._found):
-                raise UsageError(TAKEN_OUT, consequence="Nothing was done", cure="Connect with a token that counts")
+                raise UsageError(TAKEN_OUT, cure="Connect with a token that counts")
             command = session.admit(text)
             seq = command.seq
             if isinstance(command, say.ReadMessage):

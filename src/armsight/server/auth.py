@@ -10,7 +10,6 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +17,7 @@ from starlette.requests import HTTPConnection
 
 from armsight.clock import Clock, SystemClock
 from armsight.control.session.channels import SESSION_BYTES, Newest
+from armsight.drivers.remote.wire import is_loopback
 from armsight.errors import BadFile
 from armsight.store.tokens import TokenEntry, read_tokens
 
@@ -105,10 +105,7 @@ LOCAL_HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IG
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Who it is and what they may do.
-
-    token: its SHA-256; login: the SHA-256 of the id of a browser's log-in, empty where the token itself was sent.
-    """
+    """Who it is and what they may do; token: its SHA-256; login: that of a browser's log-in id, else empty."""
 
     who: str
     role: Role
@@ -205,7 +202,6 @@ class Authenticator:
         return next((_identity(entry, login) for entry in self._tokens() if entry.sha256 == token), None)
 
     def _tokens(self) -> tuple[TokenEntry, ...]:
-        """Return the tokens as they are now; none while their file cannot be read, and nobody comes in."""
         stamp = self._stamp()
         if stamp != self._read_at and self._file is not None:
             try:
@@ -319,13 +315,3 @@ def _session_of(connection: HTTPConnection) -> str:
 def address_of(connection: HTTPConnection) -> str:
     """Return the address that a request comes from."""
     return connection.client.host if connection.client else "unknown"
-
-
-def is_loopback(address: str) -> bool:
-    """Return whether an address or localhost is this machine itself; any other name may lead elsewhere."""
-    if address == "localhost":
-        return True
-    try:
-        return ip_address(address).is_loopback
-    except ValueError:
-        return False

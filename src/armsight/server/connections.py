@@ -88,10 +88,7 @@ class Connections:
     """
 
     def __init__(self, note: Callable[[str], None], budget: Budget = SERVER, *, room: int | None = None) -> None:
-        """room: connections that find descriptors, by default what this process has left now.
-
-        Raises DeviceFailed where those are too few.
-        """
+        """room: connections that find descriptors, by default those left now. Raises DeviceFailed for too few."""
         room = _room() if room is None else room
         if room < FEWEST:
             raise DeviceFailed(

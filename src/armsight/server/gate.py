@@ -34,10 +34,7 @@ SAID = {
 
 
 class Gate:
-    """Lets requests through whose token is good, or whose browser logged in with one; `/api/` checks its own.
-
-    Who it is stands in scope[IDENTITY], as a Visitor.
-    """
+    """Lets requests through whose token or log-in is good, as a Visitor in scope[IDENTITY]; `/api/` checks its own."""
 
     def __init__(self, app: ASGIApp, auth: Authenticator) -> None:
         self.app, self._auth = app, auth

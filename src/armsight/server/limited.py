@@ -141,7 +141,6 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
             self._parse()
 
     def _parse(self) -> None:
-        """Parse a slice; the next one has its turn behind what others sent meanwhile."""
         part, self._backlog = self._backlog[:SLICE], self._backlog[SLICE:]
         if not part or self.transport.is_closing():  # what answers a close of ours still has to be read
             self._backlog = b""

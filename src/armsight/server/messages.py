@@ -6,21 +6,8 @@ import secrets
 
 import numpy as np
 
+from armsight.control import setpoints
 from armsight.control.session.loop_host import LoopEvent
-from armsight.control.setpoints import (
-    Command,
-    FlangePose,
-    Heartbeat,
-    Hold,
-    JointGoal,
-    JointStep,
-    JointVelocity,
-    Motion,
-    Reset,
-    Stop,
-    Taken,
-    ToolTwist,
-)
 from armsight.control.status import RobotStatus
 from armsight.drivers.remote import protocol as say
 from armsight.errors import Inconsistent, UsageError
@@ -30,38 +17,38 @@ LONGEST_EVENT = 2000
 """Characters of an event's text at most, as the protocol has it."""
 
 
-def command_of(message: say.Command) -> Command:
+def command_of(message: say.Command) -> setpoints.Command:
     """Return what a driver's message asks for. Raises UsageError for a read, Inconsistent for a pose that is none."""
     match message:
         case say.Heartbeat(enable=enable, number=number):
-            return Heartbeat(enable=enable, number=number)
+            return setpoints.Heartbeat(enable=enable, number=number)
         case say.HoldMessage():
-            return Hold()
+            return setpoints.Hold()
         case say.StopMessage():
-            return Stop()
+            return setpoints.Stop()
         case say.ResetMessage():
-            return Reset()
+            return setpoints.Reset()
         case say.ReadMessage():
-            raise UsageError("read is no command of a driver", consequence="Nothing was done")
+            raise UsageError("read is no command of a driver")
         case _:
             return _motion_of(message)
 
 
-def _motion_of(message: say.Motion) -> Motion:
+def _motion_of(message: say.Motion) -> setpoints.Motion:
     match message:
         case say.JointGoalMessage(q=q):
-            return JointGoal(q=np.array(q))
+            return setpoints.JointGoal(q=np.array(q))
         case say.JointVelocityMessage(qd=qd):
-            return JointVelocity(qd=np.array(qd))
+            return setpoints.JointVelocity(qd=np.array(qd))
         case say.JointStepMessage(step=step):
-            return JointStep(step=np.array(step))
+            return setpoints.JointStep(step=np.array(step))
         case say.FlangePoseMessage(T_base_flange=pose):
-            return FlangePose(T_base_flange=pose_from_quat(pose.xyz_m, pose.quat_xyzw))
+            return setpoints.FlangePose(T_base_flange=pose_from_quat(pose.xyz_m, pose.quat_xyzw))
         case say.ToolTwistMessage(velocity_m_s=v, angular_rad_s=w):
-            return ToolTwist(velocity_m_s=np.array(v), angular_rad_s=np.array(w))
+            return setpoints.ToolTwist(velocity_m_s=np.array(v), angular_rad_s=np.array(w))
 
 
-def accepted(taken: Taken, reply_to: int) -> say.Accepted:
+def accepted(taken: setpoints.Taken, reply_to: int) -> say.Accepted:
     """Return the answer to a command that was taken."""
     pose = None
     if taken.T_base_flange is not None:
@@ -159,6 +146,4 @@ class Session:
                 cure="Number the messages of a connection upwards",
             )
         if not isinstance(command, say.ALLOWED[self._role]):
-            raise UsageError(
-                f"{command.type} is not for this connection", consequence="Nothing was done", cure="Connect to drive"
-            )
+            raise UsageError(f"{command.type} is not for this connection", cure="Connect to drive")

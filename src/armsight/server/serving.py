@@ -35,10 +35,7 @@ if TYPE_CHECKING:
 
 
 def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], None]) -> None:
-    """Serve until SIGINT or SIGTERM; ready is called with the address, ws://HOST:PORT, once it listens.
-
-    Raises as check_options; DeviceFailed where the address cannot be had.
-    """
+    """Serve until SIGINT or SIGTERM; ready takes ws://HOST:PORT. Raises as check_options; DeviceFailed."""
     check_options(options)
     auth = Authenticator(options.tokens or ())
     with listening(options.bind, options.port) as listener, stop_line(service, options):

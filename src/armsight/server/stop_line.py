@@ -123,7 +123,7 @@ class StopLine:
         if not key or not secrets.compare_digest(said.key.encode(), key.encode()):
             raise DeviceFailed("this key does not drive", consequence="Nothing was done", cure="Connect to drive anew")
         if who.role != "drive" or who.who != person:  # the key tells drivers apart, the token is the right to drive
-            raise UsageError(f"{who.who} does not drive", consequence="Nothing was done", cure="Connect to drive")
+            raise UsageError(f"{who.who} does not drive", cure="Connect to drive")
         self._order("beat", (said.enable, said.number), monotonic_s() - age_s, lease, key)
 
     def _stop(self, who: Identity) -> None:
@@ -211,7 +211,6 @@ def run_stop_line(
 
 @contextlib.contextmanager
 def _listening(options: ServeOptions) -> Iterator[socket.socket]:
-    """Hold the listening socket of the line."""
     if options.stop_port is not None or options.port == 0:
         with listening(options.bind, options.stop_port or 0) as listener:
             yield listener

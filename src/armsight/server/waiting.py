@@ -93,10 +93,7 @@ class WaitingPage:
 
 @contextlib.contextmanager
 def waiting_page(bind: str, port: int, title: str, *, secure: bool) -> Iterator[WaitingPage]:
-    """Listen, and give the page that answers until it is closed; secure: callers speak TLS, and wait for the server.
-
-    Raises DeviceFailed where the address cannot be had.
-    """
+    """Listen, and give the page that answers until closed; secure: callers speak TLS. Raises DeviceFailed."""
     with listening(bind, port) as listener:
         page = WaitingPage(listener, title)
         try:

@@ -18,8 +18,8 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from armsight.drivers.remote import protocol as say
+from armsight.drivers.remote.wire import is_loopback
 from armsight.errors import BadFile, UsageError
-from armsight.server.auth import is_loopback
 from armsight.server.connections import HEAD_BYTES, Connections, ListeningSocket
 from armsight.server.limited import LimitedHttp, LimitedWebSocket
 from armsight.store.tokens import TokenEntry, read_tokens
@@ -57,15 +57,10 @@ class ServeOptions:
 
 
 def check_options(options: ServeOptions) -> tuple[TokenEntry, ...]:
-    """Return the tokens of options that are safe.
-
-    Raises UsageError for an address beyond this machine without TLS and tokens, BadFile for wrong files.
-    """
+    """Return the tokens of safe options. Raises UsageError for far addresses without TLS and tokens, BadFile."""
     if (options.tls_cert is None) != (options.tls_key is None):
         raise UsageError(
-            "a certificate needs its key, and a key its certificate",
-            consequence="Nothing is served",
-            cure="Give both --tls-cert and --tls-key",
+            "a certificate needs its key, and a key its certificate", cure="Give both --tls-cert and --tls-key"
         )
     missing = [
         flag

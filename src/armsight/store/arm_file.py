@@ -15,26 +15,17 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, Coupling, Joint, JointType, ToolPoint
 from armsight.kinematics.axes import in_short_rows
 from armsight.records import NamedCovariance
-from armsight.store.codec import (
-    CovarianceModel,
-    Finite,
-    PoseModel,
-    covariance_mapping,
-    mapping,
-    pose_mapping,
-    record_of,
-    structure,
-)
+from armsight.store import codec
 from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees, looks_like_mm
 from armsight.store.schema import Kind, Origin
 
 
-class JointModel(structure(Joint)):  # type: ignore[misc]  # made of the record's fields
+class JointModel(codec.structure(Joint)):  # type: ignore[misc]  # made of the record's fields
     """One joint; a limit that is missing or null is none."""
 
     record = Joint
-    coupled: dict[str, Finite] | None = None
-    std: dict[str, Finite] | None = None
+    coupled: dict[str, codec.Finite] | None = None
+    std: dict[str, codec.Finite] | None = None
 
 
 def _long(joints: Sequence[Joint]) -> dict[str, float]:
@@ -82,7 +73,7 @@ def _check_units(joint: Joint) -> None:
         )
 
 
-ToolPointModel = structure(ToolPoint)
+ToolPointModel = codec.structure(ToolPoint)
 
 
 class ArmModel(Origin):
@@ -91,16 +82,16 @@ class ArmModel(Origin):
     format: Literal["armsight/arm"] = "armsight/arm"
     name: str = "arm"
     convention: Literal["standard", "craig"]
-    T_world_base: PoseModel | None = None
-    T_base_frame0: PoseModel | None = None
-    T_flange_tool: PoseModel | None = None
+    T_world_base: codec.PoseModel | None = None
+    T_base_frame0: codec.PoseModel | None = None
+    T_flange_tool: codec.PoseModel | None = None
     base_link: str = ""
     tool_link: str = ""
     joints: list[JointModel]
     source: str = ""
-    covariance: CovarianceModel | None = None
+    covariance: codec.CovarianceModel | None = None
     tool_points: list[ToolPointModel] = Field(default_factory=list)  # type: ignore[valid-type]  # of the record
-    down_in_base: list[Finite] | None = Field(default=None, min_length=3, max_length=3)
+    down_in_base: list[codec.Finite] | None = Field(default=None, min_length=3, max_length=3)
 
 
 def _arm(model: ArmModel) -> Arm:
@@ -109,7 +100,7 @@ def _arm(model: ArmModel) -> Arm:
         for key in ("T_world_base", "T_base_frame0", "T_flange_tool")
         if (pose := getattr(model, key)) is not None
     }
-    joints = tuple(map(record_of, model.joints))
+    joints = tuple(map(codec.record_of, model.joints))
     for joint in joints:
         _check_units(joint)
     arm = Arm(
@@ -123,7 +114,7 @@ def _arm(model: ArmModel) -> Arm:
             for joint in model.joints
             for by, share in (joint.coupled or {}).items()
         ),
-        tool_points=tuple(map(record_of, model.tool_points)),
+        tool_points=tuple(map(codec.record_of, model.tool_points)),
         down_in_base=None if model.down_in_base is None else np.array(model.down_in_base),
         base_link=model.base_link,
         tool_link=model.tool_link,
@@ -152,14 +143,14 @@ def arm_mapping(arm: Arm) -> dict[str, Any]:
         "convention": arm.convention.value,
         "base_link": arm.base_link or None,
         "tool_link": arm.tool_link or None,
-        "T_world_base": pose_mapping(arm.T_world_base),
-        "T_base_frame0": pose_mapping(arm.T_base_frame0) if (frame0 != np.eye(4)).any() else None,
-        "T_flange_tool": pose_mapping(arm.T_flange_tool),
+        "T_world_base": codec.pose_mapping(arm.T_world_base),
+        "T_base_frame0": codec.pose_mapping(arm.T_base_frame0) if (frame0 != np.eye(4)).any() else None,
+        "T_flange_tool": codec.pose_mapping(arm.T_flange_tool),
         "down_in_base": None if arm.down_in_base is None else arm.down_in_base.tolist(),
         "tool_points": [_tool_point_mapping(point) for point in arm.tool_points] or None,
         "joints": [joint_mapping(joint, std, arm.couplings) for joint in arm.joints],
         "source": arm.source or None,
-        "covariance": covariance_mapping(arm.covariance) if arm.covariance else None,
+        "covariance": codec.covariance_mapping(arm.covariance) if arm.covariance else None,
     }
     return {key: value for key, value in told.items() if value is not None}
 
@@ -172,7 +163,7 @@ def _tool_point_mapping(point: ToolPoint) -> dict[str, Any]:
 def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Coupling]) -> dict[str, Any]:
     """Return one joint as arm.yaml holds it; std: standard deviations by '<joint>.<key>'."""
     own = {key.removeprefix(f"{joint.name}."): value for key, value in std.items() if key.startswith(f"{joint.name}.")}
-    content = mapping(joint)
+    content = codec.mapping(joint)
     if not joint.mass_kg:
         del content["com_m"]
     for key in ("compliance", "mass_kg"):

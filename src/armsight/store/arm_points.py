@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmPoints
 from armsight.calibrate.identify import Sweeps
-from armsight.columns import POSE6_STD, POSITION, QUATERNION, STEREO_PIXELS
+from armsight.columns import POSITION, QUATERNION, STEREO_PIXELS
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
 from armsight.records import PoseStatus
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
-from armsight.store.covariances import POSITION_COVARIANCE, UNCORRELATED, covariances, has_correlations
-from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
+from armsight.store.covariances import POSITION_COVARIANCE, all_covariances
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, joint_readings, standard_bytes
 from armsight.store.lost import without_lost, without_rare_rotations
 from armsight.store.tables import Table, cells, parse_table
 from armsight.store.verify_files import KNOWN
@@ -29,10 +29,7 @@ STD = "std_px"
 
 
 def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
-    """Return the sweeps of joint,q1..qn and x_m,y_m,z_m, or the four pixel columns, or both; joints count from 1.
-
-    Raises BadFile that names line and column.
-    """
+    """Return sweeps of joint (from 1), q1..qn and x_m,y_m,z_m or four pixel columns. Raises BadFile."""
     data = standard_bytes(path, "sweep", format_)
     table = parse_table(
         data,
@@ -51,7 +48,6 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
     if not readings or 0 < len(pixels) < 4 or 0 < len(positions) < 3 or not (pixels or positions):
         raise BadFile(
             f"{path}: has the columns {', '.join(table.numbers)}",
-            consequence="The file is not used",
             cure=f"Give joint, q1 .. qn, and {', '.join(POSITION)} or {', '.join(STEREO_PIXELS)}",
         )
     joint = table.numbers["joint"]
@@ -69,17 +65,14 @@ def read_sweep_joints(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
     """Return frames (m,) in sorted order, joints (m,) that move, both from 0, and q (m, n) of a sweep_joints.csv."""
     table = parse_table(standard_bytes(path, "sweep_joints", format_), str(path), ["frame", "joint"], series="q")
-    readings = table.series("q")
-    check_joint_values(table.stacked(readings), str(path), format_)
-    if not readings:
-        raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
+    q = joint_readings(table, str(path), format_)
     frame, joint = table.numbers["frame"], table.numbers["joint"]
     for name, column in (("frame", frame), ("joint", joint)):
         whole = (column == np.round(column)) & (column >= 0.0)
         if not whole.all():
             row = int(np.argmin(whole))
             raise BadFile(f"{table.location(row)}, column {name}: {column[row]:g} is not a number to count with")
-    return frame.astype(np.intp), joint.astype(np.intp) - 1, table.stacked(readings)
+    return frame.astype(np.intp), joint.astype(np.intp) - 1, q
 
 
 def write_sweeps(path: Path, sweeps: Sweeps) -> None:
@@ -121,16 +114,13 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
         series="q",
     )
     table = without_lost(without_rare_rotations(table, format_.notify), format_.notify)
-    readings = table.series("q")
-    if not readings:
-        raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
-    check_joint_values(table.stacked(readings), str(path), format_)
+    q = joint_readings(table, str(path), format_)
     rotation = _rotation(table, path)
     t_s = table.numbers.get("t_s")
-    covariance, note = _covariance(table, path)
+    covariance, note = all_covariances(table, path, 3, "the positions")
     lines = [i for i, line in enumerate(content.splitlines(), 1) if line.strip()]
     return ArmPoints(
-        q=table.stacked(readings),
+        q=q,
         xyz_m=table.stacked(POSITION),
         rotation=rotation,
         point=table.text.get("point", ()),
@@ -142,12 +132,10 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
 
 
 def _rotation(table: Table, path: Path) -> NDArray[np.float64] | None:
-    """Return the rotations (m, 3, 3), None where there is no quaternion. Raises BadFile for a part of one."""
     turns = [name for name in QUATERNION if name in table.numbers]
     if turns and len(turns) < len(QUATERNION):
         raise BadFile(
             f"{path}: of the quaternion only {', '.join(turns)} is there",
-            consequence="The file is not used",
             cure="Give qx, qy, qz and qw, or none of them",
         )
     if not turns:
@@ -155,20 +143,6 @@ def _rotation(table: Table, path: Path) -> NDArray[np.float64] | None:
     with named(str(path)):
         each = zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
         return np.stack([pose_from_quat(xyz, quat).rotation.as_matrix() for xyz, quat in each])
-
-
-def _covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:
-    """Return the covariances (m, 3, 3) of the positions, None where not every row has them; and what to say."""
-    names = POSE6_STD[:3]
-    if not any(name in table.numbers for name in names):
-        return None, ""
-    std = np.column_stack([table.numbers.get(name, np.full(len(table), np.nan)) for name in names])
-    without = ~(std > 0.0).all(axis=1)  # an empty cell is NaN
-    if without.any():
-        rows = f"{without.sum()} of {len(table)} rows have not all"
-        return None, f"{path.name}: the standard deviations of the positions are not used: {rows} three of them"
-    related = has_correlations(table.numbers)
-    return covariances(table, std, range(len(table))), "" if related else f"{path.name} {UNCORRELATED}"
 
 
 def _without_lost(data: bytes) -> bytes:

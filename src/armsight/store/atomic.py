@@ -9,16 +9,15 @@ import contextlib
 import errno
 import hashlib
 import json
-import math
 import os
 import shutil
 import stat
 import sys
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from io import FileIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -26,7 +25,7 @@ import numpy as np
 from armsight._files import DeviceLock, open_file, read_file, readable, real_path
 from armsight.clock import Clock, SystemClock
 from armsight.errors import BadFile, DeviceFailed, UsageError
-from armsight.records.output import Output, output
+from armsight.records.output import Output, finite, output
 
 STREAM = Path("-")
 """The standard output, in place of a file."""
@@ -63,7 +62,6 @@ def read_bytes(path: Path, *, limit: int) -> bytes:
     if len(data) > limit:
         raise BadFile(
             f"{path}: larger than {limit / 1e6:g} MB, which no file of this kind is",
-            consequence="It is not read",
             cure="Check that this is the file you meant",
         )
     return data
@@ -150,15 +148,7 @@ def plain(value: Any) -> Any:
 
 def json_text(value: Any, *, indent: int | None = 2) -> str:
     """Return value as strict JSON text; a number that is not finite (no data) becomes null."""
-    return readable(json.dumps(_finite(plain(value)), indent=indent, ensure_ascii=False, allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return readable(json.dumps(finite(plain(value)), indent=indent, ensure_ascii=False, allow_nan=False))
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -175,7 +165,21 @@ def sha256(path: Path) -> str:
         raise BadFile(f"{path}: cannot be read ({error.strerror or error})", cure="Check the path") from error
 
 
-class RowFile:
+class Closing(ABC):
+    """What `with` closes."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close it; a second call does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class RowFile(Closing):
     """A text file that grows row by row and holds whole rows at any moment.
 
     Rows wait in memory for at most FLUSH_S seconds or FLUSH_ROWS rows and then go to the system in one write. The
@@ -220,14 +224,6 @@ class RowFile:
         finally:
             self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
 
 @output
 class TextOutput(Output):
@@ -265,7 +261,7 @@ def refuse_output(out: Path) -> None:
         if leads.parent != Path(os.path.realpath(out.parent)):
             why = f"{out} is a link out of its folder, to {leads}"
     if why:
-        raise UsageError(why, consequence="Nothing was done", cure="Give a file or a folder (-o)")
+        raise UsageError(why, cure="Give a file or a folder (-o)")
 
 
 def _written_once(out: Path) -> DeviceLock:

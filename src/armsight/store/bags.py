@@ -145,13 +145,10 @@ class BagTopic:
         else:
             what = f"{self.topic} of {self.path} is {topics[self.topic]}"
         raise UsageError(
-            what,
-            consequence="Nothing is read",
-            cure=f"Write bag:FILE:/topic with a topic of type {' or '.join(self._types)}. Its topics: {there}",
+            what, cure=f"Write bag:FILE:/topic with one of type {' or '.join(self._types)}. Its topics: {there}"
         )
 
     def _messages(self, origin_ns: int | None) -> Iterator[tuple[Any, float]]:
-        """Yield the messages with t_s."""
         last_ns: int | None = None
         zero_ns = self.origin_ns if origin_ns is None else origin_ns
         for number, (message, written_ns) in enumerate(self._decoded(), 1):

@@ -96,8 +96,6 @@ def within(folder: Path, name: str) -> Path:
     """
     if Path(name).is_absolute() or ".." in Path(name).parts:
         raise BadFile(
-            f"{name[:80]} is not in {folder}",
-            consequence="It is not read",
-            cure="Copy it into the cell's folder, or put a link to it there",
+            f"{name[:80]} is not in {folder}", cure="Copy it into the cell's folder, or put a link to it there"
         )
     return folder / name

@@ -51,6 +51,10 @@ class Strict(BaseModel):
     record: ClassVar[type | None] = None
     """What `structure` made the model from."""
 
+    def made(self) -> Any:
+        """Return the record that it holds."""
+        return record_of(self)
+
 
 class PoseModel(Strict):
     """A pose as position in m and scalar-last quaternion."""
@@ -229,13 +233,13 @@ def record_of(model: Strict) -> Any:
     """Return the record that a model of `structure` holds; raises as the record does, with the key before the cause."""
     if model.record is None:
         raise TypeError(f"{type(model).__name__} was not made from a record")
-    given = {name: getattr(model, name) for name in model.model_fields_set if name in _names(model.record)}
-    return model.record(**{name: _value(name, value) for name, value in given.items() if value is not None})
+    given = [one.name for one in dataclasses.fields(model.record) if one.name in model.model_fields_set]
+    return model.record(**{name: value for name, value in values(model, *given).items() if value is not None})
 
 
-@cache
-def _names(kind: type) -> frozenset[str]:
-    return frozenset(one.name for one in dataclasses.fields(kind))
+def values(model: BaseModel, *names: str) -> dict[str, Any]:
+    """Return some keys of a model as records hold them, poses and covariances too; None where one says nothing."""
+    return {name: _value(name, getattr(model, name)) for name in names}
 
 
 def _value(key: str, held: Any) -> Any:
@@ -245,7 +249,7 @@ def _value(key: str, held: Any) -> Any:
         return held.covariance()
     if isinstance(held, Strict):
         with named(key):
-            return record_of(held)
+            return held.made()
     if isinstance(held, list):  # "joint 3" of joints, but "forbidden[2]": people count from one
         items = [f"{key[:-1]} {k + 1}" if key.endswith("s") else f"{key}[{k}]" for k in range(len(held))]
         return tuple(math.inf if one is None else _value(name, one) for name, one in zip(items, held, strict=True))
@@ -287,11 +291,9 @@ def validated(model: type[Model], content: Mapping[str, Any], where: str) -> Mod
         more = f" (and {len(details) - MAX_SHOWN} more)" if len(details) > MAX_SHOWN else ""
         newer = any(detail["loc"] == ("version",) for detail in details)
         cure = "Update armsight where the file is of a newer one, or correct it there" if newer else "Correct it there"
-        raise BadFile(
-            f"{where}: " + "; ".join(messages) + more, consequence="The file is not used", cure=cure
-        ) from error
+        raise BadFile(f"{where}: " + "; ".join(messages) + more, cure=cure) from error
     except RecursionError as error:
-        raise BadFile(f"{where}: nested too deeply", consequence="The file is not used") from error
+        raise BadFile(f"{where}: nested too deeply") from error
 
 
 def _message(model: type[BaseModel], detail: Any) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from armsight.arrays import Array
 from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.store.codec import LARGEST, named
+from armsight.store.tables import Table
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 SYSTEMATIC = tuple(f"sys_{name}" for name in POSE6_STD)
@@ -39,17 +39,6 @@ NOT_POSITIVE = 1e-9
 UNCORRELATED = "holds standard deviations only: its errors are taken as uncorrelated between the axes"
 
 
-class Columns(Protocol):
-    """A table's numbers, and where a row stands."""
-
-    @property
-    def numbers(self) -> Mapping[str, Array]:
-        """The columns by name."""
-
-    def location(self, row: int) -> str:
-        """Return the file and line of a row."""
-
-
 def above_diagonal(covariance: Array | None) -> list[float]:
     """Return the 15 cells of a covariance (6, 6); of a (3, 3) those of the position, NaN for the rest."""
     cells = [float("nan")] * len(COVARIANCE)
@@ -66,7 +55,7 @@ def has_correlations(names: Mapping[str, object], lead: str = "") -> bool:
     return f"{lead}{POINT_COVARIANCE[0]}" in names
 
 
-def covariances(table: Columns, std: Array, rows: Sequence[int], lead: str = "") -> Array:
+def covariances(table: Table, std: Array, rows: Sequence[int], lead: str = "") -> Array:
     """Return the covariances (n, k, k) of rows of a table with standard deviations (n, k), k 3 or 6.
 
     Cells that are empty, or columns that are not there, are correlations of nought. lead: of the columns' names. Raises
@@ -84,7 +73,6 @@ def covariances(table: Columns, std: Array, rows: Sequence[int], lead: str = "")
         missing = next(name for name in names if name not in table.numbers)
         raise BadFile(
             f"{table.location(rows[0])}: the column {missing} is missing beside {there[0]}",
-            consequence="The file is not used",
             cure="Give the whole upper triangle of the covariance, or standard deviations only",
         )
     at = np.asarray(rows, dtype=np.intp)
@@ -95,9 +83,24 @@ def covariances(table: Columns, std: Array, rows: Sequence[int], lead: str = "")
     return out
 
 
-def pose_covariances(
-    table: Columns, sizes: Sequence[int], of_lights: set[int]
-) -> dict[int, tuple[Array, Array | None]]:
+def all_covariances(table: Table, path: Path, k: int, what: str, lead: str = "") -> tuple[Array | None, str]:
+    """Return the covariances (n, k, k) of a table's rows, None where not every row has them; and what to say of that.
+
+    what: they are of, in words. lead: of the columns' names.
+    """
+    names = [f"{lead}{name}" for name in POSE6_STD[:k]]
+    if not any(name in table.numbers for name in names):
+        return None, ""
+    std = np.column_stack([table.numbers.get(name, np.full(len(table), np.nan)) for name in names])
+    without = ~(std > 0.0).all(axis=1)  # an empty cell is NaN
+    if without.any():
+        rows = f"{without.sum()} of {len(table)} rows have not all {'three' if k == 3 else 'six'} of them"
+        return None, f"{path.name}: the standard deviations of {what} are not used: {rows}"
+    related = has_correlations(table.numbers, lead)
+    return covariances(table, std, range(len(table)), lead), "" if related else f"{path.name} {UNCORRELATED}"
+
+
+def pose_covariances(table: Table, sizes: Sequence[int], of_lights: set[int]) -> dict[int, tuple[Array, Array | None]]:
     """Return by row of a poses.csv the covariance, and the part of it that repeats where that is told.
 
     sizes: what is known of each row (PoseStatus.size); of_lights: the rows whose position is that of the lights. Raises
@@ -125,7 +128,7 @@ def pose_covariances(
     return out
 
 
-def _require_positive(table: Columns, covariance: Array, std: Array, rows: Sequence[int]) -> None:
+def _require_positive(table: Table, covariance: Array, std: Array, rows: Sequence[int]) -> None:
     related = np.flatnonzero(np.abs(covariance).sum(axis=(1, 2)) > (std**2).sum(axis=1))  # any cell beside the diagonal
     if not related.size:
         return
@@ -142,7 +145,6 @@ def _require_positive(table: Columns, covariance: Array, std: Array, rows: Seque
         row = rows[int(related[int(np.argmax(impossible))])]
         raise BadFile(
             f"{table.location(row)}: its columns cov_... are no covariance beside its standard deviations",
-            consequence="The file is not used",
             cure="Write covariances in m and rad, in the axes of the standard deviations",
         )
 

@@ -14,23 +14,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEyeResult, ImageComparison, LeftOutErrors, PosePairs, Setup
 from armsight.calibrate.tooltip_result import ToolTipResult
-from armsight.columns import POSE6_STD, POSITION, QUATERNION
+from armsight.columns import POSITION, QUATERNION
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
 from armsight.records import NamedCovariance
+from armsight.store import codec
 from armsight.store.atomic import write_text
-from armsight.store.codec import (
-    CovarianceModel,
-    Finite,
-    PoseModel,
-    Strict,
-    Vector3,
-    covariance_mapping,
-    named,
-    pose_mapping,
-    structure,
-)
-from armsight.store.covariances import CAMERA_COVARIANCE, UNCORRELATED, above_diagonal, covariances, has_correlations
+from armsight.store.covariances import CAMERA_COVARIANCE, above_diagonal, all_covariances
 from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
 from armsight.store.lost import without_lost
 from armsight.store.rigs import write_camera
@@ -41,12 +31,12 @@ CELLS = (*POSITION, *QUATERNION)
 PAIR_COLUMNS = tuple(f"{who}_{cell}" for who in ("base_flange", "camera_target") for cell in CELLS)
 
 
-class ImagesModel(Strict):
+class ImagesModel(codec.Strict):
     """What a result from images rests on, and the errors of all that were compared."""
 
     kept: Literal["poses", "corners", "corners and camera"]
     n_images: int
-    errors: dict[str, structure(LeftOutErrors)]  # type: ignore[valid-type]  # made of the record's fields
+    errors: dict[str, codec.structure(LeftOutErrors)]  # type: ignore[valid-type]  # made of the record's fields
 
 
 class HandEyeModel(Origin):
@@ -54,15 +44,15 @@ class HandEyeModel(Origin):
 
     format: Literal["armsight/handeye"] = "armsight/handeye"
     setup: Literal["eye-in-hand", "eye-to-hand"]
-    T_flange_camera: PoseModel | None = None
-    T_base_target: PoseModel | None = None
-    T_base_camera: PoseModel | None = None
-    T_flange_target: PoseModel | None = None
-    covariance: CovarianceModel | None = None
-    residual_rms_m: Finite | None = None
-    residual_rms_rad: Finite | None = None
-    loo_rms_m: Finite | None = None
-    loo_rms_rad: Finite | None = None
+    T_flange_camera: codec.PoseModel | None = None
+    T_base_target: codec.PoseModel | None = None
+    T_base_camera: codec.PoseModel | None = None
+    T_flange_target: codec.PoseModel | None = None
+    covariance: codec.CovarianceModel | None = None
+    residual_rms_m: codec.Finite | None = None
+    residual_rms_rad: codec.Finite | None = None
+    loo_rms_m: codec.Finite | None = None
+    loo_rms_rad: codec.Finite | None = None
     n_used: int | None = None
     crossval: ImagesModel | None = None
     verdict: str | None = None
@@ -72,14 +62,14 @@ class TipModel(Origin):
     """tip.yaml: where the tool's end is in the turned frame, and where it rested."""
 
     format: Literal["armsight/tip"] = "armsight/tip"
-    tip_m: Vector3
-    point_m: Vector3 | None = None
-    covariance: CovarianceModel | None = None
-    residual_rms_m: Finite | None = None
-    loo_rms_m: Finite | None = None
+    tip_m: codec.Vector3
+    point_m: codec.Vector3 | None = None
+    covariance: codec.CovarianceModel | None = None
+    residual_rms_m: codec.Finite | None = None
+    loo_rms_m: codec.Finite | None = None
     n_used: int | None = None
-    n_effective: Finite | None = None
-    correlation_time_s: Finite | None = None
+    n_effective: codec.Finite | None = None
+    correlation_time_s: codec.Finite | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,25 +106,9 @@ def read_pairs(path: Path, format_: TableFormat = OURS) -> PosePairs:
         names = [f"{who}_{name}" for name in POSITION]
         check_positions(table.stacked(names), names, str(path), format_)
     robot, camera = (_poses(table, f"{who}_") for who in ("base_flange", "camera_target"))
-    covariance, note = _camera_covariance(table, path)
+    covariance, note = all_covariances(table, path, 6, "the camera's poses", "camera_target_")
     pairs = PosePairs.of(robot, camera, [f"row {row[line]}" for line in table.lines], covariance)
     return replace(pairs, unweighed=note)
-
-
-def _camera_covariance(table: Table, path: Path) -> tuple[NDArray[np.float64] | None, str]:
-    """Return the covariances (n, 6, 6) of the camera's poses, None where not every row has them; and what to say."""
-    names = [f"camera_target_{name}" for name in POSE6_STD]
-    there = [name for name in names if name in table.numbers]
-    if not there:
-        return None, ""
-    std = np.column_stack([table.numbers.get(name, np.full(len(table), np.nan)) for name in names])
-    without = ~(std > 0.0).all(axis=1)  # an empty cell is NaN
-    if without.any():
-        rows = f"{without.sum()} of {len(table)} rows have not all"
-        return None, f"{path.name}: the standard deviations of the camera's poses are not used: {rows} six of them"
-    covariance = covariances(table, std, range(len(table)), "camera_target_")
-    related = has_correlations(table.numbers, "camera_target_")
-    return covariance, "" if related else f"{path.name} {UNCORRELATED}"
 
 
 def write_pairs(path: Path, pairs: PosePairs) -> None:
@@ -227,8 +201,8 @@ def write_handeye(path: Path, result: HandEyeResult, *, inputs: Sequence[Path] =
 def _handeye_content(result: HandEyeResult) -> dict[str, Any]:
     return {
         "setup": str(result.setup),
-        **{name: pose_mapping(pose) for name, pose in named_poses(result).items()},
-        "covariance": covariance_mapping(result.covariance),
+        **{name: codec.pose_mapping(pose) for name, pose in named_poses(result).items()},
+        "covariance": codec.covariance_mapping(result.covariance),
         "residual_rms_m": result.residual_rms_m,
         "residual_rms_rad": result.residual_rms_rad,
         "loo_rms_m": result.loo_rms_m,
@@ -255,8 +229,8 @@ def write_handeye_poses(
     camera, target = ("flange", "base") if setup is Setup.EYE_IN_HAND else ("base", "flange")
     content = {
         "setup": str(setup),
-        f"T_{camera}_camera": pose_mapping(T_parent_camera),
-        f"T_{target}_target": pose_mapping(T_parent_target),
+        f"T_{camera}_camera": codec.pose_mapping(T_parent_camera),
+        f"T_{target}_target": codec.pose_mapping(T_parent_target),
         "verdict": "known, not calibrated",
     }
     write_document(path, HANDEYE_YAML.format, content, ())
@@ -278,12 +252,12 @@ def _handeye(model: HandEyeModel) -> HandEyeFile:
     )
     if camera is None or target is None:
         wanted = "T_flange_camera and T_base_target" if inside else "T_base_camera and T_flange_target"
-        raise BadFile(f"{setup} needs {wanted}", consequence="The file is not used", cure="Calibrate it again")
+        raise BadFile(f"{setup} needs {wanted}", cure="Calibrate it again")
     return HandEyeFile(
         setup=setup,
         T_parent_camera=camera.pose(),
         T_parent_target=target.pose(),
-        covariance=model.covariance.covariance() if model.covariance else None,
+        **codec.values(model, "covariance"),
     )
 
 
@@ -296,7 +270,7 @@ def _tip_content(result: ToolTipResult) -> dict[str, Any]:
     return {
         "tip_m": result.tip_m.tolist(),
         "point_m": result.point_m.tolist(),
-        "covariance": covariance_mapping(result.covariance),
+        "covariance": codec.covariance_mapping(result.covariance),
         "residual_rms_m": result.residual_rms_m,
         "n_used": result.n_used,
         "loo_rms_m": result.loo_rms_m,
@@ -306,8 +280,7 @@ def _tip_content(result: ToolTipResult) -> dict[str, Any]:
 
 
 def _tip(model: TipModel) -> TipFile:
-    covariance = model.covariance.covariance() if model.covariance else None
-    return TipFile(tip_m=np.array(model.tip_m), covariance=covariance)
+    return TipFile(tip_m=np.array(model.tip_m), **codec.values(model, "covariance"))
 
 
 TIP_YAML: Kind[TipFile] = Kind(name="tip", model=TipModel, record=_tip, content=_tip_content)
@@ -316,11 +289,10 @@ read_tip, write_tip = TIP_YAML.read, TIP_YAML.write
 
 
 def _poses(table: Table, prefix: str) -> list[RigidTransform]:
-    """Return the poses of the columns with the prefix; BadFile, with the line, for a quaternion that is none."""
     xyz = table.stacked([f"{prefix}{cell}" for cell in POSITION])
     quat = table.stacked([f"{prefix}{cell}" for cell in QUATERNION])
     out = []
     for row in range(len(table)):
-        with named(table.location(row)):
+        with codec.named(table.location(row)):
             out.append(pose_from_quat(xyz[row], quat[row]))
     return out

@@ -94,10 +94,7 @@ def lost_rows(table: Table, *, measured: bool = True, groups: Sequence[Sequence[
 def without_lost(
     table: Table, notify: Callable[[str], None], *, measured: bool = True, groups: Sequence[Sequence[str]] = ()
 ) -> Table:
-    """Return the table without its lost rows, which are told by count and line; see lost_rows.
-
-    Raises NotEnoughData where no row is left.
-    """
+    """Return the table without its lost rows (lost_rows), which are told. Raises NotEnoughData where none is left."""
     lost = lost_rows(table, measured=measured, groups=groups)
     if not lost:
         return table
@@ -109,10 +106,7 @@ def without_lost(
 
 
 def without_rare_rotations(table: Table, notify: Callable[[str], None]) -> Table:
-    """Return the table without its rotations where most of the rows with a position have none, which is told.
-
-    For tables that can do without: the rows would be lost else.
-    """
+    """Return the table without its rotations, which is told, where most rows have none: the rows would be lost else."""
     if not all(name in table.numbers for name in (*POSITION, *QUATERNION)):
         return table
     placed = known(table.stacked(POSITION)).all(axis=1)

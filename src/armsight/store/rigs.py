@@ -15,17 +15,7 @@ from armsight.columns import POSE6
 from armsight.errors import BadFile
 from armsight.optics import Camera, MountedCamera, MountedZoom, Plate, Rig, RigKind, Zooms, at_zoom
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel, Saveable
-from armsight.store.codec import (
-    CovarianceModel,
-    Finite,
-    PoseModel,
-    Strict,
-    covariance_mapping,
-    mapping,
-    pose_mapping,
-    record_of,
-    structure,
-)
+from armsight.store import codec
 from armsight.store.schema import Kind, Origin, read_document, write_document
 from armsight.store.yamls import read_yaml
 from armsight.store.zoom import (
@@ -41,14 +31,11 @@ from armsight.store.zoom import (
 
 
 def add_noise(path: Path, noise: Mapping[str, NoiseModel], *, inputs: Sequence[Path] = ()) -> None:
-    """Write the noise into a camera.yaml (side "") or a rig.yaml (by camera); all else in it stays.
-
-    The file must have been read before, as what it is: nothing is checked here.
-    """
+    """Write the noise into a camera.yaml (side "") or rig.yaml (by camera) that was read before; all else stays."""
     content = read_yaml(path)
     for side, one in noise.items():
         camera = content["cameras"][side] if side else content
-        camera["noise"] = mapping(one)
+        camera["noise"] = codec.mapping(one)
     origin = {name: content.pop(name, None) for name in ("format", *Origin.model_fields) if name != "version"}
     write_document(path, str(origin["format"]), content, inputs, earlier=origin["inputs"] or ())
 
@@ -57,13 +44,13 @@ SMALLEST_BASELINE_M = 1e-4
 """Two cameras nearer than this see no depth at any distance a rig is used at: a wrong file, not a rig."""
 
 
-PlateModel = structure(Plate)
+PlateModel = codec.structure(Plate)
 
 
 class RigCameraModel(IntrinsicsModel):
     """A camera with its place in the rig, its noise where known, and the glass plate it looks through, if any."""
 
-    T_rig_camera: PoseModel
+    T_rig_camera: codec.PoseModel
     noise: NoiseKey | None = None  # type: ignore[valid-type]  # of the record
     plate: PlateModel | None = None  # type: ignore[valid-type]  # of the record
     timing: TimingKey | None = None
@@ -72,10 +59,10 @@ class RigCameraModel(IntrinsicsModel):
     def camera(self) -> Camera:
         """Return the record; Inconsistent where no camera can be like this."""
         plain = IntrinsicsModel.camera(self)
-        return plain if self.plate is None else replace(plain, plate=record_of(self.plate))
+        return plain if self.plate is None else replace(plain, plate=codec.record_of(self.plate))
 
 
-class SidesModel(Strict):
+class SidesModel(codec.Strict):
     """The rig's two cameras."""
 
     left: RigCameraModel
@@ -88,8 +75,8 @@ class RigModel(Origin):
     format: Literal["armsight/rig"] = "armsight/rig"
     kind: Literal["stereo", "mirror"]
     cameras: SidesModel
-    rms_px: Finite | None = None
-    covariance: CovarianceModel | None = None
+    rms_px: codec.Finite | None = None
+    covariance: codec.CovarianceModel | None = None
 
 
 class CamerasModel(Origin):
@@ -99,16 +86,16 @@ class CamerasModel(Origin):
     version: Literal[2]  # type: ignore[assignment]  # of the same key
     kind: Literal["cameras"]
     cameras: dict[str, RigCameraModel]
-    rms_px: Finite | None = None
-    covariance: CovarianceModel | None = None
+    rms_px: codec.Finite | None = None
+    covariance: codec.CovarianceModel | None = None
 
 
 class CameraModel(Origin, IntrinsicsModel):
     """camera.yaml."""
 
     format: Literal["armsight/camera"] = "armsight/camera"
-    rms_px: Finite | None = None
-    covariance: CovarianceModel | None = None
+    rms_px: codec.Finite | None = None
+    covariance: codec.CovarianceModel | None = None
     noise: NoiseKey | None = None  # type: ignore[valid-type]  # of the record
     timing: TimingKey | None = None
 
@@ -132,15 +119,12 @@ def _rig(model: RigModel | CamerasModel) -> Rig:
             MountedCamera(
                 name=name,
                 camera=one.camera(),
-                T_rig_camera=one.T_rig_camera.pose(),
-                noise=_noise(one),
-                timing=_timing(one),
                 zoom=_zoom(one),
+                **codec.values(one, "T_rig_camera", "noise", "timing"),
             )
             for name, one in cameras.items()
         ),
-        covariance=model.covariance.covariance() if model.covariance else None,
-        rms_px=model.rms_px,
+        **codec.values(model, "covariance", "rms_px"),
     )
     for first, second in combinations(rig.cameras, 2):
         apart = second.T_rig_camera.translation - first.T_rig_camera.translation
@@ -161,7 +145,7 @@ def rig_mapping(rig: Rig) -> dict[str, Any]:
         "kind": rig.kind.value,
         "cameras": {one.name: _mounted_mapping(one) for one in rig.cameras},
         "rms_px": rig.rms_px,
-        "covariance": covariance_mapping(rig.covariance) if rig.covariance else None,
+        "covariance": codec.covariance_mapping(rig.covariance) if rig.covariance else None,
     }
 
 
@@ -169,8 +153,8 @@ def _mounted_mapping(one: MountedCamera) -> dict[str, Any]:
     zoom = None if one.zoom is None else {"at": one.zoom.at, "settings": settings_mapping(one.zoom.lens)}
     return {
         **camera_mapping(one.camera),
-        "T_rig_camera": pose_mapping(one.T_rig_camera),
-        **({} if one.noise is None else {"noise": mapping(one.noise)}),
+        "T_rig_camera": codec.pose_mapping(one.T_rig_camera),
+        **({} if one.noise is None else {"noise": codec.mapping(one.noise)}),
         **({} if one.timing is None else {"timing": timing_mapping(one.timing)}),
         **({} if zoom is None else {"zoom": zoom}),
     }
@@ -178,7 +162,7 @@ def _mounted_mapping(one: MountedCamera) -> dict[str, Any]:
 
 def camera_mapping(camera: Camera) -> dict[str, Any]:
     """Return a camera's size and intrinsics as files hold them."""
-    plate = {} if camera.plate is None else {"plate": mapping(camera.plate)}
+    plate = {} if camera.plate is None else {"plate": codec.mapping(camera.plate)}
     return {"width": camera.width, "height": camera.height, **intrinsics_mapping(camera), **plate}
 
 
@@ -190,10 +174,7 @@ ALONE = "camera"
 
 
 def read_zoom_rig(path: Path) -> Rig:
-    """Return the rig in a rig.yaml with all zoom settings it has; of a camera.yaml the rig of that camera alone.
-
-    Raises BadFile where it is neither.
-    """
+    """Return the rig of a rig.yaml with its zoom settings, or of a camera.yaml that camera alone. Raises BadFile."""
     content = read_yaml(path)
     if content.get("format") != CAMERA_YAML.format:
         return RIG_YAML.read(path)
@@ -217,21 +198,15 @@ def read_rig(path: Path, zoom: Zooms = (), *, any_cameras: bool = False) -> Rig:
 
 
 def _camera(model: CameraModel) -> CameraFile:
-    return CameraFile(
-        camera=model.camera(),
-        covariance=model.covariance.covariance() if model.covariance else None,
-        rms_px=model.rms_px,
-        noise=_noise(model),
-        timing=_timing(model),
-    )
+    return CameraFile(camera=model.camera(), **codec.values(model, "covariance", "rms_px", "noise", "timing"))
 
 
 def _camera_content(file: CameraFile) -> dict[str, Any]:
     return {
         **camera_mapping(file.camera),
         "rms_px": file.rms_px,
-        "covariance": covariance_mapping(file.covariance) if file.covariance else None,
-        "noise": mapping(file.noise) if file.noise else None,
+        "covariance": codec.covariance_mapping(file.covariance) if file.covariance else None,
+        "noise": codec.mapping(file.noise) if file.noise else None,
         "timing": timing_mapping(file.timing) if file.timing else None,
     }
 
@@ -249,14 +224,6 @@ def read_camera_file(path: Path) -> CameraFile:
             cure="Make the file of one setting: armsight convert camera FILE --zoom VALUE -o fixed.yaml",
         )
     return CAMERA_YAML.parse(content, str(path))
-
-
-def _noise(model: CameraModel | RigCameraModel) -> NoiseModel | None:
-    return None if model.noise is None else record_of(model.noise)
-
-
-def _timing(model: CameraModel | RigCameraModel) -> CameraTiming | None:
-    return None if model.timing is None else model.timing.timing()
 
 
 def _zoom(model: RigCameraModel) -> MountedZoom | None:
@@ -289,10 +256,10 @@ class WorldModel(Origin):
     """world.yaml: exactly one of T_world_rig and T_base_rig."""
 
     format: Literal["armsight/world"] = "armsight/world"
-    T_world_rig: PoseModel | None = None
-    T_base_rig: PoseModel | None = None
-    covariance: CovarianceModel | None = None
-    residual_rms_m: Finite | None = None
+    T_world_rig: codec.PoseModel | None = None
+    T_base_rig: codec.PoseModel | None = None
+    covariance: codec.CovarianceModel | None = None
+    residual_rms_m: codec.Finite | None = None
     n_used: int | None = None
 
 
@@ -314,27 +281,24 @@ def _world(model: WorldModel) -> World:
             consequence="The rig's place is not known",
             cure="Give the rig's pose in the frame that the results shall be in",
         )
-    covariance = model.covariance.covariance() if model.covariance else None
-    if covariance is not None and covariance.names != POSE6:
-        raise BadFile(f"the covariance's names are {covariance.names}, not {POSE6}")
+    if model.covariance is not None and tuple(model.covariance.names) != POSE6:
+        raise BadFile(f"the covariance's names are {model.covariance.names}, not {POSE6}")
     parent, pose = ("base", model.T_base_rig) if model.T_world_rig is None else ("world", model.T_world_rig)
     return World(
         parent=parent,
         T_parent_rig=pose.pose(),  # type: ignore[union-attr]  # one of them is there
-        covariance=covariance,
-        residual_rms_m=model.residual_rms_m,
-        n_used=model.n_used,
+        **codec.values(model, "covariance", "residual_rms_m", "n_used"),
     )
 
 
 def _content(world: World) -> dict[str, Any]:
     return {
-        f"T_{world.parent}_rig": pose_mapping(world.T_parent_rig),
-        "covariance": covariance_mapping(world.covariance) if world.covariance else None,
+        f"T_{world.parent}_rig": codec.pose_mapping(world.T_parent_rig),
+        "covariance": codec.covariance_mapping(world.covariance) if world.covariance else None,
         "residual_rms_m": world.residual_rms_m,
         "n_used": world.n_used,
     }
 
 
 WORLD_YAML = Kind(name="world", model=WorldModel, record=_world, content=_content)
-world_from_mapping, read_world, write_world = WORLD_YAML.parse, WORLD_YAML.read, WORLD_YAML.write
+read_world, write_world = WORLD_YAML.read, WORLD_YAML.write

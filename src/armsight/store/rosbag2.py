@@ -43,7 +43,7 @@ def write_rosbag2(
     nothing. Raises UsageError, DeviceNotFound without the package rosbags, NotEnoughData, BadFile, DeviceFailed.
     """
     if out.exists():
-        raise UsageError(f"{out} is already there", consequence="Nothing is written", cure="Give another folder")
+        raise UsageError(f"{out} is already there", cure="Give another folder")
     with disk_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
@@ -103,7 +103,6 @@ class _Bag:
 
 
 def _fill(bag: _Bag, recording: Recording) -> None:
-    """Write what the recording holds."""
     infos = _camera_infos(recording)
     for side in recording.cameras:
         for frame in recording.frames(side):
@@ -166,7 +165,6 @@ def _camera_infos(recording: Recording) -> dict[str, tuple[Camera, np.ndarray, n
 
 
 def _camera_info(bag: _Bag, side: str, t_s: float, camera: Camera, R: np.ndarray, P: np.ndarray) -> tuple[Any, ...]:
-    """Return the kind and the fields of a camera's message."""
     roi = bag.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
     size = (camera.height, camera.width)
     matrices = (np.array(camera.distortion), camera.matrix.ravel(), R.ravel(), P.ravel())

@@ -9,23 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armsight import file_names
 from armsight.arrays import Array
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
 from armsight.calibrate.identify import Identification
 from armsight.control.guard import Limits
 from armsight.errors import Inconsistent, UsageError
-from armsight.file_names import (
-    ARM,
-    CELL,
-    ERRORS,
-    MASTERING,
-    PLAN,
-    PLAN_SUMMARY,
-    RIG,
-    TARGET,
-    VERIFY,
-    WORLD,
-)
 from armsight.kinematics import Arm, JointType
 from armsight.kinematics.derivatives import nearest_rigid
 from armsight.measure.track import PoseTrack
@@ -120,7 +109,6 @@ def corrections(result: ArmResult) -> str:
 
 
 def _zero_covariance(result: ArmResult, names: Sequence[str]) -> Array:
-    """Return the covariance (n, n) of the joints' zeros, 0 where one is not corrected."""
     free = tuple(name for name in names if name in result.free)
     C = np.zeros((len(names), len(names)))
     if result.covariance is not None and free:
@@ -178,11 +166,11 @@ def write_cell(folder: Path, result: CellResult, *, inputs: Sequence[Path] = ())
     """Write rig.yaml, world.yaml, target.yaml, arm.yaml and cell.json into a folder."""
     parts = result.parts
     world = World(parent="base", T_parent_rig=parts.T_base_rig, covariance=parts.base_covariance)
-    write_rig(folder / RIG, parts.rig, inputs=inputs)
-    write_world(folder / WORLD, world, inputs=inputs)
-    write_target(folder / TARGET, parts.target, inputs=inputs)
-    write_arm(folder / ARM, parts.arm, inputs=inputs)
-    write_json(folder / CELL, result.to_dict())
+    write_rig(folder / file_names.RIG, parts.rig, inputs=inputs)
+    write_world(folder / file_names.WORLD, world, inputs=inputs)
+    write_target(folder / file_names.TARGET, parts.target, inputs=inputs)
+    write_arm(folder / file_names.ARM, parts.arm, inputs=inputs)
+    write_json(folder / file_names.CELL, result.to_dict())
 
 
 def write_placed_rig(path: Path, result: RobotWorldResult, *, inputs: Sequence[Path] = ()) -> None:
@@ -201,9 +189,9 @@ def write_verified(
     folder: Path, result: VerifyResult | VerifyLiveOutput | MasteringOutput, *, inputs: Sequence[Path] = ()
 ) -> None:
     """Write verify.json into a folder, and errors.csv where the result has rows."""
-    write_json(folder / VERIFY, result.to_dict())
+    write_json(folder / file_names.VERIFY, result.to_dict())
     if not isinstance(result, MasteringOutput):
-        write_text(folder / ERRORS, table_text(result.table))
+        write_text(folder / file_names.ERRORS, table_text(result.table))
 
 
 def write_poses_to_measure(folder: Path, result: MasteringPlanOutput, *, inputs: Sequence[Path] = ()) -> None:
@@ -211,13 +199,13 @@ def write_poses_to_measure(folder: Path, result: MasteringPlanOutput, *, inputs:
     n = len(result.poses[0].q)
     lines = [",".join(["pose", *(f"q{i + 1}" for i in range(n)), "decides"])]
     lines += [f"{k},{cells(pose.q)},{word(' '.join(pose.decides))}" for k, pose in enumerate(result.poses, 1)]
-    write_text(folder / MASTERING, "\n".join(lines) + "\n")
+    write_text(folder / file_names.MASTERING, "\n".join(lines) + "\n")
 
 
 def write_planned_test(folder: Path, result: VerifyPlanOutput, *, inputs: Sequence[Path] = ()) -> None:
     """Write plan.csv and plan.json into a folder."""
-    write_test_plan(folder / PLAN, result)
-    write_json(folder / PLAN_SUMMARY, result.to_dict())
+    write_test_plan(folder / file_names.PLAN, result)
+    write_json(folder / file_names.PLAN_SUMMARY, result.to_dict())
 
 
 WRITERS: Mapping[type, Mapping[str, Writer]] = {
@@ -239,13 +227,7 @@ def file_to_write(path: str | PathLike[str], *endings: str) -> Path:
     require_kind("path", path, str, PathLike, cure="Give a file's path as text or pathlib.Path")
     file = Path(path)
     if file.suffix.lower() not in endings:
-        raise UsageError(
-            f"{file} ends in {file.suffix or 'nothing'}",
-            consequence="Nothing is written",
-            cure=f"Give a name that ends in {' or '.join(endings)}",
-        )
+        raise UsageError(f"{file} ends in {file.suffix or 'nothing'}", cure=f"End it in {' or '.join(endings)}")
     if not file.parent.is_dir():
-        raise UsageError(
-            f"there is no folder {file.parent}", consequence="Nothing is written", cure="Make it, or give another path"
-        )
+        raise UsageError(f"there is no folder {file.parent}", cure="Make it, or give another path")
     return file

@@ -44,10 +44,7 @@ def write_document(
     *,
     earlier: Sequence[Mapping[str, str]] = (),
 ) -> None:
-    """Write a YAML file of ours: format, version (1, if content says no other), content without None, and origin.
-
-    earlier: inputs as the file held them before, kept in front of the new ones.
-    """
+    """Write a YAML file of ours; content without None, its version 1 or said. earlier: inputs it had, put first."""
     document = {
         "format": format_,
         "version": 1,
@@ -75,11 +72,7 @@ def read_document(path: Path, format_: str) -> dict[str, Any]:
     if found == format_:
         return content
     said = f"format {found!r}" if found is not None else "no format"
-    raise BadFile(
-        f"{path}: says {str(said)[:80]}, not {format_!r}",
-        consequence="It is not read",
-        cure=_format_cure(content, format_),
-    )
+    raise BadFile(f"{path}: says {str(said)[:80]}, not {format_!r}", cure=_format_cure(content, format_))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -41,7 +41,6 @@ def parse_spot_track(data: bytes, where: str) -> SpotTrack:
     if len(back):
         raise BadFile(
             f"{table.location(int(back[0]) + 1)}, column t_s: the time goes back, or a frame stands in two places",
-            consequence=UNUSED,
             cure="Give the frames in the order of time, and the spots of a frame in rows of the same t_s",
         )
     frames, frame = np.unique(t, return_inverse=True)
@@ -64,7 +63,6 @@ def _require_sizes(table: Table) -> None:
         missing = next(name for name in DEVIATIONS if name not in given)
         raise BadFile(
             f"{table.where}: the column {given[0]} stands without {missing}",
-            consequence=UNUSED,
             cure="Give the standard deviations along both axes, or none",
         )
     for name in (*REQUIRED, *given):
@@ -76,9 +74,7 @@ def _require_sizes(table: Table) -> None:
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
             raise BadFile(
-                f"{table.location(row)}, column {name}: {values[row]:g} is {what}",
-                consequence=UNUSED,
-                cure="Correct the cell, or remove the row",
+                f"{table.location(row)}, column {name}: {values[row]:g} is {what}", cure="Correct it, or remove the row"
             )
 
 
@@ -88,14 +84,11 @@ def _require_once(table: Table, frame: NDArray[np.intp], names: tuple[str, ...])
     for row, (k, name) in enumerate(zip(frame.tolist(), names, strict=True)):
         if not name and "spot" in table.text:
             raise BadFile(
-                f"{table.location(row)}, column spot: empty",
-                consequence=UNUSED,
-                cure="Name every spot, or leave the column away",
+                f"{table.location(row)}, column spot: empty", cure="Name every spot, or leave the column away"
             )
         if name and (k, name) in seen:
             raise BadFile(
                 f"{table.location(row)}, column spot: {name[:40]!r} stands twice at this t_s",
-                consequence=UNUSED,
                 cure="Give each light of a frame once; frames that follow each other need different times",
             )
         seen.add((k, name))
@@ -115,10 +108,7 @@ def read_picks(path: Path) -> Picks:
 
 
 def parse_picks(data: bytes, where: str) -> Picks:
-    """Return the picks in the bytes of a table u_px,v_px[,edge].
-
-    Rows of one edge follow each other. Raises BadFile that names file, line and column; NotEnoughData without a row.
-    """
+    """Return the picks of u_px,v_px[,edge], an edge's rows together. Raises BadFile, with the cell, NotEnoughData."""
     table = parse_table(data, where, ("u_px", "v_px"), optional=("edge",), text=("edge",))
     edges = table.text.get("edge", ("",) * len(table))
     ended: set[str] = set()
@@ -126,7 +116,6 @@ def parse_picks(data: bytes, where: str) -> Picks:
         if edge and edge in ended:
             raise BadFile(
                 f"{table.location(row)}, column edge: {edge[:40]!r} ended further up",
-                consequence="The picks are not used",
                 cure="Let the rows of an edge follow each other",
             )
         if row + 1 < len(edges) and edges[row + 1] != edge:

@@ -41,10 +41,7 @@ _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Table:
-    """Columns of numbers (n,) and of text by name; NaN where a cell was allowed to be empty.
-
-    where: the file's name. lines: (n,) the line of the file that each row came from, from 1.
-    """
+    """Columns of numbers (n,), NaN where empty, and of text; where: the file; lines: (n,) of the rows, from 1."""
 
     where: str
     numbers: dict[str, Array]
@@ -83,7 +80,6 @@ class Table:
         if set(names) != found:
             raise BadFile(
                 f"{self.where}: the columns {', '.join(sorted(found))} are not counted {prefix}1, {prefix}2, ...",
-                consequence="The file is not used",
                 cure="Number them from 1 without a gap",
             )
         return names
@@ -136,9 +132,7 @@ def parse_table(
     for row, line in zip(body, lines, strict=True):
         if len(row) != len(header):
             raise BadFile(
-                f"{where}, line {line}: {len(row)} cells, the header has {len(header)}",
-                consequence="The file is not used",
-                cure="Give every row one cell per column",
+                f"{where}, line {line}: {len(row)} cells, the header has {len(header)}", cure="Give every row as many"
             )
     if need_rows and not body:
         raise no_rows(where)
@@ -166,9 +160,7 @@ def decoded(data: bytes, where: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadFile(
-            f"{where}: byte {error.start} is not UTF-8 text",
-            consequence="The file cannot be read",
-            cure="Save it as CSV in UTF-8, or check that it is not a binary file",
+            f"{where}: byte {error.start} is not UTF-8 text", cure="Save it as CSV in UTF-8; it may be a binary file"
         ) from error
 
 
@@ -186,7 +178,7 @@ def csv_rows(data: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
             if any(cell.strip() for cell in row):
                 yield reader.line_num, row
     except csv.Error as error:
-        raise BadFile(f"{where}, line {reader.line_num}: {error}", consequence="The file cannot be read") from error
+        raise BadFile(f"{where}, line {reader.line_num}: {error}") from error
 
 
 def no_rows(where: str) -> NotEnoughData:
@@ -204,11 +196,10 @@ def _swallows_rows(cell: str, columns: int) -> bool:
 
 
 def _rows(data: bytes, where: str) -> tuple[list[list[str]], list[int]]:
-    """Return the rows that are not empty, and their lines."""
     found = list(csv_rows(data, where))
     rows, lines = [row for _, row in found], [line for line, _ in found]
     if not rows:
-        raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
+        raise BadFile(f"{where}: the file is empty", cure="Check the file")
     return rows, lines
 
 
@@ -220,7 +211,6 @@ def _check_header(
         raise BadFile(
             f"{where}: the column{'s' * (len(missing) > 1)} {', '.join(missing)} "
             f"{'are' if len(missing) > 1 else 'is'} missing; found {', '.join(header)[:200]}",
-            consequence="The file is not used",
             cure=_header_cure(header, required),
         )
     twice = sorted({name for name in header if header.count(name) > 1})
@@ -237,7 +227,6 @@ def _check_header(
             also = f", {series}1, {series}2, ..." if series else ""
             raise BadFile(
                 f"{where}: unknown column {name[:40]!r}" + (f" (did you mean {close[0]!r}?)" if close else ""),
-                consequence="The file is not used",
                 cure=f"Valid columns: {', '.join(known)}{also}",
             )
 
@@ -271,7 +260,9 @@ def in_time(table: Table, notify: Callable[[str], None]) -> Table:
     """
     t_s, cells = table.numbers["t_s"], [*table.numbers.values(), *(np.array(c) for c in table.text.values())]
     again = np.zeros(len(table), dtype=bool)
-    again[1:] = np.all([_equal(column[1:], column[:-1]) for column in cells], axis=0)
+    again[1:] = np.all(
+        [(c[1:] == c[:-1]) | ((c[1:] != c[1:]) & (c[:-1] != c[:-1])) for c in cells], axis=0
+    )  # NaN is NaN
     kept = np.flatnonzero(~again)
     late = np.flatnonzero(np.diff(t_s[kept]) <= 0.0)
     if late.size:
@@ -288,16 +279,8 @@ def in_time(table: Table, notify: Callable[[str], None]) -> Table:
     return table.take(kept)
 
 
-def _equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return where cells (n,) are equal; empty ones are to each other."""
-    return np.asarray((a == b) | ((a != a) & (b != b)))
-
-
 def number_column(cells: Sequence[str], name: str, lines: Sequence[int], where: str, may_be_blank: bool) -> Array:
-    """Return the numbers (n,) in a column's cells; BadFile for what is none.
-
-    may_be_blank: cells that say that there is no number (empty, nan, MISSING, ...) are NaN.
-    """
+    """Return a column's numbers (n,); BadFile for what is none. may_be_blank: cells that say so are NaN."""
     values = np.empty(len(cells))
     for i, cell in enumerate(cells):
         try:
@@ -315,9 +298,7 @@ def number_column(cells: Sequence[str], name: str, lines: Sequence[int], where: 
 def _bad_cell(cell: str, name: str, line: int, where: str) -> BadFile:
     shown = repr(cell if len(cell) <= 40 else cell[:37] + "...") if cell.strip() else "empty"
     return BadFile(
-        f"{where}, line {line}, column {name}: {shown} is not a finite number",
-        consequence="The file is not used",
-        cure="Correct the cell, or remove the row",
+        f"{where}, line {line}, column {name}: {shown} is not a finite number", cure="Correct it, or remove the row"
     )
 
 
@@ -332,10 +313,7 @@ def zeros(values: Array) -> NDArray[np.bool_]:
 
 
 def filled(values: Array) -> NDArray[np.bool_]:
-    """Return which rows of positions (n, 3) hold one number in all cells, as other rows do, far beyond all the rest.
-
-    Such as -9999. A place of three equal coordinates may be visited again.
-    """
+    """Return which rows of positions (n, 3) hold one number, such as -9999, as other rows do, far beyond the rest."""
     same = (values == values[:, :1]).all(axis=1) & (values[:, 0] != 0.0)
     _, of, count = np.unique(values[same, 0], return_inverse=True, return_counts=True)
     out = np.zeros(len(values), bool)

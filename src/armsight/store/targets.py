@@ -15,15 +15,7 @@ from armsight.arrays import Array
 from armsight.errors import BadFile, UsageError
 from armsight.records import Colour, NamedCovariance, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.records.target import BLUE, GREEN, RED
-from armsight.store.codec import (
-    LARGEST,
-    CovarianceModel,
-    Vector3,
-    covariance_mapping,
-    mapping,
-    record_of,
-    structure,
-)
+from armsight.store import codec
 from armsight.store.schema import Kind, Origin, read_document, write_document
 from armsight.store.yamls import read_yaml
 
@@ -46,12 +38,12 @@ BOARD_FORMS = (
     "aprilgrid:6x6:0.088:0.3), or a board's target.yaml, or Kalibr's"
 )
 
-Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=LARGEST)]
+Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=codec.LARGEST)]
 Side = Annotated[int, Field(ge=2, le=MAX_BOARD)]
 SpotName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,40}$")]
 
 
-ColourModel = structure(Colour)
+ColourModel = codec.structure(Colour)
 
 
 class LitModel(Origin):
@@ -59,10 +51,10 @@ class LitModel(Origin):
 
     format: Literal["armsight/target"] = "armsight/target"
     kind: Literal["spots"]
-    spots_m: Annotated[dict[SpotName, Vector3], Field(min_length=1, max_length=200)] | None = None
+    spots_m: Annotated[dict[SpotName, codec.Vector3], Field(min_length=1, max_length=200)] | None = None
     labels: list[str] | None = None
-    std_m: Annotated[dict[SpotName, Vector3], Field(max_length=200)] | None = None
-    covariance: CovarianceModel | None = None
+    std_m: Annotated[dict[SpotName, codec.Vector3], Field(max_length=200)] | None = None
+    covariance: codec.CovarianceModel | None = None
     diameter_m: Positive | None = None
     colour: Literal["red", "green", "blue"] | ColourModel | None = None  # type: ignore[valid-type]  # of the record
 
@@ -101,11 +93,7 @@ def target_from_mapping(content: Mapping[str, Any], where: str = "target") -> Ta
         content = _of_kalibr(content, where)
     kind = content.get("kind")
     if not isinstance(kind, str) or kind not in _MODELS:
-        raise BadFile(
-            f"{where}: the key kind is {str(kind)[:40]!r}",
-            consequence="The file is not used",
-            cure=f"Choose one of {', '.join(_MODELS)}",
-        )
+        raise BadFile(f"{where}: the key kind is {str(kind)[:40]!r}", cure=f"Choose one of {', '.join(_MODELS)}")
     return replace(TARGET_YAML, model=_MODELS[kind]).parse(content, where)
 
 
@@ -139,7 +127,6 @@ def _of_kalibr(content: Mapping[str, Any], where: str) -> Mapping[str, Any]:
     if content["target_type"] != "aprilgrid":
         raise BadFile(
             f"{where}: a target of Kalibr's of type {str(content['target_type'])[:40]!r}",
-            consequence="It is not read",
             cure="Kalibr's aprilgrid is; say others as checkerboard:9x6:0.025 or circles:7x11:0.02",
         )
     known = {"tagCols": "columns", "tagRows": "rows", "tagSize": "tag_m", "tagSpacing": "spacing"}
@@ -152,32 +139,32 @@ def _of_kalibr(content: Mapping[str, Any], where: str) -> Mapping[str, Any]:
 
 def _lit(model: LitModel) -> Target:
     colour = (
-        COLOURS[model.colour] if isinstance(model.colour, str) else record_of(model.colour) if model.colour else None
+        COLOURS[model.colour]
+        if isinstance(model.colour, str)
+        else codec.record_of(model.colour)
+        if model.colour
+        else None
     )
     if (model.spots_m is None) == (model.labels is None):
         raise BadFile(
             "a target of kind spots needs exactly one of spots_m and labels",
-            consequence="The file is not used",
             cure="Give spots_m: {A: [x, y, z], ...} in metres, or labels: [A, B, C] for three lights whose positions "
             "nobody has measured",
         )
     if model.std_m is not None and (model.spots_m is None or set(model.std_m) != set(model.spots_m)):
         raise BadFile(
             f"std_m names {', '.join(model.std_m)}, not the spots of spots_m",
-            consequence="The file is not used",
             cure="Give std_m: {A: [sx, sy, sz], ...} in metres for every spot of spots_m, or leave it out",
         )
     if model.spots_m is not None:
         spots = {name: (xyz[0], xyz[1], xyz[2]) for name, xyz in model.spots_m.items()}
         if len(set(spots.values())) != len(spots):
-            raise BadFile("two spots of spots_m stand at the same place", consequence="The file is not used")
+            raise BadFile("two spots of spots_m stand at the same place")
         target = spot_target(spots, diameter_m=model.diameter_m, colour=colour)
         return replace(target, covariance=_covariance(model, target))
     if model.covariance is not None:
         raise BadFile(
-            "a covariance without spots_m says how well nothing is known",
-            consequence="The file is not used",
-            cure="Leave it out, or give spots_m",
+            "a covariance without spots_m says how well nothing is known", cure="Leave it out, or give spots_m"
         )
     if model.labels != ["A", "B", "C"]:
         raise BadFile(
@@ -200,19 +187,18 @@ def _covariance(model: LitModel, target: Target) -> Array | None:
             return None
         std = np.array([model.std_m[name] for name in target.names]).ravel()
         if (std < 0.0).any():
-            raise BadFile("a standard deviation of std_m is negative", consequence="The file is not used")
+            raise BadFile("a standard deviation of std_m is negative")
         return np.diag(std**2)
     covariance = model.covariance.covariance()
     if set(covariance.names) != set(names):
         raise BadFile(
             f"covariance names {', '.join(covariance.names)[:120]}, not the spots' coordinates",
-            consequence="The file is not used",
             cure=f"Name its rows {', '.join(names[:4])}, ... , one for each coordinate, or leave it out",
         )
     matrix = covariance.block(names)
     least, most = np.linalg.eigvalsh(matrix)[[0, -1]]
     if least < -NEGATIVE * most:
-        raise BadFile("the covariance has a negative variance", consequence="The file is not used")
+        raise BadFile("the covariance has a negative variance")
     return matrix
 
 
@@ -241,7 +227,7 @@ def target_mapping(target: Target) -> dict[str, Any]:
         out["spots_m"] = dict(zip(target.names, target.xyz_m.tolist(), strict=True))
         if target.covariance is not None:
             named_rows = NamedCovariance(names=target.covariance_names, matrix=target.covariance)
-            out["covariance"] = covariance_mapping(named_rows)
+            out["covariance"] = codec.covariance_mapping(named_rows)
     else:
         out["labels"] = list(target.names)
     out["diameter_m"] = target.diameter_m
@@ -250,8 +236,8 @@ def target_mapping(target: Target) -> dict[str, Any]:
 
 
 def _colour_value(colour: Colour) -> str | dict[str, Any]:
-    content = mapping(colour)
-    return next((name for name, known in COLOURS.items() if mapping(known) == content), content)
+    content = codec.mapping(colour)
+    return next((name for name, known in COLOURS.items() if codec.mapping(known) == content), content)
 
 
 TARGET_YAML: Kind[Target] = Kind(name="target", model=LitModel, record=_target, content=target_mapping)
@@ -340,8 +326,4 @@ def _length_m(text: str, part: str) -> float:
 
 
 def _wrong_board(text: str, reason: str) -> UsageError:
-    return UsageError(
-        f"the board {text[:80]!r} is not understood: {reason}",
-        consequence="Nothing was done",
-        cure=f"Write {BOARD_FORMS}",
-    )
+    return UsageError(f"the board {text[:80]!r} is not understood: {reason}", cure=f"Write {BOARD_FORMS}")

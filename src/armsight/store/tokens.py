@@ -68,16 +68,14 @@ def add_token(path: Path, name: str, role: str) -> str:
     A name that is there gets this token in place of its old one. Raises UsageError, BadFile, DeviceFailed.
     """
     if role not in ROLES:
-        raise UsageError(f"{role!r} is no role", consequence="No token was made", cure=f"Choose {' or '.join(ROLES)}")
+        raise UsageError(f"{role!r} is no role", cure=f"Choose {' or '.join(ROLES)}")
     token = secrets.token_urlsafe(TOKEN_BYTES)
     before = read_tokens(path) if path.exists() else ()
     content = {"name": name, "role": role, "sha256": _hash(token)}
     try:
         entry = validated(TokenEntry, content, "the token")
     except BadFile as error:
-        raise UsageError(
-            error.cause, consequence="No token was made", cure="Give NAME:ROLE, such as anna:drive"
-        ) from error
+        raise UsageError(error.cause, cure="Give NAME:ROLE, such as anna:drive") from error
     _write(path, [*(other for other in before if other.name != name), entry])
     return token
 

@@ -11,7 +11,7 @@ from armsight.calibrate.arm.touch.touches import Kind
 from armsight.columns import POSITION
 from armsight.defaults import TOUCH_LENGTH_STD_M
 from armsight.errors import BadFile
-from armsight.store.interpret import OURS, TableFormat, check_joint_values
+from armsight.store.interpret import OURS, TableFormat, joint_readings
 from armsight.store.tables import Table, read_table
 
 FEATURE, KIND, READING, SIGMA = "feature", "kind", "reading_m", "sigma_m"
@@ -31,17 +31,14 @@ def read_touches(path: Path, format_: TableFormat = OURS) -> Touches:
         blank=(READING, SIGMA),
         series="q",
     )
-    readings = table.series("q")
-    if not readings:
-        raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
-    check_joint_values(table.stacked(readings), str(path), format_)
+    q = joint_readings(table, str(path), format_)
     kinds = tuple(_kind(table, row) for row in range(len(table)))
     feature, lengths = (table.text[FEATURE], ()) if FEATURE in table.text else _of_places(table)
     for row, name in enumerate(feature):
         if not name:
             raise BadFile(f"{table.location(row)}, column {FEATURE}: empty", cure="Name what the row touched")
     return Touches(
-        q=table.stacked(readings),
+        q=q,
         feature=feature,
         kind=kinds,
         reading_m=_readings(table, kinds),
@@ -55,9 +52,7 @@ def _kind(table: Table, row: int) -> Kind:
     text = table.text[KIND][row].lower() if KIND in table.text else Kind.POINT
     if text not in set(Kind):
         raise BadFile(
-            f"{table.location(row)}, column {KIND}: {text!r} is no kind of feature",
-            consequence="The file is not used",
-            cure=f"Write one of: {', '.join(Kind)}",
+            f"{table.location(row)}, column {KIND}: {text!r} is no kind", cure=f"Write one of: {', '.join(Kind)}"
         )
     return Kind(text)
 
@@ -70,7 +65,6 @@ def _readings(table: Table, kinds: tuple[Kind, ...]) -> np.ndarray:
             lacks = "a gauge needs its reading" if kind is Kind.GAUGE else f"a {kind} has no reading"
             raise BadFile(
                 f"{table.location(row)}, column {READING}: {lacks}",
-                consequence="The file is not used",
                 cure="Write what the gauge showed, in m, and leave the cell empty for all else",
             )
     return np.nan_to_num(given)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -19,18 +17,9 @@ from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
+from armsight.store import covariances
 from armsight.store.atomic import RowFile, read_bytes, write_text
 from armsight.store.codec import LARGEST, named
-from armsight.store.covariances import (
-    LIGHTS,
-    POINT_COVARIANCE,
-    POSE_COLUMNS,
-    POSE_EXTRAS,
-    VELOCITY,
-    VELOCITY_STD,
-    above_diagonal,
-    pose_covariances,
-)
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.lost import lost_rows, lost_words, without_lost
 from armsight.store.tables import MAX_BYTES, Table, cells, in_time, number, parse_table, word
@@ -42,60 +31,42 @@ LATEST_S = 1e11
 SPOT_COLUMNS = ("t_s", "camera", "spot", "u_px", "v_px", "su_px", "sv_px")
 
 
-class _Writer:
-    """A RowFile with a header of its own, usable as a context manager."""
-
+class _Writer(RowFile):
     columns: tuple[str, ...]
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
-        self._rows = RowFile(path, ",".join(self.columns), clock=clock)
-
-    def flush(self) -> None:
-        """Give the waiting rows to the system."""
-        self._rows.flush()
-
-    def close(self) -> None:
-        """Write what waits and close."""
-        self._rows.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._rows.close()
+        super().__init__(path, ",".join(self.columns), clock=clock)
 
 
 class PosesWriter(_Writer):
     """poses.csv, row by row: an interrupted run leaves what was measured."""
 
-    columns = (*POSE_COLUMNS, *(name for name in POSE_EXTRAS if name not in (*VELOCITY, *VELOCITY_STD)))
+    columns = (
+        *covariances.POSE_COLUMNS,
+        *(name for name in covariances.POSE_EXTRAS if name not in (*covariances.VELOCITY, *covariances.VELOCITY_STD)),
+    )
 
     def write(self, pose: TargetPose) -> None:
         """Add one pose."""
-        self._rows.add(pose_row(pose))
+        self.add(pose_row(pose))
 
 
 class MovingPosesWriter(_Writer):
-    """poses.csv of a target in motion: after the columns of a pose, velocity and its standard deviations.
+    """poses.csv with velocities, m/s and rad/s in the poses' frame, and their standard deviations behind."""
 
-    Of the target's origin in m/s, and angular in rad/s, both in the axes of the poses' frame.
-    """
-
-    columns = (*POSE_COLUMNS, *POSE_EXTRAS)
+    columns = (*covariances.POSE_COLUMNS, *covariances.POSE_EXTRAS)
 
     def write(self, pose: TargetPose, velocity: Array | None, std: Array | None) -> None:
         """Add one pose with velocity (6,) and its standard deviations (6,); None where they are not known."""
         known = velocity is not None and std is not None
         values = np.concatenate([velocity, std]).tolist() if known else [math.nan] * 12
-        self._rows.add(f"{_pose_cells(pose)},{cells(values)},{_covariance_cells(pose)}")
+        self.add(f"{_pose_cells(pose)},{cells(values)},{_covariance_cells(pose)}")
 
 
 class PointsWriter(_Writer):
     """points.csv, row by row."""
 
-    columns = (*POINT_COLUMNS, *POINT_COVARIANCE, "status")
+    columns = (*POINT_COLUMNS, *covariances.POINT_COVARIANCE, "status")
 
     def write(self, t_s: float, points: Points, *, status: PoseStatus = PoseStatus.OK) -> None:
         """Add the points of one moment, in rig axes; status: DOUBTFUL where they are not to be acted on."""
@@ -105,7 +76,7 @@ class PointsWriter(_Writer):
         related = points.covariance_m2[:, (0, 0, 1), (1, 2, 2)].tolist()  # xy, xz, yz
         rows = zip(points.names, points.xyz_m.tolist(), deviation.tolist(), related, strict=True)
         for name, xyz, std, off in rows:
-            self._rows.add(f"{number(t_s)},{word(name)},{cells(xyz)},{cells(std)},{cells(off)},{status.value}")
+            self.add(f"{number(t_s)},{word(name)},{cells(xyz)},{cells(std)},{cells(off)},{status.value}")
 
 
 def restate_points(path: Path, status: Mapping[float, PoseStatus]) -> None:
@@ -127,7 +98,7 @@ class SpotsWriter(_Writer):
             return
         deviation = np.sqrt(np.diagonal(spots.covariance_px2, axis1=1, axis2=2))  # (n, 2)
         for name, uv, std in zip(names, spots.uv_px.tolist(), deviation.tolist(), strict=True):
-            self._rows.add(f"{number(t_s)},{word(camera)},{word(name)},{cells(uv)},{cells(std)}")
+            self.add(f"{number(t_s)},{word(camera)},{word(name)},{cells(uv)},{cells(std)}")
 
 
 def pose_row(pose: TargetPose) -> str:
@@ -145,7 +116,7 @@ def pose_row(pose: TargetPose) -> str:
 def _covariance_cells(pose: TargetPose) -> str:
     own_origin = pose.status is not PoseStatus.POSITION_ONLY or pose.origin_known
     systematic = pose.systematic_covariance if own_origin else None
-    return cells([*above_diagonal(pose.covariance), *above_diagonal(systematic)])
+    return cells([*covariances.above_diagonal(pose.covariance), *covariances.above_diagonal(systematic)])
 
 
 def _pose_cells(pose: TargetPose) -> str:
@@ -210,10 +181,10 @@ def parse_poses(
     table = parse_table(
         data,
         where,
-        POSE_COLUMNS[:8],
-        optional=(*POSE_COLUMNS[8:], *POSE_EXTRAS),
+        covariances.POSE_COLUMNS[:8],
+        optional=(*covariances.POSE_COLUMNS[8:], *covariances.POSE_EXTRAS),
         text=("status", "spots"),
-        blank=(*POSE_COLUMNS[1:14], *POSE_EXTRAS),
+        blank=(*covariances.POSE_COLUMNS[1:14], *covariances.POSE_EXTRAS),
     )
     if stream and measured:
         table = without_lost(table, notify)
@@ -223,14 +194,13 @@ def parse_poses(
         notify(f"{where}: {lost_words(lost, table)}")
     statuses = [PoseStatus.LOST if row in lost else _status(table, row) for row in range(len(table))]
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]
-    of_lights = {row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY and _has(table, row, LIGHTS)}
-    xyz = np.array([_full(table, row, LIGHTS if row in of_lights else POSITION) for row in seen]).reshape(-1, 3)
-    quat = np.array([_full(table, row, QUATERNION) if statuses[row].size == 6 else IDENTITY for row in seen]).reshape(
-        -1, 4
-    )
-    T = _stack(xyz, quat, [table.location(row) for row in seen]).as_matrix() if seen else ()
+    apart = [row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY]
+    of_lights = {row for row in apart if _has(table, row, covariances.LIGHTS)}
+    xyz = [_full(table, row, covariances.LIGHTS if row in of_lights else POSITION) for row in seen]
+    quat = [_full(table, row, QUATERNION) if statuses[row].size == 6 else IDENTITY for row in seen]
+    T = _stack(np.array(xyz), np.array(quat), [table.location(row) for row in seen]).as_matrix() if seen else ()
     poses = dict(zip(seen, T, strict=True))
-    known = pose_covariances(table, [status.size for status in statuses], of_lights)
+    known = covariances.pose_covariances(table, [status.size for status in statuses], of_lights)
     return tuple(
         _target_pose(table, row, statuses[row], poses.get(row), parent, known.get(row), of_lights=row in of_lights)
         for row in range(len(table))
@@ -238,7 +208,6 @@ def parse_poses(
 
 
 def _has(table: Table, row: int, names: Sequence[str]) -> bool:
-    """Whether a row has anything in these columns."""
     return any(name in table.numbers and not np.isnan(table.numbers[name][row]) for name in names)
 
 
@@ -248,17 +217,12 @@ def _status(table: Table, row: int) -> PoseStatus:
         return PoseStatus(word)
     except ValueError:
         raise BadFile(
-            f"{table.location(row)}, column status: {word[:40]!r}",
-            consequence="The file is not used",
-            cure=f"Write one of {', '.join(PoseStatus)}",
+            f"{table.location(row)}, column status: {word[:40]!r}", cure=f"Write one of {', '.join(PoseStatus)}"
         ) from None
 
 
 def _stack(xyz_m: Array, quat_xyzw: Array, locations: Sequence[str]) -> RigidTransform:
-    """Return the poses as a stack; BadFile, with the row's place, where a quaternion is none.
-
-    At once: one by one takes a millisecond each.
-    """
+    """Return the poses as a stack, made at once; BadFile, with the row's place, where a quaternion is none."""
     far = np.abs(np.linalg.norm(np.clip(quat_xyzw, -LARGEST, LARGEST), axis=1) - 1.0) > QUAT_NORM_TOLERANCE
     for row in np.flatnonzero(far).tolist():
         with named(locations[row]):
@@ -287,7 +251,7 @@ def _target_pose(
             covariance=covariance,
             systematic_covariance=systematic,
             origin_known=status.size == 6
-            or (status is PoseStatus.POSITION_ONLY and not of_lights and LIGHTS[0] in table.numbers),
+            or (status is PoseStatus.POSITION_ONLY and not of_lights and covariances.LIGHTS[0] in table.numbers),
         )
 
 
@@ -298,7 +262,6 @@ def _full(table: Table, row: int, names: Sequence[str]) -> Array:
         if np.isnan(value):
             raise BadFile(
                 f"{table.location(row)}, column {name}: empty, though the status is not lost",
-                consequence="The file is not used",
                 cure="Fill the cell, or set the status to lost",
             )
     return values

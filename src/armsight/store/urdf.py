@@ -83,12 +83,11 @@ def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, bas
 def _name(element: ElementTree.Element, kind: str, where: str) -> str:
     name = element.get("name")
     if not name:
-        raise BadFile(f"{where}: a {kind} has no name", consequence="The file is not used", cure="Give it a name")
+        raise BadFile(f"{where}: a {kind} has no name", cure="Give it a name")
     return name
 
 
 def _joint(element: ElementTree.Element, where: str) -> UrdfJoint:
-    """Return one joint's kind, and the links that it joins."""
     name = _name(element, "joint", where)
     at = f"{where}: joint {name}"
     links = {}
@@ -123,10 +122,7 @@ def _check_kind(joint: UrdfJoint) -> None:
 
 
 def _folded(before: Array, chain: list[UrdfJoint], where: str) -> tuple[list[AxisJoint], tuple[Array, Array]]:
-    """Fold fixed joints: the moving joints, the first in base axes, and flange and tool behind the last of them.
-
-    before (4, 4): where the chain begins in base axes.
-    """
+    """Fold fixed joints: the moving ones in base axes, from before (4, 4) on, and flange and tool behind the last."""
     at = before
     moving: list[AxisJoint] = []
     fixed: list[Array] = []
@@ -152,10 +148,7 @@ def _folded(before: Array, chain: list[UrdfJoint], where: str) -> tuple[list[Axi
 
 
 def _check_lengths(arm: Arm, chain: Sequence[UrdfJoint]) -> None:
-    """Raise BadFile where the arm, from its first joint on, is as long as one in millimetres.
-
-    Where it stands may be far, and an origin may lie anywhere along its axis.
-    """
+    """Raise BadFile where the arm from its first joint on, wherever that stands, is as long as in millimetres."""
     rows = arm.chain[1:-1]
     total_m = float(np.hypot(rows[:, 3], rows[:, 4]).sum() + np.linalg.norm(arm.T_flange_tool.translation))
     if not looks_like_mm(total_m):

@@ -40,16 +40,13 @@ def text_of(data: bytes, where: str) -> str:
         encoding = "utf-8-sig"
     elif not KNOWN_ENCODINGS.fullmatch(encoding):
         raise BadFile(
-            f"{where}: says that it is written in {encoding!r}, which is not known here",
-            consequence="It is not read",
-            cure="Save it as UTF-8",
+            f"{where}: says that it is written in {encoding!r}, which is not known here", cure="Save it as UTF-8"
         )
     try:
         return data.decode(encoding)
     except (UnicodeDecodeError, LookupError) as error:
         raise BadFile(
             f"{where}: is not {encoding.removesuffix('-sig').upper()} text",
-            consequence="It is not read",
             cure='Save it as UTF-8, or name its encoding in the first line: <?xml version="1.0" encoding="latin1"?>',
         ) from error
 
@@ -61,19 +58,13 @@ def root_of(text: str, where: str) -> ElementTree.Element:
     first element does not matter. Raises BadFile for what is no URDF.
     """
     if "\0" in text:
-        raise BadFile(f"{where}: holds zeros", consequence="It is not read", cure="Save it as UTF-8")
+        raise BadFile(f"{where}: holds zeros", cure="Save it as UTF-8")
     try:
         root = _Reader(where).read(DECLARATION.sub("", text.removeprefix("\ufeff"), count=1).strip())
     except (expat.ExpatError, ValueError, AssertionError) as error:
-        raise BadFile(
-            f"{where}: is not XML ({error})", consequence="It is not read", cure="Give the file that xacro has expanded"
-        ) from error
+        raise BadFile(f"{where}: is not XML ({error})", cure="Give the file that xacro has expanded") from error
     if root.tag != "robot":
-        raise BadFile(
-            f"{where}: its root is <{root.tag[:40]}>, not <robot>",
-            consequence="It is not read",
-            cure="Give a URDF file",
-        )
+        raise BadFile(f"{where}: its root is <{root.tag[:40]}>, not <robot>", cure="Give a URDF file")
     _check_expanded(root, where)
     return root
 
@@ -117,13 +108,10 @@ class _Reader:
 
 
 def _check_expanded(root: ElementTree.Element, where: str) -> None:
-    """Raise BadFile for a xacro file as it was written, whose links are still to be made."""
     raw = next((element.tag for element in root if element.tag.startswith("xacro:")), None)
     if raw is not None:
         raise BadFile(
-            f"{where}: is a xacro file as it was written: it holds <{raw[:60]}>",
-            consequence="Its links and numbers are not made yet",
-            cure=EXPAND,
+            f"{where}: is a xacro file: it holds <{raw[:60]}>", consequence="Its links are not made yet", cure=EXPAND
         )
 
 
@@ -191,7 +179,6 @@ def numbers(text: str | None, default: str, count: int, what: str, *, endless: b
         form = "a finite number" if count == 1 else f"{count} finite numbers with blanks between them"
         raise BadFile(
             f"{what} is {str(text)[:40]!r}, not {form}",
-            consequence="The file is not used",
             cure=EXPAND if "${" in str(text) else f"Write {form}, such as {' '.join(['0.1', '0', '0.25'][:count])}",
         )
     return values

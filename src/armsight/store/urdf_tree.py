@@ -220,7 +220,7 @@ def _check_beside(start: str, last: str, tool: str, tree: Tree) -> None:
     A tool that is called so is one. A link in the very place of what it is fixed to is a name or a shape more for it.
     """
     joint = tree.above.get(last)
-    if joint is None or last == start or _called_tool(tool):
+    if joint is None or last == start or any(_called(name, tool) for name in TOOL_LINKS):
         return
     if all(before.type == "fixed" for before in tree.to(joint.parent, start)):  # the arm's only joint
         return
@@ -241,10 +241,6 @@ def _check_beside(start: str, last: str, tool: str, tree: Tree) -> None:
         )
 
 
-def _called_tool(link: str) -> bool:
-    return any(re.search(rf"(^|[^a-z0-9]){name}$", link, re.IGNORECASE) for name in TOOL_LINKS)
-
-
 def _away(tree: Tree, link: str, start: str) -> bool:
     """Tell whether a link is elsewhere than the one it is fixed to; also where its place cannot be read."""
     try:
@@ -260,7 +256,7 @@ def _tool(last: str, tree: Tree) -> str:
     if len(ends) == 1:
         return ends[0]
     for name in TOOL_LINKS:
-        called = [link for link in tree.under(last) if re.search(rf"(^|[^a-z0-9]){name}$", link, re.IGNORECASE)]
+        called = [link for link in tree.under(last) if _called(name, link)]
         if len(called) == 1:
             return called[0]
     try:
@@ -279,6 +275,10 @@ def _tool(last: str, tree: Tree) -> str:
         consequence="Which of them is the tool is not known, and poses of the one are wrong for the other",
         cure=f"Name it with --tip, such as --tip {ends[0]}",
     )
+
+
+def _called(name: str, link: str) -> bool:
+    return re.search(rf"(^|[^a-z0-9]){name}$", link, re.IGNORECASE) is not None
 
 
 def _count(chain: list[UrdfJoint]) -> str:
@@ -338,11 +338,11 @@ def _limit(joint: UrdfJoint, key: str) -> float:
     limit = joint.element.find("limit")
     text = None if limit is None else limit.get(key)
     value = float(numbers(text, "0", 1, f"{joint.at}: {key} limit", endless=True)[0])
-    return math.copysign(math.inf, value) if abs(value) >= _endless(joint) else value
-
-
-def _endless(joint: UrdfJoint) -> float:
-    return ENDLESS_SLIDE_M if joint.type == "prismatic" else ENDLESS
+    return (
+        math.copysign(math.inf, value)
+        if abs(value) >= (ENDLESS_SLIDE_M if joint.type == "prismatic" else ENDLESS)
+        else value
+    )
 
 
 def _check_unit(joint: UrdfJoint, lower: float, upper: float) -> None:

@@ -19,18 +19,7 @@ from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import PoseStatus
-from armsight.store.covariances import (
-    COVARIANCE,
-    LIGHTS,
-    LIGHTS_STD,
-    SYSTEMATIC,
-    SYSTEMATIC_COVARIANCE,
-    UNCORRELATED,
-    VELOCITY,
-    VELOCITY_STD,
-    covariances,
-    has_correlations,
-)
+from armsight.store import covariances
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.lost import NOTHING_LEFT, lost_rows, lost_words, without_rare_rotations
 from armsight.store.tables import Table, no_rows, parse_table
@@ -39,8 +28,18 @@ from armsight.verify import Measured, Repeats, Reported
 WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag", "approach", "arrival", "robot")
 GOAL = tuple(f"goal_{name}" for name in (*POSITION, *QUATERNION))
 NUMBERS = (
-    *("t_s", *POSITION, *QUATERNION, *POSE6_STD, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD),
-    *(*COVARIANCE, *SYSTEMATIC_COVARIANCE, *GOAL, "speed_m_s"),
+    *(
+        "t_s",
+        *POSITION,
+        *QUATERNION,
+        *POSE6_STD,
+        *covariances.SYSTEMATIC,
+        *covariances.LIGHTS,
+        *covariances.LIGHTS_STD,
+        *covariances.VELOCITY,
+        *covariances.VELOCITY_STD,
+    ),
+    *(*covariances.COVARIANCE, *covariances.SYSTEMATIC_COVARIANCE, *GOAL, "speed_m_s"),
 )
 KNOWN = frozenset((*NUMBERS, *WORDS))
 """Columns that mean something here, beside q1 .. qn; others are passed over."""
@@ -100,7 +99,6 @@ class _Rows:
             raise BadFile(
                 f"{self.table.where}: of {', '.join(names)} only {', '.join(there)} "
                 f"{'is' if len(there) == 1 else 'are'} there",
-                consequence="The file is not used",
                 cure="Give all of them, or none",
             )
         return bool(there)
@@ -129,14 +127,11 @@ def read_measured(path: Path, format_: TableFormat = OURS) -> MeasuredFile:
 def _parse(
     data: bytes, where: str, required: tuple[str, ...], *, measured: bool = True, rotations: bool = True
 ) -> _Rows:
-    """Return the table of a file, torn rows left out and counted, lost ones named.
-
-    rotations: the table is of no use without them; else they are left out where most rows have none.
-    """
+    """Return a file's table, torn rows counted, lost ones named; rotations: rows are of no use without them."""
     lines = data.splitlines(keepends=True)
     torn = [i for i, line in enumerate(lines, start=1) if NUL in line]
     if 1 in torn:
-        raise BadFile(f"{where}: NUL bytes in the first line", consequence="It cannot be read", cure="Save it as text")
+        raise BadFile(f"{where}: NUL bytes in the first line", cure="Save it as text")
     clean = b"".join(b"\n" if NUL in line else line for line in lines)
     header = _header(clean)
     unused = tuple(
@@ -176,7 +171,6 @@ def _header(data: bytes) -> list[str]:
 
 
 def _measured(rows: _Rows) -> MeasuredFile:
-    """Return what a table of measurements says."""
     table = rows.table
     turned = rows.has(QUATERNION) and not np.isnan(table.stacked(QUATERNION)).all()
     quat = table.stacked(QUATERNION) if turned else None
@@ -196,8 +190,8 @@ def _measured(rows: _Rows) -> MeasuredFile:
         point=_labels(table, index),
     )
     notes = [*rows.notes, *([lost_words(lost, table)] if lost else [])]
-    if measured.covariance is not None and not has_correlations(table.numbers):
-        notes.append(f"the file {UNCORRELATED}")
+    if measured.covariance is not None and not covariances.has_correlations(table.numbers):
+        notes.append(f"the file {covariances.UNCORRELATED}")
     notes += [f"columns not used: {', '.join(rows.unused)[:200]}"] if rows.unused else []
     return MeasuredFile(
         measured=measured,
@@ -239,7 +233,7 @@ def _covariance(table: Table, index: Index, turned: bool) -> Array | None:
     std = table.stacked(names)[index]
     if np.isnan(std).any() or not std[:, :3].any():
         return None
-    return _in_six(covariances(table, std, index.tolist()))
+    return _in_six(covariances.covariances(table, std, index.tolist()))
 
 
 def _in_six(covariance: Array) -> Array:
@@ -280,25 +274,23 @@ def _poses(table: Table, index: Index) -> Array | None:
 
 
 def _repeats(table: Table, index: Index) -> Repeats:
-    """Return which repeat each row is of, and the part of its standard deviations that all share."""
     none = ("",) * len(table)
     words = {
         name: tuple(table.text.get(name, none)[i].strip() for i in index)
         for name in ("pose", "visit", "run", "tag", "approach", "arrival", "robot")
     }
     systematic = None
-    if all(name in table.numbers for name in SYSTEMATIC[:3]):
-        there = tuple(name for name in SYSTEMATIC if name in table.numbers)
+    if all(name in table.numbers for name in covariances.SYSTEMATIC[:3]):
+        there = tuple(name for name in covariances.SYSTEMATIC if name in table.numbers)
         std = np.nan_to_num(table.stacked(there)[index])
-        systematic = _in_six(covariances(table, std[:, : 6 if len(there) == 6 else 3], index.tolist(), "sys_"))
+        systematic = _in_six(
+            covariances.covariances(table, std[:, : 6 if len(there) == 6 else 3], index.tolist(), "sys_")
+        )
     return Repeats(path=words.pop("tag"), systematic=systematic, **words)
 
 
 def read_reported_joints(path: Path, format_: TableFormat = OURS) -> Reported:
-    """Return joint readings q1..qn of a file, with t_s or without; rows torn by NUL bytes are NaN.
-
-    Raises BadFile that names line and column.
-    """
+    """Return joint readings q1..qn, with t_s or without; rows torn by NUL bytes are NaN. Raises BadFile."""
     rows = _parse(standard_bytes(path, "reported", format_), str(path), ("q1",))
     if rows.lost:
         format_.notify(f"{path.name}: {lost_words(rows.lost, rows.table)}")
@@ -308,10 +300,7 @@ def read_reported_joints(path: Path, format_: TableFormat = OURS) -> Reported:
 
 
 def read_commanded(path: Path, format_: TableFormat = OURS) -> CommandedFile:
-    """Return commanded poses of a path.csv, a plan.csv, a poses.csv or a TUM.
-
-    Raises BadFile that names line and column.
-    """
+    """Return commanded poses of a path.csv, plan.csv, poses.csv or TUM. Raises BadFile that names line and column."""
     rows = _parse(standard_bytes(path, "measured", format_), str(path), POSITION, measured=False)
     turned = rows.has(QUATERNION)
     T = np.tile(np.eye(4), (rows.n, 1, 1))

@@ -172,7 +172,7 @@ def parse_yaml(data: bytes, where: str) -> dict[str, Any]:
     value = _guarded(_without_opencv_header(_decoded(data, where)), where)
     if not isinstance(value, dict):
         found = "empty" if value is None else f"a {type(value).__name__}, not a mapping of keys to values"
-        raise BadFile(f"{where}: the file is {found}", consequence="It says nothing", cure="Check the file")
+        raise BadFile(f"{where}: the file is {found}", cure="Check the file")
     return value
 
 
@@ -181,9 +181,7 @@ def _decoded(data: bytes, where: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadFile(
-            f"{where}: byte {error.start} is not UTF-8 text",
-            consequence="The file cannot be read",
-            cure="Save it as UTF-8, or check that it is not a binary file",
+            f"{where}: byte {error.start} is not UTF-8 text", cure="Save it as UTF-8; it may be a binary file"
         ) from error
 
 
@@ -230,14 +228,11 @@ def _refuse_explosion(root: yaml.Node) -> None:
 
 
 def _not_yaml(position: str, reason: str) -> BadFile:
-    return BadFile(f"{position}: {reason}", consequence="The file cannot be read", cure="Correct it there")
+    return BadFile(f"{position}: {reason}", cure="Correct it there")
 
 
 def parse_yaml_documents(data: bytes, where: str) -> list[Any]:
-    """Return the documents in YAML bytes (UTF-8), of whatever kind, apart by '---'; JSON is YAML too.
-
-    The limits of parse_yaml hold for each document. Raises BadFile and nothing else.
-    """
+    """Return the documents in YAML (or JSON) bytes, apart by '---', each within parse_yaml's limits. Raises BadFile."""
     text = _without_opencv_header(_decoded(data, where))
     out = []
     for part in re.split(r"(?m)^---[ \t]*$", text):

@@ -14,28 +14,19 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, ZoomLens, ZoomSetting
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel
 from armsight.records.camera import TIMING
-from armsight.store.codec import (
-    Count,
-    CovarianceModel,
-    Finite,
-    Strict,
-    covariance_mapping,
-    mapping,
-    record_of,
-    structure,
-)
+from armsight.store import codec
 from armsight.store.schema import Kind, Origin, read_document, write_document
 
 
-class TimingKey(structure(CameraTiming)):  # type: ignore[misc]  # made of the record's fields
+class TimingKey(codec.structure(CameraTiming)):  # type: ignore[misc]  # made of the record's fields
     """A camera's timing; times in s. std: standard deviations, each by itself; covariance counts before it."""
 
     record = CameraTiming
-    std: dict[str, Finite | None] | None = None
+    std: dict[str, codec.Finite | None] | None = None
 
-    def timing(self) -> CameraTiming:
+    def made(self) -> CameraTiming:
         """Return the record; Inconsistent where no camera can be like this."""
-        timing: CameraTiming = record_of(self)
+        timing: CameraTiming = super().made()
         given = {name: value for name, value in (self.std or {}).items() if value is not None}
         unknown = [name for name in self.std or () if name not in TIMING]
         if unknown or any(value < 0.0 for value in given.values()):
@@ -48,27 +39,27 @@ class TimingKey(structure(CameraTiming)):  # type: ignore[misc]  # made of the r
 
 def timing_mapping(timing: CameraTiming) -> dict[str, Any]:
     """Return a camera's timing as files hold it."""
-    content = mapping(timing)
+    content = codec.mapping(timing)
     return content if timing.covariance is None else content | {"std": timing.std}
 
 
-NoiseKey = structure(NoiseModel)
+NoiseKey = codec.structure(NoiseModel)
 
 
-NotNegative = Annotated[Finite, Field(ge=0.0)]
+NotNegative = Annotated[codec.Finite, Field(ge=0.0)]
 
 
-class LensModel(Strict):
+class LensModel(codec.Strict):
     """Intrinsics in px; distortion k1, k2, p1, p2, k3, of a fisheye lens k1, k2, k3, k4."""
 
     lens: Literal["pinhole", "fisheye"] = "pinhole"
 
-    fx: Finite
-    fy: Finite
-    cx: Finite
-    cy: Finite
-    skew: Finite = 0.0
-    distortion: Annotated[list[Finite], Field(min_length=4, max_length=5)]
+    fx: codec.Finite
+    fy: codec.Finite
+    cx: codec.Finite
+    cy: codec.Finite
+    skew: codec.Finite = 0.0
+    distortion: Annotated[list[codec.Finite], Field(min_length=4, max_length=5)]
 
     @model_validator(mode="after")
     def _coefficients(self) -> Self:
@@ -86,11 +77,11 @@ class LensModel(Strict):
         return make(width, height, self.fx, self.fy, self.cx, self.cy, skew=self.skew, distortion=self.distortion)
 
 
-class SizeModel(Strict):
+class SizeModel(codec.Strict):
     """The size of a camera's images in px."""
 
-    width: Count
-    height: Count
+    width: codec.Count
+    height: codec.Count
 
 
 class IntrinsicsModel(LensModel, SizeModel):
@@ -104,20 +95,20 @@ class IntrinsicsModel(LensModel, SizeModel):
 class ZoomSettingModel(LensModel):
     """A camera calibrated at one value of its zoom."""
 
-    zoom: Finite
-    pupil_m: Finite | None = None
+    zoom: codec.Finite
+    pupil_m: codec.Finite | None = None
     pupil_std_m: NotNegative = 0.0
-    rms_px: Finite | None = None
-    covariance: CovarianceModel | None = None
+    rms_px: codec.Finite | None = None
+    covariance: codec.CovarianceModel | None = None
 
 
 Settings = Annotated[list[ZoomSettingModel], Field(min_length=1, max_length=100)]
 
 
-class MountedZoomModel(Strict):
+class MountedZoomModel(codec.Strict):
     """The settings of a rig's camera; at: the zoom at which the rig was calibrated."""
 
-    at: Finite
+    at: codec.Finite
     settings: Settings
 
     def lens(self, width: int, height: int) -> ZoomLens:
@@ -129,8 +120,8 @@ class ZoomCameraModel(Origin):
     """camera.yaml of a zoom lens: the settings in place of one camera's intrinsics."""
 
     format: Literal["armsight/camera"] = "armsight/camera"
-    width: Count
-    height: Count
+    width: codec.Count
+    height: codec.Count
     zoom: Settings
     noise: NoiseKey | None = None  # type: ignore[valid-type]  # of the record
     timing: TimingKey | None = None
@@ -166,8 +157,7 @@ def read_zoom_camera(path: Path) -> ZoomCameraFile:
 def _zoom_camera(model: ZoomCameraModel) -> ZoomCameraFile:
     return ZoomCameraFile(
         lens=_lens(model.zoom, model.width, model.height),
-        noise=None if model.noise is None else record_of(model.noise),
-        timing=None if model.timing is None else model.timing.timing(),
+        **codec.values(model, "noise", "timing"),
         inputs=[item.model_dump() for item in model.inputs],
     )
 
@@ -178,7 +168,7 @@ def _content(file: ZoomCameraFile) -> dict[str, Any]:
         "width": width,
         "height": height,
         "zoom": settings_mapping(file.lens),
-        "noise": mapping(file.noise) if file.noise else None,
+        "noise": codec.mapping(file.noise) if file.noise else None,
         "timing": timing_mapping(file.timing) if file.timing else None,
     }
 
@@ -223,7 +213,7 @@ def _setting_mapping(one: ZoomSetting) -> dict[str, Any]:
     if one.rms_px is not None:
         out["rms_px"] = one.rms_px
     if one.covariance is not None:
-        out["covariance"] = covariance_mapping(one.covariance)
+        out["covariance"] = codec.covariance_mapping(one.covariance)
     return out
 
 
@@ -231,12 +221,8 @@ def _lens(settings: Sequence[ZoomSettingModel], width: int, height: int) -> Zoom
     return ZoomLens(
         settings=tuple(
             ZoomSetting(
-                zoom=one.zoom,
                 camera=one.of_size(width, height),
-                covariance=one.covariance.covariance() if one.covariance else None,
-                rms_px=one.rms_px,
-                pupil_m=one.pupil_m,
-                pupil_std_m=one.pupil_std_m,
+                **codec.values(one, "zoom", "covariance", "rms_px", "pupil_m", "pupil_std_m"),
             )
             for one in settings
         )

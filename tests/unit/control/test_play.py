@@ -244,7 +244,7 @@ def test_a_turn_over_is_refused_and_one_place_is_no_path() -> None:
 def test_corners_are_rounded_by_what_the_plan_tells_and_ends_stay() -> None:
     corner = through([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.03, 0.03, 0.0]])
     plan = plan_path(corner, ARM, Limits(), Q, replace(FAST, blend_m=0.004))
-    places = STAND.inv().apply(plan.seam_m)
+    places = STAND.inv().apply(plan.paced_m)
     off = np.linalg.norm(places - [0.03, 0.0, 0.0], axis=1).min()
     assert 2e-4 < plan.rounded_m < 8e-4
     assert off == pytest.approx(plan.rounded_m, rel=0.03)  # between two samples

@@ -62,8 +62,9 @@ def test_what_was_asked_and_not_sent_is_forgotten_by_a_hold() -> None:
     [(np.zeros(2), UsageError), (np.full(3, np.nan), Inconsistent), (np.array([0.0, np.inf, 0.0]), Inconsistent)],
 )
 def test_nonsense_is_refused(step: np.ndarray, kind: type[ArmsightError]) -> None:
-    with refuses(kind, "step", consequence="Nothing was sent"):
+    with refuses(kind, "step") as refused:
         goals(np.zeros(3)).step(step, np.zeros(3))
+    assert refused.value.consequence.startswith("Nothing was")
 
 
 @pytest.mark.parametrize(("lower", "speed"), [([0.0, 0.0, 2.0], 1.0), ([0.0, 0.0], 1.0), ([0.0, 0.0, 0.0], 0.0)])

@@ -17,7 +17,7 @@ from armsight.store.interpret.names import ROLES
 from armsight.store.interpret.read import is_ours
 from armsight.store.limits_file import limits_from_mapping
 from armsight.store.path_file import PLAN_COLUMNS, parse_path
-from armsight.store.rigs import CameraModel, rig_from_mapping, world_from_mapping
+from armsight.store.rigs import WORLD_YAML, CameraModel, rig_from_mapping
 from armsight.store.spots_csv import parse_picks, parse_spot_track
 from armsight.store.tables import parse_table
 from armsight.store.targets import target_from_mapping
@@ -44,7 +44,7 @@ READERS = {
     "zoom": lambda content: zoom_camera_from_mapping(content, "x"),
     "armsight/target": target_from_mapping,
     "armsight/arm": arm_from_mapping,
-    "armsight/world": world_from_mapping,
+    "armsight/world": WORLD_YAML.parse,
     "armsight/handeye": lambda content: validated(HandEyeModel, content, "x"),
     "armsight/tip": lambda content: validated(TipModel, content, "x"),
     "armsight/limits": limits_from_mapping,

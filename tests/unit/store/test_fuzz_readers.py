@@ -13,7 +13,7 @@ from armsight.store.foreign.kalibr import kalibr_rig
 from armsight.store.foreign.opencv import opencv_camera, opencv_rig
 from armsight.store.foreign.ros import ros_camera, ros_rig
 from armsight.store.foreign.storage import kind_of_mapping
-from armsight.store.rigs import world_from_mapping
+from armsight.store.rigs import WORLD_YAML
 from armsight.store.spots_csv import parse_spot_track
 from armsight.store.tracks import parse_joints, parse_poses, parse_times
 from armsight.store.yamls import dump_yaml, parse_yaml
@@ -35,7 +35,7 @@ TABLES = (parse_poses, parse_joints, parse_times, parse_spot_track)
 MAPPINGS = {
     "rig": store.rig_from_mapping,
     "target": store.target_from_mapping,
-    "world": world_from_mapping,
+    "world": WORLD_YAML.parse,
     "ros": lambda content: ros_camera(content, "x"),
     "ros pair": lambda content: ros_rig(content, content, "x", "y"),
     "opencv": lambda content: opencv_camera(content, "x"),

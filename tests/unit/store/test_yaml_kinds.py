@@ -299,13 +299,13 @@ def test_a_file_of_another_format_is_told_apart(tmp_path):
 
 
 def test_world_wants_exactly_one_parent():
-    from armsight.store.rigs import world_from_mapping
+    from armsight.store.rigs import WORLD_YAML
 
     pose = {"xyz_m": [0.0, 0.0, 0.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
-    assert world_from_mapping({"T_base_rig": pose}).parent == "base"
+    assert WORLD_YAML.parse({"T_base_rig": pose}).parent == "base"
     for content in ({}, {"T_base_rig": pose, "T_world_rig": pose}):
         with refuses(BadFile, "exactly one"):
-            world_from_mapping(content)
+            WORLD_YAML.parse(content)
 
 
 def test_numpy_values_are_taken_as_numbers():

@@ -3,17 +3,3 @@
 from armsight.control.guard.decision import Decision, GuardEvent, GuardState, Inputs, TargetState
 from armsight.control.guard.guard import Guard
 from armsight.control.guard.limits import Box, JointBounds, JointLimit, Limits, joint_bounds
-
-__all__ = [
-    "Box",
-    "Decision",
-    "Guard",
-    "GuardEvent",
-    "GuardState",
-    "Inputs",
-    "JointBounds",
-    "JointLimit",
-    "Limits",
-    "TargetState",
-    "joint_bounds",
-]

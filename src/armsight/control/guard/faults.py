@@ -20,10 +20,7 @@ from armsight.units import MS
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What is wrong and the state that it leads to. kind: its name, the same while it lasts; why: in words.
-
-    without_robot: nothing can be sent any more.
-    """
+    """What is wrong and the state it leads to. kind: its name; why: in words. without_robot: nothing can be sent."""
 
     state: GuardState
     kind: str

@@ -41,7 +41,7 @@ class Guard:
     def __init__(self, arm: Arm, limits: Limits, cycle_s: float) -> None:
         """Take the robot's arm, cycle_s in s; raises UsageError, Inconsistent where limits and arm do not fit."""
         if not cycle_s > 0.0:
-            raise UsageError(f"a cycle of {cycle_s} s cannot be", consequence="The robot is not moved")
+            raise UsageError(f"a cycle of {cycle_s} s cannot be")
         self.arm, self.limits, self.cycle_s = arm, limits, cycle_s
         self.bounds = joint_bounds(arm, limits)
         self._follower = Follower(arm, limits, self.bounds, cycle_s)
@@ -165,7 +165,6 @@ class Guard:
         return max(faults, key=lambda fault: (fault.without_robot, SEVERITY[fault.state]), default=None)
 
     def _followed(self, wanted: SetPoint) -> tuple[Move | None, Fault | None]:
-        """Return the move of a set point, or why there is none; one that met a limit first comes to rest there."""
         if self._refused is not None and not self._follower.now.at_rest:
             return None, self._refused
         move, fault = self._follower.tried(wanted, 1.0)

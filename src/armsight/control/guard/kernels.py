@@ -22,10 +22,7 @@ BELOW_ACCELERATION = 0.85
 
 
 class Motion(NamedTuple):
-    """A motion in m positions: joint readings q (m, n), moving at qd and qdd (m, n).
-
-    T (m, 4, 4), J (m, 6, n): pose and Jacobian of the tool in world axes there.
-    """
+    """A motion in m positions: readings q (m, n), qd and qdd; T (m, 4, 4) and J (m, 6, n) of the tool in world axes."""
 
     T: Any
     J: Any

@@ -40,9 +40,7 @@ def check_fit(arm: Arm, limits: Limits) -> None:
     for given in (len(limits.joints) or arm.n, arm.n if limits.retreat is None else len(limits.retreat)):
         if given != arm.n:
             raise UsageError(
-                f"the limits are those of {given} joints, {arm.name} has {arm.n}",
-                consequence="The robot is not moved",
-                cure="Take the limits of this arm",
+                f"the limits are those of {given} joints, {arm.name} has {arm.n}", cure="Take the limits of this arm"
             )
     for j, row in enumerate(limits.joints):
         _check_joint(arm, j, row)

@@ -6,31 +6,3 @@ from armsight.control.paths.exports import krl, python_module, rapid, urscript
 from armsight.control.paths.outliers import PathOutlier, outliers, without_rows
 from armsight.control.paths.program import Program, ProgramMove, program_moves, with_approach
 from armsight.control.paths.smoothing import filleted, moved_by, smoothed
-
-__all__ = [
-    "PathCheck",
-    "PathIssue",
-    "PathOutlier",
-    "PathTrouble",
-    "Program",
-    "ProgramMove",
-    "check_path",
-    "corners",
-    "filleted",
-    "joined",
-    "krl",
-    "moved_by",
-    "offset_along_tool",
-    "outliers",
-    "poses_at",
-    "program_moves",
-    "python_module",
-    "rapid",
-    "resampled",
-    "reversed_path",
-    "smoothed",
-    "tilted",
-    "urscript",
-    "with_approach",
-    "without_rows",
-]

@@ -30,19 +30,12 @@ MOST_ROWS = 200_000
 def positive(name: str, value: float) -> float:
     """Return a value that must be a finite number above zero; raises UsageError otherwise."""
     if not (math.isfinite(value) and value > 0.0):
-        raise UsageError(
-            f"{name} is {value:g}, which is no length above zero",
-            consequence="The path is left as it is",
-            cure="Give it in m",
-        )
+        raise UsageError(f"{name} is {value:g}, which is no length above zero", cure="Give it in m")
     return value
 
 
 def moving(path: TaughtPath) -> Array:
-    """Return the length (n,) up to each row of a path that moves at every row.
-
-    Raises NotEnoughData below two rows, Inconsistent where two rows are at one position.
-    """
+    """Return the length (n,) up to each row of a path that always moves. Raises NotEnoughData, Inconsistent."""
     if len(path) < 2:
         raise NotEnoughData(f"a path of {len(path)} poses has no length", cure="Give at least two poses")
     still = np.diff(path.length_m) <= 0.0
@@ -204,18 +197,11 @@ MOST_OFFSET_M = 2.0
 
 
 def offset_along_tool(path: TaughtPath, by_m: float) -> TaughtPath:
-    """Return the path with every pose moved by by_m along its own tool axis z; negative: back from the work.
-
-    Raises UsageError where by_m is not finite, or beyond MOST_OFFSET_M.
-    """
+    """Return the path moved by by_m along the tools' own z, negative: back. Raises UsageError beyond MOST_OFFSET_M."""
     if not math.isfinite(by_m):
-        raise UsageError(f"an offset of {by_m:g} m is none", consequence="The path is left as it is")
+        raise UsageError(f"an offset of {by_m:g} m is none")
     if abs(by_m) > MOST_OFFSET_M:
-        raise UsageError(
-            f"an offset of {by_m:g} m is beyond {MOST_OFFSET_M:g} m",
-            consequence="The path is left as it is",
-            cure="Give it in m; 10 mm are 0.01",
-        )
+        raise UsageError(f"an offset of {by_m:g} m is beyond {MOST_OFFSET_M:g} m", cure="Give it in m; 10 mm are 0.01")
     T = path.T_world_tip.copy()
     T[:, :3, 3] += by_m * T[:, :3, 2]
     return replace(path, T_world_tip=T)
@@ -235,7 +221,6 @@ def tilted(
         if not abs(angle) <= MOST_TILT_RAD:
             raise UsageError(
                 f"a tilt of {angle / DEG:g} deg is beyond {MOST_TILT_RAD / DEG:g} deg",
-                consequence="The path is left as it is",
                 cure="Give the angle in the unit asked for, and a smaller one",
             )
     s = moving(path)

@@ -18,7 +18,7 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm, JointPath, track_path
 from armsight.kinematics.closed_form import singularity_distance
 from armsight.kinematics.path import JUMP
-from armsight.records import TaughtPath, frozen_array
+from armsight.records import TaughtPath, freeze
 from armsight.records.output import Output, output
 
 SLACK = 1e-9
@@ -72,8 +72,7 @@ class PathCheck:
     issues: tuple[PathIssue, ...]
 
     def __post_init__(self) -> None:
-        for name in ("q", "t_s", "joint_speed"):
-            object.__setattr__(self, name, frozen_array(name, getattr(self, name), getattr(self, name).shape))
+        freeze(self, q=self.q.shape, t_s=self.t_s.shape, joint_speed=self.joint_speed.shape)
 
     @property
     def ok(self) -> bool:
@@ -138,7 +137,7 @@ def _times(path: TaughtPath, limits: Limits, speed_m_s: float | None) -> tuple[A
     """Return the times (n,) of the rows and the speed (n - 1,) of each step; turns in place take what limits allow."""
     open_speed = limits.speed_m_s if speed_m_s is None else speed_m_s
     if not (np.isfinite(open_speed) and open_speed > 0.0):
-        raise UsageError(f"the speed {open_speed:g} m/s is not positive", consequence="The path is not checked")
+        raise UsageError(f"the speed {open_speed:g} m/s is not positive")
     speed = np.where(np.isfinite(path.speed_m_s), path.speed_m_s, open_speed)[:-1]
     took = np.diff(path.length_m) / speed
     turn = _turns(path.T_world_tip)
@@ -153,7 +152,6 @@ def _turns(T: Array) -> Array:
 
 
 def _tracked(track: JointPath) -> list[PathIssue]:
-    """Return reach, jumps, branches and passages of singularities; ranges and speeds are those of the limits."""
     kinds = ("unreached", "jump", "branch", "singular")
     issues = []
     for found in track.issues:
@@ -193,7 +191,6 @@ def _tool(T: Array, t_s: Array, speed: Array, limits: Limits) -> list[PathIssue]
 
 
 def _joints(arm: Arm, q: Array, rate: Array, lower: Array, upper: Array, fastest: Array) -> list[PathIssue]:
-    """Return readings beyond their ranges, and joints that would run too fast."""
     issues = []
     own = arm.values(q) if len(q) else q
     low, high = np.maximum(lower - q, arm.lower - own), np.maximum(q - upper, own - arm.upper)
@@ -224,7 +221,6 @@ def _singular(arm: Arm, values: Array, limits: Limits) -> list[PathIssue]:
 
 
 def _boxes(arm: Arm, T_base_tip: Array, limits: Limits) -> list[PathIssue]:
-    """Return rows whose tool or flange is, there or on the straight way to it, outside the workspace or in a box."""
     T_base_flange = T_base_tip @ arm.T_flange_tool.inv().as_matrix()
     issues = []
     for name, xyz in (("tool", T_base_tip[:, :3, 3]), ("flange", T_base_flange[:, :3, 3])):

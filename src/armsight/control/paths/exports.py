@@ -13,10 +13,9 @@ from armsight.control.paths.program import (
     JOINT_SPEED,
     NAME,
     Program,
-    ascii_only,
     decimals,
     in_degrees,
-    weld_state,
+    tag_line,
 )
 from armsight.errors import UsageError
 from armsight.records import TaughtPath
@@ -35,7 +34,6 @@ def krl(program: Program) -> str:
     if tool is None:
         raise UsageError(
             "KRL names its tool by number, and none is given",
-            consequence="No program is written",
             cure="Give the number of TOOL_DATA that holds this tool (--tool)",
         )
     weld = _number("weld output", output, 1, 4096)
@@ -67,7 +65,7 @@ def krl(program: Program) -> str:
                 lines.append(f"$APO.CDIS={decimals(blend / MM, 4)}")
             lines.append(f"LIN {_frame(RigidTransform.from_matrix(move.T_base_tip))}{' C_DIS' * (move.blend_m > 0.0)}")
         if move.tag:
-            lines += _krl_tag(move.tag, weld)
+            lines.append(tag_line(move.tag, weld, lambda on: f"$OUT[{weld}]={str(on).upper()}", "; {}"))
     return "\r\n".join([*lines, "END", ""])
 
 
@@ -90,18 +88,9 @@ def _number(what: str, text: str | None, lowest: int, highest: int) -> int | Non
         return None
     if not (text.isascii() and text.isdecimal() and lowest <= int(text) <= highest):
         raise UsageError(
-            f"{text[:20]!r} is no {what} of a KUKA controller",
-            consequence="No program is written",
-            cure=f"Give a number from {lowest} to {highest}",
+            f"{text[:20]!r} is no {what} of a KUKA controller", cure=f"Give a number from {lowest} to {highest}"
         )
     return int(text)
-
-
-def _krl_tag(tag: str, output: int | None) -> list[str]:
-    on = weld_state(tag)
-    if on is None or output is None:
-        return [f"; {ascii_only(tag)}"]
-    return [f"$OUT[{output}]={'TRUE' if on else 'FALSE'}"]
 
 
 SIGNAL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
@@ -117,16 +106,15 @@ def rapid(program: Program) -> str:
     position blend_m wide, and half as much again for rotations, as ABB's own. wobj0 is the world: the robot's base
     where the controller has not moved it. Raises UsageError where tool or weld output are no names.
     """
+    output = program.weld_output
     if program.tool is None or NAME.fullmatch(program.tool) is None:
         raise UsageError(
             "RAPID names its tool, and no name that it takes is given",
-            consequence="No program is written",
             cure="Give the name of the tooldata of this tool (--tool)",
         )
-    if program.weld_output is not None and SIGNAL.fullmatch(program.weld_output) is None:
+    if output is not None and SIGNAL.fullmatch(output) is None:
         raise UsageError(
-            f"{program.weld_output[:20]!r} is no name of a signal",
-            consequence="No program is written",
+            f"{output[:20]!r} is no name of a signal",
             cure="Give the name of the digital output in the controller",
         )
     lines = [
@@ -148,7 +136,7 @@ def rapid(program: Program) -> str:
             target = f"[{_rapid_pose(RigidTransform.from_matrix(move.T_base_tip))},[0,0,0,0],{NO_AXES}]"
             lines.append(f"    MoveL {target},{speed},{_zone(move.blend_m)},{program.tool}\\WObj:=wobj0;")
         if move.tag:
-            lines += _rapid_tag(move.tag, program.weld_output)
+            lines.append(tag_line(move.tag, output, lambda on: f"    SetDO {output},{int(on)};", "    ! {}"))
     return "\r\n".join([*lines, "  ENDPROC", "ENDMODULE", ""])
 
 
@@ -169,25 +157,15 @@ def _rapid_tool_note(T: RigidTransform | None) -> str:
     return "the tool the path was taught with." if T is None else f"[TRUE,[{_rapid_pose(T)}], ...]"
 
 
-def _rapid_tag(tag: str, output: str | None) -> list[str]:
-    on = weld_state(tag)
-    if on is None or output is None:
-        return [f"    ! {ascii_only(tag)}"]
-    return [f"    SetDO {output},{int(on)};"]
-
-
 JOINT_ACCELERATION = 0.5
 
 
 def urscript(program: Program) -> str:
-    """Return the program as a URScript function: metres, radians, rotation vectors, poses in the robot's base.
-
-    Raises UsageError for a weld output that is no number from 0 to 7.
-    """
-    if program.weld_output is not None and program.weld_output not in tuple("01234567"):
+    """Return a URScript function: m, rad, rotation vectors in base. Raises UsageError for an output not 0 to 7."""
+    output = program.weld_output
+    if output is not None and output not in tuple("01234567"):
         raise UsageError(
-            f"{program.weld_output[:20]!r} is no standard digital output of a Universal Robots controller",
-            consequence="No program is written",
+            f"{output[:20]!r} is no standard digital output of a Universal Robots controller",
             cure="Give a number from 0 to 7",
         )
     lines = [f"def {program.name}():", "  # Poses are of the tool's tip in the base frame, m and rad."]
@@ -206,20 +184,13 @@ def urscript(program: Program) -> str:
                 f"v={move.speed_m_s:.6g}, r={decimals(move.blend_m, 6)})"
             )
         if move.tag:
-            lines += _ur_tag(move.tag, program.weld_output)
+            lines.append(tag_line(move.tag, output, lambda on: f"  set_standard_digital_out({output}, {on})", "  # {}"))
     return "\n".join([*lines, "end", ""])
 
 
 def _ur_pose(T: RigidTransform) -> str:
     values = [*T.translation, *T.rotation.as_rotvec()]
     return f"p[{', '.join(decimals(float(value), 6) for value in values)}]"
-
-
-def _ur_tag(tag: str, output: str | None) -> list[str]:
-    on = weld_state(tag)
-    if on is None or output is None:
-        return [f"  # {ascii_only(tag)}"]
-    return [f"  set_standard_digital_out({output}, {on})"]
 
 
 def python_module(path: TaughtPath, name: str = "PATH") -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from armsight.control.guard.limits import JointBounds
 from armsight.control.paths.linuxcnc import MARGINS, STOP_S, Axes, LinuxcncPlan
-from armsight.control.paths.program import ascii_only, decimals, weld_state
+from armsight.control.paths.program import ascii_only, decimals, tag_line
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.units import DEG, MM
@@ -24,14 +24,10 @@ OUTPUTS = 64
 def gcode(
     name: str, plan: LinuxcncPlan, controller: Arm, axes: Axes, bounds: JointBounds, weld_output: str | None
 ) -> str:
-    """Return the program. controller: in Craig's convention, as genserkins takes it.
-
-    Raises UsageError for what is no digital output.
-    """
+    """Return the program; controller: in Craig's convention, for genserkins. Raises UsageError for no output."""
     if weld_output is not None and not (weld_output.isdecimal() and int(weld_output) < OUTPUTS):
         raise UsageError(
             f"{weld_output[:20]!r} is no digital output of LinuxCNC",
-            consequence="No program is written",
             cure=f"Give the number of a motion.digital-out, from 0 to {OUTPUTS - 1}",
         )
     blend_m = max(line.blend_m for line in plan.lines)
@@ -48,7 +44,10 @@ def gcode(
         if line.tag or (blend_m > 0.0 and line.blend_m == 0.0):
             lines.append(f"G4 P{STOP_S:g}")  # it stops, and whatever follows waits for that
         if line.tag:
-            lines.append(_tag(line.tag, weld_output))
+            tag = line.tag.replace("(", "[").replace(")", "]")
+            lines.append(
+                tag_line(tag, weld_output, lambda on: f"{'M64' if on else 'M65'} P{int(weld_output or 0)}", "( {} )")
+            )
     return "\n".join([*lines, "M2", ""])
 
 
@@ -104,10 +103,3 @@ def _ended(number: int, any_of: Sequence[str], why: str) -> list[str]:
     """Return what ends the program where any of these holds; a line of G-code has 255 characters at most."""
     lines = ["#<_no> = 0", *(f"#<_no> = [#<_no> OR [{one}]]" for one in any_of)]
     return [*lines, f"o{number} if [#<_no>]", f"(abort, {why})", f"o{number} endif"]
-
-
-def _tag(tag: str, output: str | None) -> str:
-    on = weld_state(tag)
-    if on is None or output is None:
-        return f"( {ascii_only(tag).replace('(', '[').replace(')', ']')} )"
-    return f"{'M64' if on else 'M65'} P{int(output)}"

@@ -265,14 +265,9 @@ def _line(
         xyz_m=xyz[end],
         abc_rad=abc[end],
         speed=(far_m if far_m > NEVER else wide_rad) / max(took_s, SAMPLE_S),
-        blend_m=0.0 if last or (at_row and move.blend_m == 0.0) else max(move.blend_m, _blend(moves)),
+        blend_m=0.0 if last or (at_row and move.blend_m == 0.0) else max(each.blend_m for each in (move, *moves)),
         tag=move.tag if at_row else "",
     )
-
-
-def _blend(moves: Sequence[ProgramMove]) -> float:
-    """Return the radius within which lines between rows may go over into each other."""
-    return max(move.blend_m for move in moves)
 
 
 def time_law(lines: Sequence[Line], axes: Axes) -> tuple[Array, Array]:

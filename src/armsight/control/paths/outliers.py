@@ -183,10 +183,7 @@ class PathJump:
 
 
 def distinct_rows(path: TaughtPath, *, turn_m: float = 0.0) -> list[int]:
-    """Return the rows of a path without those at the place of the one before; of two the tagged one stays.
-
-    turn_m: a turn by a radian counts as so much of a way.
-    """
+    """Return a path without rows at the place before them, tagged ones staying; turn_m: what a radian counts as."""
     keep = [0] if len(path) else []
     # the Frobenius norm of the difference of two rotations a little apart is the square root of 2 times their angle
     scaled = np.concatenate([path.xyz_m, turn_m / math.sqrt(2.0) * path.T_world_tip[:, :3, :3].reshape(-1, 9)], axis=1)
@@ -210,10 +207,7 @@ def of_rows(path: TaughtPath, rows: list[int]) -> TaughtPath:
 
 
 def path_jumps(path: TaughtPath) -> tuple[PathJump, ...]:
-    """Return where a row is far from the one before, or from those about it, in place or rotation; the worst first.
-
-    What is checked, exported and played is judged by this alone.
-    """
+    """Return where a row is far from its neighbours, the worst first: by this alone paths are checked and played."""
     rows = distinct_rows(path)
     kept = of_rows(path, rows)
     if len(kept) < 2:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,10 +29,7 @@ JOINT_SPEED = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProgramMove:
-    """A straight motion to T_base_tip (4, 4): the speed on the way there, and the radius of its blend, 0 for a stop.
-
-    tag: what happens there, empty for nothing.
-    """
+    """A straight motion to T_base_tip (4, 4): speed, radius of its blend, 0 for a stop; tag: what happens there."""
 
     T_base_tip: Array
     speed_m_s: float
@@ -72,11 +69,10 @@ class Program:
         for key in ("acceleration_m_s2", "turn_rad_s"):
             value = getattr(self, key)
             if not (math.isfinite(value) and value > 0.0):
-                raise UsageError(f"{key} is {value:g}, which is not positive", consequence="No program is written")
+                raise UsageError(f"{key} is {value:g}, which is not positive")
         if self.acceleration_m_s2 > MOST_ACCELERATION_M_S2:
             raise UsageError(
                 f"acceleration_m_s2 is {self.acceleration_m_s2:g}, which no arm has",
-                consequence="No program is written",
                 cure="Give it in m/s^2; 500 mm/s^2 are 0.5",
             )
 
@@ -88,7 +84,7 @@ def with_approach(path: TaughtPath, approach_m: float) -> TaughtPath:
     UsageError for a negative way, NotEnoughData below two rows.
     """
     if not (math.isfinite(approach_m) and approach_m >= 0.0):
-        raise UsageError(f"an approach of {approach_m:g} m is none", consequence="No program is written")
+        raise UsageError(f"an approach of {approach_m:g} m is none")
     if len(path) < 2:
         raise NotEnoughData(f"a path of {len(path)} rows is no motion", consequence="No program is written")
     if approach_m == 0.0:
@@ -129,7 +125,6 @@ def program_moves(
     if path.parent != "base":
         raise UsageError(
             f"the path is in the frame {path.parent!r}; controllers take poses in the robot's base",
-            consequence="No program is written",
             cure="Bring it into base first",
         )
     if not 2 <= len(path) <= MOST_ROWS:
@@ -139,7 +134,7 @@ def program_moves(
             cure="Resample it",
         )
     if not (math.isfinite(blend_m) and blend_m >= 0.0):
-        raise UsageError(f"a blend of {blend_m:g} m is none", consequence="No program is written")
+        raise UsageError(f"a blend of {blend_m:g} m is none")
     behind = path.speed_m_s.copy()
     if speed_m_s is not None:
         behind[np.isnan(behind)] = speed_m_s
@@ -148,7 +143,6 @@ def program_moves(
         row = int(np.argmin(np.isfinite(speed) & (speed > 0.0)))
         raise UsageError(
             f"the speed to row {row} of the program is open or not positive",
-            consequence="No program is written",
             cure="Give a speed for where the path has none",
         )
     _require_weld_off(path)
@@ -166,6 +160,12 @@ def program_moves(
 def weld_state(tag: str) -> bool | None:
     """Return what a tag does to the weld output: on, off, or None for nothing."""
     return {WELD_ON: True, WELD_OFF: False}.get(tag)
+
+
+def tag_line(tag: str, output: object, switch: Callable[[bool], str], comment: str) -> str:
+    """Return the line of a tag: what switches the weld output, else, or without one, a comment with the tag for {}."""
+    on = weld_state(tag)
+    return comment.format(ascii_only(tag)) if on is None or output is None else switch(on)
 
 
 def ascii_only(text: str) -> str:

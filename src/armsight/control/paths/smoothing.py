@@ -75,9 +75,7 @@ def _arc(path: TaughtPath, s: Array, row: int, radius_m: float) -> _Arc:
     into, out, turn = _legs(path, s, row, radius_m * math.tan(0.5 * min(turn, 0.5 * math.pi)))
     if turn > math.pi - 1.0 * DEG or turn < 1e-6:
         raise Degenerate(
-            f"the path turns by {turn / DEG:.3g} deg at row {row}",
-            consequence="No arc touches both legs",
-            cure="Leave this row out of the corners",
+            f"the path turns by {turn / DEG:.3g} deg at row {row}", consequence="It has no arc", cure="Leave it out"
         )
     leg = radius_m * math.tan(0.5 * turn)
     if leg > s[row] + 1e-12 or leg > s[-1] - s[row] + 1e-12:
@@ -118,7 +116,6 @@ def _unfit(row: int, radius_m: float, why: str) -> Inconsistent:
 
 
 def _tags(path: TaughtPath, s: Array, lengths: Array) -> tuple[str, ...]:
-    """Return the tags (k,) at the rows nearest to where they were."""
     tags = [""] * len(lengths)
     for row, tag in enumerate(path.tags):
         if not tag:
@@ -162,9 +159,7 @@ def smoothed(
     positive("bound_m", bound_m)
     if not 0.0 < bound_rad <= math.pi:
         raise UsageError(
-            f"a bound of {bound_rad / DEG:g} degrees is none",
-            consequence="The path is left as it is",
-            cure="Give more than 0 degrees, 180 (pi rad) at most",
+            f"a bound of {bound_rad / DEG:g} degrees is none", cure="Give more than 0 degrees, 180 (pi rad) at most"
         )
     s = moving(path)
     chosen = corners(path) if keep is None else keep
@@ -246,6 +241,5 @@ def _continuous(quat: Array) -> Array:
 
 
 def _within(step: Array, bound: float) -> Array:
-    """Return steps (n, 3) none of which is longer than the bound."""
     length = np.linalg.norm(step, axis=1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, bound / np.maximum(length, 1e-300)))

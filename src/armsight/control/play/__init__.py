@@ -4,16 +4,3 @@ from armsight.control.play.path_source import PathSource, PlayProgress
 from armsight.control.play.plan import PathPlan, PlaySettings, plan_path
 from armsight.control.play.play_watch import CameraPlacement, PlayWatch, WatchFigures
 from armsight.control.play.shape import Weave, WeaveKind
-
-__all__ = [
-    "CameraPlacement",
-    "PathPlan",
-    "PathSource",
-    "PlayProgress",
-    "PlaySettings",
-    "PlayWatch",
-    "WatchFigures",
-    "Weave",
-    "WeaveKind",
-    "plan_path",
-]

@@ -232,7 +232,6 @@ class PathSource:
         return off_m > BEHIND_M
 
     def _arrived(self) -> None:
-        """Go on to the next way, from rest."""
         if self._rejoin is not None:
             self._rejoin = None
             self._clock = (self._kept_s, 0.0, 0.0)
@@ -250,7 +249,6 @@ class PathSource:
 
 
 def _rate(way: Way, clock: tuple[float, float, float], wanted: float) -> InputParameter:
-    """Return what ruckig is asked for: the way's time to pass at the rate wanted."""
     asked = InputParameter(1)
     asked.control_interface = ControlInterface.Velocity
     asked.current_position, asked.current_velocity, asked.current_acceleration = ([value] for value in clock)

@@ -60,13 +60,9 @@ class PlaySettings:
         for name in ("speed_m_s", "blend_m", "approach_speed_m_s"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise UsageError(
-                    f"{name} is {value:g}, which is not above zero",
-                    consequence="Nothing is moved",
-                    cure="Give more than 0",
-                )
+                raise UsageError(f"{name} is {value:g}, which is not above zero", cure="Give more than 0")
         if not (np.isfinite(self.retract_m) and self.retract_m >= 0.0):
-            raise UsageError(f"retract_m is {self.retract_m:g}", consequence="Nothing is moved", cure="Give 0 or more")
+            raise UsageError(f"retract_m is {self.retract_m:g}", cure="Give 0 or more")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -148,7 +144,7 @@ def _in_base(path: TaughtPath, arm: Arm) -> TaughtPath:
     if path.parent == "base":
         return path
     if path.parent != "world":
-        raise UsageError(f"the path is in the frame {path.parent!r}", consequence="Nothing is moved")
+        raise UsageError(f"the path is in the frame {path.parent!r}")
     T = arm.T_world_base.inv().as_matrix() @ path.T_world_tip
     return replace(path, T_world_tip=T, parent="base")
 
@@ -160,7 +156,6 @@ def _in_world(path: TaughtPath, arm: Arm) -> Array:
 
 
 def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransform) -> TaughtPath:
-    """Return the path with the rotations to run, no two rows alike. Raises for jumps and too few positions."""
     if settings.keep_rotation:
         T = path.T_world_tip.copy()
         T[:, :3, :3] = T_base_stand.rotation.as_matrix()
@@ -169,9 +164,7 @@ def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransfo
         turn = steps(path)[1]
         only = f" at which the tool turns by {turn.sum() / DEG:.0f} deg" if turn.sum() > TURNS_RAD else ""
         raise NotEnoughData(
-            f"the path has {min(len(path), 1)} positions{only}",
-            consequence="Nothing is moved",
-            cure="Give at least two positions",
+            f"the path has {min(len(path), 1)} positions{only}", consequence="Nothing is moved", cure="Give two or more"
         )
     for jump in path_jumps(path):
         raise Inconsistent(jump.text, consequence="Nothing is moved", cure=jump.cure)
@@ -187,7 +180,6 @@ def _legs(stand: RigidTransform, start: RigidTransform, settings: PlaySettings, 
 
 
 def _leg(start: RigidTransform, end: RigidTransform, speed_m_s: float) -> Samples:
-    """Return a straight way that turns evenly; its length, of which the speed is, counts turning too (ARM_M)."""
     way = pose_difference(end, start)
     length_m = max(float(np.linalg.norm(way[:3])), ARM_M * float(np.linalg.norm(way[3:])))
     share = np.linspace(0.0, 1.0, max(LEG_SAMPLES, int(np.ceil(length_m / LEG_STEP_M)) + 1))
@@ -239,10 +231,7 @@ def _slowest(track: Track, speed: Array) -> str:
 
 
 def _turned(arm: Arm, shape: Shape, samples: Samples, *, keeps: bool) -> float:
-    """Return how far the tool is turned from what was asked for at most, rad: an arm of less than six joints turns it.
-
-    Raises Inconsistent where the path's own rotation is not met.
-    """
+    """Return how far the tool is off the rotation asked for at most, rad. Raises Inconsistent where it must not be."""
     R = Rotation.from_matrix(samples.T[:, :3, :3]) * Rotation.from_matrix(shape.T[:, :3, :3]).inv()
     off = np.asarray(R.magnitude())
     worst = int(np.argmax(off))
@@ -260,10 +249,7 @@ def _turned(arm: Arm, shape: Shape, samples: Samples, *, keeps: bool) -> float:
 def _checked(
     arm: Arm, limits: Limits, stand: Array, legs: list[Samples], shape: Shape, *, keeps: bool
 ) -> tuple[PathCheck, list[Samples]]:
-    """Return the check of all that is run, and the ways with their readings. Raises Inconsistent.
-
-    keeps: whether the tool's rotation is kept already.
-    """
+    """Return the check of all that is run, and the ways with readings. keeps: rotation kept. Raises Inconsistent."""
     ways: list[Samples] = [*legs, shape]
     rows = [_rows(way) for way in ways]
     joined = np.concatenate([way.T[at] for way, at in zip(ways, rows, strict=True)])
@@ -290,7 +276,6 @@ def _checked(
 
 
 def _rows(way: Samples) -> NDArray[np.intp]:
-    """Return the samples of a way that are checked, the last one among them."""
     every = max(1, min(int(CHECK_M / way.u[1]), 8))
     return np.unique(np.append(np.arange(0, len(way.u), every), len(way.u) - 1))
 

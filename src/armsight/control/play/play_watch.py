@@ -56,10 +56,7 @@ class CameraPlacement:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WatchFigures:
-    """Distance of the tip as seen from where it was told to be, in m; None before the first frame.
-
-    n: frames compared. mean_m (3,): in base axes. last_s: exposure of the newest.
-    """
+    """How far the tip is from where it was told, m: of n frames, mean_m (3,) in base; last_s: the newest's exposure."""
 
     n: int
     rms_m: float | None = None
@@ -81,10 +78,7 @@ class PlayWatch:
         arm_lag_s: float,
         cycle_s: float,
     ) -> None:
-        """arm: whose tool is the tip. stop_m: beyond it the arm is to stop; None: only told.
-
-        arm_lag_s: from a command to motion, at first.
-        """
+        """arm: its tool is the tip. stop_m: beyond it the arm is to stop, None: only told. arm_lag_s: at first."""
         self._sight, self._arm, self._stop_m = sight, arm, stop_m
         self._T_base_world = arm.T_world_base.inv()
         self._premise = PremiseWatch(late_s=LATE_S)

@@ -47,7 +47,6 @@ class Weave:
             if not (math.isfinite(value) and 0.0 < value <= MOST_M[name]):
                 raise UsageError(
                     f"the weave's {name} is {value:g}, which is not above zero and up to {MOST_M[name]:g} m",
-                    consequence="Nothing is moved",
                     cure="Give metres, for instance --weave sine:0.002:0.008",
                 )
 
@@ -63,7 +62,6 @@ class Weave:
         except ValueError:
             raise UsageError(
                 f"{text[:60]!r} is no weave",
-                consequence="Nothing is moved",
                 cure="Give none, sine:AMPLITUDE:WAVELENGTH or zigzag:AMPLITUDE:WAVELENGTH in metres",
             ) from None
         return cls() if not values else cls(kind=kind, amplitude_m=values[0], wavelength_m=values[1])
@@ -115,11 +113,6 @@ class Shape(Samples):
     rounded_m: float
     rounded_rad: float
     turns: str
-
-    @property
-    def seam_m(self) -> Array:
-        """The path's positions (n, 3) without the weave."""
-        return self.paced_m
 
     @property
     def tip_m(self) -> Array:
@@ -187,7 +180,6 @@ def _turns(path: TaughtPath, way: Array, turn: Array) -> str:
 
 
 def _sampled(at_rows: Array, blend_m: float, weave: Weave) -> Array:
-    """Return the parameter (n,) of samples in even steps."""
     total = float(at_rows[-1])
     if blend_m > BLEND_SHARE * total:
         raise UsageError(

@@ -43,11 +43,9 @@ class Way(Protocol):
 
     def pose(self, t_s: float) -> RigidTransform:
         """Return T_base_tip at a time."""
-        ...
 
     def along(self, t_s: float) -> tuple[float, float]:
         """Return the length in m, and the speed along it in m/s, at a time."""
-        ...
 
 
 class StraightSegment:
@@ -204,10 +202,7 @@ LEAST_B = 1e-14
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ceilings:
-    """What a plan may use of the limits (m,) of m values: each joint, the tip's position, its turning.
-
-    starts (m,): the first column of each value.
-    """
+    """What a plan may use of limits (m,): joints, the tip's position, its turning; starts (m,): first columns."""
 
     starts: NDArray[np.intp]
     speed: Array

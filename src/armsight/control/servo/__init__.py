@@ -16,22 +16,3 @@ from armsight.control.servo.law import (
 )
 from armsight.control.servo.servo_source import ServoSource
 from armsight.control.servo.target_track import TargetMotion, TargetTrack, Tracked
-
-__all__ = [
-    "Gain",
-    "Mount",
-    "ServoError",
-    "ServoSettings",
-    "ServoSource",
-    "TargetMotion",
-    "TargetTrack",
-    "Tracked",
-    "Turning",
-    "chosen_gain",
-    "delay_cycles",
-    "no_overshoot_gain",
-    "on_axis",
-    "servo_error",
-    "servo_twist",
-    "stability_gain",
-]

@@ -148,10 +148,7 @@ class PremiseWatch:
 
 
 def hand_modes(t_s: Array) -> tuple[Array, Array]:
-    """Return variances (k,) of the shapes (n, k) of a hand's way at times (n,), the widest first, for a unit of power.
-
-    Place and velocity at the beginning are taken out: they are not known.
-    """
+    """Return variances (k,) of a hand's ways (n, k) at times (n,), beside place and velocity, for a unit of power."""
     t = t_s - t_s[0]
     s, u = np.minimum.outer(t, t), np.maximum.outer(t, t)
     K = s**3 * (10.0 * u**2 - 5.0 * u * s + s**2) / 120.0 + BEGIN_S * np.square(s * u) / 4.0

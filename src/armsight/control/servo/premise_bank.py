@@ -39,7 +39,7 @@ CURES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Premise:
     """What may be so in place of what is believed.
 
@@ -58,34 +58,30 @@ class Premise:
 
 
 UNMOVED = Premise(
-    cause=Cause.PICTURES,
-    says="the target moves in the pictures as if they did not show what the arm does: old pictures, or other cameras",
-    handicap=30.0,
+    Cause.PICTURES,
+    "the target moves in the pictures as if they did not show what the arm does: old pictures, or other cameras",
+    30.0,
 )
 
 
 def late_by(late_s: float) -> Premise:
     """Return the premise that pictures are so much older than their times."""
-    return Premise(
-        cause=Cause.PICTURES,
-        says=f"the pictures are older than their times by about {late_s / MS:.0f} ms",
-        handicap=4.0,
-    )
+    return Premise(Cause.PICTURES, f"the pictures are older than their times by about {late_s / MS:.0f} ms", 4.0)
 
 
 INVERTED = Premise(
-    cause=Cause.HAND_EYE,
-    says="the target moves in the pictures as if the hand-eye calibration were inverted: T_camera_flange in its place",
-    handicap=2.0,
+    Cause.HAND_EYE,
+    "the target moves in the pictures as if the hand-eye calibration were inverted: T_camera_flange in its place",
+    2.0,
 )
 
 
 def joint_reversed(joint: int) -> Premise:
     """Return the premise that a joint, from 0, goes the other way than the arm's model has it."""
     return Premise(
-        cause=Cause.ROBOT,
-        says=f"the target moves in the pictures as if joint {joint + 1} turned the other way than the model has it",
-        handicap=2.0,
+        Cause.ROBOT,
+        f"the target moves in the pictures as if joint {joint + 1} turned the other way than the model has it",
+        2.0,
     )
 
 
@@ -96,11 +92,11 @@ NEAR_M, FAR_M = 0.02, 20.0
 def impossible_pose(status: PoseStatus, distance_m: float) -> Premise | None:
     """Return what is wrong where a pose with its target so far before the cameras cannot be; None where it can."""
     if status is PoseStatus.DOUBTFUL:
-        return Premise(cause=Cause.TARGET, says="the lights that are seen do not fit the target's on this rig")
+        return Premise(Cause.TARGET, "the lights that are seen do not fit the target's on this rig")
     if distance_m <= 0.0:
-        return Premise(cause=Cause.RIG, says="the target is seen behind the cameras: are left and right exchanged?")
+        return Premise(Cause.RIG, "the target is seen behind the cameras: are left and right exchanged?")
     if not NEAR_M < distance_m < FAR_M:
-        return Premise(cause=Cause.RIG, says=f"the target is seen {distance_m:.3g} m before the cameras: other units?")
+        return Premise(Cause.RIG, f"the target is seen {distance_m:.3g} m before the cameras: other units?")
     return None
 
 
@@ -133,7 +129,7 @@ class Bank:
 @cache
 def bank() -> Bank:
     """Return the premises about the cameras."""
-    found: list[tuple[Premise, Array, Array]] = [(Premise(cause=Cause.HAND_EYE, says=""), np.eye(3), np.zeros(3))]
+    found: list[tuple[Premise, Array, Array]] = [(Premise(Cause.HAND_EYE, ""), np.eye(3), np.zeros(3))]
     directions = [np.array(v) - 1.0 for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]
     for direction in directions:
         axis = direction / np.linalg.norm(direction)
@@ -177,9 +173,8 @@ def turned(deg: float, axis: Array) -> Premise:
         f"{'-' if part < 0.0 else ''}{name}" for part, name in zip(axis, "xyz", strict=True) if abs(part) > 0.1
     )
     return Premise(
-        cause=Cause.HAND_EYE,
-        says="the target moves in the pictures as if the cameras were turned by about "
-        f"{deg:.0f} deg about their {names}",
+        Cause.HAND_EYE,
+        f"the target moves in the pictures as if the cameras were turned by about {deg:.0f} deg about their {names}",
     )
 
 
@@ -187,31 +182,27 @@ def aside(far_m: float, axis: Array) -> Premise:
     """Return the premise that the cameras are elsewhere on the flange, along an axis (3,) of theirs."""
     i = int(np.argmax(np.abs(axis)))
     return Premise(
-        cause=Cause.HAND_EYE,
-        says=f"the target moves in the pictures as if the cameras were {np.sign(axis[i]) * far_m / MM:.0f} mm further "
+        Cause.HAND_EYE,
+        f"the target moves in the pictures as if the cameras were {np.sign(axis[i]) * far_m / MM:.0f} mm further "
         f"along their {'xyz'[i]}",
-        handicap=8.0,
+        8.0,
     )
 
 
 def mirrored(name: str) -> Premise:
     """Return the premise that the pictures are mirrored."""
-    return Premise(cause=Cause.RIG, says=f"the target moves in the pictures as if they were mirrored along {name}")
+    return Premise(Cause.RIG, f"the target moves in the pictures as if they were mirrored along {name}")
 
 
 def scaled(factor: float) -> Premise:
     """Return the premise that all that is measured is too short by a factor."""
     return Premise(
-        cause=Cause.RIG,
-        says=f"the target moves in the pictures as if all lengths were {factor:.3g} times those measured",
-        handicap=10.0,
+        Cause.RIG, f"the target moves in the pictures as if all lengths were {factor:.3g} times those measured", 10.0
     )
 
 
 def deepened(factor: float) -> Premise:
     """Return the premise that distances from the cameras are too short by a factor."""
     return Premise(
-        cause=Cause.RIG,
-        says=f"the target moves in the pictures as if its distance were {factor:.3g} times the one measured",
-        handicap=4.0,
+        Cause.RIG, f"the target moves in the pictures as if its distance were {factor:.3g} times the one measured", 4.0
     )

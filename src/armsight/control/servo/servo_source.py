@@ -10,21 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.control.guard import TargetState
 from armsight.control.guard.space import pose_difference
-from armsight.control.servo.law import (
-    ArmLag,
-    CameraDelay,
-    Mount,
-    Reaction,
-    ServoError,
-    ServoSettings,
-    Turning,
-    cross,
-    delay_cycles,
-    inverse,
-    servo_error,
-    servo_twist,
-    stability_gain,
-)
+from armsight.control.servo import law
 from armsight.control.servo.premise import LEVER_M, PremiseWatch
 from armsight.control.servo.premise_bank import INVERTED, Premise, impossible_pose, joint_reversed
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
@@ -69,7 +55,7 @@ class ServoSource:
 
     name = "servo"
 
-    def __init__(self, arm: Arm, rig: Rig, target: Target, settings: ServoSettings, cycle_s: float) -> None:
+    def __init__(self, arm: Arm, rig: Rig, target: Target, settings: law.ServoSettings, cycle_s: float) -> None:
         """cycle_s: of the loop. arm: whose T_flange_tool is the tool that set points are of."""
         self.settings = settings
         self._arm = arm
@@ -80,27 +66,26 @@ class ServoSource:
         self._T_base_world = arm.T_world_base.inv().as_matrix()
         self._T_parent_camera = settings.T_parent_camera.as_matrix()
         self._T_flange_desired = settings.T_flange_desired.as_matrix()
-        self._turn_wanted = settings.turning is not Turning.KEEP
+        self._turn_wanted = settings.turning is not law.Turning.KEEP
         self._tool_m = np.array(arm.T_flange_tool.translation)
         self._track = TargetTrack(rig)
         self.history = JointHistory(cycle_s)
-        self._camera = CameraDelay()
-        self._lag = ArmLag(settings.arm_lag_s, cycle_s)
+        self._camera = law.CameraDelay()
+        self._lag = law.ArmLag(settings.arm_lag_s, cycle_s)
         self._seen: Seen | None = None
         self._unplaced = ""
         self._before_jump: Tracked | None = None
-        self._reaction = Reaction(settings.chase_m)
+        self._reaction = law.Reaction(settings.chase_m)
         self._premise = PremiseWatch((*map(joint_reversed, range(arm.n)), INVERTED))
-        self._T_camera_parent = inverse(self._T_parent_camera)
+        self._T_camera_parent = law.inverse(self._T_parent_camera)
         self._q_begun = np.zeros(arm.n)
         self._contradicted_s = np.inf
         self.contradiction = ""
-        self.error: ServoError | None = None
+        self.error: law.ServoError | None = None
 
     @property
     def _turns(self) -> bool:
-        """Whether the arm is to turn, and whither is known."""
-        return self._turn_wanted and self.settings.turning is not Turning.HOLD
+        return self._turn_wanted and self.settings.turning is not law.Turning.HOLD
 
     @property
     def camera_delay_s(self) -> float:
@@ -150,7 +135,7 @@ class ServoSource:
             return
         self._unplaced = ""
         T_base_flange = self._flange(q)
-        on_flange = self.settings.mount is Mount.EYE_IN_HAND
+        on_flange = self.settings.mount is law.Mount.EYE_IN_HAND
         T_base_rig = T_base_flange @ self._T_parent_camera if on_flange else self._T_parent_camera
         T_base_target, R = T_base_rig @ T_rig_target, T_base_rig[:3, :3]
         has_rotation = pose.status is PoseStatus.OK
@@ -172,12 +157,11 @@ class ServoSource:
         if jumps and self._before_jump is None:  # a second jump, near where the first led, is none back
             self._before_jump = before
         if not self.settings.predict:
-            self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, has_rotation=has_rotation)
+            self._seen = Seen(T_flange_target=law.inverse(T_base_flange) @ T_base_target, has_rotation=has_rotation)
 
     def _held_against_arm(
         self, pose: TargetPose, exposed_s: float, q: Array, T_base_flange: Array, *, begun: bool
     ) -> None:
-        """Hold what a camera on the flange sees against what the arm did, at joints q (n,); begun: of a new track."""
         T_rig_target, covariance = pose.T_parent_target, pose.covariance
         if T_rig_target is None or covariance is None:
             return
@@ -225,7 +209,7 @@ class ServoSource:
             twist = self._twist(T_base_flange, self._seen.T_flange_target, self._seen.has_rotation)
             return self._held_back(twist, T_base_flange, T_base_tool[:3, 3])
         motion = tracked.at(now.t_s - self._cycle_s + self._lag.lag_s)  # when the arm is where it was last told to be
-        T_flange_target = inverse(T_base_flange) @ motion.T_base_target
+        T_flange_target = law.inverse(T_base_flange) @ motion.T_base_target
         self._keep(T_flange_target, motion.has_rotation)
         twist = self._twist(T_base_flange, T_flange_target, motion.has_rotation)
         return self._held_back(self._fed_forward(twist, motion, T_base_tool[:3, 3]), T_base_flange, T_base_tool[:3, 3])
@@ -269,8 +253,8 @@ class ServoSource:
             return NOT_SEEN if age_s is None else WHY[state]
         if tracked is None or not tracked.settled:
             return SETTLING
-        n = delay_cycles(self.delay_s, self.servo_cycle_s)
-        if max(self.settings.gain_t, self.settings.gain_r) >= stability_gain(self.servo_cycle_s, n):
+        n = law.delay_cycles(self.delay_s, self.servo_cycle_s)
+        if max(self.settings.gain_t, self.settings.gain_r) >= law.stability_gain(self.servo_cycle_s, n):
             return f"the delay has grown to {self.delay_s / MS:.0f} ms, at which the gain is not stable"
         return ""
 
@@ -297,25 +281,23 @@ class ServoSource:
         return pose_difference(tracked.T_begun, before.at(before.seen_s if lost else tracked.begun_s).T_base_target)
 
     def _keep(self, T_flange_target: Array, has_rotation: bool) -> None:
-        """Take the first rotation seen as the one wanted, where it is to be kept."""
         if has_rotation and not self._turn_wanted:
             self._T_flange_desired[:3, :3] = T_flange_target[:3, :3]
             self._turn_wanted = True
 
     def _twist(self, T_base_flange: Array, T_flange_target: Array, has_rotation: bool) -> ToolTwist:
-        """Return the law's twist of the tool, in base axes."""
         settings = self.settings
-        error = servo_error(T_flange_target, self._T_flange_desired)
+        error = law.servo_error(T_flange_target, self._T_flange_desired)
         self.error = error
         gain_r = settings.gain_r if has_rotation and self._turns else 0.0
-        v, omega = servo_twist(error, self._T_flange_desired[:3, 3], settings.gain_t, gain_r)
+        v, omega = law.servo_twist(error, self._T_flange_desired[:3, 3], settings.gain_t, gain_r)
         R = T_base_flange[:3, :3]
-        return ToolTwist(velocity_m_s=R @ (v + cross(omega, self._tool_m)), angular_rad_s=R @ omega)
+        return ToolTwist(velocity_m_s=R @ (v + law.cross(omega, self._tool_m)), angular_rad_s=R @ omega)
 
     def _fed_forward(self, twist: ToolTwist, motion: TargetMotion, tool_m: Array) -> ToolTwist:
         """Return a twist with that of a tool fixed to the target added, which keeps up with it; tool_m: in base."""
         turning = motion.angular_rad_s if motion.has_rotation and self._turns else np.zeros(3)
-        carried = motion.velocity_m_s + cross(turning, tool_m - motion.T_base_target[:3, 3])
+        carried = motion.velocity_m_s + law.cross(turning, tool_m - motion.T_base_target[:3, 3])
         return ToolTwist(
             velocity_m_s=twist.velocity_m_s + carried,
             angular_rad_s=twist.angular_rad_s + turning,
@@ -323,10 +305,10 @@ class ServoSource:
 
     def _held_back(self, twist: ToolTwist, T_base_flange: Array, tool_m: Array) -> ToolTwist:
         """Return a twist as slow as what is not tested yet has to be; tool_m (3,): in base."""
-        if self.settings.mount is not Mount.EYE_IN_HAND:  # these cameras do not see what the arm does
+        if self.settings.mount is not law.Mount.EYE_IN_HAND:  # these cameras do not see what the arm does
             return twist
         camera_m = (T_base_flange @ self._T_parent_camera)[:3, 3]
-        swung = twist.velocity_m_s + cross(twist.angular_rad_s, camera_m - tool_m)
+        swung = twist.velocity_m_s + law.cross(twist.angular_rad_s, camera_m - tool_m)
         speeds = (twist.velocity_m_s, swung, LEVER_M * twist.angular_rad_s)
         fastest = max(float(np.linalg.norm(speed)) for speed in speeds)
         share = self.settings.first_m_s * max(1.0, self._premise.way_m / FIRST_M) / max(fastest, 1e-9)
@@ -348,5 +330,4 @@ class ServoSource:
         return np.asarray(self._target.xyz_m.mean(axis=0)) if len(names) == len(known) else None
 
     def _flange(self, q: Array) -> Array:
-        """Return T_base_flange (4, 4) at joint readings q (n,)."""
         return np.asarray(self._T_base_world @ self._arm.fk(self._arm.values(q)) @ self._T_tool_flange)

@@ -92,10 +92,7 @@ class Tracked:
 
 
 class TargetTrack:
-    """Follows a target from pose to pose by a filter of its acceleration (measure.motion).
-
-    One thread adds. Any thread may look at `now`: it is one record that each pose replaces.
-    """
+    """Follows a target by a filter of its acceleration; one thread adds, any may look at `now`, one record."""
 
     def __init__(self, rig: Rig) -> None:
         """Begin without a target. rig: whose poses they are."""

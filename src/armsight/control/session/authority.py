@@ -11,24 +11,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
+from armsight.control import setpoints
 from armsight.control.guard import GuardState
 from armsight.control.session.loop_host import LoopHost, flange_pose, synchronized
-from armsight.control.setpoints import (
-    Command,
-    FlangePose,
-    Heartbeat,
-    Hold,
-    JointGoal,
-    JointStep,
-    JointVelocity,
-    Motion,
-    Reset,
-    SetPoint,
-    Stop,
-    Taken,
-    ToolTwist,
-    logged,
-)
 from armsight.control.status import RobotStatus
 from armsight.drivers import RobotState
 from armsight.drivers.remote.protocol import RobotDescription
@@ -53,11 +38,9 @@ class AuthorityLog(Protocol):
 
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened; level: info, warning or error."""
-        ...
 
     def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
         """Keep what somebody asked and was given."""
-        ...
 
 
 class EnableLost(DeviceFailed):
@@ -162,14 +145,14 @@ class ControlAuthority:
         self.note("warning", f"stopped by {who}")
 
     @synchronized
-    def perform(self, lease: Lease, command: Command, *, seq: int = 1, age_s: float = 0.0) -> Taken:
+    def perform(self, lease: Lease, command: setpoints.Command, *, seq: int = 1, age_s: float = 0.0) -> setpoints.Taken:
         """Do what the driver asked age_s ago and return where it leads; seq: number of their message, for the log.
 
         Raises DeviceFailed where the robot is stopped, not enabled, or driven by another; StaleData for a set point
         that was too long under way; Inconsistent and UsageError for what it cannot do; DeviceLost where the loop has
         ended.
         """
-        stops = isinstance(command, Stop)
+        stops = isinstance(command, setpoints.Stop)
         if lease is not self._lease and not stops:
             raise DeviceFailed(
                 f"{lease.who} no longer drives", consequence="Nothing was done", cure="Open the connection again"
@@ -177,14 +160,14 @@ class ControlAuthority:
         now_s = self._host.now_s()
         if stops:
             self.stop(lease.who)  # before all that may be refused
-        if not isinstance(command, Heartbeat):
-            kind, values = logged(command)
+        if not isinstance(command, setpoints.Heartbeat):
+            kind, values = setpoints.logged(command)
             self._log.command(now_s, lease.who, kind, {"seq": seq, **values})
         now = self._host.status()
         # the log has the command already: what is refused below was asked all the same
         q, limited = self._done(lease, command, now, age_s)
         T = flange_pose(self._host.arm, q) if q is not None and self.robot.takes_poses else None
-        return Taken(t_s=now_s, cycle=now.cycle, q=q, T_base_flange=T, limited=limited)
+        return setpoints.Taken(t_s=now_s, cycle=now.cycle, q=q, T_base_flange=T, limited=limited)
 
     @synchronized
     def status(self) -> RobotStatus:
@@ -205,43 +188,41 @@ class ControlAuthority:
         self._log.event(self._host.now_s(), level, message)
 
     def _done(
-        self, lease: Lease, command: Command, now: RobotStatus, age_s: float
+        self, lease: Lease, command: setpoints.Command, now: RobotStatus, age_s: float
     ) -> tuple[Array | None, tuple[str, ...]]:
-        """Do what is asked; return the joint values it leads to (n,), and the limits that cut it."""
         match command:
-            case Heartbeat():
+            case setpoints.Heartbeat():
                 self._beat(lease, command, age_s)
-            case Hold():
-                self._post(Hold(why=f"{lease.who} asked for it"), age_s)
-            case Stop():
+            case setpoints.Hold():
+                self._post(setpoints.Hold(why=f"{lease.who} asked for it"), age_s)
+            case setpoints.Stop():
                 pass  # it is done
-            case Reset():
+            case setpoints.Reset():
                 self._reset(lease, now)
             case _:
                 return self._move(command, now, age_s)
         return None, ()
 
-    def _move(self, command: Motion, now: RobotStatus, age_s: float) -> tuple[Array | None, tuple[str, ...]]:
-        """Do what sets the robot in motion, where that is allowed; return as _done."""
+    def _move(self, command: setpoints.Motion, now: RobotStatus, age_s: float) -> tuple[Array | None, tuple[str, ...]]:
         self._allow(now, age_s)
         match command:
-            case JointVelocity(qd=qd):
+            case setpoints.JointVelocity(qd=qd):
                 self._check_joints("qd", qd)
                 self._post(command, age_s)
-            case ToolTwist():
+            case setpoints.ToolTwist():
                 self._need_poses()
                 self._post(command, age_s)
-            case JointGoal(q=q):
+            case setpoints.JointGoal(q=q):
                 return self._go(self._reachable(q), now, age_s), ()
-            case JointStep(step=step):
+            case setpoints.JointStep(step=step):
                 self._check_joints("step", step)
                 begin = self._begin_cycle(now)
                 return self._cut((begin if self._goal is None else self._goal) + step, now, age_s)
-            case FlangePose(T_base_flange=T):
+            case setpoints.FlangePose(T_base_flange=T):
                 return self._cut(self._joints_of(T, self._begin_cycle(now)), now, age_s)
         return None, ()
 
-    def _beat(self, lease: Lease, beat: Heartbeat, age_s: float) -> None:
+    def _beat(self, lease: Lease, beat: setpoints.Heartbeat, age_s: float) -> None:
         """Take an enable, or its end; it counts from when it was sent."""
         self._reenable = self._reenable and beat.enable
         self._beat_s, self._enabled = self._host.now_s() - age_s, beat.enable and not self._reenable
@@ -255,12 +236,12 @@ class ControlAuthority:
         self._enabled, self._reenable = False, True  # who still holds the enable must let go of it first
         self.note("info", f"reset by {lease.who}")
 
-    def _post(self, setpoint: SetPoint, age_s: float) -> None:
+    def _post(self, setpoint: setpoints.SetPoint, age_s: float) -> None:
         self._goal = None
         self._host.post(setpoint, age_s=age_s)
 
     def _go(self, q: Array, now: RobotStatus, age_s: float) -> Array:
-        self._host.post(JointGoal(q=q), age_s=age_s)
+        self._host.post(setpoints.JointGoal(q=q), age_s=age_s)
         self._goal, self._dropped = q, now.dropped
         return q
 
@@ -325,10 +306,7 @@ class ControlAuthority:
             )
 
     def lapsed(self, now: RobotStatus) -> str:
-        """Return why the enable ended by itself, empty where it did not; letting go of it counts before the loop told.
-
-        now: the loop's newest status.
-        """
+        """Return why the enable ended by itself, '' where it did not, or was let go of. now: the newest status."""
         told = now.t_s > self._let_go_s + RELEASED_CYCLES * self.robot.cycle_s
         return now.lapsed if told else ""
 
@@ -344,7 +322,6 @@ class ControlAuthority:
         if values.shape != (self.robot.n_joints,):
             raise UsageError(
                 f"{self.robot.name} has {self.robot.n_joints} joints, but {name} has {values.size} values",
-                consequence="Nothing was sent",
                 cure=f"Give {self.robot.n_joints} values",
             )
 
@@ -362,9 +339,7 @@ class ControlAuthority:
 
     def _need_poses(self) -> None:
         if not self.robot.takes_poses or self._host.arm is None:
-            raise UsageError(
-                f"{self.robot.name} takes no poses here", consequence="Nothing was sent", cure="Send joint values"
-            )
+            raise UsageError(f"{self.robot.name} takes no poses here", cure="Send joint values")
 
     def _joints_of(self, T_base_flange: RigidTransform, near: Array) -> Array:
         """Return the joint values (n,) that bring the flange to a pose, nearest to near (n,)."""

@@ -237,10 +237,7 @@ class JointTrack:
         return number > 0 and t_s <= float(rows[(number - 1) % self._count, 0])
 
     def at(self, t_s: float) -> Array:
-        """Return the values (n,) at t_s, between two that were written: nothing is guessed beyond them.
-
-        Raises StaleData for a time before the oldest that is kept, or after the newest.
-        """
+        """Return the values (n,) at t_s, between two that were written. Raises StaleData beyond those that are kept."""
         rows, written = self._rows()
         number = int(written[0])
         kept = min(number, self._count - SPARE)

@@ -75,66 +75,52 @@ class LoopHost(Protocol):
     @property
     def enable_age_s(self) -> float:
         """How old an enable or a set point may be."""
-        ...
 
     @property
     def description(self) -> RobotDescription:
         """What robot it is."""
-        ...
 
     @property
     def arm(self) -> Arm | None:
         """The arm's model; None where there is none, and then poses cannot be taken."""
-        ...
 
     def now_s(self) -> float:
         """Return the time on the loop's clock."""
-        ...
 
     def status(self) -> RobotStatus:
         """Return the loop's newest cycle. Raises DeviceLost where the loop has ended."""
-        ...
 
     def lateness_p99_s(self) -> float:
         """Return by how much at most 99 % of the cycles began too late."""
-        ...
 
     @property
     def line(self) -> LineChannels:
         """What the line for stops shares with the loop and with the server."""
-        ...
 
     def grant(self, lease: int, key: str, person: str = "") -> None:
         """Let the line for stops take the enables of lease number lease from a person, by its key; an empty key: of
         nobody."""
-        ...
 
     def post(self, setpoint: SetPoint, *, age_s: float = 0.0) -> None:
         """Replace what is asked of the robot, sent age_s ago. Raises DeviceLost where the loop does not take it."""
-        ...
 
     def beat(self, *, enable: bool, age_s: float = 0.0, lease: int = 0, number: int | None = None) -> None:
         """Tell the loop that a driver was alive age_s ago, and whether motion was allowed then. Raises DeviceLost.
 
         number: of the enable, which grows; one that another way has overtaken does not count.
         """
-        ...
 
     def release(self, why: str, *, lease: int = 0) -> None:
         """Hold at once and forget what was asked and enabled: the driver is gone, and this lease. Never raises."""
-        ...
 
     def stop(self, why: str) -> None:
         """Come to rest and take nothing until reset. Never raises."""
-        ...
 
     def reset(self) -> None:
         """Take set points again after a stop. Raises DeviceLost."""
-        ...
 
     def records(self) -> list[LoopRecord]:
         """Return what the loop did since this was last asked, the oldest first. Never raises."""
-        ...
 
 
 def flange_pose(arm: Arm | None, q: Array) -> RigidTransform | None:

@@ -261,10 +261,7 @@ class OrderSource:
 def run_loop(
     channels: Channels, robot: Robot, arm: Arm, limits: Limits, clock: Clock, *, driver: str, parent: int | None = None
 ) -> None:
-    """Open the robot and run its loop until the order to end; tells the description first, or the error.
-
-    parent: the process whose end ends the loop.
-    """
+    """Open the robot and run its loop until the order to end, or process parent's end; the description comes first."""
     sink = RecordSink(channels.records)
     try:
         with robot:

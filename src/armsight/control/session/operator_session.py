@@ -12,23 +12,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
+from armsight.control import setpoints
 from armsight.control.session.authority import EnableLost, Lease
 from armsight.control.session.loop_host import flange_pose, synchronized
 from armsight.control.session.service import Service
-from armsight.control.setpoints import (
-    Command,
-    CycleState,
-    Heartbeat,
-    Hold,
-    JogFrame,
-    JogSource,
-    JointStep,
-    JointVelocity,
-    Reset,
-    SetPoint,
-    Taken,
-    ToolTwist,
-)
 from armsight.control.status import RobotStatus
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.kinematics import Arm
@@ -151,7 +138,7 @@ class OperatorSession:
         self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s - age_s
         if not self._held:
             self._let_line("")  # first, so that nothing that comes there brings it back
-        self._perform(Heartbeat(enable=self._held, number=number), age_s)
+        self._perform(setpoints.Heartbeat(enable=self._held, number=number), age_s)
         if self._held:
             self._let_line(key)
         self._follow(push if self._held else None)
@@ -195,11 +182,11 @@ class OperatorSession:
         if not self._is_driver(browser, person):
             self._take(browser, person)
         self._let_line("")
-        self._perform(Reset())
+        self._perform(setpoints.Reset())
         self._held, self._again = False, self._pressed
         if not self._pressed:
             # browsers are silent while nothing is held, and the authority waits to hear that it was let go of
-            self._perform(Heartbeat(enable=False))
+            self._perform(setpoints.Heartbeat(enable=False))
 
     @synchronized
     def choose_override(self, browser: str, person: Person, share: float) -> None:
@@ -223,7 +210,7 @@ class OperatorSession:
         """
         if not self.enabled(browser):
             raise EnableLost("the enable is not held", consequence="Nothing was sent", cure="Hold the enable")
-        taken = self._perform(JointStep(step=step))
+        taken = self._perform(setpoints.JointStep(step=step))
         return np.array(taken.q), taken.limited
 
     @synchronized
@@ -231,7 +218,7 @@ class OperatorSession:
         """Let the robot come to rest where this browser drives it."""
         if browser == self._browser:
             with suppress(ArmsightError):
-                self._perform(Hold())
+                self._perform(setpoints.Hold())
 
     def status(self) -> RobotStatus:
         """Return the robot's status as it counts now. Raises DeviceLost where the loop has ended."""
@@ -265,7 +252,6 @@ class OperatorSession:
         if person.role != "drive":
             raise UsageError(
                 f"{person.who} may {'watch, not drive' if person.role == 'watch' else 'no longer drive'}",
-                consequence="The robot is not moved",
                 cure="Ask for a token that may drive",
             )
 
@@ -294,25 +280,23 @@ class OperatorSession:
         self._held, self._again, self._pressed, self._pushed = False, False, False, None
 
     def _follow(self, push: Push | None) -> None:
-        """Ask for the velocity of a jog key that is held, and hold once it is let go."""
         if push is None:
             if self._pushed is not None:
                 self._pushed = None
-                self._perform(Hold())
+                self._perform(setpoints.Hold())
             return
         self._pushed = push
         self.pushes += 1
         wanted = self._velocity(push)
-        if isinstance(wanted, JointVelocity | ToolTwist):
+        if isinstance(wanted, setpoints.JointVelocity | setpoints.ToolTwist):
             self._perform(wanted)
 
-    def _velocity(self, push: Push) -> SetPoint:
-        """Return what a jog key asks for. Raises UsageError where there is no such axis."""
+    def _velocity(self, push: Push) -> setpoints.SetPoint:
         n = self._authority.robot.n_joints
-        source = JogSource(n, push.frame)
-        axes = n if source.frame is JogFrame.JOINTS else 6
+        source = setpoints.JogSource(n, push.frame)
+        axes = n if source.frame is setpoints.JogFrame.JOINTS else 6
         if not 0 <= push.axis < axes:
-            raise UsageError(f"there is no axis {push.axis + 1}", consequence="Nothing is moved")
+            raise UsageError(f"there is no axis {push.axis + 1}")
         values = np.zeros(axes)
         values[push.axis] = self._override * float(np.sign(push.sense))
         arm, now = self.arm, self._host.status()
@@ -323,7 +307,7 @@ class OperatorSession:
             T_base_tool = T_base_flange * arm.T_flange_tool
         source.push(values.tolist(), now.t_s)
         return source.next(
-            CycleState(
+            setpoints.CycleState(
                 t_s=now.t_s,
                 cycle_s=self._authority.robot.cycle_s,
                 q=now.q,
@@ -333,7 +317,7 @@ class OperatorSession:
             )
         )
 
-    def _perform(self, command: Command, age_s: float = 0.0) -> Taken:
+    def _perform(self, command: setpoints.Command, age_s: float = 0.0) -> setpoints.Taken:
         if self._lease is None:
             raise DeviceFailed("nobody drives", consequence="Nothing was done", cure="Hold the enable")
         return self._authority.perform(self._lease, command, age_s=age_s)

@@ -48,16 +48,13 @@ class Log(AuthorityLog, Protocol):
     @property
     def dropped(self) -> int:
         """How many commands and readings were not kept."""
-        ...
 
     @property
     def failed(self) -> str:
         """Why nothing is kept any more; empty while it is."""
-        ...
 
     def joints(self, reading: JointReading) -> None:
         """Keep a reading."""
-        ...
 
 
 class Subscription:
@@ -83,16 +80,13 @@ class Watcher(Protocol):
     @property
     def address(self) -> str:
         """Where it comes from."""
-        ...
 
     @property
     def load(self) -> float:
         """How many messages it sent lately."""
-        ...
 
     def turn_out(self) -> None:
         """End it, because another one has to find room."""
-        ...
 
 
 class Service:

@@ -76,7 +76,6 @@ class AlterRobot(CyclicRobot):
                 if np.shape(step) != (6,) or np.any(step):  # not a number is not zero
                     raise UsageError(
                         f"{self.name} does not know the arm's geometry, and its controller takes poses",
-                        consequence="Nothing was sent",
                         cure="Give the arm's file, or send poses",
                     )
                 return self._note(reading.q, self._poses.next, ())
@@ -158,12 +157,11 @@ class AlterRobot(CyclicRobot):
         if not self._first.wait(self.settings.open_s) or self._unfit():
             self._finish()
             if unfit := self._unfit():
-                raise DeviceFailed(f"{self.name}: {unfit[0]}", consequence="The robot is not opened", cure=unfit[1])
+                raise DeviceFailed(f"{self.name}: {unfit[0]}", cure=unfit[1])
             why = self._mismatch or f"no controller has sent a state within {self.settings.open_s:g} s"
             heard = f" ({self.counts.garbage_bytes} bytes were none)" if self.counts.garbage_bytes else ""
             raise DeviceNotFound(
                 f"{self.name}: {why}{heard}",
-                consequence="The robot is not opened",
                 cure="Check cable and baud, and start real-time path control on the controller as it is set here",
             )
 
@@ -210,7 +208,6 @@ class AlterRobot(CyclicRobot):
                 self._lose("its controller has fallen silent")
 
     def _take(self, state: StateFrame, *, newest: bool) -> None:
-        """Take one state, and answer it where it is good and none has come after it."""
         if self._last is None:
             if not self._may_begin(state):
                 return
@@ -238,7 +235,6 @@ class AlterRobot(CyclicRobot):
             self._first.set()
 
     def _unfit(self) -> tuple[str, str] | None:
-        """Return why the robot may not be opened, and the cure; None where nothing is known against it."""
         if clock := self._controller_clock.wrong:
             return clock, self._controller_clock.cure
         if self._obeyed or not self._answers:

@@ -89,18 +89,13 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         kept = self.settings = LinuxcncSettings.checked(settings)
         host, _, port = device.partition(":")
         if not host:
-            raise UsageError(
-                f"{device!r} is no HOST[:PORT]",
-                consequence="There is no robot",
-                cure="Give for instance linuxcnc:127.0.0.1",
-            )
+            raise UsageError(f"{device!r} is no HOST[:PORT]", cure="Give for instance linuxcnc:127.0.0.1")
         port = port or str(USUAL_PORT)
         udp_port(port, f"linuxcnc:{host}:{USUAL_PORT}")
         self._offsets = kept.motion == "offsets"
         if self._offsets and kept.arm is None:
             raise UsageError(
                 "corrections by offsets need the arm: near a singular pose they would make a joint run away",
-                consequence="The robot is not opened",
                 cure="Give its file with --arm",
             )
         guidance = "pose" if self._offsets else "joint"
@@ -153,9 +148,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         except OSError as error:
             link.close()
             raise DeviceFailed(
-                f"{self.name} cannot be reached: {error.strerror or error}",
-                consequence="The robot is not opened",
-                cure="Check the address and the network",
+                f"{self.name} cannot be reached: {error.strerror or error}", cure="Check the address and the network"
             ) from error
         except BaseException:
             link.close()
@@ -181,7 +174,6 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
                 return parse(data[HELLO.size :])
         raise DeviceNotFound(
             f"nothing answers at {where[0]}:{where[1]}: LinuxCNC does not run there, or not with armsight's bridge",
-            consequence="The robot is not opened",
             cure=self.to_begin,
         )
 
@@ -264,10 +256,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         )
 
     def correct(self, correction: RigidTransform) -> Sent:
-        """Let the correction go towards a way and turn about the flange in base axes, as far as one cycle allows.
-
-        It slows down in time to come to rest there. Raises as move_pose.
-        """
+        """Go towards a correction about the flange in base axes, at rest there. Raises as move_pose."""
         goal, words = bounded(correction, self.settings.largest_m, self.settings.largest_rad)
         if self._corrections is not None:
             goal = self._corrections.slowed(self._poses.sent, goal, self.cycle_s)

@@ -118,7 +118,6 @@ def parse(data: bytes) -> Machine:
         if isinstance(told, dict) and isinstance(told.get("bridge"), int) and told["bridge"] != VERSION:
             raise DeviceFailed(
                 f"the bridge beside LinuxCNC is of version {told['bridge']}, and this driver of {VERSION}",
-                consequence="The robot is not opened",
                 cure="Copy this version's there: python -m armsight.drivers.linuxcnc INI",
             )
         return Machine.model_validate(told)
@@ -213,4 +212,4 @@ def _joints(which: list[int]) -> str:
 
 
 def _refused(machine: Machine, why: str, cure: str) -> DeviceFailed:
-    return DeviceFailed(f"LinuxCNC with {machine.ini} {why}", consequence="The robot is not opened", cure=cure)
+    return DeviceFailed(f"LinuxCNC with {machine.ini} {why}", cure=cure)

@@ -207,7 +207,6 @@ class Bridge:
             self._next_why, self._due = BEGUN, 0
 
     def _leave(self) -> None:
-        """Let nobody drive; the arm comes to rest by itself."""
         self._client = None
         self._end(BEGUN)
 

@@ -3,5 +3,3 @@
 from armsight.drivers.remote.link import Heart, Link
 from armsight.drivers.remote.remote_robot import RemoteRobot
 from armsight.drivers.remote.wire import ServerAddress
-
-__all__ = ["Heart", "Link", "RemoteRobot", "ServerAddress"]

@@ -23,10 +23,7 @@ BEATS = 5.0
 
 
 class Link:
-    """A connection to a robot server, for several threads. Events that the server tells unasked are kept.
-
-    Where the server has a line for stops, that is opened besides: stop and beat go by both ways.
-    """
+    """A connection to a robot server, for several threads; stop and beat also go by its line for stops, if any."""
 
     def __init__(self, address: ServerAddress, path: str) -> None:
         self.address = address

@@ -45,10 +45,7 @@ class PoseMessage(_Model):
 
 
 class _FromClient(_Model):
-    """What every message of a client carries.
-
-    A message is taken once: session must be this connection's, and seq must grow.
-    """
+    """What every message of a client carries: it is taken once, session is this connection's, and seq grows."""
 
     session: str = Field(max_length=64, description="The connection's nonce, from `welcome`.")
     seq: int = Field(ge=1, lt=2**53, description="Number of the message; grows with each message of a connection.")

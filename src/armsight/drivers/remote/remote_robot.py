@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -98,9 +97,7 @@ class RemoteRobot:
         self._heart.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def heartbeat(self) -> None:
@@ -108,10 +105,7 @@ class RemoteRobot:
         self._alive("be enabled")[1].beat()
 
     def read(self) -> JointReading:
-        """Return the newest reading, its time on this program's clock.
-
-        Raises DeviceFailed where closed, DeviceLost, StaleData.
-        """
+        """Return the newest reading, on this program's clock. Raises DeviceFailed, DeviceLost, StaleData."""
         self._alive("be read")
         asked_s = self._clock.now_s()
         state = self._ask_state()
@@ -143,7 +137,6 @@ class RemoteRobot:
         if values.shape != (self.n_joints,):
             raise UsageError(
                 f"{self.name} has {self.n_joints} joints, but the step has shape {values.shape}",
-                consequence="Nothing was sent",
                 cure=f"Give {self.n_joints} values",
             )
         if not np.isfinite(values).all():
@@ -154,7 +147,7 @@ class RemoteRobot:
         """Move the flange towards a pose by the server's model of the arm; return where that leads."""
         self._alive("move")
         if not self.takes_poses:
-            raise UsageError(f"{self.name} takes no poses", consequence="Nothing was sent", cure="Send joint steps")
+            raise UsageError(f"{self.name} takes no poses", cure="Send joint steps")
         if not np.isfinite(T_base_flange.as_matrix()).all():
             raise Inconsistent(f"{self.name}: a pose is not finite", consequence="Nothing was sent")
         xyz, quat = xyz_quat(T_base_flange)

@@ -63,13 +63,11 @@ class ServerAddress:
         if host is None or port is None or parts.scheme not in ("ws", "wss") or parts.path not in ("", "/"):
             raise UsageError(
                 f"{self.url!r} is not the address of a robot server",
-                consequence="There is no connection",
                 cure="Give ws://HOST:PORT, or wss://HOST:PORT where the server has a certificate",
             )
-        if self.token and parts.scheme == "ws" and not _is_loopback(host):
+        if self.token and parts.scheme == "ws" and not is_loopback(host):
             raise UsageError(
                 f"the token would go to {host} in plain text",
-                consequence="There is no connection",
                 cure="Use wss://, and a server with --tls-cert and --tls-key",
             )
 
@@ -80,9 +78,7 @@ class ServerAddress:
         try:
             return ssl.create_default_context(cafile=None if self.ca_file is None else str(self.ca_file))
         except OSError as error:
-            raise UsageError(
-                f"{self.ca_file} holds no certificates: {error}", consequence="There is no connection"
-            ) from error
+            raise UsageError(f"{self.ca_file} holds no certificates: {error}") from error
 
 
 class Wire:
@@ -104,10 +100,7 @@ class Wire:
         self._seq = 0
 
     def open(self) -> say.Welcome | say.LineWelcome:
-        """Connect and return what the server says first.
-
-        Raises DeviceNotFound where no server answers, DeviceFailed where it refuses, UsageError for wrong files.
-        """
+        """Connect; return what the server says first. Raises DeviceNotFound, DeviceFailed where refused, UsageError."""
         connection = self._connect()
         try:
             first = say.parse_answer(connection.recv(timeout=OPEN_S))
@@ -278,12 +271,11 @@ def _made(make: Callable[..., say.Command], **fields: Any) -> say.Command:
         return make(**fields)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        raise UsageError(
-            f"{'.'.join(map(str, first['loc']))}: {first['msg']}", consequence="Nothing was sent"
-        ) from error
+        raise UsageError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Return whether an address or localhost is this machine itself; any other name may lead elsewhere."""
     try:
         return host == "localhost" or ip_address(host).is_loopback
     except ValueError:

@@ -1,5 +1,3 @@
 """Universal Robots behind RTDE, through the library ur-rtde."""
 
 from armsight.drivers.rtde.rtde_robot import RtdeRobot
-
-__all__ = ["RtdeRobot"]

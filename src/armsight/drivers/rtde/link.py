@@ -45,15 +45,10 @@ def address(device: str) -> tuple[str, int]:
     """Return host and port of HOST[:PORT]. Raises UsageError."""
     host, _, port = device.rpartition(":") if ":" in device else (device, "", str(PORT))
     if not (host and "/" not in host and " " not in host and port.isascii() and port.isdigit()):
-        raise UsageError(
-            f"{device!r} is not HOST or HOST:PORT",
-            consequence="There is no robot",
-            cure="Give for instance rtde:10.0.0.5",
-        )
+        raise UsageError(f"{device!r} is not HOST or HOST:PORT", cure="Give for instance rtde:10.0.0.5")
     if not LEAST_PORT <= int(port) < 65536:
         raise UsageError(
             f"a controller cannot be at port {int(port)}: the dashboard is {DASHBOARD_BELOW} ports below RTDE's",
-            consequence="There is no robot",
             cure=f"Give a port from {LEAST_PORT} to 65535, or leave it out for {PORT}",
         )
     return host, int(port)
@@ -80,10 +75,7 @@ class ControllerState:
 
 
 class Worker:
-    """A process with ur-rtde's connections. Raises DeviceNotFound where ur-rtde is missing, DeviceFailed.
-
-    numbers: cycle in s, lookahead in s, gain, watchdog in Hz.
-    """
+    """A process with ur-rtde's connections; numbers: cycle s, lookahead s, gain, watchdog Hz. Raises DeviceNotFound."""
 
     def __init__(self, host: str, port: int, numbers: Sequence[float]) -> None:
         if not all(_there(name) for name in MODULES):

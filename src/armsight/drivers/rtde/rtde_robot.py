@@ -112,7 +112,6 @@ class RtdeRobot(CyclicRobot):
         clock = self._controller_clock
         return DeviceFailed(
             f"{self.name}: {clock.wrong or self._lost}",
-            consequence="The robot is not opened",
             cure=clock.cure if clock.wrong else "Look at the controller, and open it again",
         )
 
@@ -130,7 +129,6 @@ class RtdeRobot(CyclicRobot):
             why = f"nothing takes a connection at {self.host}:{self.port} ({refused})"
         raise DeviceNotFound(
             f"{self.name} cannot be driven: {why}",
-            consequence="The robot is not opened",
             cure="Check address and cable, that remote control is on, the brakes are released, no other client drives "
             "the controller, and no fieldbus uses its registers",
         )
@@ -141,9 +139,7 @@ class RtdeRobot(CyclicRobot):
             self._hear(state)
         except (DeviceLost, Inconsistent) as error:
             raise DeviceFailed(
-                f"{self.name}: {error.cause}",
-                consequence="The robot is not opened",
-                cure="Clear it on the controller, and open it again",
+                f"{self.name}: {error.cause}", cure="Clear it on the controller, and open it again"
             ) from error
 
     def _finish(self) -> None:
@@ -169,7 +165,6 @@ class RtdeRobot(CyclicRobot):
             self._worker.cut()
 
     def _take(self, state: ControllerState) -> None:
-        """Take a state of the controller, and answer it with the goal of this moment."""
         if state.stamp_s < self._stamp_s:
             raise DeviceLost("its controller has started anew")
         cycles = max(1, round((state.stamp_s - self._stamp_s) / self.cycle_s))
@@ -188,7 +183,6 @@ class RtdeRobot(CyclicRobot):
             self._first.set()
 
     def _hear(self, state: ControllerState) -> None:
-        """Take the reading of a state. Raises Inconsistent where there is none, DeviceLost where nothing moves."""
         q = np.array(state.q)
         if not (np.abs(q) < LARGEST_RAD).all():
             raise Inconsistent("its controller tells joint values that no joint can have")

@@ -1,5 +1,3 @@
 """Arms of bus servos: Feetech's STS and Robotis' Dynamixel X, on one serial line."""
 
 from armsight.drivers.servo_bus.robot import DynamixelRobot, FeetechRobot
-
-__all__ = ["DynamixelRobot", "FeetechRobot"]

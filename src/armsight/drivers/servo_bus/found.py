@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from armsight.drivers.servo_bus.calibration import JointOfServo
 from armsight.drivers.servo_bus.line import OPENING_S, Line
+from armsight.drivers.servo_bus.settings import JointOfServo
 from armsight.drivers.servo_bus.tables import STEPS, Family
 from armsight.errors import DeviceFailed, DeviceNotFound
 
@@ -27,10 +27,7 @@ class ServoFound:
 
 
 def found(line: Line, family: Family, joints: Sequence[JointOfServo], baud: int, name: str) -> list[ServoFound]:
-    """Return the servos of joints. Raises DeviceNotFound where one does not answer, DeviceFailed where it is not right.
-
-    name: of the robot, for what is told.
-    """
+    """Return the servos of joints; name: the robot's. Raises DeviceNotFound for one that is silent, DeviceFailed."""
     start, size = family.fixed
     told: dict[int, bytes] = {}
     for joint in joints:
@@ -48,7 +45,6 @@ def found(line: Line, family: Family, joints: Sequence[JointOfServo], baud: int,
 def _absent(
     line: Line, family: Family, joints: Sequence[JointOfServo], missing: list[JointOfServo], baud: int, name: str
 ) -> DeviceNotFound:
-    """Return why servos do not answer, as far as it can be found."""
     for joint in missing:
         ping, size = family.packets.ping(joint.id), 0 if family.tick is None else 3
         if all(line.garbled(ping, size) for _ in range(3)):
@@ -60,12 +56,10 @@ def _absent(
                 if any(_answers(line, family, joint.id, more=i) for joint in joints[:2]):
                     return DeviceNotFound(
                         f"{name}: its servos talk at {other} baud, and this link is set to {baud}",
-                        consequence="The robot is not opened",
                         cure=f"Give --robot-set baud={other}",
                     )
         return DeviceNotFound(
             f"{name}: no servo answers, at {baud} baud or any other",
-            consequence="The robot is not opened",
             cure="Switch the arm's own supply on (USB does not feed servos), and check the port and the servos' cable",
         )
     words = ", ".join(joint.called for joint in missing)
@@ -76,7 +70,6 @@ def _absent(
     return DeviceNotFound(
         f"{name}: {words} {'does' if len(missing) == 1 else 'do'} not answer, and {', '.join(there)} "
         f"{'does' if len(there) == 1 else 'do'}{beside}",
-        consequence="The robot is not opened",
         cure="Check the cable before the first that is missing, its id, or give the ids of this arm (--robot-set ids=)",
     )
 
@@ -108,7 +101,7 @@ def _right(family: Family, joint: JointOfServo, data: bytes, name: str) -> Servo
     """Return a servo's settings. Raises DeviceFailed where it cannot be driven, or is not that of the file."""
 
     def wrong(why: str, cure: str) -> DeviceFailed:
-        return DeviceFailed(f"{name}: {joint.called} {why}", consequence="The robot is not opened", cure=cure)
+        return DeviceFailed(f"{name}: {joint.called} {why}", cure=cure)
 
     def of(field: str) -> int:
         return int(getattr(family, field).of(data, family.fixed[0]))

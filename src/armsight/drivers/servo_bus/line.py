@@ -91,7 +91,6 @@ class Line:
         return bool(foreign) or len(answers) > 1
 
     def _ask(self, question: bytes, n: int, size: int, wait_s: float) -> bytes:
-        """Return what comes behind a question until n sound answers are there, or their time is over."""
         line, expected = self._line, n * (size + self._packets.extra)
         line.reset_input_buffer()
         line.write(question)

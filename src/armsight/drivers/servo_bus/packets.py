@@ -5,9 +5,10 @@ Sources: Feetech, "Communication protocol manual" of the STS and SMS series; Rob
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar
 
 PING, READ, WRITE, SYNC_READ, SYNC_WRITE, STATUS = 0x01, 0x02, 0x03, 0x82, 0x83, 0x55
 EVERYBODY = 0xFE
@@ -25,128 +26,95 @@ class Answer:
     data: bytes
 
 
-class Packets(Protocol):
+class Packets(ABC):
     """How questions are written and answers read. extra: bytes of an answer beside its data."""
 
-    extra: int
+    extra: ClassVar[int]
+    number_size: ClassVar[int]
+    """Bytes of a place in a servo's table, and of a size."""
 
     def ping(self, id: int) -> bytes:
         """Ask whether a servo is there."""
-        ...
+        return self._packet(id, bytes([PING]))
 
     def read(self, id: int, start: int, size: int) -> bytes:
         """Ask one servo for so many bytes of its table from start on."""
-        ...
+        return self._packet(id, bytes([READ]) + self._numbers(start, size))
 
     def write(self, id: int, start: int, data: bytes) -> bytes:
         """Tell one servo, which answers."""
-        ...
+        return self._packet(id, bytes([WRITE]) + self._numbers(start) + data)
 
     def sync_read(self, ids: Sequence[int], start: int, size: int) -> bytes:
         """Ask several servos, who answer in this order."""
-        ...
+        return self._packet(EVERYBODY, bytes([SYNC_READ]) + self._numbers(start, size) + bytes(ids))
 
     def sync_write(self, start: int, data: Mapping[int, bytes]) -> bytes:
         """Tell several servos, none of whom answers."""
-        ...
+        numbers = self._numbers(start, len(next(iter(data.values()))))
+        rows = b"".join(bytes([id]) + value for id, value in data.items())
+        return self._packet(EVERYBODY, bytes([SYNC_WRITE]) + numbers + rows)
 
     def answers(self, line: bytes) -> tuple[list[Answer], int]:
         """Return the whole, sound answers on a line, in their order, and how many bytes belong to none."""
-        ...
+        found, at, foreign = [], 0, 0
+        while at < len(line):
+            answer, size = self._answer(line, at)
+            if answer is None:
+                foreign += 1
+            else:
+                found.append(answer)
+            at += size
+        return found, foreign
+
+    def _numbers(self, *values: int) -> bytes:
+        return b"".join(value.to_bytes(self.number_size, "little") for value in values)
+
+    @abstractmethod
+    def _packet(self, id: int, body: bytes) -> bytes: ...
+
+    @abstractmethod
+    def _answer(self, line: bytes, at: int) -> tuple[Answer | None, int]:
+        """Return the answer that begins at a place of a line and its size; None and 1 where none does."""
 
 
-class StsPackets:
+class StsPackets(Packets):
     """Feetech's: FF FF id length instruction-or-error data, and the inverted sum of all between."""
 
-    extra = 6
+    extra, number_size = 6, 1
 
     def _packet(self, id: int, body: bytes) -> bytes:
         inner = bytes([id, len(body) + 1]) + body
         return HEAD_1 + inner + bytes([~sum(inner) & 0xFF])
 
-    def ping(self, id: int) -> bytes:
-        """As Packets says."""
-        return self._packet(id, bytes([PING]))
-
-    def read(self, id: int, start: int, size: int) -> bytes:
-        """As Packets says."""
-        return self._packet(id, bytes([READ, start, size]))
-
-    def write(self, id: int, start: int, data: bytes) -> bytes:
-        """As Packets says."""
-        return self._packet(id, bytes([WRITE, start]) + data)
-
-    def sync_read(self, ids: Sequence[int], start: int, size: int) -> bytes:
-        """As Packets says."""
-        return self._packet(EVERYBODY, bytes([SYNC_READ, start, size, *ids]))
-
-    def sync_write(self, start: int, data: Mapping[int, bytes]) -> bytes:
-        """As Packets says."""
-        return self._packet(EVERYBODY, bytes([SYNC_WRITE, start, _size(data.values())]) + _by_id(data))
-
-    def answers(self, line: bytes) -> tuple[list[Answer], int]:
-        """As Packets says."""
-        found, at, foreign = [], 0, 0
-        while at < len(line):
-            size = line[at + 3] + 4 if len(line) - at >= self.extra and line.startswith(HEAD_1, at) else 0
-            body = line[at + 2 : at + size]
-            if self.extra <= size <= len(line) - at and ~sum(body[:-1]) & 0xFF == body[-1]:
-                found.append(Answer(body[0], body[2], body[3:-1]))
-                at += size
-            else:
-                at, foreign = at + 1, foreign + 1
-        return found, foreign
+    def _answer(self, line: bytes, at: int) -> tuple[Answer | None, int]:
+        size = line[at + 3] + 4 if len(line) - at >= self.extra and line.startswith(HEAD_1, at) else 0
+        body = line[at + 2 : at + size]
+        if self.extra <= size <= len(line) - at and ~sum(body[:-1]) & 0xFF == body[-1]:
+            return Answer(body[0], body[2], body[3:-1]), size
+        return None, 1
 
 
-class DynamixelPackets:
+class DynamixelPackets(Packets):
     """Protocol 2: FF FF FD 00 id length(2) instruction data crc(2); FF FF FD within is followed by one FD more."""
 
-    extra = 11
+    extra, number_size = 11, 2
 
     def _packet(self, id: int, body: bytes) -> bytes:
         stuffed = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-        whole = HEAD_2 + bytes([id]) + (len(stuffed) + 2).to_bytes(2, "little") + stuffed
-        return whole + crc16(whole).to_bytes(2, "little")
+        whole = HEAD_2 + bytes([id]) + self._numbers(len(stuffed) + 2) + stuffed
+        return whole + self._numbers(crc16(whole))
 
-    def ping(self, id: int) -> bytes:
-        """As Packets says."""
-        return self._packet(id, bytes([PING]))
-
-    def read(self, id: int, start: int, size: int) -> bytes:
-        """As Packets says."""
-        return self._packet(id, bytes([READ]) + _two(start) + _two(size))
-
-    def write(self, id: int, start: int, data: bytes) -> bytes:
-        """As Packets says."""
-        return self._packet(id, bytes([WRITE]) + _two(start) + data)
-
-    def sync_read(self, ids: Sequence[int], start: int, size: int) -> bytes:
-        """As Packets says."""
-        return self._packet(EVERYBODY, bytes([SYNC_READ]) + _two(start) + _two(size) + bytes(ids))
-
-    def sync_write(self, start: int, data: Mapping[int, bytes]) -> bytes:
-        """As Packets says."""
-        body = bytes([SYNC_WRITE]) + _two(start) + _two(_size(data.values())) + _by_id(data)
-        return self._packet(EVERYBODY, body)
-
-    def answers(self, line: bytes) -> tuple[list[Answer], int]:
-        """As Packets says."""
-        found, at, foreign = [], 0, 0
-        while at < len(line):
-            whole = len(line) - at >= self.extra and line.startswith(HEAD_2, at)
-            size = int.from_bytes(line[at + 5 : at + 7], "little") + 7 if whole else 0
-            packet = line[at : at + size]
-            if self.extra <= size <= len(line) - at and _is_status(packet):
-                body = packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-                found.append(Answer(packet[4], body[0], body[1:]))
-                at += size
-            else:
-                at, foreign = at + 1, foreign + 1
-        return found, foreign
-
-
-def _is_status(packet: bytes) -> bool:
-    return packet[7] == STATUS and crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
+    def _answer(self, line: bytes, at: int) -> tuple[Answer | None, int]:
+        whole = len(line) - at >= self.extra and line.startswith(HEAD_2, at)
+        size = int.from_bytes(line[at + 5 : at + 7], "little") + 7 if whole else 0
+        packet = line[at : at + size]
+        if not self.extra <= size <= len(line) - at or packet[7] != STATUS:
+            return None, 1
+        if crc16(packet[:-2]) != int.from_bytes(packet[-2:], "little"):
+            return None, 1
+        body = packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+        return Answer(packet[4], body[0], body[1:]), size
 
 
 def _table() -> tuple[int, ...]:
@@ -169,15 +137,3 @@ def crc16(data: bytes) -> int:
     for byte in data:
         value = (value << 8 & 0xFFFF) ^ _CRC[value >> 8 ^ byte]
     return value
-
-
-def _two(value: int) -> bytes:
-    return value.to_bytes(2, "little")
-
-
-def _size(values: Iterable[bytes]) -> int:
-    return len(next(iter(values)))
-
-
-def _by_id(data: Mapping[int, bytes]) -> bytes:
-    return b"".join(bytes([id]) + value for id, value in data.items())

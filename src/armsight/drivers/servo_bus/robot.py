@@ -95,7 +95,6 @@ class ServoBusRobot(CyclicRobot):
             raise UsageError(
                 f"{n} servos at {self.settings.baud} baud take {needed_s / MS:.1f} ms, longer than a cycle of "
                 f"{self.cycle_s / MS:g} ms",
-                consequence="The robot is not opened",
                 cure=f"Set the servos and this link to 1000000 baud, or cycle_s to {1.2 * needed_s:.3f}",
             )
 
@@ -120,9 +119,7 @@ class ServoBusRobot(CyclicRobot):
                     self._switch_off()
                 self._first_reading()
             except DeviceLost as error:
-                raise DeviceFailed(
-                    f"{self.name}: {error.cause}", consequence="The robot is not opened", cure="Check its cable"
-                ) from error
+                raise DeviceFailed(f"{self.name}: {error.cause}", cure="Check its cable") from error
             self._undo = undo.pop_all()
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
@@ -145,7 +142,6 @@ class ServoBusRobot(CyclicRobot):
             joint, (low, high) = self.joints[empty[0]], ends[empty[0]]
             raise UsageError(
                 f"{self.name}: {joint.called} goes from {low:.3f} to {high:.3f} rad, and none of that is allowed",
-                consequence="The robot is not opened",
                 cure="Give other lower_rad and upper_rad",
             )
         return JointLimits(lower=lower, upper=upper, max_speed=given.max_speed)
@@ -158,7 +154,6 @@ class ServoBusRobot(CyclicRobot):
         if file.shape != ends.shape:
             raise UsageError(
                 f"{self.name}: the arm's file has {len(file)} joints, and {self.n_joints} servos are named",
-                consequence="The robot is not opened",
                 cure="Name the arm's servos alone (--robot-set ids=1,2,3,4,5): a gripper's is no joint of the arm",
             )
         for joint, own, there in zip(self.joints, ends, file, strict=True):
@@ -188,16 +183,10 @@ class ServoBusRobot(CyclicRobot):
             if (states := self._ask()) is not None and self._watch_all(states):
                 break
         else:
-            raise DeviceFailed(
-                f"{self.name}: {self._absent}", consequence="The robot is not opened", cure="Check its cable"
-            )
+            raise DeviceFailed(f"{self.name}: {self._absent}", cure="Check its cable")
         self._believed.take(states, self._clock.now_s())
         if alarm := self._believed.alarm(enabled=False):
-            raise DeviceFailed(
-                f"{self.name}: {alarm.partition(':')[0]}",
-                consequence="The robot is not opened",
-                cure=alarm.partition(": ")[2].capitalize(),
-            )
+            raise DeviceFailed(f"{self.name}: {alarm.partition(':')[0]}", cure=alarm.partition(": ")[2].capitalize())
         self._heard(self._believed.q, self._believed.t_s)
 
     def _watch_all(self, states: list[ServoState]) -> bool:
@@ -256,7 +245,6 @@ class ServoBusRobot(CyclicRobot):
         return states
 
     def _cycle(self, cycles: int) -> None:
-        """Ask the servos, and tell them where to go."""
         self._numbers += cycles
         t_s = self._clock.now_s()
         states = self._ask()
@@ -283,7 +271,6 @@ class ServoBusRobot(CyclicRobot):
         self._tell()
 
     def _tell(self) -> None:
-        """Tell the servos their goals, where they are enabled or are being so."""
         with self._lock:
             active = self._enabled or self._enabling
             steps = tuple(joint.steps(q) for joint, q in zip(self.joints, self._goals.sent, strict=True))

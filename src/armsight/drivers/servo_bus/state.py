@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.drivers.servo_bus.calibration import JointOfServo
 from armsight.drivers.servo_bus.found import ServoFound
 from armsight.drivers.servo_bus.packets import Answer
+from armsight.drivers.servo_bus.settings import JointOfServo
 from armsight.drivers.servo_bus.tables import ALERT, STEP_RAD, TICKS, Family
 from armsight.units import MS
 
@@ -109,10 +109,7 @@ class Believed:
         return not self._given or tuple(state.goal for state in self.states) == self._given[-1]
 
     def against(self, states: Sequence[ServoState], t_s: float, cycle_s: float, *, any_place: bool) -> str:
-        """Return why states read at t_s cannot be, in words; empty where they can.
-
-        any_place: nothing was read for so long that the arm may be anywhere.
-        """
+        """Return why states read at t_s cannot be, empty where they can. any_place: nothing was read for long."""
         if not self.states:
             return ""
         passed_s = t_s - self.t_s

@@ -288,10 +288,7 @@ def ray_of(k, u, v):
 
 @lean_kernel
 def undistort_point(k, u, v, xy, J):
-    """Fill xy (2,) with the normalised ray (x/z, y/z) of a pixel and J (2, 2) = d xy / d (u, v).
-
-    False where the pixel has no ray under this model, see ray_of.
-    """
+    """Fill xy (2,) with the ray (x/z, y/z) of a pixel, J (2, 2) = d xy / d (u, v); False where it has none (ray_of)."""
     found, x, y, dxx, dxy, dyy = ray_of(k, u, v)
     if not found:
         return False

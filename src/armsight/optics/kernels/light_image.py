@@ -92,10 +92,7 @@ def see_both(k, R, t, X, uv, J):
 
 @kernel
 def see_points(k, R, t, X, uv, J, D):
-    """Fill uv (m, 2), J (m, 2, 3) by X and D (m, 2, 10) by the intrinsics of points X (m, 3); p_camera = R X + t.
-
-    NaN where a point has no image; its derivatives are zero.
-    """
+    """Fill uv (m, 2) of points X (m, 3), J (m, 2, 3) by X, D (m, 2, 10) by the intrinsics; NaN without an image."""
     by_camera = np.empty((2, 3))
     for i in range(X.shape[0]):
         x = R[0, 0] * X[i, 0] + R[0, 1] * X[i, 1] + R[0, 2] * X[i, 2] + t[0]

@@ -247,10 +247,7 @@ def triangulate_ml_point(rig, uv, cov, X, S):
 
 @kernel
 def triangulate_rows(rig, uv, cov, likeliest, X, S, chi2, verdict):
-    """Triangulate uv (n, v, 2) [point, view] with cov (n, v, 2, 2) into X (n, 3), S (n, 3, 3); NaN where refused.
-
-    likeliest: by maximum likelihood; else the linear closed form.
-    """
+    """Triangulate uv (n, v, 2), cov (n, v, 2, 2) into X (n, 3), S (n, 3, 3), NaN where refused; likeliest or closed."""
     rig = RigK(*rig)
     W = np.empty(cov.shape[1:])
     H = np.empty((3, 3))
@@ -270,10 +267,7 @@ def triangulate_rows(rig, uv, cov, likeliest, X, S, chi2, verdict):
 
 @kernel
 def rays_in_rig(k, R, uv, d, D, ok):
-    """Fill rays d (n, 3) in rig axes of pixels uv (n, 2), D (n, 3, 2) = d ray / d pixel, ok (n,) where there is one.
-
-    The rays have unit depth in the camera, not unit length.
-    """
+    """Fill rays d (n, 3), of depth 1 in the camera, in rig axes, D (n, 3, 2) = d ray / d pixel, and ok (n,)."""
     xy = np.empty(2)
     J = np.empty((2, 2))
     for i in range(uv.shape[0]):

@@ -3,37 +3,15 @@
 Written only: COLMAP, TF, easy_handeye.
 """
 
-from armsight.store.foreign.colmap import cameras_to_colmap
 from armsight.store.foreign.kalibr import camera_from_kalibr, camera_to_kalibr, rig_from_kalibr, rig_to_kalibr
 from armsight.store.foreign.opencv import camera_from_opencv, camera_to_opencv, rig_from_opencv, rig_to_opencv
 from armsight.store.foreign.ros import camera_from_ros, camera_to_ros, rig_from_ros, rig_to_ros
 from armsight.store.foreign.storage import kind_of
-from armsight.store.foreign.transforms import (
+from armsight.store.foreign.written import (
     FrameNames,
     Transform,
+    cameras_to_colmap,
     write_easy_handeye,
     write_easy_handeye2,
     write_tf_launch,
 )
-
-__all__ = [
-    "FrameNames",
-    "Transform",
-    "camera_from_kalibr",
-    "camera_from_opencv",
-    "camera_from_ros",
-    "camera_to_kalibr",
-    "camera_to_opencv",
-    "camera_to_ros",
-    "cameras_to_colmap",
-    "kind_of",
-    "rig_from_kalibr",
-    "rig_from_opencv",
-    "rig_from_ros",
-    "rig_to_kalibr",
-    "rig_to_opencv",
-    "rig_to_ros",
-    "write_easy_handeye",
-    "write_easy_handeye2",
-    "write_tf_launch",
-]

@@ -19,15 +19,7 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.optics import SIDES, Camera, LensKind, MountedCamera, Rig
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
-from armsight.store.foreign.numbers import (
-    array_of,
-    fisheye_coefficients,
-    matrix_at,
-    placed,
-    relative,
-    rotation_of,
-    value_at,
-)
+from armsight.store.foreign import numbers
 from armsight.store.yamls import dump_yaml, read_yaml
 
 
@@ -41,7 +33,7 @@ def kalibr_camera(content: Mapping[str, Any], name: str, where: str) -> Camera:
     block = _block(content, name, where)
     block_name = f"{where}, {name}"
     for key, known in (("camera_model", ("pinhole",)), ("distortion_model", ("radtan", "equidistant", "none"))):
-        model = value_at(block, key, block_name)
+        model = numbers.value_at(block, key, block_name)
         if model not in known:
             raise BadFile(
                 f"{block_name}: {key} is {str(model)[:40]!r}",
@@ -49,16 +41,18 @@ def kalibr_camera(content: Mapping[str, Any], name: str, where: str) -> Camera:
                 cure="Calibrate with pinhole-radtan, a wide or fisheye lens with pinhole-equi",
             )
     fisheye = block["distortion_model"] == "equidistant"
-    fu, fv, pu, pv = matrix_at(block, "intrinsics", (1, 4), block_name).ravel().tolist()
+    fu, fv, pu, pv = numbers.matrix_at(block, "intrinsics", (1, 4), block_name).ravel().tolist()
     distortion = np.zeros(4 if fisheye else 5)
     if fisheye:
-        values = array_of(value_at(block, "distortion_coeffs", block_name), "distortion_coeffs", block_name)
-        distortion = fisheye_coefficients(values, "distortion_coeffs", block_name)
+        values = numbers.array_of(
+            numbers.value_at(block, "distortion_coeffs", block_name), "distortion_coeffs", block_name
+        )
+        distortion = numbers.fisheye_coefficients(values, "distortion_coeffs", block_name)
     elif block["distortion_model"] == "radtan":
-        distortion[:4] = matrix_at(block, "distortion_coeffs", (1, 4), block_name).ravel()
-    size = array_of(value_at(block, "resolution", block_name), "resolution", block_name).ravel()
+        distortion[:4] = numbers.matrix_at(block, "distortion_coeffs", (1, 4), block_name).ravel()
+    size = numbers.array_of(numbers.value_at(block, "resolution", block_name), "resolution", block_name).ravel()
     if size.size != 2 or not all(float(value).is_integer() and 1 <= value <= 1e6 for value in size):
-        raise BadFile(f"{block_name}: resolution is not [width, height] in px", consequence="The file is not used")
+        raise BadFile(f"{block_name}: resolution is not [width, height] in px")
     with named(block_name):
         make = Camera.fisheye if fisheye else Camera.pinhole
         return make(int(size[0]), int(size[1]), fu, fv, pu, pv, distortion=distortion)
@@ -94,14 +88,11 @@ def kalibr_rig(content: Mapping[str, Any], where: str, unit_m: float | None = No
 
 
 def _step(content: Mapping[str, Any], link: str, where: str, unit_m: float | None) -> RigidTransform:
-    """Return the pose of a chain's camera in the axes of the one before it."""
     block_name = f"{where}, {link}"
-    T = matrix_at(_block(content, link, where), "T_cn_cnm1", (4, 4), block_name)
+    T = numbers.matrix_at(_block(content, link, where), "T_cn_cnm1", (4, 4), block_name)
     if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 0.0:
-        raise BadFile(
-            f"{block_name}: T_cn_cnm1 does not end with the row 0, 0, 0, 1", consequence="The file is not used"
-        )
-    return placed(rotation_of(T[:3, :3], "T_cn_cnm1", block_name), T[:3, 3], block_name, unit_m)
+        raise BadFile(f"{block_name}: T_cn_cnm1 does not end with the row 0, 0, 0, 1")
+    return numbers.placed(numbers.rotation_of(T[:3, :3], "T_cn_cnm1", block_name), T[:3, 3], block_name, unit_m)
 
 
 def kalibr_mapping(camera: Camera) -> dict[str, Any]:
@@ -111,9 +102,7 @@ def kalibr_mapping(camera: Camera) -> dict[str, Any]:
     k3 = 0.0 if fisheye else coefficients[4]
     if skew != 0.0 or k3 != 0.0:
         raise Inconsistent(
-            f"the camera has skew {skew:g} px and k3 {k3:g}",
-            consequence="Kalibr's models have neither",
-            cure="Calibrate with both fixed at zero",
+            f"the camera has skew {skew:g} px and k3 {k3:g}", consequence="Kalibr has neither", cure="Fix both at zero"
         )
     return {
         "camera_model": "pinhole",
@@ -134,7 +123,7 @@ def rig_to_kalibr(path: Path, rig: Rig) -> None:
     content: dict[str, Any] = {}
     for k, one in enumerate(rig.cameras):
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = relative(rig.cameras[max(k - 1, 0)].T_rig_camera, one.T_rig_camera)
+        T[:3, :3], T[:3, 3] = numbers.relative(rig.cameras[max(k - 1, 0)].T_rig_camera, one.T_rig_camera)
         beside = [j for j in (k - 1, k + 1) if 0 <= j < len(rig.cameras)]
         step = {} if k == 0 else {"T_cn_cnm1": T.tolist()}
         content[f"cam{k}"] = {**step, "cam_overlaps": beside, **kalibr_mapping(one.camera)}
@@ -142,7 +131,7 @@ def rig_to_kalibr(path: Path, rig: Rig) -> None:
 
 
 def _block(content: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
-    block = value_at(content, name, where)
+    block = numbers.value_at(content, name, where)
     if not isinstance(block, Mapping):
-        raise BadFile(f"{where}: {name} is not a camera", consequence="The file is not used")
+        raise BadFile(f"{where}: {name} is not a camera")
     return block

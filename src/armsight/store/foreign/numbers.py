@@ -33,9 +33,7 @@ def value_at(content: Mapping[str, Any], key: str, where: str) -> Any:
     """Return content[key]; BadFile where it is missing."""
     if key not in content:
         keys = ", ".join(str(name) for name in content)[:200]
-        raise BadFile(
-            f"{where}: the key {key} is missing; found {keys}", consequence="The file is not used", cure="Add it"
-        )
+        raise BadFile(f"{where}: the key {key} is missing; found {keys}", cure="Add it")
     return content[key]
 
 
@@ -118,7 +116,6 @@ def brown_conrady(
             how = f"is {rms_px:.2g} px (RMS over the image) from the nearest k1, k2, p1, p2, k3"
         raise BadFile(
             f"{where}: the rational, thin-prism or tilted model ({flat.size} coefficients) {how}",
-            consequence="The camera is not used",
             cure="Calibrate it with armsight calibrate camera or stereo, of a very wide lens with --lens fisheye",
         )
     if told is not None and most_px > TOLD_PX:
@@ -171,7 +168,6 @@ def fisheye_coefficients(values: Array, key: str, where: str) -> Array:
     if flat.size != 4:
         raise BadFile(
             f"{where}: {key} holds {flat.size} coefficients, and a fisheye lens has four (k1, k2, k3, k4)",
-            consequence="The file is not used",
             cure="Say the model that they are of: five are those of a pinhole (plumb_bob, radtan)",
         )
     return flat
@@ -194,7 +190,6 @@ def placed(R: Array, t: Array, where: str, unit_m: float | None = None) -> Rigid
     if not apart > 0.0 or (unit_m is None and apart > LARGEST_BASELINE_M):
         raise BadFile(
             f"{where}: the cameras would stand {apart:g} m apart",
-            consequence="The rig is not used",
             cure="Say the file's unit: --unit 0.001 for millimetres, 0.01 for centimetres, a square's side in metres "
             "where the board was given in squares, --unit 1 where they do stand so far apart"
             if apart > 0.0
@@ -215,7 +210,7 @@ def rows_of(matrix: Array) -> Sequence[float]:
 
 
 def _bad(key: str, where: str, what: str) -> BadFile:
-    return BadFile(f"{where}: {key} {what}", consequence="The file is not used", cure="Correct it there")
+    return BadFile(f"{where}: {key} {what}", cure="Correct it there")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -234,10 +229,7 @@ class Rectification:
 
 
 def rectification(rig: Rig) -> Rectification:
-    """Return a rig's rectification, with zero disparity at infinity and no pixel of nothing (alpha 0).
-
-    Raises Inconsistent where the two images differ in size: one P serves both.
-    """
+    """Return a rig's rectification, no disparity at infinity, alpha 0. Raises Inconsistent for two image sizes."""
     if (rig.left.width, rig.left.height) != (rig.right.width, rig.right.height):
         raise Inconsistent("the cameras' images differ in size", consequence="One rectified pair cannot say this")
     R, t = relative(rig.T_rig_left, rig.T_rig_right)

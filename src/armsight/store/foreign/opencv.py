@@ -30,19 +30,7 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
-from armsight.store.foreign.numbers import (
-    array_of,
-    brown_conrady,
-    count_at,
-    fisheye_coefficients,
-    intrinsics_of,
-    matrix_at,
-    placed,
-    rectification,
-    relative,
-    rotation_of,
-    value_at,
-)
+from armsight.store.foreign import numbers
 from armsight.store.foreign.storage import read_storage
 
 PAIR_NAMES = (("M1", "D1", "M2", "D2"), ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"))
@@ -66,10 +54,7 @@ TILTED = 0.005
 
 
 def camera_from_opencv(path: Path, *, size: Size | None = None, told: list[str] | None = None) -> Camera:
-    """Return the camera of a FileStorage file; size (width, height) is wanted where the file does not say it.
-
-    told: takes what is to be said of it.
-    """
+    """Return a FileStorage file's camera; size (width, height): where it says none. told: takes what is to be said."""
     return opencv_camera(read_storage(path), str(path), size=size, told=told)
 
 
@@ -98,7 +83,7 @@ def rig_from_opencv(
     for path in paths:
         for key, value in read_storage(path).items():
             if key in content and content[key] != value:
-                raise BadFile(f"{path}: {key} differs from the other file's", consequence="The rig is not used")
+                raise BadFile(f"{path}: {key} differs from the other file's")
             content[key] = value
     return opencv_rig(content, " and ".join(str(path) for path in paths), size=size, unit_m=unit_m, told=told)
 
@@ -122,21 +107,21 @@ def opencv_rig(
         )
     wh = _size(content, size, where)
     R = _rotation(content, where, told)
-    t = matrix_at(content, "T", (3, 1), where).ravel()
+    t = numbers.matrix_at(content, "T", (3, 1), where).ravel()
     return Rig(
         kind=RigKind.STEREO,
         left=_camera(content, names[:2], wh, where, told),
         right=_camera(content, names[2:], wh, where, told),
         T_rig_left=RigidTransform.identity(),
-        T_rig_right=placed(R, t, where, unit_m),
+        T_rig_right=numbers.placed(R, t, where, unit_m),
     )
 
 
 def _rotation(content: Mapping[str, Any], where: str, told: list[str] | None) -> Array:
     """Return R (3, 3); three numbers are a rotation vector, as cv2.Rodrigues and the ZED's tools write it."""
-    given = array_of(value_at(content, "R", where), "R", where)
+    given = numbers.array_of(numbers.value_at(content, "R", where), "R", where)
     if given.size != 3:
-        return rotation_of(matrix_at(content, "R", (3, 3), where), "R", where)
+        return numbers.rotation_of(numbers.matrix_at(content, "R", (3, 3), where), "R", where)
     if told is not None:
         told.append(f"{where}: R has three numbers, taken as a rotation vector in radians")
     return np.asarray(Rotation.from_rotvec(given.ravel()).as_matrix())
@@ -162,7 +147,7 @@ def rig_to_opencv(path: Path, rig: Rig) -> None:
     """
     if (rig.left.width, rig.left.height) != (rig.right.width, rig.right.height):
         raise Inconsistent("the cameras' images differ in size", consequence="OpenCV's stereo file cannot say this")
-    R, t = relative(rig.T_rig_left, rig.T_rig_right)
+    R, t = numbers.relative(rig.T_rig_left, rig.T_rig_right)
     parts: dict[str, int | Array] = {
         "image_width": rig.left.width,
         "image_height": rig.left.height,
@@ -175,7 +160,7 @@ def rig_to_opencv(path: Path, rig: Rig) -> None:
     }
     if rig.left.lens is LensKind.FISHEYE:
         parts |= {"fisheye_model": 1}
-    found = rectification(rig)
+    found = numbers.rectification(rig)
     parts |= {name: getattr(found, name) for name in ("R1", "R2", "P1", "P2", "Q", "E", "F")}
     write_text(path, storage_text(parts))
 
@@ -194,24 +179,19 @@ def storage_text(parts: Mapping[str, int | Array]) -> str:
 
 
 def _camera(content: Mapping[str, Any], names: Sequence[str], size: Size, where: str, told: list[str] | None) -> Camera:
-    """Return the camera; names: of its matrix and its distortion."""
     matrix, distortion = names
-    intrinsics = intrinsics_of(matrix_at(content, matrix, (3, 3), where), matrix, where)
-    given = array_of(value_at(content, distortion, where), distortion, where)
+    intrinsics = numbers.intrinsics_of(numbers.matrix_at(content, matrix, (3, 3), where), matrix, where)
+    given = numbers.array_of(numbers.value_at(content, distortion, where), distortion, where)
     fisheye = _is_fisheye(content, where)
     if fisheye:
-        values = fisheye_coefficients(given, distortion, where)
+        values = numbers.fisheye_coefficients(given, distortion, where)
     else:
-        if not _says_lens(content):
+        if not {"fisheye_model", "distortion_model", "model"} & set(content):
             _refuse_open_lens(given.ravel(), intrinsics, size, f"{where}: {distortion}")
-        values = brown_conrady(given, intrinsics, size, f"{where}: {distortion}", told)
+        values = numbers.brown_conrady(given, intrinsics, size, f"{where}: {distortion}", told)
     make = Camera.fisheye if fisheye else Camera.pinhole
     with named(where):
         return make(*size, *intrinsics[:4], skew=intrinsics[4], distortion=values)
-
-
-def _says_lens(content: Mapping[str, Any]) -> bool:
-    return any(key in content for key in ("fisheye_model", "distortion_model", "model"))
 
 
 def _refuse_open_lens(given: Array, intrinsics: tuple[float, ...], size: Size, where: str) -> None:
@@ -250,17 +230,17 @@ def _first(content: Mapping[str, Any], names: Sequence[str], where: str) -> str:
         if name in content:
             return name
     found = ", ".join(str(key) for key in content)[:200]
-    raise BadFile(f"{where}: none of {', '.join(names)}; found {found}", consequence="The file is not used")
+    raise BadFile(f"{where}: none of {', '.join(names)}; found {found}")
 
 
 def _size(content: Mapping[str, Any], size: Size | None, where: str) -> Size:
     if "image_width" in content:
-        return count_at(content, "image_width", where), count_at(content, "image_height", where)
+        return numbers.count_at(content, "image_width", where), numbers.count_at(content, "image_height", where)
     for name in SIZE_NAMES:
         if name in content:
-            values = array_of(content[name], name, where).ravel()
+            values = numbers.array_of(content[name], name, where).ravel()
             if values.size != 2 or not all(float(v).is_integer() and 1 <= v <= 1e6 for v in values):
-                raise BadFile(f"{where}: {name} is not a width and a height in px", consequence="It is not used")
+                raise BadFile(f"{where}: {name} is not a width and a height in px")
             return int(values[0]), int(values[1])
     if size is None:
         raise BadFile(

@@ -21,19 +21,7 @@ from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
-from armsight.store.foreign.numbers import (
-    array_of,
-    brown_conrady,
-    count_at,
-    fisheye_coefficients,
-    intrinsics_of,
-    matrix_at,
-    placed,
-    rectification,
-    rotation_of,
-    rows_of,
-    value_at,
-)
+from armsight.store.foreign import numbers
 from armsight.store.foreign.storage import read_storage
 from armsight.store.yamls import dump_yaml
 
@@ -56,13 +44,15 @@ def ros_camera(content: Mapping[str, Any], where: str, told: list[str] | None = 
             cure="Calibrate with plumb_bob, a fisheye lens with equidistant",
         )
     key = "distortion_coefficients"
-    intrinsics = intrinsics_of(matrix_at(content, "camera_matrix", (3, 3), where), "camera_matrix", where)
-    size = count_at(content, "image_width", where), count_at(content, "image_height", where)
-    values, fisheye = array_of(value_at(content, key, where), key, where), model == "equidistant"
+    intrinsics = numbers.intrinsics_of(
+        numbers.matrix_at(content, "camera_matrix", (3, 3), where), "camera_matrix", where
+    )
+    size = numbers.count_at(content, "image_width", where), numbers.count_at(content, "image_height", where)
+    values, fisheye = numbers.array_of(numbers.value_at(content, key, where), key, where), model == "equidistant"
     if fisheye:
-        distortion = fisheye_coefficients(values, key, where)
+        distortion = numbers.fisheye_coefficients(values, key, where)
     else:
-        distortion = brown_conrady(values, intrinsics, size, where, told)
+        distortion = numbers.brown_conrady(values, intrinsics, size, where, told)
     make = Camera.fisheye if fisheye else Camera.pinhole
     with named(where):
         return make(
@@ -95,12 +85,14 @@ def ros_rig(
     cameras = ros_camera(left, where_left, told), ros_camera(right, where_right, told)
     shifts, turns = [], []
     for content, where in ((left, where_left), (right, where_right)):
-        P = matrix_at(content, "projection_matrix", (3, 4), where)
+        P = numbers.matrix_at(content, "projection_matrix", (3, 4), where)
         if not (P[0, 0] > 0.0 and P[1, 1] > 0.0):
-            raise BadFile(f"{where}: projection_matrix has no focal length", consequence="The file is not used")
+            raise BadFile(f"{where}: projection_matrix has no focal length")
         shifts.append(np.array([P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0.0]))
         turns.append(
-            rotation_of(matrix_at(content, "rectification_matrix", (3, 3), where), "rectification_matrix", where)
+            numbers.rotation_of(
+                numbers.matrix_at(content, "rectification_matrix", (3, 3), where), "rectification_matrix", where
+            )
         )
     _check_order(shifts[0], shifts[1], where_left, where_right)
     R = turns[1].T @ turns[0]  # (3, 3) p_right = R p_left + t
@@ -110,7 +102,7 @@ def ros_rig(
         left=cameras[0],
         right=cameras[1],
         T_rig_left=RigidTransform.identity(),
-        T_rig_right=placed(R, t, where_right, unit_m),
+        T_rig_right=numbers.placed(R, t, where_right, unit_m),
     )
 
 
@@ -157,11 +149,9 @@ def rig_to_ros(left: Path, right: Path, rig: Rig, *, names: tuple[str, str] = ("
     """
     if any(camera.intrinsics[4] != 0.0 for camera in (rig.left, rig.right)):
         raise Inconsistent(
-            "a camera of the rig has skew",
-            consequence="ROS's rectification leaves it out",
-            cure="Calibrate with skew fixed at zero",
+            "a camera of the rig has skew", consequence="ROS's rectification leaves it out", cure="Fix skew at zero"
         )
-    found = rectification(rig)
+    found = numbers.rectification(rig)
     for path, camera, name, R_rectify, P in (
         (left, rig.left, names[0], found.R1, found.P1),
         (right, rig.right, names[1], found.R2, found.P2),
@@ -170,4 +160,4 @@ def rig_to_ros(left: Path, right: Path, rig: Rig, *, names: tuple[str, str] = ("
 
 
 def _matrix(matrix: Array) -> dict[str, Any]:
-    return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": rows_of(matrix)}
+    return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": numbers.rows_of(matrix)}

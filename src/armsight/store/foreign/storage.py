@@ -45,7 +45,6 @@ def _one_of(messages: list[dict[str, Any] | None], where: str) -> dict[str, Any]
     if any(one != calibrations[0] for one in calibrations):
         raise BadFile(
             f"{where}: {len(messages)} camera_info messages that are not of one camera and calibration",
-            consequence="It is not read",
             cure="Keep one message of the camera that is meant",
         )
     return messages[0] or {}
@@ -85,18 +84,14 @@ def _camera_info(message: dict[str, Any], where: str) -> dict[str, Any]:
 def _of_xml(data: bytes, where: str) -> dict[str, Any]:
     """Return matrices as rows, cols (or sizes) and data, and single values; what else is there is left out."""
     if b"<!" in data:  # entities, which FileStorage does not write, could grow without end
-        raise BadFile(
-            f"{where}: a document type or a comment stands in it", consequence="It is not read", cure="Take it out"
-        )
+        raise BadFile(f"{where}: a document type or a comment stands in it", cure="Take it out")
     try:
         root = ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise BadFile(f"{where}: {error}", consequence="The file cannot be read", cure="Correct it there") from error
+        raise BadFile(f"{where}: {error}", cure="Correct it there") from error
     if root.tag != ROOT:
         raise BadFile(
-            f"{where}: XML whose root is {root.tag[:40]!r}",
-            consequence="It is not read",
-            cure=f"Give OpenCV's FileStorage, whose root is {ROOT}, or YAML",
+            f"{where}: XML whose root is {root.tag[:40]!r}", cure=f"Give OpenCV's FileStorage, root {ROOT}, or YAML"
         )
     return {one.tag: _value(one, where) for one in root}
 

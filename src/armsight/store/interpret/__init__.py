@@ -5,6 +5,7 @@ from armsight.store.interpret.read import (
     check_joint_values,
     check_positions,
     interpret,
+    joint_readings,
     kind_of_table,
     standard_bytes,
 )
@@ -16,19 +17,3 @@ from armsight.store.interpret.rotations import (
     looks_like_mm,
 )
 from armsight.store.interpret.table_format import OURS, TableFormat
-
-__all__ = [
-    "OURS",
-    "ROBOT_FORMATS",
-    "Interpreted",
-    "TableFormat",
-    "check_joint_values",
-    "check_positions",
-    "interpret",
-    "kind_of_table",
-    "largest",
-    "limits_look_like_degrees",
-    "looks_like_degrees",
-    "looks_like_mm",
-    "standard_bytes",
-]

@@ -225,7 +225,6 @@ def _rotvecs(found: Found, columns: Sequence[Column]) -> Turned:
 
 
 def _euler(found: Found) -> Turned | None:
-    """Return the rotations of Euler angles, None without columns of them. Raises Ambiguous without an order."""
     columns = found.complete_columns("sequence", "123")
     about: Sequence[str] = ("", "", "")
     if columns is None:
@@ -281,7 +280,6 @@ def _check_middle(found: Found, angles: Array, order: EulerOrder, names: Sequenc
 
 
 def _matrices(found: Found) -> Turned:
-    """Return rotations and maybe positions of the cells of matrices."""
     cells = {key.replace("_", ""): column for key, column in found.kinds["cell"].items()}
     M, translated = _grid(found, cells)  # (n, 4, 4)
     turns = M[:, :3, :3].reshape(-1, 9)
@@ -293,7 +291,6 @@ def _matrices(found: Found) -> Turned:
         row = int(np.argmax(far))
         raise BadFile(
             f"{found.where}, line {found.lines[row]}: the nine cells of the rotation are no rotation matrix",
-            consequence="The file is not used",
             cure="Check the order of the columns: row by row, or column by column",
         )
     xyz = None
@@ -306,7 +303,6 @@ def _matrices(found: Found) -> Turned:
 
 
 def _grid(found: Found, cells: Mapping[str, Column]) -> tuple[Array, bool]:
-    """Return the matrices (n, 4, 4) and whether they have a translation."""
     n = len(found.lines)
     for first in ("0", "1"):
         for count in (16, 12):
@@ -353,10 +349,7 @@ def _flat(found: Found, values: Array) -> Array:
 
 
 def pose_of(found: Found, inverse: bool) -> tuple[Array | None, Array | None]:
-    """Return positions (n, 3) in m and quaternions (n, 4), inverted where asked.
-
-    Either is None where there are no columns, and NaN in rows that have none.
-    """
+    """Return positions (n, 3), m, and quaternions (n, 4), inverted where asked; None without columns, else NaN."""
     turned = rotations(found)
     xyz = turned.xyz_m if turned is not None and turned.xyz_m is not None else position_m(found)
     if turned is None:

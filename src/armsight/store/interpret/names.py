@@ -11,27 +11,15 @@ from armsight.store.covariances import CAMERA_COVARIANCE, POSE_COLUMNS, POSE_EXT
 from armsight.store.interpret.table_format import UNITS, TableFormat
 
 # frames of a pair: (whose pose, whether the name says it the other way round)
-_HANDS = (
-    "flange",
-    "gripper",
-    "hand",
-    "tool",
-    "tool0",
-    "ee",
-    "tcp",
-    "effector",
-    "endeffector",
-    "end_effector",
-    "g",
-    "h",
-)
+_LONG = ("flange", "gripper", "hand", "tool", "tool0", "ee", "tcp", "effector", "endeffector", "end_effector")
+_HANDS = (*_LONG, "g", "h")
 _TARGETS = ("target", "board", "marker", "object", "tag", "pattern", "checkerboard", "tracking", "optical", "t")
 FRAMES: Mapping[str, tuple[str, bool]] = {
-    **dict.fromkeys((*_HANDS[:-2], "robot", "effector_wrt_world"), ("base_flange", False)),
+    **dict.fromkeys((*_LONG, "robot", "effector_wrt_world"), ("base_flange", False)),
     **{f"{base}_{hand}": ("base_flange", False) for base in ("base", "b", "world") for hand in _HANDS},
     **{f"{hand}_{base}": ("base_flange", True) for base in ("base", "b") for hand in _HANDS},
-    **{f"{hand}2base": ("base_flange", False) for hand in _HANDS[:-2]},
-    **{f"base2{hand}": ("base_flange", True) for hand in _HANDS[:-2]},
+    **{f"{hand}2base": ("base_flange", False) for hand in _LONG},
+    **{f"base2{hand}": ("base_flange", True) for hand in _LONG},
     "btg": ("base_flange", False),
     "bth": ("base_flange", False),
     **dict.fromkeys((*_TARGETS[:-1], "object_wrt_sensor"), ("camera_target", False)),
@@ -60,55 +48,13 @@ _PATTERNS = tuple(
         ),
     )
 )
-PREFIXES = frozenset(
-    {
-        "actual",
-        "arm",
-        "base",
-        "board",
-        "camera",
-        "command",
-        "commanded",
-        "current",
-        "data",
-        "desired",
-        "ee",
-        "effector",
-        "end",
-        "field",
-        "flange",
-        "gripper",
-        "hand",
-        "header",
-        "joint",
-        "joints",
-        "laser",
-        "marker",
-        "measured",
-        "message",
-        "msg",
-        "object",
-        "orientation",
-        "point",
-        "pose",
-        "poses",
-        "position",
-        "qtm",
-        "robot",
-        "rotation",
-        "sample",
-        "state",
-        "states",
-        "target",
-        "tcp",
-        "tool",
-        "tool0",
-        "tracker",
-        "transform",
-        "translation",
-        "world",
-    }
+_BEFORE = (
+    "actual arm base board camera command commanded current data desired ee effector end field flange "
+    "gripper hand header joint joints laser marker measured message msg object orientation point pose "
+    "poses position qtm robot rotation sample state states target tcp tool tool0 tracker transform "
+    "translation world"
 )
+PREFIXES = frozenset(_BEFORE.split())
 """Words that may stand before a coordinate and do not change what it is: 'pose_position_x' is one, 'velocity_x' not."""
 ROLL_PITCH_YAW: Mapping[str, str] = {"roll": "x", "pitch": "y", "yaw": "z"}
 COMMANDED = frozenset(("command", "commanded", "desired"))
@@ -157,10 +103,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def meaning(name: str, format_: TableFormat, *, frames: bool = False, joints: bool = True) -> Meaning | None:
-    """Return what a column's name says, None where it says nothing known.
-
-    frames: the table has two poses, each with a frame before its columns. joints: the table has joint values.
-    """
+    """Return what a column's name says, or None; frames: the table has two poses. joints: it has joint values."""
     named = _joint_by_name(name, format_.joints) if joints else None
     if named is not None:
         return named
@@ -230,7 +173,6 @@ def _matched(text: str, joints: bool) -> tuple[str, str] | None:
 
 
 def _joint_by_name(name: str, joints: tuple[str, ...]) -> Meaning | None:
-    """Return the joint whose own name is a part of a column's name, with its unit where it is stated."""
     text = name.strip().strip("\"'").lstrip("#%").strip()
     bracket, unit = _BRACKET.search(text), ""
     if bracket is not None:

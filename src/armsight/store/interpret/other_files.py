@@ -32,15 +32,12 @@ NUMBERED_PAIRS: Mapping[str, str] = {"T1": "base_flange", "T2": "camera_target"}
 
 
 def records_table(documents: Sequence[Any], where: str) -> RawTable:
-    """Return the rows of YAML documents: a list, a list under a key, one mapping for each document, or one pose.
-
-    Raises BadFile that names the entry, NotEnoughData.
-    """
+    """Return the rows of YAML documents: lists, mappings, one pose. Raises BadFile, with the entry, NotEnoughData."""
     entries, how = _entries(documents)
     records = []
     for k, entry in enumerate(entries, 1):
         if not isinstance(entry, Mapping | list):
-            raise BadFile(f"{where}, entry {k}: {str(entry)[:40]!r} is no pose", consequence="The file is not used")
+            raise BadFile(f"{where}, entry {k}: {str(entry)[:40]!r} is no pose")
         records.append(dict(_flat("", entry, f"{where}, entry {k}")))
     return table_of(records, where, f"{how} of {len(records)} entries")
 
@@ -57,7 +54,7 @@ def _entries(documents: Sequence[Any]) -> tuple[list[Any], str]:
         if pairs:
             return pairs, "numbered pairs of matrices"
         values = list(content.values())
-        if len(values) > 1 and all(_is_pose(value) for value in values):
+        if len(values) > 1 and all(isinstance(value, Mapping) or _matrix(value) is not None for value in values):
             return [{"file": key, "": value} for key, value in content.items()], "a mapping by name"
         return [content], "a mapping"
     if isinstance(content, list) and content and all(isinstance(item, int | float) for item in content):
@@ -73,10 +70,6 @@ def _numbered_pairs(content: Mapping[Any, Any]) -> list[dict[str, Any]]:
         if named is not None:
             rows.setdefault(int(named[2]), {})[NUMBERED_PAIRS[named[1]]] = value
     return [rows[number] for number in sorted(rows)] if len(rows) > 1 else []
-
-
-def _is_pose(value: Any) -> bool:
-    return isinstance(value, Mapping) or _matrix(value) is not None
 
 
 def _matrix(value: Any) -> list[Any] | None:
@@ -125,7 +118,6 @@ def _listed(key: str, count: int, where: str) -> list[str]:
     if count == 4 and last in UNORDERED:
         raise BadFile(
             f"{where}: {key!r} holds four numbers, and nobody can tell whether w is the first or the last",
-            consequence="The file is not used",
             cure="Call it quat_xyzw or quat_wxyz",
         )
     if count == 3 and (last in ROTVECS or key in ROTVECS):
@@ -149,7 +141,6 @@ def _stamp(value: Mapping[str, Any]) -> str | None:
 
 
 def _joint_state(value: Mapping[str, Any], where: str) -> Iterator[tuple[str, str]]:
-    """Yield the time and the joints by name of a sensor_msgs/JointState."""
     header = value.get("header")
     stamp = _stamp(header) if isinstance(header, Mapping) else None
     if stamp is not None:
@@ -194,9 +185,7 @@ def mat_table(path: Path, *, unnamed: bool = False) -> RawTable:
         content = _loaded(read_bytes(path, limit=MAT_BYTES))
     except NotImplementedError as error:
         raise BadFile(
-            f"{path}: a MATLAB file of version 7.3, which is HDF5",
-            consequence="It is not read",
-            cure="Save it in MATLAB with save(..., '-v7')",
+            f"{path}: a MATLAB file of version 7.3, which is HDF5", cure="Save it in MATLAB with save(..., '-v7')"
         ) from error
     except (
         scipy.io.matlab.MatReadError,
@@ -210,7 +199,7 @@ def mat_table(path: Path, *, unnamed: bool = False) -> RawTable:
         zlib.error,
     ) as error:
         reason = " ".join(str(error).split())[:120]
-        raise BadFile(f"{path}: no MATLAB file that can be read: {reason}", consequence="It is not used") from error
+        raise BadFile(f"{path}: no MATLAB file that can be read: {reason}") from error
     arrays = {
         name: np.asarray(value, float)
         for name, value in content.items()
@@ -255,7 +244,7 @@ def _of_variables(arrays: dict[str, Array], where: str) -> RawTable:
     for name, array in arrays.items():
         columns |= _columns(name, array, n)
     if not columns:
-        raise BadFile(f"{where}: no variable has {n} rows", consequence="The file is not used")
+        raise BadFile(f"{where}: no variable has {n} rows")
     return _of_columns(columns, where, f"MATLAB variables {', '.join(arrays)[:120]}", tuple(columns))
 
 
@@ -293,10 +282,7 @@ def _of_columns(columns: dict[str, Array], where: str, how: str, names: tuple[st
 
 
 def folder_table(folder: Path, read: Callable[[Path], RawTable]) -> RawTable:
-    """Return the poses of a folder with one file per pose, in the order of the numbers in their names.
-
-    read: returns the table of one file. Each row says its file. Raises BadFile, NotEnoughData.
-    """
+    """Return a folder's poses in the order of their numbers; read: one file's table. Raises BadFile, NotEnoughData."""
     files = pose_files(folder)
     if not files:
         raise NotEnoughData(

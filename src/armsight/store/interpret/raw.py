@@ -40,7 +40,7 @@ def parse_text(data: bytes, where: str) -> RawTable:
     lines = [(i, line) for i, line in enumerate(decoded(data, where).splitlines(), 1) if line.strip()]
     body = _without_preamble([(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)])
     if not body:
-        raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
+        raise BadFile(f"{where}: the file is empty", cure="Check the file")
     split = _splitter(body[min(1, len(body) - 1)][1])
     rows = _without_last_mark([(i, split(line)) for i, line in body])
     names: tuple[str, ...] = ()
@@ -60,7 +60,6 @@ def parse_text(data: bytes, where: str) -> RawTable:
         if len(row) != wide:
             raise BadFile(
                 f"{where}, line {i}: {len(row)} cells, the {'header' if names else 'first row'} has {wide}",
-                consequence="The file is not used",
                 cure="Give every row one cell per column",
             )
     how = f"a table of {wide} columns {split.how}, {'with' if names else 'without'} a header"
@@ -87,9 +86,7 @@ def table_of(records: Sequence[dict[str, str]], where: str, how: str) -> RawTabl
         if set(record) != set(names):
             odd = sorted(set(record) ^ set(names))[0]
             raise BadFile(
-                f"{where}: of entry {k} and entry 1 only one has {odd[:60]!r}",
-                consequence="The file is not used",
-                cure="Give every entry the same keys",
+                f"{where}: of entry {k} and entry 1 only one has {odd[:60]!r}", cure="Give every entry the same keys"
             )
     columns = tuple([record[name] for record in records] for name in names)
     return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(range(2, len(records) + 2)))

@@ -20,7 +20,7 @@ from armsight.store.interpret.raw import RawTable, parse_text
 from armsight.store.interpret.rotations import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.standard import UNUSED, Standard, standard_table
 from armsight.store.interpret.table_format import OURS, TableFormat
-from armsight.store.tables import MAX_BYTES
+from armsight.store.tables import MAX_BYTES, Table
 from armsight.store.yamls import parse_yaml_documents
 
 _OURS_Q = re.compile(r"q[1-9]\d*")
@@ -56,7 +56,7 @@ def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted
     wanted = ROLES[role]
     format_.check()
     if not path.exists():
-        raise BadFile(f"{path}: there is no such file", consequence="Nothing is read", cure="Check its name")
+        raise BadFile(f"{path}: there is no such file", cure="Check its name")
     if path.is_dir() and len(files := pose_files(path)) == 1:
         path = files[0]  # robot_poses.csv beside its images
     if path.is_dir():
@@ -105,7 +105,6 @@ def is_ours(data: bytes, role: Role) -> bool:
 
 
 def _interpreted(raw: RawTable, role: Role, format_: TableFormat, *, original: bytes | None = None) -> Interpreted:
-    """Return the table brought to our columns; the original where only columns of ours were understood."""
     found = standard_table(raw, role, format_)
     missing = sorted(role.required - set(found.columns))
     ours = original is not None and raw.csv and not found.foreign and not format_.stated and raw.names
@@ -132,7 +131,6 @@ def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str], of_
     return BadFile(
         f"{raw.where}: the column{'s' * several} {', '.join(missing)} {'are' if several else 'is'} missing; "
         f"found {there}{understood}",
-        consequence="The file is not used",
         cure=cure,
     )
 
@@ -143,6 +141,16 @@ def check_joint_values(q: NDArray[np.float64], where: str, format_: TableFormat)
         raise degrees_for_radians(where, ["q1", "..."] if q.shape[1] > 1 else ["q1"], q)
 
 
+def joint_readings(table: Table, where: str, format_: TableFormat) -> NDArray[np.float64]:
+    """Return the joint readings (m, n) of columns q1 .. qn. Raises BadFile without any, Inconsistent for degrees."""
+    names = table.series("q")
+    if not names:
+        raise BadFile(f"{where}: no column q1", cure="Give q1 .. qn in every row")
+    q = table.stacked(names)
+    check_joint_values(q, where, format_)
+    return q
+
+
 def check_positions(xyz_m: NDArray[np.float64], names: Sequence[str], where: str, format_: TableFormat) -> None:
     """Raise Inconsistent where positions (n, 3) of columns in m are mm."""
     if not format_.as_stated and looks_like_mm(xyz_m):
@@ -150,10 +158,7 @@ def check_positions(xyz_m: NDArray[np.float64], names: Sequence[str], where: str
 
 
 def kind_of_table(path: Path, format_: TableFormat, among: Sequence[str]) -> str:
-    """Return which kind of table a file can be: that which leaves the fewest of its columns unused.
-
-    Raises UsageError where it can be none of them, Inconsistent, Ambiguous.
-    """
+    """Return which kind of table leaves fewest columns unused. Raises UsageError for none, Inconsistent, Ambiguous."""
     best, fewest, why = "", 10**9, None
     if path.is_file():
         _raw(path, format_)  # what can be no table at all says why

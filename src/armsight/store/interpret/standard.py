@@ -130,7 +130,7 @@ def _joint_state_names(raw: RawTable) -> tuple[str, ...]:
         if position in names and raw.columns[k]:
             joint = raw.columns[k][0]
             if any(cell != joint for cell in raw.columns[k]):
-                raise BadFile(f"{raw.where}: the column {name} names several joints", consequence="It is not used")
+                raise BadFile(f"{raw.where}: the column {name} names several joints")
             names[names.index(position)] = joint
     return tuple(names)
 
@@ -171,7 +171,6 @@ def _meanings(raw: RawTable, names: Sequence[str], role: Role, format_: TableFor
 
 
 def _belongs(found: Meaning, role: Role) -> bool:
-    """Whether a table of this role has such a column."""
     if found.kind == "t":
         return role.time != "no"
     if found.kind == "joint":
@@ -191,10 +190,7 @@ def _words(names: Sequence[str], role: Role) -> dict[str, int]:
 
 
 def _without_doubles(where: str, meanings: Mapping[int, Meaning]) -> dict[int, Meaning]:
-    """Return one column for each coordinate: none of what was commanded beside what was measured, one time.
-
-    Raises Ambiguous where two columns may be the same coordinate.
-    """
+    """Return one column for each coordinate, measured before commanded, and one time. Raises Ambiguous for several."""
     out: dict[tuple[str, str, str], int] = {}
     for k, found in meanings.items():
         key = (found.frame, found.kind, found.key)
@@ -277,10 +273,7 @@ SMOOTH = 10.0
 
 
 def _counted_ms(out: Standard, t: Array) -> str:
-    """Return why whole numbers without a unit are ms: what the table holds would not move in s; '' where they are not.
-
-    Called when the columns that move are there.
-    """
+    """Return why whole numbers without a unit are ms: the columns that move would not in s; '' where they are not."""
     step = np.diff(t)
     if len(t) < 20 or not np.isfinite(t).all() or (t != np.round(t)).any() or not (step >= 1.0).all():
         return ""
@@ -316,7 +309,6 @@ def _joints(out: Standard, found: Found, role: Role, format_: TableFormat) -> No
             raise BadFile(
                 f"{out.where}: the columns {', '.join(c.meaning.name for c in counted.values())[:120]} are not counted "
                 "from 1 without a gap",
-                consequence="The file is not used",
                 cure="Number the joints q1, q2, ..., or give --columns",
             )
         ordered = [counted[k] for k in sorted(counted)]
@@ -351,7 +343,6 @@ EASY_HANDEYE: Mapping[bool | None, str] = {
 
 
 def _pose(out: Standard, found: Mapping[str, Found], frame: str, role: Role, chosen: Mapping[int, Meaning]) -> None:
-    """Add the columns of one pose."""
     mine = found[frame]
     inverse = {m.inverse for m in chosen.values() if m.frame == frame}
     if frame == PAIR_FRAMES[0] and _by_easy_handeye(m.name for m in chosen.values()):

@@ -5,19 +5,3 @@ from armsight.store.recording.mcapfile import CHUNK_S
 from armsight.store.recording.reader import Command, Event, Recorded, Recording, SpotsSeen
 from armsight.store.recording.repair import Repaired, cut, repair
 from armsight.store.recording.writer import RecordingWriter
-
-__all__ = [
-    "CHUNK_S",
-    "Command",
-    "Encoded",
-    "Event",
-    "ImageFormat",
-    "Recorded",
-    "Recording",
-    "RecordingWriter",
-    "Repaired",
-    "SpotsSeen",
-    "cut",
-    "encode",
-    "repair",
-]

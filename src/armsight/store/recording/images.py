@@ -67,7 +67,7 @@ def decode(schema: str, data: memoryview, where: str) -> Image:
     try:
         content = fields(data)
     except ValueError as error:
-        raise BadFile(f"{where}: the image's message is damaged ({error})", consequence="It is not used") from error
+        raise BadFile(f"{where}: the image's message is damaged ({error})") from error
     return _raw(content, where) if schema == RAW_IMAGE else _compressed(content, where)
 
 
@@ -83,10 +83,7 @@ def _raw(content: dict[int, int | memoryview], where: str) -> Image:
         )
     depth = 1 if encoding in ("mono8", "8UC1") else 3
     if not width or not height or step < width * depth or len(data) != step * height:
-        raise BadFile(
-            f"{where}: {len(data)} bytes are no image of {width}x{height} px, {step} bytes a row",
-            consequence="It is not used",
-        )
+        raise BadFile(f"{where}: {len(data)} bytes are no image of {width}x{height} px, {step} bytes a row")
     rows: Image = np.frombuffer(data, np.uint8).reshape(height, step)[:, : width * depth]
     image = rows if depth == 1 else rows.reshape(height, width, 3)
     code = _CODES[encoding]

@@ -16,24 +16,9 @@ from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
 
+from mcap import records as mcap_records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    MessageIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 
 from armsight._version import __version__
 from armsight.clock import Clock, SystemClock
@@ -62,8 +47,6 @@ Buffer = bytes | memoryview
 
 @dataclass(slots=True)
 class _Chunk:
-    """The chunk being filled."""
-
     parts: list[bytearray | memoryview] = field(default_factory=list)
     size: int = 0
     crc: int = 0
@@ -87,10 +70,10 @@ class _Written:
     """What one step added to the file: it ends at `end`."""
 
     end: int
-    chunk: ChunkIndex | None = None
+    chunk: mcap_records.ChunkIndex | None = None
     counts: dict[int, int] = field(default_factory=dict)
-    attachment: AttachmentIndex | None = None
-    metadata: MetadataIndex | None = None
+    attachment: mcap_records.AttachmentIndex | None = None
+    metadata: mcap_records.MetadataIndex | None = None
 
 
 class McapFile:
@@ -115,14 +98,14 @@ class McapFile:
         self._chunk_s = chunk_s
         self._chunk_bytes = chunk_bytes
         self._file = _create(path, overwrite)
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
+        self._schemas: list[mcap_records.Schema] = []
+        self._channels: list[mcap_records.Channel] = []
         self._steps: list[_Written] = []
         self._last_ns: dict[int, int] = {}
         self._chunk = _Chunk()
         self._end = 0
         self._failed = False
-        header = Header(profile=profile, library=f"armsight {__version__}")
+        header = mcap_records.Header(profile=profile, library=f"armsight {__version__}")
         self._commit([MAGIC, _bytes_of(header)])
 
     @property
@@ -137,14 +120,14 @@ class McapFile:
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add a schema; return its number."""
-        schema = Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data)
+        schema = mcap_records.Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data)
         self._schemas.append(schema)
         self._chunk.add(_bytes_of(schema))
         return schema.id
 
     def add_channel(self, topic: str, encoding: str, schema: int, metadata: dict[str, str] | None = None) -> int:
         """Add a channel; return its number."""
-        channel = Channel(
+        channel = mcap_records.Channel(
             id=len(self._channels) + 1,
             topic=topic,
             message_encoding=encoding,
@@ -186,9 +169,9 @@ class McapFile:
         """Write a file into this one."""
         self.flush()
         record = _bytes_of(
-            Attachment(create_time=created_ns, log_time=t_ns, name=name, media_type=media_type, data=data)
+            mcap_records.Attachment(create_time=created_ns, log_time=t_ns, name=name, media_type=media_type, data=data)
         )
-        index = AttachmentIndex(
+        index = mcap_records.AttachmentIndex(
             offset=self._end,
             length=len(record),
             create_time=created_ns,
@@ -202,8 +185,8 @@ class McapFile:
     def add_metadata(self, name: str, content: dict[str, str]) -> None:
         """Write names and values into the file."""
         self.flush()
-        record = _bytes_of(Metadata(name=name, metadata=content))
-        self._commit([record], metadata=MetadataIndex(offset=self._end, length=len(record), name=name))
+        record = _bytes_of(mcap_records.Metadata(name=name, metadata=content))
+        self._commit([record], metadata=mcap_records.MetadataIndex(offset=self._end, length=len(record), name=name))
 
     def flush_due(self) -> bool:
         """Write the chunk where it is old or large enough; tell whether it was."""
@@ -230,8 +213,8 @@ class McapFile:
         offsets: dict[int, int] = {}
         for channel, records in chunk.index.items():
             offsets[channel] = at + len(indexes)
-            indexes += _bytes_of(MessageIndex(channel_id=channel, records=records))
-        index = ChunkIndex(
+            indexes += _bytes_of(mcap_records.MessageIndex(channel_id=channel, records=records))
+        index = mcap_records.ChunkIndex(
             chunk_start_offset=self._end,
             chunk_length=len(head) + chunk.size,
             compression="",
@@ -265,10 +248,10 @@ class McapFile:
         self,
         parts: list[bytes | bytearray | memoryview],
         *,
-        chunk: ChunkIndex | None = None,
+        chunk: mcap_records.ChunkIndex | None = None,
         counts: dict[int, int] | None = None,
-        attachment: AttachmentIndex | None = None,
-        metadata: MetadataIndex | None = None,
+        attachment: mcap_records.AttachmentIndex | None = None,
+        metadata: mcap_records.MetadataIndex | None = None,
     ) -> None:
         """Write the parts; where the disk refuses, cut the file back to its last whole step and close it there."""
         if self.closed:
@@ -284,7 +267,6 @@ class McapFile:
         self._steps.append(step)
 
     def _finish(self) -> None:
-        """Write the summary and sync; where the disk refuses, make room by giving up the last steps."""
         try:
             _write_all(self._file, [self._summary()])
             os.fsync(self._file.fileno())
@@ -294,7 +276,6 @@ class McapFile:
             raise self._refused(error.strerror or str(error)) from error
 
     def _salvage(self) -> None:
-        """Close the file after its last whole step, or after an earlier one where the summary finds no room."""
         while self._steps:
             try:
                 self._file.seek(self._end)
@@ -308,9 +289,9 @@ class McapFile:
 
     def _summary(self) -> bytes:
         """Return all that follows the data: MCAP's summary section, footer and magic."""
-        data_end = _bytes_of(DataEnd(data_section_crc=0))
+        data_end = _bytes_of(mcap_records.DataEnd(data_section_crc=0))
         start = self._end + len(data_end)
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
+        groups: list[tuple[Opcode, list[mcap_records.McapRecord]]] = [
             (Opcode.SCHEMA, list(self._schemas)),
             (Opcode.CHANNEL, list(self._channels)),
             (Opcode.STATISTICS, [self._statistics()]),
@@ -324,20 +305,22 @@ class McapFile:
             for record in records:
                 out += _bytes_of(record)
             if records:
-                offset = SummaryOffset(group_opcode=opcode, group_start=start + begin, group_length=len(out) - begin)
+                offset = mcap_records.SummaryOffset(
+                    group_opcode=opcode, group_start=start + begin, group_length=len(out) - begin
+                )
                 offsets += _bytes_of(offset)
         offset_start = start + len(out)
         out += offsets
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start), zlib.crc32(out))
-        footer = Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)
+        footer = mcap_records.Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)
         return data_end + bytes(out) + _bytes_of(footer) + MAGIC
 
-    def _statistics(self) -> Statistics:
+    def _statistics(self) -> mcap_records.Statistics:
         chunks = [step.chunk for step in self._steps if step.chunk]
         counts: Counter[int] = Counter()
         for step in self._steps:
             counts.update(step.counts)
-        return Statistics(
+        return mcap_records.Statistics(
             message_count=counts.total(),
             schema_count=len(self._schemas),
             channel_count=len(self._channels),
@@ -371,12 +354,12 @@ def _create(path: Path, overwrite: bool) -> FileIO:
     except (OSError, ValueError) as error:
         raise DeviceFailed(
             f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})",
-            consequence="Nothing was recorded",
+            consequence="Nothing was recorded, and the file is as it was",
             cure="Check the folder, its permissions and the free space, or choose another place",
         ) from error
 
 
-def _bytes_of(record: McapRecord) -> bytes:
+def _bytes_of(record: mcap_records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())

@@ -7,8 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, NamedTuple, Self, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -20,6 +19,7 @@ from armsight.file_names import RIG, TARGET
 from armsight.geometry import pose_from_quat
 from armsight.optics import Rig
 from armsight.records import Frame, JointReading, PoseStatus, Spots, Target, TargetPose
+from armsight.store.atomic import Closing
 from armsight.store.recording import record_reader, schemas
 from armsight.store.recording.images import decode
 from armsight.store.recording.mcapfile import MAGIC
@@ -73,8 +73,6 @@ class Event(NamedTuple):
 
 @dataclass(slots=True)
 class _Content:
-    """What walking through the file once has found."""
-
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
@@ -85,7 +83,7 @@ class _Content:
     finished: bool = False
 
 
-class Recording:
+class Recording(Closing):
     """A recording open for reading; use it as a context manager.
 
     Opening looks at every record's head and reads no image. Damage is told where it stands, when it is reached.
@@ -177,10 +175,7 @@ class Recording:
                         yield Recorded(topic, schema, encoding, message.sequence, message.t_ns, message.data)
 
     def frames(self, camera: str) -> Iterator[Frame]:
-        """Yield a camera's frames with the numbers they were recorded with.
-
-        Raises NotEnoughData where there are none, Inconsistent where time runs backwards, BadFile, BadImage.
-        """
+        """Yield a camera's frames, numbered as recorded. Raises NotEnoughData, Inconsistent, BadFile, BadImage."""
         topic = f"/{camera}/image"
         if self.topics.get(topic) not in IMAGES:
             raise self._lacks(topic, "images")
@@ -232,14 +227,6 @@ class Recording:
     def close(self) -> None:
         """Close the file; a second call does nothing."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _records(self, topic: str, schema: str, make: Callable[[dict[str, Any]], R]) -> Iterator[R]:
         if self.topics.get(topic) != schema:
@@ -305,7 +292,6 @@ def _look_through(file: BinaryIO, size: int, path: Path) -> _Content:
 
 
 def _take(content: _Content, file: BinaryIO, span: record_reader.Span, path: Path) -> None:
-    """Add what one record of the file's top level says."""
     if span.opcode == Opcode.CHUNK:
         chunk = record_reader.chunk_span(file, span, path)
         content.blocks.append(chunk)

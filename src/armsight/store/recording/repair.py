@@ -39,9 +39,7 @@ def repair(source: Path, out: Path, *, overwrite: bool = False, within_ns: tuple
     file, NotEnoughData where no message is whole, UsageError where out is there already, or is source, DeviceFailed.
     """
     if out.exists() and source.exists() and out.samefile(source):
-        raise UsageError(
-            f"{source} is both source and result", consequence="Nothing is written", cure="Write to another file"
-        )
+        raise UsageError(f"{source} is both source and result", cure="Write to another file")
     try:
         file = open_file(source)
     except OSError as error:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType, TracebackType
-from typing import Any, Self
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -15,22 +15,10 @@ from armsight.clock import Clock
 from armsight.geometry import xyz_quat
 from armsight.optics import LensKind, Rig
 from armsight.records import Frame, JointReading, Points, Spots, TargetPose
-from armsight.store.atomic import json_text
+from armsight.store.atomic import Closing, json_text
 from armsight.store.recording import schemas
 from armsight.store.recording.images import Encoded, image_message
 from armsight.store.recording.mcapfile import CHUNK_BYTES, CHUNK_S, McapFile
-from armsight.store.recording.schemas import (
-    EVENTS,
-    JOINTS,
-    NS,
-    SCHEMA_OF,
-    event_content,
-    joints_content,
-    pose_contents,
-    schema_of,
-    time_json,
-    vector_json,
-)
 
 FORMAT = "armsight/recording"
 VERSION = "1"
@@ -43,7 +31,7 @@ POINTS_MARK = 1
 MARK_COLOUR = {"r": 1.0, "g": 0.2, "b": 0.2, "a": 1.0}
 
 
-class RecordingWriter:
+class RecordingWriter(Closing):
     """A recording being written. t_s of all records is on one clock, whose zero is origin_ns of Unix time.
 
     Every method adds one record and writes what is due; call tick() in between where records may stay away. Raises
@@ -87,10 +75,7 @@ class RecordingWriter:
         return self._file.size
 
     def moment(self, frames: Mapping[str, Frame], encoded: Mapping[str, Encoded | None] = MappingProxyType({})) -> None:
-        """Add the views of one moment by camera, always in one chunk: none is ever there without the others.
-
-        encoded: the same images compressed, else they are kept raw.
-        """
+        """Add a moment's views by camera, all in one chunk; encoded: the same images compressed, else they are raw."""
         for camera, frame in frames.items():
             self._frame(camera, frame, encoded.get(camera))
         self.tick()
@@ -123,7 +108,7 @@ class RecordingWriter:
         }
         self._json(f"/{camera}/spots", schemas.SPOTS, t_s, content)
         marks = {
-            "timestamp": time_json(self._ns(t_s)),
+            "timestamp": schemas.time_json(self._ns(t_s)),
             "type": POINTS_MARK,
             "points": [{"x": u, "y": v} for u, v in spots.uv_px.tolist()],
             "outline_color": MARK_COLOUR,
@@ -147,13 +132,19 @@ class RecordingWriter:
 
     def pose(self, pose: TargetPose) -> None:
         """Add the target's pose with all that is known of it; a whole one also in Foxglove's form."""
-        for topic, content in pose_contents(pose, self._ns(pose.t_s)).items():
-            self._json(topic, SCHEMA_OF[topic], pose.t_s, content)
+        for topic, content in schemas.pose_contents(pose, self._ns(pose.t_s)).items():
+            self._json(topic, schemas.SCHEMA_OF[topic], pose.t_s, content)
         self.tick()
 
     def joints(self, reading: JointReading) -> None:
         """Add what the robot says its joints are."""
-        self._json(JOINTS, SCHEMA_OF[JOINTS], reading.t_s, joints_content(reading), reading.sequence)
+        self._json(
+            schemas.JOINTS,
+            schemas.SCHEMA_OF[schemas.JOINTS],
+            reading.t_s,
+            schemas.joints_content(reading),
+            reading.sequence,
+        )
         self.tick()
 
     def command(self, t_s: float, kind: str, values: Mapping[str, Any]) -> None:
@@ -163,7 +154,12 @@ class RecordingWriter:
 
     def event(self, t_s: float, message: str, *, level: str = "info", name: str = "armsight") -> None:
         """Add something that happened; level: one of LEVELS."""
-        self._json(EVENTS, SCHEMA_OF[EVENTS], t_s, event_content(self._ns(t_s), message, level, name))
+        self._json(
+            schemas.EVENTS,
+            schemas.SCHEMA_OF[schemas.EVENTS],
+            t_s,
+            schemas.event_content(self._ns(t_s), message, level, name),
+        )
         self.tick()
 
     def rig(self, t_s: float, rig: Rig) -> None:
@@ -173,7 +169,7 @@ class RecordingWriter:
             fx, fy, cx, cy, skew = camera.intrinsics[:5].tolist()
             k = [fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
             calibration = {
-                "timestamp": time_json(self._ns(t_s)),
+                "timestamp": schemas.time_json(self._ns(t_s)),
                 "frame_id": side,
                 "width": camera.width,
                 "height": camera.height,
@@ -186,11 +182,11 @@ class RecordingWriter:
             self._json(f"/{side}/calibration", schemas.CALIBRATION, t_s, calibration)
             xyz, quat = xyz_quat(rig.T_rig_camera(side))
             transform = {
-                "timestamp": time_json(self._ns(t_s)),
+                "timestamp": schemas.time_json(self._ns(t_s)),
                 "parent_frame_id": "rig",
                 "child_frame_id": side,
-                "translation": vector_json(xyz.tolist()),
-                "rotation": vector_json(quat.tolist()),
+                "translation": schemas.vector_json(xyz.tolist()),
+                "rotation": schemas.vector_json(quat.tolist()),
             }
             self._json("/tf", schemas.TRANSFORM, t_s, transform)
         self.tick()
@@ -215,16 +211,8 @@ class RecordingWriter:
         """Write what waits and the index; a second call does nothing."""
         self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _ns(self, t_s: float) -> int:
-        return self._origin_ns + round(t_s * NS)
+        return self._origin_ns + round(t_s * schemas.NS)
 
     def _json(self, topic: str, schema: str, t_s: float, content: Any, sequence: int | None = None) -> None:
         channel = self._channel(topic, schema)
@@ -236,7 +224,7 @@ class RecordingWriter:
     def _channel(self, topic: str, schema: str) -> int:
         key = (topic, schema)
         if key not in self._channels:
-            message_encoding, encoding, data = schema_of(schema)
+            message_encoding, encoding, data = schemas.schema_of(schema)
             if schema not in self._schemas:
                 self._schemas[schema] = self._file.add_schema(schema, encoding, data)
             self._channels[key] = self._file.add_channel(topic, message_encoding, self._schemas[schema])
