@@ -89,6 +89,10 @@ class GlobalFit:
         """The fit's cost, and what its turning joints cost beside sliding ones."""
         return self.fit.cost + WORTH * sum(axis.revolute for axis in self.model.axes)
 
+    def rivals(self, variance: float) -> tuple[GlobalFit, ...]:
+        """Return the alternatives that readings of this variance, over that of single paths, do not tell from it."""
+        return tuple(one for one in self.alternatives if one.price - self.price < RIVAL * variance)
+
     def systematic(self, seen: SweepResiduals, rig: Rig | None) -> Array:
         """Return what errors that no residual shows add to the covariance (P, P): of the rig, which is wrong alike in
         every reading, and of what is behind the beacon, which shifts it alike in both views."""

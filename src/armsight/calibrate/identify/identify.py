@@ -10,7 +10,6 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis, at_home, moved_by, suggest_coupling
 from armsight.calibrate.identify.global_fit import (
-    RIVAL,
     GlobalFit,
     all_covariance,
     beacon_at_zero,
@@ -148,9 +147,8 @@ def _at_once(
     def entries(x: Array) -> Array:
         return assign_frames(*model.axes_at(x), base)[0].ravel()
 
-    rivals = [one for one in arm_fit.alternatives if one.price - arm_fit.price < RIVAL * widen]
-    covariance, doubtful = _with_rivals(rivals, table, propagate_covariance(entries, p, covariance), base)
-    notes += doubtful
+    covariance, said = _with_rivals(arm_fit.rivals(widen), table, propagate_covariance(entries, p, covariance), base)
+    notes += said
     placed_frames = _PlacedFrames(
         axes=axes,
         beacon=beacon,
