@@ -18,10 +18,13 @@ from armsight.calibrate.handeye import (
     calibrate_eye_in_hand,
     calibrate_from_views,
 )
+from armsight.calibrate.handeye.board_turns import turned_views
 from armsight.calibrate.handeye.image_comparison import ImageErrors, compare
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.pairs import pose
 from armsight.cli.commands import app
+from armsight.records import TargetKind, board_target
+from armsight.records.views import symmetries
 from armsight.store import write_camera
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -68,6 +71,20 @@ def test_what_the_corners_know_weighs_the_poses_too_also_of_few_images() -> None
         pairs = replace(done.from_poses.pairs, camera_covariance=None)
         gains.append(poses / error_mm(calibrate_eye_in_hand(pairs).T_parent_camera, CAMERA, s))
     assert np.median(gains) < 0.8
+
+
+def test_images_that_no_turn_of_the_board_brings_to_the_robots_poses_are_left_as_they_are() -> None:
+    s, board = scene(CELLS["noisy robot"], 8, 0), board_target(TargetKind.CHECKERBOARD, 8, 6, 0.025)
+    kept, half = np.flatnonzero(np.arange(54) % 9 < 8), symmetries(board)[1]
+    plain = [replace(view, uv_px=view.uv_px[kept], index=np.arange(48)) for view in s.views]
+    views = [replace(view, index=half) if k in (1, 4) else view for k, view in enumerate(plain)]
+    told, turned = turned_views(views, list(s.robot), CAMERA, board, Setup.EYE_IN_HAND)
+    assert turned == 2
+    assert all(np.array_equal(view.index, np.arange(48)) for view in told)
+    of_others = [s.robot[k] for k in (3, 6, 0, 5, 7, 1, 4, 2)]
+    told, turned = turned_views(views, of_others, CAMERA, board, Setup.EYE_IN_HAND)
+    assert turned == 0
+    assert all(np.array_equal(view.index, given.index) for view, given in zip(told, views, strict=True))
 
 
 def errors(points_m: np.ndarray, px: np.ndarray) -> ImageErrors:

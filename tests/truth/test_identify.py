@@ -86,6 +86,19 @@ def test_the_rrp_arm_is_found_within_true_deviations(sigma_px: float, arc_deg: f
         assert np.percentile(np.abs(errors), 68, axis=0)[0] < 2.5e-3  # d1
 
 
+def test_of_two_arms_that_the_readings_do_not_tell_apart_the_deviations_cover_both() -> None:
+    """A short arc seen from afar: the likelier arm is another than the true one, far beyond what it claims alone."""
+    truth = np.array([1.27, 0.0, -0.05, 0.1, np.pi / 2])
+    for sigma_px, seed, two in ((1.5, 3, True), (1.5, 16, True), (0.5, 2, False)):
+        result = identify(rrp_sweeps(sigma_px, 40.0, seed), rig=RIG, base=WHERE.inv().as_matrix())
+        first, second = (one.std for one in result.joints[:2])
+        off = np.abs(entries(result) - truth)
+        assert any("another arm explains" in note for note in result.notes) == two
+        assert (off.max() > 0.3) == two
+        claimed = [first["d_m"], first["a_m"], second["d_m"], second["a_m"], second["alpha_rad"]]
+        assert (off < 2.5 * np.array(claimed)).all()
+
+
 def test_the_method_of_the_paper_is_farther_off() -> None:
     ours, theirs = [], []
     for seed in range(8):

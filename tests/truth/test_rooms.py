@@ -130,6 +130,23 @@ def test_lights_before_a_room_are_found_and_as_uncertain_as_they_say() -> None:
     assert inside >= binom.ppf(0.001, len(q), 0.95)
 
 
+def test_lights_that_hardly_stand_out_are_found_and_as_uncertain_as_they_say() -> None:
+    """15 grey levels above a wall, beside a window: too little for the first look."""
+    rng, q = np.random.default_rng(30), []
+    for _ in range(8):
+        T, frames = random_pose(rng), []
+        for side in range(2):
+            light = np.full((HEIGHT, WIDTH), 0.2)
+            light[:40, 100:190] = 3.0
+            for uv in images_of(T.apply(MODEL))[side]:
+                shine(light, uv, 3.2, 0.255)
+            frames.append(Frame(image=Webcam().develop(light, rng), t_s=0.0, sequence=0, source="drawn"))
+        measured = measure_pair(SETUP, *frames)
+        assert measured.pose.status is PoseStatus.OK, measured.pose.why
+        q.append(position_error(measured, T)[1])
+    assert int(np.sum(np.array(q) < 7.815)) >= binom.ppf(0.001, len(q), 0.95)
+
+
 def test_a_light_of_which_one_view_is_hidden_is_not_replaced_by_the_room() -> None:
     rng = np.random.default_rng(22)
     for _ in range(12):

@@ -60,6 +60,12 @@ def disc(p: Sequence[float], fine: int = 4) -> Array:
     return np.asarray(a * smooth.reshape(SIZE, fine, SIZE, fine).mean(axis=(1, 3)))
 
 
+def veiled(p: Sequence[float]) -> Array:
+    """A light in the veil that a lens lays about it: a second one about its centre, wider and weaker."""
+    u, v, sigma, height = p
+    return lights(p) + lights([u, v, 2.5 * sigma, 0.1 * height])
+
+
 def bound(render: Render, p: Sequence[float], n_lights: int) -> Array:
     """Standard deviations (n_lights, 2) of the centres, all else and the background unknown; clipped pixels tell
     nothing."""
@@ -110,6 +116,16 @@ def touching(apart: float) -> Draw:
     return draw
 
 
+def triangle(apart: float) -> Draw:
+    def draw(rng: np.random.Generator) -> Sequence[float]:
+        sigma, turn, middle_uv = rng.uniform(1.5, 3.0), rng.uniform(0.0, 2.0 * np.pi), np.array(middle(rng))
+        angle = turn + 2.0 * np.pi / 3.0 * np.arange(3) + rng.normal(0.0, 0.2, 3)
+        uv = middle_uv + apart * sigma / np.sqrt(3.0) * np.column_stack([np.cos(angle), np.sin(angle)])
+        return [*uv.ravel(), sigma, *rng.uniform(60.0, 200.0, 3)]
+
+    return draw
+
+
 def frame_of(tiles: list[Array], rng: np.random.Generator, noise: float = NOISE) -> NDArray[np.uint8]:
     rows = [np.hstack(tiles[k : k + ACROSS]) for k in range(0, TILES, ACROSS)]
     image = np.pad(np.vstack(rows), 1) + BACKGROUND
@@ -124,7 +140,9 @@ def frame_of(tiles: list[Array], rng: np.random.Generator, noise: float = NOISE)
         pytest.param(flat, disc, 1, 2, 1.1, 0.05, id="flat discs"),
         pytest.param(touching(1.5), lights, 2, 6, 1.1, 0.1, id="touching, 1.5 sigma apart"),
         pytest.param(touching(3.0), lights, 2, 6, 1.1, 0.1, id="touching, 3 sigma apart"),
+        pytest.param(triangle(3.2), lights, 3, 6, 1.1, 0.15, id="three touching, 3.2 sigma apart"),
         pytest.param(moving, streak, 1, 8, 1.25, 0.05, id="moving up to 16 px"),
+        pytest.param(plain, veiled, 1, 12, 1.2, 0.0, id="in a lens's veil"),
     ],
 )
 def test_errors_meet_the_bound_and_covariances_are_true(
@@ -172,7 +190,13 @@ def shot(clean: Array, rng: np.random.Generator) -> Array:
     return rng.normal(0.0, 1.0, clean.shape) * np.sqrt(1.0 + (clean - BACKGROUND))
 
 
-@pytest.mark.parametrize("noise", [smoothed, shot])
+def mottled(clean: Array, rng: np.random.Generator) -> Array:
+    """A background that is not even, of a light's width."""
+    uneven = gaussian_filter(rng.normal(0.0, 1.0, clean.shape), 4.0)
+    return 1.5 / uneven.std() * uneven + rng.normal(0.0, NOISE, clean.shape)
+
+
+@pytest.mark.parametrize("noise", [smoothed, shot, mottled])
 def test_covariances_are_true_in_noise_that_is_not_alike_and_free_in_all_pixels(
     noise: Callable[[Array, np.random.Generator], Array],
 ) -> None:
@@ -201,3 +225,22 @@ def test_two_touching_lights_in_the_dark_are_not_taken_for_one_that_moved() -> N
         seen = find_spots(np.clip(np.rint(image + rng.normal(0.0, NOISE, image.shape)), 0, 255).astype(np.uint8))
         streaks += seen.model != ("joint", "joint")
     assert streaks <= 1
+
+
+def test_crowded_lights_are_as_uncertain_as_they_say_beside_wider_and_brighter_ones() -> None:
+    """The tails of neighbours pull at a centre, unless their light is taken off."""
+    rng, y, chi2 = np.random.default_rng(5), np.arange(108.0), []
+    for _ in range(12):
+        true = 12.0 * (np.indices((6, 6)).reshape(2, -1).T[:, ::-1] + 2.0) + rng.uniform(-0.4, 0.4, (36, 2))
+        wide = np.indices((6, 6)).sum(axis=0).ravel() % 2 == 1
+        image = np.full((108, 108), BACKGROUND)
+        for (u, v), sigma, height in zip(true, np.where(wide, 3.2, 1.4), np.where(wide, 200.0, 70.0), strict=True):
+            image += height * np.exp(-0.5 * ((y[:, None] - v) ** 2 + (y - u) ** 2) / sigma**2)
+        spots = find_spots(np.clip(np.rint(image + rng.normal(0.0, NOISE, image.shape)), 0, 255).astype(np.uint8))
+        away = np.linalg.norm(spots.uv_px[:, None] - true, axis=2)
+        error = spots.uv_px - true[away.argmin(axis=1)]
+        assert len(error) >= 18  # the weak ones are below the threshold here
+        assert away.min(axis=1).max() < 0.2
+        chi2 += [float(e @ np.linalg.solve(C, e)) for e, C in zip(error, spots.covariance_px2, strict=True)]
+    n = 2 * len(chi2)
+    assert np.sum(chi2) / n == pytest.approx(1.0, abs=0.1 + 3.0 * np.sqrt(2.0 / n))

@@ -163,6 +163,35 @@ def test_a_wrong_geometry_with_right_zeros_is_the_models() -> None:
     assert cause_of(verify(arm(), Reported(q=q), seen(table, q, rng), Align.BOTH)) == "model"
 
 
+@pytest.mark.parametrize("joint", [3, 5])
+def test_of_a_wrist_that_is_held_straight_neither_of_two_joints_is_named(joint: int) -> None:
+    """Joints 4 and 6 turn about one line there; bent by two degrees the wrist tells them apart."""
+    table = np.array(
+        [
+            (0.0, QUARTER, 0.3, 0.0),
+            (0.3, 0.0, 0.0, 0.0),
+            (0.05, QUARTER, 0.0, 0.0),
+            (0.0, -QUARTER, 0.3, 0.0),
+            (0.0, QUARTER, 0.0, 0.0),
+            (0.0, 0.0, 0.08, 0.0),
+        ]
+    )
+    wrist = dh_arm("wrist", table.tolist(), T_world_base=BASE, T_flange_tool=TOOL)
+    knocked = table.copy()
+    knocked[joint, 3] += np.deg2rad(0.4)
+    causes = []
+    for bent in (0.01, 0.03):
+        rng = np.random.default_rng(0)
+        q = [0.0, -0.6, 0.8, 0.3, 0.0, 0.2] + rng.uniform(-1.0, 1.0, (60, 6)) * [1.0, 0.6, 0.6, 1.0, bent, 1.0]
+        causes.append(verify(wrist, Reported(q=q), seen(knocked, q, rng), Align.NONE).cause)
+    straight, told = causes
+    assert straight is not None
+    assert told is not None
+    assert straight.cause == "undecided"
+    assert "joint 4" in straight.sentence.lower() and "joint 6" in straight.sentence.lower()
+    assert told.cause == f"joint {joint + 1}"
+
+
 def test_two_wrong_zeros_are_several_joints() -> None:
     q, rng = poses(40)
     table = changed(1, 3, 0.005)

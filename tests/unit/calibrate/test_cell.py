@@ -14,6 +14,7 @@ from armsight.calibrate.cell.knowledge import ArmTolerance, default_knowledge, p
 from armsight.calibrate.cell.model import BlockNormals, CellModel, start_vector
 from armsight.calibrate.cell.observations import Spots, recording_of
 from armsight.calibrate.cell.result import tip_slopes
+from armsight.calibrate.cell.rounds import _bearing
 from armsight.calibrate.cell.wander import JointDrift
 from armsight.geometry import align_points
 from armsight.kinematics import fk, preset
@@ -143,6 +144,43 @@ def test_what_gears_do_wherever_their_joints_come_by_is_within_what_is_claimed(c
     square = along @ step[at]
     # beside what the process in time leaves open, this wave is one of as many of which each may be all of it
     assert along @ found.covariance(model)[np.ix_(at, at)] @ along > 0.95 * (square + square**2 / len(WAVES))
+
+
+def test_what_a_joint_that_is_held_stiff_does_where_it_gives_way_is_within_what_is_claimed(cell):
+    model, x = cell
+    spots, block = blocks_of(model, x, some(model))
+    soft = x.copy()
+    soft[model.names.index("j2.sag")] = 1e-3
+    data = CellData(spots=replace(spots, uv_px=model.pixels(soft, spots)), block=block, scale=(1.0, 1.0))
+    target = Target(kind=TargetKind.SPOTS, names=("A", "B", "C"), xyz_m=LIGHTS)
+    free = (
+        "j4.theta_rad",
+        *(f"{side}.{name}" for side in ("left", "right") for name in ("tx", "ty", "tz", "rx", "ry")),
+    )
+    found = fit_cell(model, x, data, free, default_knowledge(model, x, ArmTolerance(), target))
+    at, step = found.places, model.difference(found.x, x)
+    off, also = (
+        np.abs(step[at]) / np.sqrt(np.diag(found.covariance(model, stiff=stiff)))[at] for stiff in (True, False)
+    )
+    assert off.max() > 5.0  # of what stiff joints leave open
+    assert also.max() < 1.5
+
+
+def test_no_joint_rises_under_the_arms_weight_and_the_arm_that_is_written_is_the_fitted_one(cell):
+    """An arm's file has no compliance below nothing: what was fitted with one would be told and never hold."""
+    model, x = cell
+    spots, block = blocks_of(model, x, some(model))
+    risen = x.copy()
+    risen[model.names.index("j2.sag")] = -5e-4
+    spots = replace(spots, uv_px=model.pixels(risen, spots))
+    target = Target(kind=TargetKind.SPOTS, names=("A", "B", "C"), xyz_m=LIGHTS)
+    known = default_knowledge(model, x, ArmTolerance(), target)
+    free = ("j2.sag", "j4.theta_rad", *(f"right.{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz")))
+    rising = fit_cell(model, x, CellData(spots=spots, block=block, scale=(1.0, 1.0)), free, known)
+    found = _bearing(model, rising)
+    assert rising.x[model.names.index("j2.sag")] < -1e-4
+    arm, q = model.arm.arm_at(model.arm_vector(found.x), None), moving(np.linspace(2.0, 26.0, 9))
+    np.testing.assert_allclose(fk(arm, arm.values(q)), model.flange(found.x, q), rtol=0.0, atol=1e-9)
 
 
 def test_the_commanded_tip_strays_with_the_joints(cell):

@@ -42,7 +42,7 @@ from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
 from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
 from armsight.calibrate.cell.wander import JointDrift
-from armsight.errors import Cancelled, Inconsistent, NotConverged, NotEnoughData
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.optics import SIDES
 from armsight.records import Progress, Target
 
@@ -101,15 +101,11 @@ def solve_cell(
         known = default_knowledge(model, at, believed, target)
         return known if priors is None else with_priors(model, known, priors, at)
 
-    try:
-        coarse = _coarse(model, x, before(x, tolerance), starts)
-        coarse = _coarse(model, coarse.x, before(x, tolerance), starts)
-        _tell(progress, 2, "fitting, a part of the spots")
-        free = free_names(model, coarse, tolerance, compliance=bool(compliance))
-        found = _round(model, coarse, before(x, tolerance), free, thin=True)
-    except NotConverged:
-        _require_parts_alike(recording)
-        raise
+    coarse = _coarse(model, x, before(x, tolerance), starts)
+    coarse = _coarse(model, coarse.x, before(x, tolerance), starts)
+    _tell(progress, 2, "fitting, a part of the spots")
+    free = free_names(model, coarse, tolerance, compliance=bool(compliance))
+    found = _round(model, coarse, before(x, tolerance), free, thin=True)
     _require_one_model(suspicions(model, found))
     passes = [True, False]
     for thin in passes:
@@ -206,13 +202,6 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
         starts.append(start)
         weights.append(np.array([len(rows) for rows in best_pieces(spots, ways)], float))
     return starts, weights
-
-
-def _require_parts_alike(recording: CellRecording) -> None:
-    """Raise Inconsistent where a recording that nothing explains as a whole falls into two parts that are explained."""
-    for side in (0, 1):
-        spots = recording.spots.take(recording.spots.side == side)
-        _require_unchanged(recording, side, spots, tracklets(spots, recording.clocks[side].number))
 
 
 def _require_unchanged(recording: CellRecording, side: int, spots: Spots, ways: Sequence[Index]) -> None:

@@ -32,8 +32,9 @@ SLOPES = {
 SLOPE_NEAR = 0.25
 WORTH = 8.0
 """Half chi-square by which a turning joint must be better than a sliding one where the path alone does not decide."""
-RIVAL = 3.0
-"""Half chi-square within which two arms explain the readings alike (odds of 20 to 1)."""
+RIVAL = 5.0
+"""Half chi-square, by the noise about the whole arm, within which two arms explain the readings alike (odds of 150 to
+1): of 80 short arcs of 1 and 1.5 px the first of two arms was wrong in 11, by up to 3.3 of it."""
 SURE = 1e-12
 """Where a line is rejected less clearly than this, by one noisy sweep in ten thousand, its values decide as well."""
 PLAIN = 1e6
@@ -69,7 +70,7 @@ def check_slopes(found: Sequence[JointPath], seen: SweepResiduals, axes: Sequenc
 class GlobalFit:
     """The whole arm: model, fit, the rows kept and those discarded, and how much larger its misfit's variance is.
 
-    rivals: other arms of the same types that explain as many readings nearly as well.
+    alternatives: other arms of the same types that explain as many readings.
     """
 
     model: ChainModel
@@ -82,6 +83,15 @@ class GlobalFit:
     def scale2(self) -> float:
         """Variance of the whitened residuals: 1 where the noise of single paths explains all."""
         return 2.0 * self.fit.cost / max(self.fit.dof, 1)
+
+    @property
+    def price(self) -> float:
+        """The fit's cost, and what its turning joints cost beside sliding ones."""
+        return self.fit.cost + WORTH * sum(axis.revolute for axis in self.model.axes)
+
+    def rivals(self, variance: float) -> tuple[GlobalFit, ...]:
+        """Return the alternatives that readings of this variance, over that of single paths, do not tell from it."""
+        return tuple(one for one in self.alternatives if one.price - self.price < RIVAL * variance)
 
     def systematic(self, seen: SweepResiduals, rig: Rig | None) -> Array:
         """Return what errors that no residual shows add to the covariance (P, P): of the rig, which is wrong alike in
@@ -112,14 +122,14 @@ def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
     best: GlobalFit | None = None
     tried: list[GlobalFit] = []
     for least, start in _starts(seen, found, axes):
-        if best is not None and least > _price(best) + RIVAL:
+        if best is not None and least > best.price + RIVAL:
             break  # the arm explains its sweeps at best as well as each sweep's own axis does
         try:
             again = _fit_from(seen, start, rows)
         except NotConverged:
             continue
         tried.append(again)
-        if best is None or (-len(again.rows), _price(again)) < (-len(best.rows), _price(best)):
+        if best is None or (-len(again.rows), again.price) < (-len(best.rows), best.price):
             best = again
     if best is not None:
         _check_dropped(seen, found, best, rows)
@@ -129,7 +139,7 @@ def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
             consequence="The arm is not identified",
             cure="Sweep again, slower and over longer arcs",
         )
-    return replace(best, alternatives=tuple(one for one in tried if _rivals(one, best)))
+    return replace(best, alternatives=tuple(one for one in tried if _alike(one, best)))
 
 
 def _check_dropped(
@@ -163,15 +173,10 @@ def _suspected(seen: SweepResiduals, model: ChainModel) -> list[str]:
     return [f"({note})" for note in suggest_coupling(seen, model, fit.shared)]
 
 
-def _rivals(one: GlobalFit, best: GlobalFit) -> bool:
-    """Whether an arm is another of the best one's types that the readings do not tell from it."""
-    alike = [axis.revolute for axis in one.model.axes] == [axis.revolute for axis in best.model.axes]
-    return one is not best and alike and len(one.rows) == len(best.rows) and _price(one) < _price(best) + RIVAL
-
-
-def _price(fit: GlobalFit) -> float:
-    """Return the fit's cost, and what its turning joints cost beside sliding ones."""
-    return fit.fit.cost + WORTH * sum(axis.revolute for axis in fit.model.axes)
+def _alike(one: GlobalFit, best: GlobalFit) -> bool:
+    """Whether an arm is another of the best one's types that explains as many readings."""
+    types = [[axis.revolute for axis in each.model.axes] for each in (one, best)]
+    return one is not best and types[0] == types[1] and len(one.rows) == len(best.rows)
 
 
 def possible_axes(seen: SweepResiduals, item: JointPath, joint: int) -> list[Candidate]:

@@ -150,8 +150,8 @@ def _at_once(
     def entries(x: Array) -> Array:
         return assign_frames(*model.axes_at(x), base)[0].ravel()
 
-    covariance, doubtful = _with_rivals(arm_fit, table, propagate_covariance(entries, p, covariance), base)
-    notes += doubtful
+    covariance, said = _with_rivals(arm_fit.rivals(widen), table, propagate_covariance(entries, p, covariance), base)
+    notes += said
     placed_frames = _PlacedFrames(
         axes=axes,
         beacon=beacon,
@@ -182,11 +182,11 @@ def _widening(seen: SweepResiduals, arm_fit: GlobalFit, sigma: float | None) -> 
     return arm_fit.scale2 if sigma is None else max(arm_fit.scale2, 1.0), notes
 
 
-def _with_rivals(arm_fit: GlobalFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
+def _with_rivals(rivals: Sequence[GlobalFit], table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
     """Return a covariance that covers every arm the readings do not tell from this one, and a note of it."""
     std = deviations(covariance)
     wide, count = std.copy(), 0
-    for rival in arm_fit.alternatives:
+    for rival in rivals:
         off = assign_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
         off[:, [0, 3, 4]] = np.mod(off[:, [0, 3, 4]] + np.pi, 2.0 * np.pi) - np.pi
         if (np.abs(off) > ANOTHER * std)[np.isfinite(std) & (std > 0.0)].any():
