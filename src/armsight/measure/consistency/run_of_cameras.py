@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from armsight.errors import Unseen
@@ -35,7 +35,8 @@ class CamerasCheck:
     it saw lights.
     """
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, left_out: Sequence[LeftOut] = ()) -> None:
+        """left_out: what was found before the run."""
         self._setup = setup
         self._check = RunCheck(setup)
         self._moments: list[Measured] = []
@@ -43,7 +44,7 @@ class CamerasCheck:
         self._track: Track | None = None
         self._final: Consistency | None = None
         self._next_ask = WINDOW
-        self.left_out: list[LeftOut] = []
+        self.left_out = list(left_out)
         self.n_told = 0
         self.n_seen: Counter[str] = Counter()
 

@@ -127,8 +127,7 @@ class Setup:
     of the rig's q parameters and of the target's positions, (q + 3 m, q + 3 m), (q, q) where the target is exact,
     (0, 0) where the rig is as well. Both are taken as independent. sides: the settings of each camera, with the gain of
     its noise where the rig knows it, and with its own of masks, (h, w), in place of the settings' one.
-    pace: how long a moment may take, and on how many cores. many: whether rigs of other cameras than left and right are
-    taken, as `measure_moment` and a run's check do.
+    pace: how long a moment may take, and on how many cores.
     """
 
     rig: Rig
@@ -138,7 +137,6 @@ class Setup:
     overlaid: bool = False
     masks: tuple[Mask | None, ...] = ()
     pace: Pace = BATCH
-    many: bool = False
     packed: PackedRig = field(init=False, repr=False)
     model: TargetModel = field(init=False, repr=False)
     covariance: Array = field(init=False, repr=False)
@@ -146,7 +144,7 @@ class Setup:
     sides: tuple[SpotSettings, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "packed", PackedRig.of(self.rig if self.many else self.rig.require_pair("measuring")))
+        object.__setattr__(self, "packed", PackedRig.of(self.rig))
         object.__setattr__(self, "model", TargetModel.of(self.target))
         object.__setattr__(self, "covariance", _joint_covariance(self.packed, self.target.covariance))
         if self.target.colour is not None and self.settings.colour is None:
