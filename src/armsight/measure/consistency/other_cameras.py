@@ -79,6 +79,15 @@ class CameraChecks:
         )
         return LeftOut(names=(name,), words=capital(words), cure=again(name))
 
+    def fits_without(self, names: tuple[str, ...]) -> int:
+        """Return how many moments have a pose that fits without these cameras."""
+        left = [
+            [Spots.none() if a in names else s for a, s in zip(self._names, one.seen, strict=True)]
+            for one in self._moments
+        ]
+        found = [measure_views(self._setup, one.pose.t_s, seen) for one, seen in zip(self._moments, left, strict=True)]
+        return sum(one.pose.status is PoseStatus.OK for one in found)
+
     def _showing(self, k: int) -> list[Measured]:
         return [one for one in self._moments if len(one.seen[k]) >= LIGHTS]
 

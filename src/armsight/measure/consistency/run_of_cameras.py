@@ -7,16 +7,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from armsight.errors import Unseen
-from armsight.measure.consistency.cameras import AGREEING
+from armsight.measure.consistency.cameras import AGREEING, RECALIBRATE, again
 from armsight.measure.consistency.check import RunCheck, what
 from armsight.measure.consistency.evidence import WINDOW
 from armsight.measure.consistency.findings import Consistency, LeftOut
-from armsight.measure.consistency.other_cameras import LIGHTS, CameraChecks, capital
+from armsight.measure.consistency.other_cameras import FEWEST, LIGHTS, MOST, CameraChecks, capital
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.tracking import MAX_GAP_S
 from armsight.measure.poses.views import measure_views
-from armsight.records import Spots
+from armsight.records import PoseStatus, Spots
 
 TRIED = 8
 """Moments by which cameras that take no part are looked at."""
@@ -104,8 +104,8 @@ class CamerasCheck:
             yield measured if self._final is None else self._check.widened(measured, self._final)
 
     def _enough_without(self, found: LeftOut) -> bool:
-        """Whether enough cameras are left to tell which are right."""
-        return len(self._setup.rig.cameras) - len({*self.without, *found.names}) >= AGREEING
+        """Whether it is told which are wrong, and enough cameras are left to tell which are right."""
+        return bool(found.names) and len(self._setup.rig.cameras) - len({*self.without, *found.names}) >= AGREEING
 
     def _wrong(self, known: Consistency | None, *, ended: bool = False) -> LeftOut | None:
         """Return what is wrong with a camera that still counts."""
@@ -114,11 +114,9 @@ class CamerasCheck:
             found = checks.mistaken(k)
             if found is not None:
                 return found
-        accused = () if known is None else known.accused
-        if accused and known is not None:
-            words = what(known.findings[0])
-            told = LeftOut(names=accused, words=capital(words), cure=known.findings[0].cause.advice)
-            if self._enough_without(told):
+        if known is not None and (known.accused or (ended and known.findings)):
+            told = self._accused(known, ended=ended)
+            if told is not None and (not told.names or self._enough_without(told)):
                 return told
         for k in idle if ended or len(self._moments) >= LONG else ():
             found = checks.elsewhere(k)
@@ -126,6 +124,44 @@ class CamerasCheck:
                 return found
             self._asked.add(k)
         return None
+
+    def _accused(self, known: Consistency, *, ended: bool) -> LeftOut | None:
+        """Return what is said of the cameras that the sums accuse; of none where it is open which of some is wrong.
+
+        Sums to first order mistake one for another where a knock is large: without the one that is wrong, moments fit.
+        """
+        names, since_s = known.accused, known.findings[0].since_s if known.findings else None
+        if len(self._setup.rig.cameras) > AGREEING:
+            if since_s is None:
+                since_s = self._moments[0 if ended else -WINDOW :][0].pose.t_s
+            later = [one for one in self._moments if one.pose.t_s >= since_s]
+            names = self._without_which(later, names) if self._seen_by_others(later, names) else ()
+        if not names and not known.accused:
+            return None
+        if not names:
+            words = f"The camera {known.accused[0]} or another one has moved, and too few see the target to tell which"
+            return LeftOut(names=(), words=words, cure=f"Fasten the cameras, then {RECALIBRATE}")
+        of_them = [(what(f), f.cause.advice) for f in known.findings if set(names) <= set(f.cause.cameras)]
+        words, cure = of_them[0] if of_them else (f"the camera {names[0]} does not fit the others", again(names[0]))
+        return LeftOut(names=names, words=capital(words), cure=cure)
+
+    def _seen_by_others(self, moments: Sequence[Measured], names: tuple[str, ...]) -> bool:
+        """Whether enough other cameras see the target: of two it is open which is wrong."""
+        others = [k for k, name in enumerate(self._setup.rig.names) if name not in (*self.without, *names)]
+        often = [sum(len(one.seen[k]) >= LIGHTS for one in moments) > IDLE * len(moments) for k in others]
+        return sum(often) >= AGREEING
+
+    def _without_which(self, moments: Sequence[Measured], accused: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the cameras without which moments fit that do not: the accused where that tells nothing, none of
+        several."""
+        unfit = [one for one in moments if one.pose.status is not PoseStatus.OK and any(map(len, one.seen))]
+        if len(unfit) < FEWEST:
+            return accused
+        checks = CameraChecks(self._setup, unfit[:: max(len(unfit) // TRIED, 1)][:TRIED])
+        tried = {accused, *((name,) for name in self._setup.rig.names if name not in self.without)}
+        fits = {names: checks.fits_without((*self.without, *names)) for names in tried}
+        best = [names for names, n in fits.items() if n >= MOST * max(fits.values())]
+        return accused if accused in best else best[0] if len(best) == 1 else ()
 
     def _idle(self) -> list[int]:
         """Return the cameras that see lights of which hardly any pose takes one."""
