@@ -11,7 +11,7 @@ from armsight.measure.consistency.cameras import AGREEING, RECALIBRATE, again
 from armsight.measure.consistency.check import RunCheck, what
 from armsight.measure.consistency.evidence import WINDOW
 from armsight.measure.consistency.findings import Consistency, LeftOut
-from armsight.measure.consistency.other_cameras import FEWEST, LIGHTS, MOST, CameraChecks, capital
+from armsight.measure.consistency.other_cameras import FEWEST, LIGHTS, CameraChecks, capital
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.tracking import MAX_GAP_S
@@ -23,6 +23,8 @@ TRIED = 8
 IDLE = 0.5
 """Share of the moments in which a camera sees lights of which no pose takes any, from which it is asked why."""
 
+CLEARLY = 1.5
+"""How many times worse moments must fit without any other camera: chi-square per degree of freedom, of a hundred."""
 LONG = 4 * WINDOW
 """Moments after which a camera that no cause explains is asked where it stands."""
 
@@ -135,8 +137,8 @@ class CamerasCheck:
             if since_s is None:
                 since_s = self._moments[0 if ended else -WINDOW :][0].pose.t_s
             later = [one for one in self._moments if one.pose.t_s >= since_s]
-            names = self._without_which(later, names) if self._seen_by_others(later, names) else ()
-        if not names and not known.accused:
+            names = self._without_which(later, names, ended=ended) if self._seen_by_others(later, names) else ()
+        if not names and not (ended and known.accused):
             return None
         if not names:
             words = f"The camera {known.accused[0]} or another one has moved, and too few see the target to tell which"
@@ -151,17 +153,18 @@ class CamerasCheck:
         often = [sum(len(one.seen[k]) >= LIGHTS for one in moments) > IDLE * len(moments) for k in others]
         return sum(often) >= AGREEING
 
-    def _without_which(self, moments: Sequence[Measured], accused: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the cameras without which moments fit that do not: the accused where that tells nothing, none of
-        several."""
+    def _without_which(self, moments: Sequence[Measured], accused: tuple[str, ...], *, ended: bool) -> tuple[str, ...]:
+        """Return the cameras without which moments fit that do not, none where it is open.
+
+        At the end of a run those that its sums accuse, where this tells nothing.
+        """
         unfit = [one for one in moments if one.pose.status is not PoseStatus.OK and any(map(len, one.seen))]
-        if len(unfit) < FEWEST:
-            return accused
+        unfit = (unfit if len(unfit) >= FEWEST else list(moments))[-2 * TRIED :]
         checks = CameraChecks(self._setup, unfit[:: max(len(unfit) // TRIED, 1)][:TRIED])
         tried = {accused, *((name,) for name in self._setup.rig.names if name not in self.without)}
-        fits = {names: checks.fits_without((*self.without, *names)) for names in tried}
-        best = [names for names, n in fits.items() if n >= MOST * max(fits.values())]
-        return accused if accused in best else best[0] if len(best) == 1 else ()
+        misfit = {names: checks.misfit_without((*self.without, *names)) for names in tried}
+        best = [names for names, off in misfit.items() if off <= CLEARLY * min(misfit.values())]
+        return accused if ended and accused in best else best[0] if len(best) == 1 else ()
 
     def _idle(self) -> list[int]:
         """Return the cameras that see lights of which hardly any pose takes one."""

@@ -39,9 +39,9 @@ FACING = 0.9
 class TargetModel:
     """names; xyz_m (m, 3); distance_m (m, m); normal (3,) of the plane; radius_m of a flat light, 0 where not used.
 
-    lean (3,): radius_m along the normal. limits (m + 1,): fit_limit of each number of spots seen twice. one_sided: the
-    lights share a plane square to z, and are seen from its -z side only (z points away from the camera, as w does in
-    Pachidis 2005, eqs. 7-8, and as z of a printed board does).
+    lean (3,): radius_m along the normal. limits (m + 1,): fit_limit of each number of spots seen twice. flat: the
+    lights share a plane, or are fewer than three. one_sided: the plane is square to z, and they are seen from its -z
+    side only (z points away from the camera, as w does in Pachidis 2005, eqs. 7-8, and as z of a printed board does).
     """
 
     names: tuple[str, ...]
@@ -50,6 +50,7 @@ class TargetModel:
     normal: Array
     radius_m: float
     lean: Array
+    flat: bool
     one_sided: bool
     limits: Array
 
@@ -79,6 +80,7 @@ class TargetModel:
             normal=frozen_array("normal", normal, (3,)),
             radius_m=radius_m,
             lean=frozen_array("lean", radius_m * normal, (3,)),
+            flat=flat,
             one_sided=one_sided,
             limits=frozen_array("limits", [fit_limit(2 * n) for n in range(len(X) + 1)], (None,)),
         )

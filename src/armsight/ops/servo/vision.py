@@ -265,14 +265,29 @@ def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | Non
         )
 
 
+FEWEST_OF_ONE = 4
+"""Lights that one camera needs; they may not share a plane."""
+
+
 def measuring(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
-    """Return what measuring needs. Raises UsageError for a board, whose pose takes longer than a servo's cycle."""
+    """Return what measuring needs.
+
+    Raises UsageError for a board, whose pose takes longer than a servo's cycle, and for a target that one camera sees
+    in two tilts.
+    """
     if target.is_board:
         raise UsageError("a board takes too long to find for a servo", cure="Give a target of lights (--target)")
     if rig.kind is RigKind.MIRROR and not devices.overlaid:
         raise UsageError("the rig has mirrors: both of its views are in one image", cure="Give --image")
     settings = SpotSettings(colour=target.colour)
-    return Setup(rig=rig, target=target, settings=settings, overlaid=devices.overlaid, pace=live_pace())
+    setup = Setup(rig=rig, target=target, settings=settings, overlaid=devices.overlaid, pace=live_pace())
+    if len(rig.cameras) == 1 and (setup.model.flat or len(setup.model) < FEWEST_OF_ONE):
+        raise UsageError(
+            "one camera sees a flat target, or one of three lights, as well in one tilt as in its mirrored one",
+            consequence="The arm might follow the wrong one, and nothing is moved",
+            cure="Give four lights and more of which one stands out of the others' plane, or a rig of more cameras",
+        )
+    return setup
 
 
 def placed_cameras(handeye: Path) -> HandEyeFile:
