@@ -203,20 +203,26 @@ def teach_standing(
     """
     prepare(progress)
     with lesson.kept(), moments:
-        stopped_by = _taught(lesson.recorder, setup, moments, seconds_s, progress, seen)
+        tracker = WatchedTracker(setup)
+        stopped_by = _taught(lesson.recorder, tracker, moments, seconds_s, progress, seen)
+        trusted_s = tracker.trusted_s
+        try:
+            tracker.finish("Teaching ends; the path holds what was taught before")
+        except Inconsistent:
+            lesson.recorder.forget_since(trusted_s)
+            raise
     return lesson.result(stopped_by)
 
 
 def _taught(
     recorder: PathRecorder,
-    setup: Setup,
+    tracker: WatchedTracker,
     moments: Iterable[Views],
     seconds_s: float | None,
     progress: Progress,
     seen: Seen,
 ) -> str:
-    """Give every moment's pose to the recorder; return why it ended. Raises Inconsistent for a camera that is wrong."""
-    tracker = WatchedTracker(setup)
+    """Give every moment's pose to the recorder, until a camera is wrong; return why it ended."""
     first_s: float | None = None
     shown_s = -1.0
     for moment in moments:
@@ -224,12 +230,7 @@ def _taught(
         recorder.observe(pose, pose.t_s)
         seen(pose)
         if tracker.contradictions:
-            recorder.forget_since(tracker.trusted_s)
-            raise Inconsistent(
-                ". ".join(one.words for one in tracker.contradictions),
-                consequence=f"Teaching ends; the {len(recorder)} poses of before are kept",
-                cure=". ".join(one.cure for one in tracker.contradictions),
-            )
+            break
         first_s = pose.t_s if first_s is None else first_s
         if time.monotonic() - shown_s > 0.2:
             shown_s = time.monotonic()

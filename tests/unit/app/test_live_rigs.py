@@ -10,11 +10,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from tests.unit.app.test_verify_live import Ticking
 
+from armsight.calibrate.tooltip import TipRecording
 from armsight.clock import ManualClock
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.poses.setup import Setup
 from armsight.ops import motion, teaching
 from armsight.ops.action import action_of
+from armsight.ops.calibration.pivot import pivot
 from armsight.ops.servo.vision import ServoDevices, SteppedClock
 from armsight.ops.simulation.scenarios import load_scenario
 from armsight.ops.verification.supervising import Supervised
@@ -77,7 +79,7 @@ class ArmCell:
         return {"robot": device, "out": self.folder / "out", "confirm": True, **files}
 
     def servo(self, seconds_s: float, knocked_s: float = np.inf) -> tuple[Any, float]:
-        """Follow, a camera knocked at a time; return the result and how far the tool stood from its place at last, m."""
+        """Follow, a camera knocked at a time; return the result and how far, m, the tool stood from its place at last."""
         robot, off_m, hit = self.cell.robot, [0.0], []
 
         def show(status: Any, error_m: float | None) -> None:
@@ -154,7 +156,8 @@ def test_supervision_goes_on_by_the_cameras_that_agree(tmp_path: Path) -> None:
         on_step=cell.clock.calls.append,
     )
     files = {name: tmp_path / f"{name}.yaml" for name in ("rig", "target", "arm", "world")}
-    more = {"cameras": {name: f"here:{name}" for name in cell.names}, "clock": cell.clock, "devices": devices}
+    named = {"left": None, "right": None, "cameras": {name: f"here:{name}" for name in cell.names}}
+    more = {**named, "clock": cell.clock, "devices": devices}
     done = supervise(**files, **more, robot="here", out=tmp_path / "out", show=show, tell=told.append, frames=110)
     doubts = done.to_dict()["doubts"]
     assert any("right" in text and "--again right" in text for text in doubts), doubts
@@ -177,4 +180,33 @@ def test_teaching_ends_at_a_knocked_camera_and_keeps_what_was_taught_before(tmp_
     lesson, setup = teaching.Lesson(recorder, tmp_path / "out"), Setup(rig=cell.rig, target=cell.target)
     with cell.cell.robot, refuses(Inconsistent, "right"):
         teaching.teach_standing(lesson, setup, cell.cell.pairs, 20.0, Silent(), seen=seen)
-    assert 20 < len(recorder) < 50 and (tmp_path / "out" / "path.csv").exists()
+    assert 20 < len(recorder) <= 50 and (tmp_path / "out" / "path.csv").exists()
+
+
+def pivoting(cell: ArmCell, tip_m: np.ndarray) -> None:
+    """Let a hand turn the target about a tip (3,) in its axes, that rests where it is at first, to all sides."""
+    T_world_target = cell.cell.pairs._hand(np.zeros(1))[0]
+    rests = T_world_target.apply(tip_m)
+
+    def path(t_s: np.ndarray) -> RigidTransform:
+        turns = Rotation.from_rotvec(0.35 * np.stack([np.sin(2.1 * t_s), np.sin(1.7 * t_s), np.sin(0.9 * t_s)], axis=1))
+        R = T_world_target.rotation * turns
+        return RigidTransform.from_components(rests - R.apply(tip_m), R)
+
+    cell.cell.pairs._hand = path
+
+
+@pytest.mark.parametrize("knocked", [False, True])
+def test_a_tip_is_pivoted_before_three_cameras_and_refused_where_one_is_knocked(tmp_path: Path, knocked: bool) -> None:
+    cell, tip_m = ArmCell(tmp_path, ManualClock(), *THREE, hand="still"), np.array([0.01, -0.02, -0.1])
+    pivoting(cell, tip_m)
+    if knocked:
+        cell.cell.pairs.knock("far-right", KNOCK)
+    setup = Setup(rig=cell.rig, target=cell.target)
+    with cell.cell.robot:
+        if knocked:
+            with refuses(Inconsistent, "far-right"):
+                pivot(setup, cell.cell.pairs, TipRecording(point=None, good_m=3e-5), Silent())
+            return
+        found = pivot(setup, cell.cell.pairs, TipRecording(point=None, good_m=3e-5), Silent())
+    assert found.reached and np.linalg.norm(np.asarray(found.tip_m) - tip_m) < 2e-4

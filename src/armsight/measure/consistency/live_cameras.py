@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from armsight.errors import Unseen
+from armsight.errors import Inconsistent, Unseen
 from armsight.measure.consistency.check import advice, finalise, sentence
 from armsight.measure.consistency.findings import LeftOut
 from armsight.measure.consistency.run_of_cameras import CamerasCheck
@@ -34,7 +34,7 @@ class WatchedTracker:
         self._posed = self._doubts = self._taken = 0
         self.left_out: tuple[LeftOut, ...] = ()
         self.wrong: LeftOut | None = None
-        self.trusted_s = -math.inf
+        self.trusted_s = self._last_s = -math.inf
 
     @property
     def contradictions(self) -> tuple[LeftOut, ...]:
@@ -47,19 +47,30 @@ class WatchedTracker:
         if self._check is None:
             return measured
         measured = self._check.add(measured)
-        self._taken += 1
+        self._taken, self._last_s = self._taken + 1, measured.pose.t_s
         self._doubts = self._doubts + 1 if measured.pose.status is PoseStatus.DOUBTFUL else 0
         self._posed += measured.pose.status in (PoseStatus.OK, PoseStatus.DOUBTFUL)
         doubted = self.wrong is not None
         if self._posed >= STRETCH or self._taken >= MOST or self._doubts >= SOON:
-            doubted |= self._judged(self._check, measured.pose.t_s)
+            doubted |= self._judged(self._check)
         else:
             self.left_out = tuple(self._check.left_out)
         self._tracker.without, self._tracker.track = self._check.without, measured.track
         pose = finalise(measured.pose, inconsistent=True) if doubted else measured.pose
         return measured if pose is measured.pose else replace(measured, pose=pose, cause=Unseen.INCONSISTENT)
 
-    def _judged(self, check: CamerasCheck, t_s: float) -> bool:
+    def finish(self, consequence: str) -> None:
+        """Judge what is left of a run that ended. Raises Inconsistent where anything is wrong with the rig."""
+        if self._check is not None and self._posed and not self.contradictions:
+            self._judged(self._check)
+        if self.contradictions:
+            raise Inconsistent(
+                ". ".join(one.words for one in self.contradictions),
+                consequence=consequence,
+                cure=". ".join(one.cure for one in self.contradictions),
+            )
+
+    def _judged(self, check: CamerasCheck) -> bool:
         """Judge the stretch and begin another; tell whether its last pose may be of a camera that is wrong."""
         found, before = check.finish(), len(self.left_out)
         self.left_out = found.left_out
@@ -68,7 +79,7 @@ class WatchedTracker:
         if found.verdict == "inconsistent" or (found.findings and self._doubts >= SOON):
             self.wrong = LeftOut(names=(), words=sentence(rest).rstrip("."), cure=advice(rest).rstrip("."))
         elif found.verdict in ("ok", "doubtful") and len(self.left_out) == before:
-            self.trusted_s = t_s
+            self.trusted_s = self._last_s
         self._check = CamerasCheck(self._setup, self.left_out)
         self._posed = self._doubts = self._taken = 0
         return self.wrong is not None or len(self.left_out) > before

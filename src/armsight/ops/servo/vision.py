@@ -21,7 +21,7 @@ from armsight.control.servo.law import CameraDelay
 from armsight.control.status import QueueSink
 from armsight.defaults import HAND_SPEED_M_S
 from armsight.drivers import MomentSource, Views, moments_of, news_of
-from armsight.errors import ArmsightError, BadFile, DeviceFailed, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.consistency.findings import LeftOut
 from armsight.measure.consistency.live_cameras import WatchedTracker
@@ -140,6 +140,10 @@ class Vision:
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._devices.latency_s)
         return self._ahead_s
 
+    def require_agreement(self) -> None:
+        """Raise Inconsistent where cameras contradict each other by what was seen so far."""
+        self._tracker.finish("Nothing is moved")
+
     @property
     def contradiction(self) -> str:
         """What is wrong with cameras or the rig and what to do, in words; empty where nothing."""
@@ -257,12 +261,7 @@ def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | Non
                 cure="Check the cameras, their exposure and their rate",
             )
         clock.sleep_until(clock.now_s() + 0.02)
-    if vision.contradictions:
-        raise Inconsistent(
-            ". ".join(one.words for one in vision.contradictions),
-            consequence="Nothing is moved",
-            cure=". ".join(one.cure for one in vision.contradictions),
-        )
+    vision.require_agreement()
 
 
 FEWEST_OF_ONE = 4
@@ -349,8 +348,7 @@ def _simulated(robot: str, rig: Rig, cameras: CameraNames, hand: str | None, han
             f"the simulated cell {robot} has its own cameras, and {', '.join(given)} is given", cure="Leave it out"
         )
     clock = SteppedClock()
-    asked = {"hand": hand, "speed_m_s": hand_speed_m_s, "cameras": rig.names}
-    cell = live_cell(robot.removeprefix(SIM), clock, **asked)
+    cell = live_cell(robot.removeprefix(SIM), clock, cameras=rig.names, hand=hand, speed_m_s=hand_speed_m_s)
     return ServoDevices(
         robot=cell.robot,
         pairs=cell.pairs,
@@ -373,8 +371,7 @@ def _following(
     """Return a robot with the simulated cameras that watch it, or that it carries, in real time."""
     refuse_cameras(cell, **cameras.named(), exposure=cameras.exposure_s)
     robot = clocked_robot(job, arm)
-    asked = {"hand": hand, "speed_m_s": hand_speed_m_s, "cameras": rig.names}
-    seen = watching_cell(cell, robot.robot, robot.clock, **asked)
+    seen = watching_cell(cell, robot.robot, robot.clock, cameras=rig.names, hand=hand, speed_m_s=hand_speed_m_s)
     return ServoDevices(
         robot=robot.robot,
         pairs=seen.pairs,
