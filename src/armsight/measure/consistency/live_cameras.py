@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from armsight.errors import Inconsistent, Unseen
+from armsight.measure.consistency.all_sights import shown_beside
 from armsight.measure.consistency.check import advice, finalise, sentence
 from armsight.measure.consistency.findings import LeftOut
 from armsight.measure.consistency.run_of_cameras import CamerasCheck
@@ -17,6 +18,7 @@ from armsight.records import Frame, PoseStatus
 STRETCH, MOST = 32, 128
 """Poses, or moments, after which the check begins anew: a second of a webcam. One that grew would look at its sums ever
 more seldom, and take a knock for a small part of a long run."""
+BESIDE = "a camera shows the lights beside where the others have them"
 SOON = 9
 """Doubtful poses in a row after which it is judged at once."""
 
@@ -46,7 +48,7 @@ class WatchedTracker:
         measured = self._tracker.take(*frames)
         if self._check is None:
             return measured
-        measured = self._check.add(measured)
+        measured = self._contradicted(self._check.add(measured))
         self._taken, self._last_s = self._taken + 1, measured.pose.t_s
         self._doubts = self._doubts + 1 if measured.pose.status is PoseStatus.DOUBTFUL else 0
         self._posed += measured.pose.status in (PoseStatus.OK, PoseStatus.DOUBTFUL)
@@ -58,6 +60,16 @@ class WatchedTracker:
         self._tracker.without, self._tracker.track = self._check.without, measured.track
         pose = finalise(measured.pose, inconsistent=True) if doubted else measured.pose
         return measured if pose is measured.pose else replace(measured, pose=pose, cause=Unseen.INCONSISTENT)
+
+    def _contradicted(self, measured: Measured) -> Measured:
+        """Return the moment, doubtful where a camera shows lights beside their places.
+
+        A pose takes what fits: of three cameras two, of which one was knocked, may outvote the third.
+        """
+        pose = measured.pose
+        if pose.status is not PoseStatus.OK or not shown_beside(self._setup, measured):
+            return measured
+        return replace(measured, pose=replace(pose, status=PoseStatus.DOUBTFUL, why=BESIDE), cause=Unseen.INCONSISTENT)
 
     def finish(self, consequence: str) -> None:
         """Judge what is left of a run that ended. Raises Inconsistent where anything is wrong with the rig."""

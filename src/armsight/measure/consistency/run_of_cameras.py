@@ -137,7 +137,8 @@ class CamerasCheck:
             if since_s is None:
                 since_s = self._moments[0 if ended else -WINDOW :][0].pose.t_s
             later = [one for one in self._moments if one.pose.t_s >= since_s]
-            names = self._without_which(later, names, ended=ended) if self._seen_by_others(later, names) else ()
+            told = all(self._seen_by_others(part, names) for part in (later, later[-WINDOW:]))
+            names = self._without_which(later, names, ended=ended) if told else ()
         if not names and not (ended and known.accused):
             return None
         if not names:
