@@ -139,6 +139,7 @@ class CamerasCheck:
             later = [one for one in self._moments if one.pose.t_s >= since_s]
             told = all(self._seen_by_others(part, names) for part in (later, later[-WINDOW:]))
             names = self._without_which(later, names, ended=ended) if told else ()
+            names = names if self._seen_by_others(later[-WINDOW:], names) else ()
         if not names and not (ended and known.accused):
             return None
         if not names:
@@ -152,7 +153,7 @@ class CamerasCheck:
         """Whether enough other cameras see the target: of two it is open which is wrong."""
         others = [k for k, name in enumerate(self._setup.rig.names) if name not in (*self.without, *names)]
         often = [sum(len(one.seen[k]) >= LIGHTS for one in moments) > IDLE * len(moments) for k in others]
-        return sum(often) >= AGREEING
+        return sum(often) >= AGREEING + (not names)
 
     def _without_which(self, moments: Sequence[Measured], accused: tuple[str, ...], *, ended: bool) -> tuple[str, ...]:
         """Return the cameras without which moments fit that do not, none where it is open.
