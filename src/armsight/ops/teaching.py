@@ -182,7 +182,7 @@ def require_moments(moments: tuple[MomentSource, bool] | None) -> tuple[MomentSo
         raise UsageError(
             "which cameras see the target is not said",
             consequence="Nothing is taught",
-            cure="Give --camera NAME=SRC for each of the rig, --image for a mirror rig, or --from poses.csv",
+            cure="Give --left and --right, --image for a mirror rig, or --from poses.csv",
         )
     return moments
 

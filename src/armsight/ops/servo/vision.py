@@ -332,7 +332,7 @@ def open_servo(
     if moments is None:
         raise UsageError(
             "which cameras see the target is not said",
-            cure="Give --camera NAME=camera:... for each of the rig, or --image for a mirror rig",
+            cure="Give --left and --right, or --image for a mirror rig",
         )
     pairs, overlaid = moments
     return ServoDevices(
