@@ -32,7 +32,7 @@ class WatchedTracker:
 
     def __init__(self, setup: Setup) -> None:
         self._setup, self._tracker = setup, TargetTracker(setup)
-        self._check = None if setup.rig.is_pair else CamerasCheck(setup)
+        self._check = None if setup.rig.is_pair else CamerasCheck(setup, early=False)
         self._posed = self._doubts = self._taken = 0
         self.left_out: tuple[LeftOut, ...] = ()
         self.wrong: LeftOut | None = None
@@ -55,8 +55,6 @@ class WatchedTracker:
         doubted = self.wrong is not None
         if self._posed >= STRETCH or self._taken >= MOST or self._doubts >= SOON:
             doubted |= self._judged(self._check)
-        else:
-            self.left_out = tuple(self._check.left_out)
         self._tracker.without, self._tracker.track = self._check.without, measured.track
         pose = finalise(measured.pose, inconsistent=True) if doubted else measured.pose
         return measured if pose is measured.pose else replace(measured, pose=pose, cause=Unseen.INCONSISTENT)
@@ -92,6 +90,6 @@ class WatchedTracker:
             self.wrong = LeftOut(names=(), words=sentence(rest).rstrip("."), cure=advice(rest).rstrip("."))
         elif found.verdict in ("ok", "doubtful") and len(self.left_out) == before:
             self.trusted_s = self._last_s
-        self._check = CamerasCheck(self._setup, self.left_out)
+        self._check = CamerasCheck(self._setup, self.left_out, early=False)
         self._posed = self._doubts = self._taken = 0
         return self.wrong is not None or len(self.left_out) > before

@@ -90,7 +90,7 @@ class CameraChecks:
             dof = 2 * sum(map(len, found.spots)) - 6
             fits = found.pose.status.size == 6 and dof > 0
             off.append(min(_chi2(found) / dof, MISFIT) if fits else MISFIT)
-        return float(np.mean(off))
+        return float(np.median(off))
 
     def _showing(self, k: int) -> list[Measured]:
         return [one for one in self._moments if len(one.seen[k]) >= LIGHTS]

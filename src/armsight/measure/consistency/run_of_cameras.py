@@ -37,8 +37,9 @@ class CamerasCheck:
     it saw lights.
     """
 
-    def __init__(self, setup: Setup, left_out: Sequence[LeftOut] = ()) -> None:
-        """left_out: what was found before the run."""
+    def __init__(self, setup: Setup, left_out: Sequence[LeftOut] = (), *, early: bool = True) -> None:
+        """left_out: what was found before the run. early: whether cameras are left out before its end, by sums that
+        take a change for what was so all along."""
         self._setup = setup
         self._check = RunCheck(setup)
         self._moments: list[Measured] = []
@@ -46,7 +47,7 @@ class CamerasCheck:
         self._track: Track | None = None
         self._final: Consistency | None = None
         self._next_ask = WINDOW
-        self.left_out = list(left_out)
+        self.left_out, self._early = list(left_out), early
         self.n_told = 0
         self.n_seen: Counter[str] = Counter()
 
@@ -73,7 +74,7 @@ class CamerasCheck:
         before = self._check.looks_next
         out = self._check.add(measured)
         n = len(self._moments)
-        if self._check.looks_next == before and n < self._next_ask:
+        if not self._early or (self._check.looks_next == before and n < self._next_ask):
             return out
         self._next_ask = max(self._next_ask, 2 * n)
         found = self._wrong(self._check.known)
@@ -138,7 +139,7 @@ class CamerasCheck:
                 since_s = self._moments[0 if ended else -WINDOW :][0].pose.t_s
             later = [one for one in self._moments if one.pose.t_s >= since_s]
             told = all(self._seen_by_others(part, names) for part in (later, later[-WINDOW:]))
-            names = self._without_which(later, names, ended=ended) if told else ()
+            names = self._without_which(later, names) if told else ()
             names = names if self._seen_by_others(later[-WINDOW:], names) else ()
         if not names and not (ended and known.accused):
             return None
@@ -155,18 +156,18 @@ class CamerasCheck:
         often = [sum(len(one.seen[k]) >= LIGHTS for one in moments) > IDLE * len(moments) for k in others]
         return sum(often) >= AGREEING + (not names)
 
-    def _without_which(self, moments: Sequence[Measured], accused: tuple[str, ...], *, ended: bool) -> tuple[str, ...]:
-        """Return the cameras without which moments fit that do not, none where it is open.
-
-        At the end of a run those that its sums accuse, where this tells nothing.
-        """
+    def _without_which(self, moments: Sequence[Measured], accused: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the cameras without which moments fit that do not: the accused where that tells nothing, none where it
+        is open."""
         unfit = [one for one in moments if one.pose.status is not PoseStatus.OK and any(map(len, one.seen))]
+        if len(unfit) < FEWEST and accused:
+            return accused
         unfit = (unfit if len(unfit) >= FEWEST else list(moments))[-2 * TRIED :]
         checks = CameraChecks(self._setup, unfit[:: max(len(unfit) // TRIED, 1)][:TRIED])
         tried = {accused, *((name,) for name in self._setup.rig.names if name not in self.without)}
         misfit = {names: checks.misfit_without((*self.without, *names)) for names in tried}
         best = [names for names, off in misfit.items() if off <= CLEARLY * min(misfit.values())]
-        return accused if ended and accused in best else best[0] if len(best) == 1 else ()
+        return accused if accused in best else best[0] if len(best) == 1 else ()
 
     def _idle(self) -> list[int]:
         """Return the cameras that see lights of which hardly any pose takes one."""
