@@ -75,7 +75,7 @@ def drawn(views: int, rng: np.random.Generator) -> Setup:
     told = moved_rig(Rig(cameras=rig.cameras, covariance=covariance), rng.multivariate_normal(np.zeros(len(C)), C))
     lights = spot_target({name: tuple(x) for name, x in zip(LETTERS, world.LIGHTS.tolist(), strict=True)})
     found = Rig(cameras=told.cameras, covariance=covariance)
-    return Setup(found, lights, slack_px=rig_slack_px(found), many=True)
+    return Setup(found, lights, slack_px=rig_slack_px(found))
 
 
 def knocked(ring: world.Ring, k: int, rng: np.random.Generator, turn_deg: float, shift_mm: float) -> world.Ring:

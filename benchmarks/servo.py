@@ -164,7 +164,7 @@ class Eye:
         self.in_memory_s: float | None = None
         self.spent_s = 0.0
         if noisy:  # pairs are not drawn
-            cell.pairs.pair = lambda index: index  # type: ignore[method-assign, assignment, return-value]
+            cell.pairs.moment = lambda index: index  # type: ignore[method-assign, assignment, return-value]
 
     def T_base_rig(self, t_s: float) -> RigidTransform:
         cell = self.cell

@@ -60,7 +60,7 @@ def run(seed: int, shown: str, begun_s: float, room: str) -> Any:
     vision = Vision(setup, devices, QueueSink())
     vision.source = source
     loop = ControlLoop(cell.robot, Guard(arm, Limits(), cycle_s), source, clock, enabled=lambda: True)
-    log, pair_of, last = judge.Log(), cell.pairs.pair, {}
+    log, pair_of, last = judge.Log(), cell.pairs.moment, {}
 
     def pair(index: int) -> Any:
         if shown == "honest" or index / cell.pairs.fps < begun_s:
@@ -78,7 +78,7 @@ def run(seed: int, shown: str, begun_s: float, room: str) -> Any:
         log.why.append(status.why)
         return False
 
-    cell.pairs.pair = pair
+    cell.pairs.moment = pair
     with cell.robot, cell.pairs:
         clock.watch(cell.pairs, vision.take)
         loop.run(for_s=begun_s + AFTER_S, until=note)

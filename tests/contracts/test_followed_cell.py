@@ -91,7 +91,7 @@ def errors(pair: Any, scenario: Path, joints: Callable[[Any], Callable[[float], 
             pair.advance(pair.cycle_s)
             log.append((pair.clock.now_s(), *pair.twin.q))
             if pair.clock.now_s() > cell.origin_s + due / pairs.fps + pairs.latency_s:
-                pose = measure_pair(setup, *pairs.pair(due)).pose
+                pose = measure_pair(setup, *pairs.moment(due)).pose
                 seen.append((cell.origin_s + pose.t_s, pose))
                 due += 3
     found, rows = [], np.array(log)
@@ -150,10 +150,10 @@ def test_nothing_is_guessed_beyond_what_was_heard(make_egm: Any, scenario: Path)
         pair.advance(0.1)
         with cell.pairs as pairs:
             pair.advance(0.1)
-            assert len(pairs.pair(2)) == 2
+            assert len(pairs.moment(2)) == 2
             pair.twin.fault("silent")
             with refuses(DeviceLost, "told no joints"):
-                pairs.pair(60)
+                pairs.moment(60)
 
 
 class Telling:

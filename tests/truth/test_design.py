@@ -146,7 +146,7 @@ def rig_of(world: Ring) -> Rig:
 def test_by_any_number_of_cameras_every_sight_counts_up_to_the_bound(views: int) -> None:
     rng, world = np.random.default_rng(views), ring(views)
     target = spot_target({name: tuple(x) for name, x in zip("ABCDEF", RELIEF.tolist(), strict=True)})
-    setup = Setup(rig_of(world), target, many=True)
+    setup = Setup(rig_of(world), target)
     poses = [pose(rng, tilt_rad=0.2) for _ in range(12)]
     for k, T in enumerate(poses[:6]):
         T[1, 3] += 0.34 + 0.04 * k  # some lights leave some of the pictures

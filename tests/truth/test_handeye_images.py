@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from armsight.calibrate.handeye.board_turns import turned_views
 from typer.testing import CliRunner
 
 from armsight.calibrate.handeye import (
@@ -18,7 +19,6 @@ from armsight.calibrate.handeye import (
     calibrate_eye_in_hand,
     calibrate_from_views,
 )
-from armsight.calibrate.handeye.board_turns import turned_views
 from armsight.calibrate.handeye.image_comparison import ImageErrors, compare
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.pairs import pose

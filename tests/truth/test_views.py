@@ -36,7 +36,7 @@ def setup_of(world: Ring, X: np.ndarray = LIGHTS, covariance: NamedCovariance | 
         for name, R, t in zip(names, world.R, world.t, strict=True)
     ]
     target = spot_target({c: tuple(x) for c, x in zip("ABCDEF", X.tolist(), strict=False)})
-    return Setup(Rig(cameras=mounted, covariance=covariance), target, many=True)
+    return Setup(Rig(cameras=mounted, covariance=covariance), target)
 
 
 def spots(uv: np.ndarray) -> Spots:
@@ -280,6 +280,6 @@ def test_what_needs_two_cameras_is_refused_by_other_rigs() -> None:
     with refuses(UsageError, 2, 3):
         require_views(setup, 2)
     with refuses(UsageError, 3, "target.yaml"):
-        require_views(Setup(setup.rig, unmeasured_target(), many=True), 3)
+        require_views(Setup(setup.rig, unmeasured_target()), 3)
     with refuses(UsageError, "left", "c0"):
         Setup(setup.rig, setup.target)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import TracebackType
@@ -19,7 +20,6 @@ from armsight_sim.backdrops import MovingBackdrops
 from armsight_sim.cell import SEED_NOISE
 from armsight_sim.motions import Hand, Jumping, Vibration, hand_path
 from armsight_sim.render import LightImage
-from armsight_sim.rigs import SIDES
 from armsight_sim.robot import SimRobot
 from armsight_sim.scenario_builder import build_robot, build_world, joint_motion, robotics
 from armsight_sim.scenario_keys import EventKeys
@@ -69,16 +69,70 @@ class KeptBackdrops(MovingBackdrops):
         return light
 
 
-class CarriedView:
-    """The frames of a rig on the flange of a simulated robot: a MomentSource without end, at the rig's own pace.
+ONE_IMAGE = ("image",)
+"""The view of a mirror rig, which holds those of both its cameras."""
 
-    A mirror rig's complex image is given as left and as right. The target goes its own way, which the robot does not
-    know. A frame that nobody fetched in its time is not taken. Not simulated: the arm in the view, and of the
-    scenario's events all but jumps of the target.
+
+class LiveMoments(ABC):
+    """The moments of a world's cameras on a clock: a MomentSource without end, at the rig's own pace.
+
+    A frame that nobody fetched in its time is not taken.
     """
 
     skew: Skew | None = None
     total: int | None = None
+
+    def __init__(self, world: World, clock: Clock, fps: float) -> None:
+        self.fps = fps
+        self.latency_s = world.timing.latency_s
+        self.origin_s = 0.0
+        self._world = world
+        self._clock = clock
+
+    @property
+    def name(self) -> str:
+        """All views' names."""
+        return " + ".join(f"{self._world.name}/{view}" for view in self._world.views)
+
+    def see_by(self, cameras: Sequence[str]) -> None:
+        """See by these cameras, in this order. Raises Inconsistent for one that there is not."""
+        world = self._world
+        if world.views == ONE_IMAGE:
+            return
+        if not set(cameras) <= world.cameras.keys():
+            raise Inconsistent(
+                f"the rig has the cameras {', '.join(cameras)}, and {world.name} has {', '.join(world.cameras)}",
+                consequence="There are no pictures of the others",
+                cure="Give the rig.yaml of this scenario (armsight simulate), or one of some of its cameras",
+            )
+        self._world = replace(world, views=tuple(cameras))
+
+    def knock(self, name: str, T_camera_knocked: RigidTransform) -> None:
+        """Move one camera, in its own axes, from now on: the rig's file does not know it."""
+        camera = self._world.cameras[name]
+        moved = replace(camera, T_world_camera=camera.T_world_camera * T_camera_knocked)
+        self._world = replace(self._world, cameras={**self._world.cameras, name: moved})
+
+    @abstractmethod
+    def moment(self, index: int) -> tuple[Frame, ...]:
+        """Return the moment number index, exposed index / fps after the opening. Raises DeviceFailed where not open."""
+
+    def __iter__(self) -> Iterator[tuple[Frame, ...]]:
+        index = 0
+        while True:
+            passed_s = self._clock.now_s() - self.origin_s - self.latency_s
+            index = max(index + 1, int(np.ceil(passed_s * self.fps - 1e-9)))
+            self._clock.sleep_until(self.origin_s + index / self.fps + self.latency_s)
+            yield self.moment(index)
+
+
+class CarriedView(LiveMoments):
+    """The moments of a rig on the flange of a simulated robot.
+
+    A mirror rig's complex image is given as left and as right. The target goes its own way, which the robot does not
+    know. Not simulated: the arm in the view, and of the
+    scenario's events all but jumps of the target.
+    """
 
     def __init__(self, world: World, robot: SimRobot, clock: Clock, *, fps: float, target: Path) -> None:
         """target: T_world_target at times since the opening. Raises Inconsistent for a rig that stands."""
@@ -88,20 +142,15 @@ class CarriedView:
                 consequence="The robot cannot follow a target with it",
                 cure="Take a scenario with cameras.mount flange",
             )
-        self.name = " + ".join(f"{world.name}/{view}" for view in world.views)
-        self.origin_s = 0.0
-        self.fps = fps
-        self.latency_s = world.timing.latency_s
         self.T_flange_rig = world.T_flange_rig
         moving = world.moving
         if moving is not None:
             moving = KeptBackdrops(onlookers=moving.onlookers, glow=moving.glow, T_world_room=moving.T_world_room)
-        self._world = replace(
-            world, timing=replace(world.timing, fps=fps), target_path=target, moving=moving, events=(), frozen=()
-        )
+        timing = replace(world.timing, fps=fps)
+        calm = replace(world, timing=timing, target_path=target, moving=moving, events=(), frozen=())
+        super().__init__(calm, clock, fps)
         self._robot = robot
-        self._clock = clock
-        self._live: World | None = None
+        self._path: Path | None = None
         self._covered: frozenset[str] = frozenset()
 
     def cover(self, on: bool = True, *, names: Sequence[str] | None = None) -> None:
@@ -116,36 +165,27 @@ class CarriedView:
 
     def __enter__(self) -> Self:
         self.origin_s = self._clock.now_s()
-        path = CarriedRig(
+        self._path = CarriedRig(
             robot=self._robot,
             T_flange_rig=self.T_flange_rig,
             vibration=self._world.vibration,
             origin_s=self.origin_s,
         )
-        self._live = replace(self._world, rig_path=path)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._live = None
+        self._path = None
 
-    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
-        index = 0
-        while True:
-            passed_s = self._clock.now_s() - self.origin_s - self.latency_s
-            index = max(index + 1, int(np.ceil(passed_s * self.fps - 1e-9)))
-            self._clock.sleep_until(self.origin_s + index / self.fps + self.latency_s)
-            yield self.pair(index)
-
-    def pair(self, index: int) -> tuple[Frame, Frame]:
-        """Return the pair number index, exposed index / fps after the opening. Raises DeviceFailed where not open."""
-        if self._live is None:
+    def moment(self, index: int) -> tuple[Frame, ...]:
+        """Return the moment number index, exposed index / fps after the opening. Raises DeviceFailed where not open."""
+        if self._path is None:
             raise DeviceFailed(f"{self.name} is not open", consequence="There are no frames", cure="Open it first")
-        world = self._live
-        shown = tuple(light for light in world.lights if light.name not in self._covered)
-        frames = [replace(world, lights=shown).frame(index, view) for view in world.views]
-        return frames[0], frames[-1]
+        shown = tuple(light for light in self._world.lights if light.name not in self._covered)
+        world = replace(self._world, rig_path=self._path, lights=shown)
+        frames = tuple(world.frame(index, view) for view in world.views)
+        return frames * 2 if world.views == ONE_IMAGE else frames
 
 
 LEAST_FPS = 10.0
@@ -181,16 +221,12 @@ class FreeTarget:
         return self.T_rig_world * self.path(t_s)
 
 
-class LiveView:
-    """The pairs of a fixed rig that watches a simulated robot: a MomentSource without end, at the rig's own pace.
+class LiveView(LiveMoments):
+    """The moments of a fixed rig that watches a simulated robot.
 
-    The target is on the robot's flange, or goes the way of a hand. A frame that nobody fetched in its time is not
-    taken. Of the scenario's events the target's jumps are simulated (a tool that is knocked), at times since the
-    cameras' opening; not the others, nor vibration.
+    The target is on the robot's flange, or goes the way of a hand. Of the scenario's events the target's jumps are
+    simulated (a tool that is knocked), at times since the cameras' opening; not the others, nor vibration.
     """
-
-    skew: Skew | None = None
-    total: int | None = None
 
     def __init__(
         self,
@@ -203,24 +239,19 @@ class LiveView:
         hand: Path | None = None,
     ) -> None:
         """hand: T_world_target of a target that is not on the flange. fps: the scenario's if not given."""
-        if world.T_base_rig is None or world.views != SIDES:
+        if world.T_base_rig is None or world.views == ONE_IMAGE:
             raise Inconsistent(
-                f"{world.name} has no two cameras beside the robot",
+                f"{world.name} has no cameras of their own beside the robot",
                 consequence="They cannot watch it",
-                cure="Take a scenario with cameras.mount base and a right camera",
+                cure="Take a scenario with cameras.mount base and without mirrors",
             )
-        self.name = f"{world.name}/left + {world.name}/right"
-        self._world = world
+        super().__init__(world, clock, max(world.fps, LEAST_FPS) if fps is None else fps)
         self._robot = robot
-        self._clock = clock
         self._T_base_rig = world.T_base_rig
-        self.fps = max(world.fps, LEAST_FPS) if fps is None else fps
-        self.latency_s = world.timing.latency_s
         self._hand = hand
         self._path: Path | None = None
         self._jumps = tuple(jumps)
         self._covered = False
-        self.origin_s = 0.0
 
     def cover(self, on: bool = True) -> None:
         """Cover all lights, or uncover them."""
@@ -253,18 +284,10 @@ class LiveView:
     ) -> None:
         self._path = None
 
-    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
-        index = 0
-        while True:
-            passed_s = self._clock.now_s() - self.origin_s - self.latency_s
-            index = max(index + 1, int(np.ceil(passed_s * self.fps - 1e-9)))
-            self._clock.sleep_until(self.origin_s + index / self.fps + self.latency_s)
-            yield self.pair(index)
-
-    def pair(self, index: int) -> tuple[Frame, Frame]:
-        """Return the pair number index, exposed index / fps after the opening. Raises DeviceFailed where not open."""
+    def moment(self, index: int) -> tuple[Frame, ...]:
+        """Return the moment number index, exposed index / fps after the opening. Raises DeviceFailed where not open."""
         path, t_s = self._open_path(), index / self.fps
-        return self._frame(index, t_s, "left", path), self._frame(index, t_s, "right", path)
+        return tuple(self._frame(index, t_s, view, path) for view in self._world.views)
 
     def _open_path(self) -> Path:
         if self._path is None:
@@ -273,7 +296,7 @@ class LiveView:
 
     def _frame(self, index: int, t_s: float, side: str, path: Path) -> Frame:
         camera = self._world.cameras[side]
-        noise = np.random.default_rng([self._world.seed, SEED_NOISE, SIDES.index(side), index])
+        noise = np.random.default_rng([self._world.seed, SEED_NOISE, list(self._world.cameras).index(side), index])
         image = camera.expose(self._world.lights, path, t_s, noise, hidden=self._hidden(t_s, side, path))
         return Frame(
             image=image, t_s=t_s, sequence=index, source=f"{self._world.name}/{side}", exposure_s=camera.exposure_s
@@ -373,5 +396,5 @@ def _carried_cell(
         target=world.target,
         T_mount_rig=view.T_flange_rig,
         carried=True,
-        one_image=len(world.views) == 1,
+        one_image=world.views == ONE_IMAGE,
     )

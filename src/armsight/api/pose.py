@@ -373,6 +373,7 @@ def _setup(rig: Rig, target: Target, settings: SpotSettings, one_image: bool) ->
 
 def _require_setup(rig: Rig, target: Target, settings: SpotSettings) -> None:
     require_kind("rig", rig, Rig, cure="Give a Rig: read_rig(path), or that of calibrate_stereo")
+    rig.require_pair("rig")
     require_kind("target", target, Target, cure="Give a Target: read_target(path), or LightTarget(...)")
     require_kind("settings", settings, SpotSettings, cure="Give SpotSettings(...)")
 

@@ -190,6 +190,16 @@ class PathRecorder:
             self._notify(f"the last {forgotten} poses forgotten")
             return forgotten
 
+    def forget_since(self, t_s: float) -> None:
+        """Pause, and forget all rows later than t_s: what was seen since turned out to be wrong."""
+        with self._lock:
+            self._group.clear()
+            kept = [row for row in self._rows if row.t_s <= t_s]
+            forgotten = len(self._rows) - len(kept)
+            self._rows, self._begins = kept, [begin for begin in self._begins if begin < len(kept)]
+            self._state = Teaching.PAUSED if self._begins else Teaching.WAITING
+            self._notify(f"the {forgotten} poses since a camera was wrong are forgotten")
+
     def tag(self, word: str) -> None:
         """Mark where the tip is: the next row, or the stretch's last. Raises UsageError for more than one word."""
         if not TAG.fullmatch(word):

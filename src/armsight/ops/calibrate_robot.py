@@ -15,12 +15,13 @@ from armsight.ops.flags import AN_ARM, KNOWN_ARM, Base, Cameras, Table, Tip, len
 from armsight.ops.kinds import (
     CHAIN,
     READERS,
+    AnyRigLike,
+    CamerasLike,
     HeldPointsLike,
     Left,
     PointsLike,
     PosesLike,
     Right,
-    RigLike,
     TargetLike,
     TouchesLike,
     WorldLike,
@@ -122,11 +123,12 @@ def calibrate_tool_tip(
     writes="write_pivot",
 )
 def calibrate_pivot(
-    rig: Annotated[RigLike, Doc("rig.yaml of the two cameras.")],
+    rig: Annotated[AnyRigLike, Doc("rig.yaml of the cameras.")],
     target: Annotated[TargetLike, Doc("target.yaml of the target on the tool.")],
-    left: Left,
+    left: Left = None,
     right: Right = None,
     *,
+    cameras: CamerasLike = None,
     goal_m: Annotated[
         float,
         Doc("Stop where the tip is known so well (one standard deviation)."),
@@ -145,7 +147,7 @@ def calibrate_pivot(
     ----------
     rig, target
         Records or files; the target is on the tool.
-    left, right
+    left, right, cameras
         Frames, as `measure` takes them.
     goal_m
         Standard deviation of the tip's position at which to stop.
@@ -156,24 +158,25 @@ def calibrate_pivot(
 
     Raises
     ------
-    NotEnoughData
-        The poses do not tell the tip.
+    NotEnoughData, Inconsistent
+        The poses do not tell the tip, or a camera is not where the rig's file says.
     """
     from armsight.calibrate.tooltip import TipRecording
     from armsight.drivers import AUTOMATIC
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
     from armsight.ops.calibration.pivot import pivot
-    from armsight.ops.sources.cameras import open_rig
+    from armsight.ops.sources.cameras import named_cameras, open_rig
     from armsight.ops.sources.pace import pace_of
     from armsight.records import Silent
 
+    named = named_cameras(cameras or {}, left, right)
     settings = SpotSettings(colour=target.colour)
-    setup = Setup(rig=rig, target=target, settings=settings, pace=pace_of(left, right))
+    setup = Setup(rig=rig, target=target, settings=settings, pace=pace_of(*named.values()))
     asked, colour = camera_settings or AUTOMATIC, target.colour is not None
-    pairs = open_rig(rig.names, left, right, colour=colour, settings=asked)
+    moments = open_rig(rig.names, cameras=named, colour=colour, settings=asked)
     recording = TipRecording(point=_measured(point_m, point_std_m), good_m=goal_m)
-    return pivot(setup, pairs, recording, progress or Silent())
+    return pivot(setup, moments, recording, progress or Silent())
 
 
 def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:

@@ -178,7 +178,6 @@ def measure(
     spots = SpotSettings(threshold=threshold, inverted=inverted, mask=seen, colour=colour, method=method)
     setup = partial(
         Setup,
-        many=True,
         rig=seen_by,
         target=wanted,
         settings=spots,

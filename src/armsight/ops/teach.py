@@ -179,7 +179,7 @@ def teach(
         )
         parts.require_world(world)
         eyes = CameraNames.of(cameras, left, right, image, exposure_s)
-        pairs, overlaid = parts.require_pairs(eyes.moments(rig, target))
+        moments, overlaid = parts.require_moments(eyes.moments(rig, target))
         recorder = parts.standing_recorder(world, tip, every=every, mean=mean)
         setup = Setup(
             rig=rig,
@@ -192,7 +192,7 @@ def teach(
             recorder.start()
         begun(recorder)
         lesson = parts.Lesson(recorder, out, path_speed_m_s)
-        return parts.teach_standing(lesson, setup, pairs, seconds_s, progress or Silent())
+        return parts.teach_standing(lesson, setup, moments, seconds_s, progress or Silent())
     parts.refuse_beside("--robot", {"world": world})
     beside, asked = parts.TaughtBeside(tip, every=every, mean=mean), as_question(confirm)
     lesson = parts.Lesson(beside.recorder, out, path_speed_m_s)
@@ -221,6 +221,7 @@ def teach(
                 "seconds_s": seconds_s,
                 "left": left,
                 "right": right,
+                "cameras": cameras,
                 "image": image,
                 "latency_s": latency_s,
                 "exposure_s": exposure_s,

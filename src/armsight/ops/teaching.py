@@ -19,11 +19,11 @@ from armsight.control.servo import Mount, ServoSource
 from armsight.control.status import QueueSink
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig
 from armsight.drivers import MomentSource, Views
-from armsight.errors import StaleData, UsageError
+from armsight.errors import Inconsistent, StaleData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import PATH, TARGETS, TEACH
 from armsight.kinematics import Arm
-from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.consistency.live_cameras import WatchedTracker
 from armsight.measure.poses.pipeline import Setup
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.servo.run_servo import ServoOutput
@@ -176,21 +176,21 @@ def require_world(world: World | None) -> None:
         )
 
 
-def require_pairs(pairs: tuple[MomentSource, bool] | None) -> tuple[MomentSource, bool]:
-    """Return the pairs. Raises UsageError where they are not said."""
-    if pairs is None:
+def require_moments(moments: tuple[MomentSource, bool] | None) -> tuple[MomentSource, bool]:
+    """Return the moments. Raises UsageError where they are not said."""
+    if moments is None:
         raise UsageError(
             "which cameras see the target is not said",
             consequence="Nothing is taught",
             cure="Give --left and --right, --image for a mirror rig, or --from poses.csv",
         )
-    return pairs
+    return moments
 
 
 def teach_standing(
     lesson: Lesson,
     setup: Setup,
-    pairs: MomentSource,
+    moments: MomentSource,
     seconds_s: float | None,
     progress: Progress,
     *,
@@ -202,27 +202,35 @@ def teach_standing(
     Raises DataRefused, DeviceFailed; NotEnoughData for less than two poses.
     """
     prepare(progress)
-    with lesson.kept(), pairs:
-        stopped_by = _taught(lesson.recorder, setup, pairs, seconds_s, progress, seen)
+    with lesson.kept(), moments:
+        tracker = WatchedTracker(setup)
+        stopped_by = _taught(lesson.recorder, tracker, moments, seconds_s, progress, seen)
+        trusted_s = tracker.trusted_s
+        try:
+            tracker.finish("Teaching ends; the path holds what was taught before")
+        except Inconsistent:
+            lesson.recorder.forget_since(trusted_s)
+            raise
     return lesson.result(stopped_by)
 
 
 def _taught(
     recorder: PathRecorder,
-    setup: Setup,
-    pairs: Iterable[Views],
+    tracker: WatchedTracker,
+    moments: Iterable[Views],
     seconds_s: float | None,
     progress: Progress,
     seen: Seen,
 ) -> str:
-    """Give every pair's pose to the recorder; return why it ended."""
-    tracker = TargetTracker(setup)
+    """Give every moment's pose to the recorder, until a camera is wrong; return why it ended."""
     first_s: float | None = None
     shown_s = -1.0
-    for moment in pairs:
+    for moment in moments:
         pose = tracker.take(*moment).pose
         recorder.observe(pose, pose.t_s)
         seen(pose)
+        if tracker.contradictions:
+            break
         first_s = pose.t_s if first_s is None else first_s
         if time.monotonic() - shown_s > 0.2:
             shown_s = time.monotonic()
@@ -256,6 +264,10 @@ class TaughtBeside:
     def observe(self, pose: TargetPose, exposed_s: float) -> None:
         """Take what a frame shows."""
         self.recorder.observe(pose, exposed_s)
+
+    def forget_since(self, t_s: float) -> None:
+        """Forget what was exposed after t_s."""
+        self.recorder.forget_since(t_s)
 
     def _placed(self, t_s: float) -> RigidTransform:
         """Return where the rig is, once the servo knows."""

@@ -316,7 +316,7 @@ def supervise(
             progress,
         )
     latency = None if devices.origin_s is not None else (latency_s, latency_std_s)
-    known = live.doubts(limits, arm, stand, latency, failure)
+    known = [*live.doubts(limits, arm, stand, latency, failure), *(one.contradiction for one in run.contradictions)]
     done = live_output(run.judge.log, recording=str(recording), doubts=known)
     if failure is not None:
         raise live.with_kept(failure, done, out)

@@ -62,12 +62,12 @@ def test_covered_lights_are_not_seen_until_they_are_uncovered():
     setup = setup_of(cell)
     with cell.robot, cell.pairs:
         cell.pairs.cover()
-        assert measure_pair(setup, *cell.pairs.pair(1)).pose.status is PoseStatus.LOST
+        assert measure_pair(setup, *cell.pairs.moment(1)).pose.status is PoseStatus.LOST
         cell.pairs.cover(False)
         cell.pairs.cover(names=("A",))
-        assert measure_pair(setup, *cell.pairs.pair(2)).pose.status is not PoseStatus.OK
+        assert measure_pair(setup, *cell.pairs.moment(2)).pose.status is not PoseStatus.OK
         cell.pairs.cover(False, names=("A",))
-        assert measure_pair(setup, *cell.pairs.pair(3)).pose.status is PoseStatus.OK
+        assert measure_pair(setup, *cell.pairs.moment(3)).pose.status is PoseStatus.OK
 
 
 def test_a_frame_nobody_fetched_is_not_taken_and_a_closed_view_gives_none():
@@ -79,4 +79,4 @@ def test_a_frame_nobody_fetched_is_not_taken_and_a_closed_view_gives_none():
         clock.advance(1.0)
         assert next(frames)[0].sequence > 10
     with refuses(DeviceFailed, "not open"):
-        cell.pairs.pair(1)
+        cell.pairs.moment(1)

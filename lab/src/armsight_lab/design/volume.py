@@ -141,7 +141,7 @@ def forecast(plan: Plan) -> Forecast:
         views = planned_views(rig, calibration.board, calibration.views, calibration.corner_px)
         rig = planned_rig(rig, views)
     slack_px = rig_slack_px(rig) if rig.is_pair else SLACK_PX
-    setup = Setup(rig=rig, target=plan.target, slack_px=slack_px, many=True)
+    setup = Setup(rig=rig, target=plan.target, slack_px=slack_px)
     cells = cells_of(plan)
     expected = _expected(plan, setup, _facing(plan, rig, cells))
     measured, why = expected.placed.copy(), list(expected.why)
@@ -204,7 +204,7 @@ def _at_tool(found: Forecast, arm: ArmPlan, noise: Array, setup: Setup) -> Forec
 
 def _joint(rig: Rig, plan: Plan) -> Array:
     """Return the covariance of what is shared: the rig's parameters, and the lights' places where not exact."""
-    return Setup(rig=rig, target=plan.target, many=True).covariance
+    return Setup(rig=rig, target=plan.target).covariance
 
 
 def _carried(slopes: Array, covariance: Array) -> Array:

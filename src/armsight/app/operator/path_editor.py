@@ -69,6 +69,10 @@ class StationWatcher(StationFollower):
         """Return why nothing is watched any more."""
         return self._failed
 
+    def contradiction(self) -> str:
+        """Return nothing: the station's cameras are a pair, which cannot tell which of them is wrong."""
+        return ""
+
     def _look(self) -> None:
         if self._snapshots.failure or self._snapshots.silent_s > SILENT_S:
             why = self._snapshots.failure or "no pictures come any more"

@@ -57,6 +57,11 @@ class Premise:
         return f"wrong premise ({self.cause}): {self.says}; {CURES[self.cause]}"
 
 
+def named_cause(wrong: Premise | None, rig: str = "") -> str | None:
+    """Return whose fault a wrong premise is, as results name it; rig: what is wrong with the rig, in words."""
+    return Cause.RIG.value if rig else None if wrong is None else wrong.cause.value
+
+
 UNMOVED = Premise(
     Cause.PICTURES,
     "the target moves in the pictures as if they did not show what the arm does: old pictures, or other cameras",

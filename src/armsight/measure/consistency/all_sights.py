@@ -25,6 +25,8 @@ from armsight.records import PoseStatus, Spots
 
 MOST_BESIDE_PX = 60.0
 """How far beside their places a camera's lights may be to be taken at their word: beyond, its own pose says more."""
+FEW_BESIDE = 3
+"""Lights from which a camera that takes no part contradicts the others: fewer may be reflections."""
 ALIKE_PX = 1.0
 ALIKE = 0.04
 """How unlike the ways of one camera's lights may be: so many px, and this share of the way."""
@@ -52,6 +54,23 @@ def with_all_sights(setup: Setup, measured: Measured) -> Measured:
             sights[:, s] = rows[s] >= 0
             spots[s] = seen.take(rows[s][rows[s] >= 0])
     return solved_as(setup, measured, sights, spots)
+
+
+def shown_beside(setup: Setup, measured: Measured) -> bool:
+    """Tell whether a camera shows lights near a whole pose's places of which the pose takes less than half."""
+    T = measured.pose.T_parent_target
+    if T is None:
+        return False
+    P = positions_of(setup, T)
+    at = np.empty((len(P), 2))
+    for s, (seen, taken) in enumerate(zip(measured.seen, measured.spots, strict=True)):
+        if len(seen) < FEW_BESIDE:
+            continue
+        project_many(*setup.packed.camera(s), P, at)
+        near = np.linalg.norm(seen.uv_px[None] - at[:, None], axis=2).min(axis=0) <= MOST_BESIDE_PX
+        if near.sum() >= FEW_BESIDE and 2 * len(taken) < near.sum():
+            return True
+    return False
 
 
 def _shown(setup: Setup, measured: Measured) -> Mask:

@@ -99,6 +99,11 @@ class LeftOut:
     cure: str
 
     @property
+    def contradiction(self) -> str:
+        """What is wrong and what to do, for whoever must not go on."""
+        return f"{self.words}. {self.cure}."
+
+    @property
     def told(self) -> str:
         """What is wrong, and what is done about it."""
         return f"{self.words}: the run goes on without {'it' if len(self.names) == 1 else 'them'}."

@@ -29,6 +29,8 @@ FEWEST = 3
 """Moments by which something is told."""
 MOST = 0.7
 """Share of the moments that must agree."""
+MISFIT = 100.0
+"""Chi-square per degree of freedom of what does not fit at all."""
 SAME_PX = 0.5
 """How near the spots of two pictures of one camera are."""
 STEADY = 0.2
@@ -78,6 +80,17 @@ class CameraChecks:
             f"{place / MM:.2g} mm beside its place, or is a camera of another rig"
         )
         return LeftOut(names=(name,), words=capital(words), cure=again(name))
+
+    def misfit_without(self, names: tuple[str, ...]) -> float:
+        """Return how badly moments fit without these cameras: chi-square per degree of freedom, MISFIT of no pose."""
+        off = []
+        for one in self._moments:
+            left = [Spots.none() if a in names else spots for a, spots in zip(self._names, one.seen, strict=True)]
+            found = measure_views(self._setup, one.pose.t_s, left)
+            dof = 2 * sum(map(len, found.spots)) - 6
+            fits = found.pose.status.size == 6 and dof > 0
+            off.append(min(_chi2(found) / dof, MISFIT) if fits else MISFIT)
+        return float(np.median(off))
 
     def _showing(self, k: int) -> list[Measured]:
         return [one for one in self._moments if len(one.seen[k]) >= LIGHTS]
@@ -145,6 +158,12 @@ class CameraChecks:
             if i + 1 - fits > (1.0 - MOST) * len(showing):
                 return False
         return fits >= FEWEST
+
+
+def _chi2(measured: Measured) -> float:
+    """Return the sum of the squared residuals in deviations of their spots."""
+    views = [(measured.residuals_px(s), spots) for s, spots in enumerate(measured.spots) if len(spots)]
+    return sum(float(np.einsum("ni,nij,nj->", r, np.linalg.inv(spots.covariance_px2), r)) for r, spots in views)
 
 
 def capital(words: str) -> str:

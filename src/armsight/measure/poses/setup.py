@@ -39,9 +39,9 @@ FACING = 0.9
 class TargetModel:
     """names; xyz_m (m, 3); distance_m (m, m); normal (3,) of the plane; radius_m of a flat light, 0 where not used.
 
-    lean (3,): radius_m along the normal. limits (m + 1,): fit_limit of each number of spots seen twice. one_sided: the
-    lights share a plane square to z, and are seen from its -z side only (z points away from the camera, as w does in
-    Pachidis 2005, eqs. 7-8, and as z of a printed board does).
+    lean (3,): radius_m along the normal. limits (m + 1,): fit_limit of each number of spots seen twice. flat: the
+    lights share a plane, or are fewer than three. one_sided: the plane is square to z, and they are seen from its -z
+    side only (z points away from the camera, as w does in Pachidis 2005, eqs. 7-8, and as z of a printed board does).
     """
 
     names: tuple[str, ...]
@@ -50,6 +50,7 @@ class TargetModel:
     normal: Array
     radius_m: float
     lean: Array
+    flat: bool
     one_sided: bool
     limits: Array
 
@@ -79,6 +80,7 @@ class TargetModel:
             normal=frozen_array("normal", normal, (3,)),
             radius_m=radius_m,
             lean=frozen_array("lean", radius_m * normal, (3,)),
+            flat=flat,
             one_sided=one_sided,
             limits=frozen_array("limits", [fit_limit(2 * n) for n in range(len(X) + 1)], (None,)),
         )
@@ -127,8 +129,7 @@ class Setup:
     of the rig's q parameters and of the target's positions, (q + 3 m, q + 3 m), (q, q) where the target is exact,
     (0, 0) where the rig is as well. Both are taken as independent. sides: the settings of each camera, with the gain of
     its noise where the rig knows it, and with its own of masks, (h, w), in place of the settings' one.
-    pace: how long a moment may take, and on how many cores. many: whether rigs of other cameras than left and right are
-    taken, as `measure_moment` and a run's check do.
+    pace: how long a moment may take, and on how many cores.
     """
 
     rig: Rig
@@ -138,7 +139,6 @@ class Setup:
     overlaid: bool = False
     masks: tuple[Mask | None, ...] = ()
     pace: Pace = BATCH
-    many: bool = False
     packed: PackedRig = field(init=False, repr=False)
     model: TargetModel = field(init=False, repr=False)
     covariance: Array = field(init=False, repr=False)
@@ -146,7 +146,7 @@ class Setup:
     sides: tuple[SpotSettings, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "packed", PackedRig.of(self.rig if self.many else self.rig.require_pair("measuring")))
+        object.__setattr__(self, "packed", PackedRig.of(self.rig))
         object.__setattr__(self, "model", TargetModel.of(self.target))
         object.__setattr__(self, "covariance", _joint_covariance(self.packed, self.target.covariance))
         if self.target.colour is not None and self.settings.colour is None:

@@ -12,7 +12,7 @@ from armsight.calibrate.tooltip import TipRecording
 from armsight.calibrate.tooltip_result import PivotCalibration
 from armsight.drivers import MomentSource
 from armsight.errors import NotEnoughData
-from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.consistency.live_cameras import WatchedTracker
 from armsight.measure.poses.pipeline import Setup
 from armsight.records import PoseStatus, Progress, TargetPose
 from armsight.records.output import extended
@@ -21,15 +21,16 @@ APART_RAD = 0.03
 """Turn since the last pose taken: poses closer than 2 degrees tell nearly the same twice."""
 
 
-def pivot(setup: Setup, pairs: MomentSource, recording: TipRecording, progress: Progress) -> PivotCalibration:
+def pivot(setup: Setup, moments: MomentSource, recording: TipRecording, progress: Progress) -> PivotCalibration:
     """Return the tip from frames while the tool pivots, as soon as it is known well enough.
 
     Stops where every coordinate's standard deviation is below the goal, at the end of the frames, or when cancelled.
-    Raises NotEnoughData where the poses do not tell the tip, DeviceFailed.
+    Raises NotEnoughData where the poses do not tell the tip, Inconsistent where a camera is wrong, DeviceFailed.
     """
-    tracker = TargetTracker(setup)
-    with pairs:
-        recording, taken = pivoted((tracker.take(*moment).pose for moment in pairs), recording, progress)
+    tracker = WatchedTracker(setup)
+    with moments:
+        recording, taken = pivoted((tracker.take(*moment).pose for moment in moments), recording, progress)
+    tracker.finish("The poses may be off by it, and no tip is given")
     if recording.latest is None:
         raise NotEnoughData(
             f"the tip was not found from {len(taken)} poses: {recording.waiting}",

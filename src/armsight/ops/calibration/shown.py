@@ -81,7 +81,7 @@ class Eye:
         self.shown, self.detector, self.pictures = shown, detector, pictures
         self.setup: Setup | None = None
         if isinstance(shown, Target) and not shown.is_board and known is not None:
-            self.setup = Setup(rig=Rig(cameras=(known,)), target=shown, settings=spots, many=True)
+            self.setup = Setup(rig=Rig(cameras=(known,)), target=shown, settings=spots)
 
     @property
     def noun(self) -> str:

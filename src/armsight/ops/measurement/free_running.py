@@ -107,12 +107,12 @@ def measure_free_running(
         kept = _without(names, left_out, streams)
         try:
             done = _measured(setup, kept, at_s, rate_hz, progress)
-            wrong = None if setup.rig.is_pair else accused_in(done.consistency)
+            wrong = None if setup.rig.is_pair else _accused(setup, streams, done, left_out, progress)
         except Inconsistent:
             wrong = _misfit(setup, streams, left_out, progress)
             if wrong is None:
                 raise
-        if wrong is None or not _enough_without(names, [*left_out, wrong]):
+        if wrong is None:
             break
         left_out.append(wrong)
         warnings.warn(f"{wrong.told} {wrong.cure}", stacklevel=2)
@@ -132,23 +132,43 @@ def _measured(
     return _smoothed(setup, streams, times, at_s, views, starts)
 
 
-def _misfit(setup: Setup, streams: Sequence[Stream], left_out: Sequence[LeftOut], progress: Progress) -> LeftOut | None:
-    """Return the one camera without which all the others' views fit a motion; None where that is not one alone."""
-    names, found = setup.rig.names, list[LeftOut]()
+def _fits(
+    setup: Setup, streams: Sequence[Stream], left_out: Sequence[LeftOut], progress: Progress
+) -> dict[str, tuple[LeftOut, float]]:
+    """Return the cameras without which the others' views fit a motion: what is told of each, and chi-square per degree
+    of freedom then; none where too few would be left."""
+    names, found = setup.rig.names, dict[str, tuple[LeftOut, float]]()
     for name, stream in zip(names, _without(names, left_out, streams), strict=True):
         wrong = LeftOut(
             names=(name,),
             words=f"The views of the camera {name} fit no motion that the others see",
             cure=f"{CLOCK_FIRST}. {again(name)}",
         )
-        if not len(stream.t_s):
+        if not len(stream.t_s) or not _enough_without(names, [*left_out, wrong]):
             continue
-        if not _enough_without(names, [*left_out, wrong]):
-            return None
         with suppress(Inconsistent, NotEnoughData):
-            _measured(setup, _without(names, [*left_out, wrong], streams), None, None, progress)
-            found.append(wrong)
-    return found[0] if len(found) == 1 else None
+            rest = _measured(setup, _without(names, [*left_out, wrong], streams), None, None, progress)
+            found[name] = wrong, rest.figures.chi2_per_dof or 0.0
+    return found
+
+
+def _misfit(setup: Setup, streams: Sequence[Stream], left_out: Sequence[LeftOut], progress: Progress) -> LeftOut | None:
+    """Return the one camera without which all the others' views fit a motion; None where that is not one alone."""
+    found = _fits(setup, streams, left_out, progress)
+    return next(iter(found.values()))[0] if len(found) == 1 else None
+
+
+def _accused(
+    setup: Setup, streams: Sequence[Stream], done: FreeRun, left_out: Sequence[LeftOut], progress: Progress
+) -> LeftOut | None:
+    """Return the camera that the innovations accuse, or, as these mistake one for another where a knock is large, the
+    one without which the others fit best. None where none is accused."""
+    told = accused_in(done.consistency)
+    if told is None or not _enough_without(setup.rig.names, [*left_out, told]):
+        return None
+    found = _fits(setup, streams, left_out, progress)
+    best, (other, _) = min(found.items(), key=lambda item: item[1][1], default=(told.names[0], (told, 0.0)))
+    return told if best in told.names else other
 
 
 def _enough_without(names: Sequence[str], left_out: Sequence[LeftOut]) -> bool:

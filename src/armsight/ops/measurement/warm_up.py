@@ -94,6 +94,6 @@ def compile_views() -> None:
         T = RigidTransform.from_translation([x_m, 0.0, 0.0])
         cameras.append(MountedCamera(name=name, camera=camera, T_rig_camera=T))
         seen.append(Spots.of_centres(camera.project(T.inv().apply(xyz_m + place)), 0.01 * np.eye(2)))
-    setup = Setup(Rig(cameras=cameras), spot_target(dict(zip("ABCD", xyz_m.tolist(), strict=True))), many=True)
+    setup = Setup(Rig(cameras=cameras), spot_target(dict(zip("ABCD", xyz_m.tolist(), strict=True))))
     measure_views(setup, 0.0, seen)
     measure_views(setup, 0.0, [seen[0], Spots.none(), Spots.none()])

@@ -107,6 +107,10 @@ class Watcher(Protocol):
         """Return what ended it."""
         ...
 
+    def contradiction(self) -> str:
+        """Return what is wrong with the cameras, in words, so that nothing must move on what they show; else empty."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WatchedRobot(ClockedRobot):
@@ -138,3 +142,7 @@ class TargetMonitor:
     def failed(self) -> ArmsightError | None:
         """Return what ended the cameras."""
         return self._ended()
+
+    def contradiction(self) -> str:
+        """Return what is wrong with cameras or the rig."""
+        return "" if self._vision is None else self._vision.contradiction

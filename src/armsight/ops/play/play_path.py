@@ -13,6 +13,7 @@ from armsight.arrays import Array
 from armsight.control.guard import Guard
 from armsight.control.play import PathPlan, PathSource, PlayProgress, PlayWatch, WatchFigures
 from armsight.control.play.plan import TURNS_RAD
+from armsight.control.servo.premise_bank import named_cause
 from armsight.control.setpoints import CycleState, SetPoint
 from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
@@ -135,15 +136,15 @@ def _output(
     source: PathSource,
     watch: PlayWatch | None,
     measured: PlayMeasuredOutput | None,
+    doubt: str,
 ) -> PlayOutput:
     """Return the figures of a path that ended."""
     plan, finished = source.plan, source.progress.stage == "finished"
-    exceeded = "" if watch is None else watch.exceeded
     return extended(
-        run.output(tally, timing, exceeded or tally.stopped_by(finished=finished)),
+        run.output(tally, timing, doubt or tally.stopped_by(finished=finished)),
         PlayOutput,
         state=tally.state,
-        wrong_premise=None if watch is None or watch.wrong is None else watch.wrong.cause.value,
+        wrong_premise=None if watch is None else named_cause(watch.wrong, "" if watch.exceeded else doubt),
         outside=run.outside,
         finished=finished,
         share=source.progress.share,
@@ -218,11 +219,16 @@ def run_path(
             tally,
             show_progress,
             enabled=lambda: enabled() and not progress.cancelled(),
-            doubt=lambda: "" if watch is None else watch.exceeded,
+            doubt=lambda: _doubt(watch, watcher),
             stepped=watcher is not None and watcher.stepped,
         )
     measured = None if watch is None or watcher is None else _measured(watch, watcher.counts())
-    return _output(run, tally, timing, source, watch, measured)
+    return _output(run, tally, timing, source, watch, measured, _doubt(watch, watcher))
+
+
+def _doubt(watch: PlayWatch | None, watcher: Watcher | None) -> str:
+    """Return what the robot is to be stopped for, in words."""
+    return "" if watch is None or watcher is None else watch.exceeded or watcher.contradiction()
 
 
 def _watch(run: RobotRun, watcher: Watcher, stack: ExitStack, sink: QueueSink, stop_m: float) -> PlayWatch:

@@ -13,6 +13,7 @@ import numpy as np
 from armsight.control.guard import Guard, GuardState, TargetState
 from armsight.control.servo import Gain, Mount, ServoSettings, ServoSource, Turning, chosen_gain
 from armsight.control.servo.law import CameraDelay
+from armsight.control.servo.premise_bank import named_cause
 from armsight.control.status import QueueSink, RobotStatus, Timing
 from armsight.drivers import Robot
 from armsight.errors import Inconsistent, UsageError
@@ -204,8 +205,10 @@ def follow_target(
                 show(status, tally.error_m)
 
         recorded, stepped = FollowedSource(source, sink), devices.stepped is not None
-        doubt = lambda: source.contradiction  # noqa: E731
+        doubt = lambda: vision.contradiction or source.contradiction  # noqa: E731
         timing = run.follow(recorded, sink, tally, show_progress, for_s=for_s, doubt=doubt, stepped=stepped)
+    if beside is not None and vision.contradictions:
+        beside.forget_since(vision.trusted_s)
     return _output(run, tally, timing, vision, source, chosen)
 
 
@@ -218,7 +221,7 @@ def _output(
         run.output(tally, timing, tally.stopped_by()),
         ServoOutput,
         state=tally.state,
-        wrong_premise=None if source.wrong is None else source.wrong.cause.value,
+        wrong_premise=named_cause(source.wrong, vision.contradiction),
         outside=run.outside,
         n_frames=sum(counts.values()),
         n_ok=counts[PoseStatus.OK],

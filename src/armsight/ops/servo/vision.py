@@ -7,7 +7,7 @@ import threading
 import time
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from armsight.clock import Clock, ManualClock
+from armsight.clock import Clock
 from armsight.control.servo import ServoSource
 from armsight.control.servo.law import CameraDelay
 from armsight.control.status import QueueSink
@@ -23,73 +23,22 @@ from armsight.defaults import HAND_SPEED_M_S
 from armsight.drivers import MomentSource, Views, moments_of, news_of
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
-from armsight.measure.poses.moments import TargetTracker, lost_frames
+from armsight.measure.consistency.findings import LeftOut
+from armsight.measure.consistency.live_cameras import WatchedTracker
+from armsight.measure.poses.moments import lost_frames
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.settings import SpotSettings
 from armsight.ops.requests.motion import LATENCY_S, RobotJob, refuse_cameras
 from armsight.ops.robot.opening import ClockedRobot, clocked_robot, refuse_settings
 from armsight.ops.servo.cameras import CameraNames
+from armsight.ops.servo.stepped import SteppedClock
 from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.cameras import require_watching
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import Rig, RigKind
-from armsight.records import Frame, PoseStatus, Target, TargetPose
+from armsight.records import PoseStatus, Target, TargetPose
 from armsight.store.handeye_file import HandEyeFile, read_handeye
-
-Pair = tuple[Frame, Frame]
-
-
-class SteppedPairs(Protocol):
-    """Cameras of a simulated cell: pairs by their number."""
-
-    fps: float
-    latency_s: float
-    origin_s: float
-
-    def pair(self, index: int) -> Pair:
-        """Return the pair exposed index / fps after the opening."""
-        ...
-
-
-class SteppedClock(ManualClock):
-    """A clock that jumps to the moment waited for, and on the way there to every frame's arrival.
-
-    So a loop and its cameras run in one thread, in the order in which they would by real time, however long it takes
-    to draw a frame; nothing is ever late.
-    """
-
-    def __init__(self, t_s: float = 0.0) -> None:
-        super().__init__(t_s)
-        self._pairs: SteppedPairs | None = None
-        self._take: Callable[[Pair], None] | None = None
-        self._index = 0
-
-    def watch(self, pairs: SteppedPairs, take: Callable[[Pair], None]) -> None:
-        """Give the pairs that arrive from now on to take, each at its time of arrival."""
-        passed_s = self.now_s() - pairs.origin_s - pairs.latency_s
-        self._index = max(1, int(passed_s * pairs.fps + 1e-9) + 1)
-        self._pairs, self._take = pairs, take
-
-    def sleep_until(self, t_s: float) -> None:
-        """Jump to t_s where that lies ahead, by way of all arrivals until then."""
-        for arrival_s, pair in self._arrivals(t_s):
-            super().sleep_until(arrival_s)
-            if self._take is not None:
-                self._take(pair())
-        super().sleep_until(t_s)
-
-    def _arrivals(self, t_s: float) -> Iterator[tuple[float, Callable[[], Pair]]]:
-        """Yield the times of arrival until t_s, and what makes the pair, which is exposed before."""
-        pairs = self._pairs
-        while pairs is not None:
-            index = self._index
-            arrival_s = pairs.origin_s + index / pairs.fps + pairs.latency_s
-            if arrival_s > t_s:
-                return
-            self._index = index + 1
-            yield arrival_s, lambda index=index, pairs=pairs: pairs.pair(index)  # type: ignore[misc]  # bound now
-
 
 CAMERA, TOOL = "camera", "tool"
 
@@ -133,6 +82,10 @@ class Beside(Protocol):
         """Take what a frame shows, in rig axes, exposed at exposed_s on the loop's clock."""
         ...
 
+    def forget_since(self, t_s: float) -> None:
+        """Forget what was exposed after t_s, on the loop's clock: cameras turned out to be wrong."""
+        ...
+
 
 class Vision:
     """Measures moment after moment, and gives the poses to a source once there is one."""
@@ -144,14 +97,19 @@ class Vision:
         self.counts = dict.fromkeys(PoseStatus, 0)
         self.took_ms: list[float] = []
         self.newest: TargetPose | None = None
+        self.contradictions: tuple[LeftOut, ...] = ()
+        """What is wrong with cameras or the rig: nothing must move on it."""
+        self.trusted_s = -math.inf
+        """Exposure of the newest moment to which no camera contradicts the others."""
         self._setup = setup
         self._devices = devices
         self._clock: Clock = devices.clock
         self._sink = sink
-        self._tracker = TargetTracker(setup)
+        self._tracker = WatchedTracker(setup)
         self._last: Views = (None,) * len(setup.rig.names)
         self._shown: tuple[deque[int], ...] = tuple(deque(maxlen=SHOWN) for _ in setup.rig.names)
-        self._noisy = False
+        self._noisy = [False] * len(setup.rig.names)
+        self._standing: set[str] = set()
         self._lost: list[str] = []
         self._ahead_s = math.inf  # the clock's time at the cameras' zero
 
@@ -159,9 +117,10 @@ class Vision:
         """Measure a moment and tell the source. Raises Inconsistent for frames that are not of the rig's size."""
         begun_s = time.perf_counter()
         for message in news_of(self._devices.pairs, self._lost):
-            self._sink.event(self._clock.now_s(), message, "warning", "cameras")
+            self._tell(message)
         measured = self._measured(moment)
         pose, zero_s = measured.pose, self._zero_s(moment)
+        self._watch(zero_s)
         exposed_s, now_s = pose.t_s + zero_s, self._clock.now_s()
         self.delay.add(exposed_s, now_s)
         if self.source is not None:
@@ -181,27 +140,57 @@ class Vision:
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._devices.latency_s)
         return self._ahead_s
 
-    def _stands(self, moment: Views) -> bool:
-        """Tell whether a camera sends one of its last pictures again. A sensor's noise never repeats; rendered pictures
-        may."""
+    def require_agreement(self) -> None:
+        """Raise Inconsistent where cameras contradict each other by what was seen so far."""
+        self._tracker.finish("Nothing is moved")
+
+    @property
+    def contradiction(self) -> str:
+        """What is wrong with cameras or the rig and what to do, in words; empty where nothing."""
+        return " ".join(one.contradiction for one in self.contradictions)
+
+    def _watch(self, zero_s: float) -> None:
+        """Take what the tracker found of the rig, and tell it once."""
+        before, self.contradictions = self.contradictions, self._tracker.contradictions
+        self.trusted_s = self._tracker.trusted_s + zero_s
+        for one in self.contradictions[len(before) :]:
+            self._tell(one.contradiction)
+
+    def _tell(self, message: str) -> None:
+        self._sink.event(self._clock.now_s(), message, "warning", "cameras")
+
+    def _stand(self, moment: Views) -> list[bool]:
+        """Tell which cameras send one of their last pictures again. A sensor's noise never repeats; rendered pictures
+        may. Of a pair noise is asked of both at one time."""
         last, self._last = self._last, moment
         both = [(a, b) for a, b in zip(last, moment, strict=True) if a is not None and b is not None]
         if not both or any(a.image.shape != b.image.shape for a, b in both):
-            return False
-        changed = [float(np.mean(a.image[::8, ::8] != b.image[::8, ::8])) for a, b in both]
-        self._noisy = self._noisy or min(changed) > NOISY_SHARE
-        again = False
-        for frame, shown in zip(moment, self._shown, strict=True):
+            return [False] * len(moment)
+        changed = [
+            0.0 if a is None or b is None else float(np.mean(a.image[::8, ::8] != b.image[::8, ::8]))
+            for a, b in zip(last, moment, strict=True)
+        ]
+        changed = [min(changed)] * len(changed) if self._setup.rig.is_pair else changed
+        self._noisy = [noisy or share > NOISY_SHARE for noisy, share in zip(self._noisy, changed, strict=True)]
+        again = [False] * len(moment)
+        for s, (frame, shown) in enumerate(zip(moment, self._shown, strict=True)):
             if frame is not None:
                 mark = zlib.crc32(frame.image[::8, ::8].tobytes())
-                again = again or mark in shown
+                again[s] = mark in shown
                 shown.append(mark)
-        return self._noisy and again
+        return [noisy and one for noisy, one in zip(self._noisy, again, strict=True)]
 
     def _measured(self, moment: Views) -> Measured:
-        if self._stands(moment):
+        """Return what is measured; of three cameras and more without one whose pictures stand."""
+        stand = self._stand(moment)
+        seen = [None if one else frame for one, frame in zip(stand, moment, strict=True)]
+        if any(stand) and (self._setup.rig.is_pair or not any(seen)):
             return lost_frames(moment, "a camera sends one of its last pictures again")
-        return self._tracker.take(*moment)
+        for name, one in zip(self._setup.rig.names, stand, strict=True):
+            if one and name not in self._standing:
+                self._tell(f"the camera {name} sends one of its last pictures again: it is left out where it does")
+                self._standing.add(name)
+        return self._tracker.take(*seen)
 
 
 class VisionThread:
@@ -256,7 +245,10 @@ def watch(stack: ExitStack, vision: Vision, devices: ServoDevices) -> Callable[[
 
 
 def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | None]) -> None:
-    """Wait until the cameras' delay is known. Raises what failed; NotEnoughData for too few pairs in PROBED_S."""
+    """Wait until the cameras' delay is known.
+
+    Raises what failed; NotEnoughData for too few moments in PROBED_S, Inconsistent where cameras contradict each other.
+    """
     until_s = clock.now_s() + PROBED_S
     while vision.delay.n < PROBED:
         error = failed()
@@ -269,16 +261,32 @@ def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | Non
                 cure="Check the cameras, their exposure and their rate",
             )
         clock.sleep_until(clock.now_s() + 0.02)
+    vision.require_agreement()
+
+
+FEWEST_OF_ONE = 4
+"""Lights that one camera needs; they may not share a plane."""
 
 
 def measuring(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
-    """Return what measuring needs. Raises UsageError for a board, whose pose takes longer than a servo's cycle."""
+    """Return what measuring needs.
+
+    Raises UsageError for a board, whose pose takes longer than a servo's cycle, and for a target that one camera sees
+    in two tilts.
+    """
     if target.is_board:
         raise UsageError("a board takes too long to find for a servo", cure="Give a target of lights (--target)")
     if rig.kind is RigKind.MIRROR and not devices.overlaid:
         raise UsageError("the rig has mirrors: both of its views are in one image", cure="Give --image")
     settings = SpotSettings(colour=target.colour)
-    return Setup(rig=rig, target=target, settings=settings, overlaid=devices.overlaid, pace=live_pace())
+    setup = Setup(rig=rig, target=target, settings=settings, overlaid=devices.overlaid, pace=live_pace())
+    if len(rig.cameras) == 1 and (setup.model.flat or len(setup.model) < FEWEST_OF_ONE):
+        raise UsageError(
+            "one camera sees a flat target, or one of three lights, as well in one tilt as in its mirrored one",
+            consequence="The arm might follow the wrong one, and nothing is moved",
+            cure="Give four lights and more of which one stands out of the others' plane, or a rig of more cameras",
+        )
+    return setup
 
 
 def placed_cameras(handeye: Path) -> HandEyeFile:
@@ -312,10 +320,10 @@ def open_servo(
     if isinstance(job.device, ServoDevices):
         return job.device
     if job.follow is not None:
-        return _following(job, job.follow, arm, cameras, hand, hand_speed_m_s)
+        return _following(job, job.follow, rig, arm, cameras, hand, hand_speed_m_s)
     if job.device is None and job.robot.startswith(SIM):
         refuse_settings(job)
-        return _simulated(job.robot, cameras, hand, hand_speed_m_s)
+        return _simulated(job.robot, rig, cameras, hand, hand_speed_m_s)
     if hand is not None:
         raise UsageError(f"--hand leads a simulated target, and {job.robot} is no simulated robot", cure="Leave it out")
     robot = clocked_robot(job, arm)
@@ -323,7 +331,8 @@ def open_servo(
     moments = cameras.moments(rig, target, robot.clock)
     if moments is None:
         raise UsageError(
-            "which cameras see the target is not said", cure="Give --left and --right, or --image for a mirror rig"
+            "which cameras see the target is not said",
+            cure="Give --left and --right, or --image for a mirror rig",
         )
     pairs, overlaid = moments
     return ServoDevices(
@@ -331,7 +340,7 @@ def open_servo(
     )
 
 
-def _simulated(robot: str, cameras: CameraNames, hand: str | None, hand_speed_m_s: float) -> ServoDevices:
+def _simulated(robot: str, rig: Rig, cameras: CameraNames, hand: str | None, hand_speed_m_s: float) -> ServoDevices:
     """Return a simulated cell, whose time moves with the loop."""
     given = [*cameras.named(), *(["exposure_s"] if cameras.exposure_s is not None else [])]
     if given:
@@ -339,7 +348,7 @@ def _simulated(robot: str, cameras: CameraNames, hand: str | None, hand_speed_m_
             f"the simulated cell {robot} has its own cameras, and {', '.join(given)} is given", cure="Leave it out"
         )
     clock = SteppedClock()
-    cell = live_cell(robot.removeprefix(SIM), clock, hand=hand, speed_m_s=hand_speed_m_s)
+    cell = live_cell(robot.removeprefix(SIM), clock, cameras=rig.names, hand=hand, speed_m_s=hand_speed_m_s)
     return ServoDevices(
         robot=cell.robot,
         pairs=cell.pairs,
@@ -351,12 +360,18 @@ def _simulated(robot: str, cameras: CameraNames, hand: str | None, hand_speed_m_
 
 
 def _following(
-    job: RobotJob, cell: str, arm: Arm | None, cameras: CameraNames, hand: str | None, hand_speed_m_s: float
+    job: RobotJob,
+    cell: str,
+    rig: Rig,
+    arm: Arm | None,
+    cameras: CameraNames,
+    hand: str | None,
+    hand_speed_m_s: float,
 ) -> ServoDevices:
     """Return a robot with the simulated cameras that watch it, or that it carries, in real time."""
     refuse_cameras(cell, **cameras.named(), exposure=cameras.exposure_s)
     robot = clocked_robot(job, arm)
-    seen = watching_cell(cell, robot.robot, robot.clock, hand=hand, speed_m_s=hand_speed_m_s)
+    seen = watching_cell(cell, robot.robot, robot.clock, cameras=rig.names, hand=hand, speed_m_s=hand_speed_m_s)
     return ServoDevices(
         robot=robot.robot,
         pairs=seen.pairs,

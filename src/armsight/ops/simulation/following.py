@@ -57,7 +57,7 @@ def followed_cell(scenario: str, robot: Robot, clock: Clock, **asked: Any) -> An
     cell = live_cell(scenario, clock, **asked)
     require_joints(cell.robot.n_joints, robot.name, robot.n_joints)
     with cell.pairs:
-        cell.pairs.pair(0)  # what draws is compiled before a controller waits for answers
+        cell.pairs.moment(0)  # what draws is compiled before a controller waits for answers
     track = JointTrack(robot.n_joints, slots=KEPT)
     listen(robot, track.write)
     cell.robot.follow(when_heard(track, clock))
@@ -80,7 +80,7 @@ def watching_cell(scenario: str, robot: Robot, clock: Clock, **asked: Any) -> An
 
 
 class DrawnApart:
-    """The pairs of a cell that another process draws where a track says the arm is, each when it is asked for.
+    """The moments of a cell that another process draws where a track says the arm is, each when it is asked for.
 
     It can be opened once. one_image: both views are on one image.
     """
@@ -114,7 +114,7 @@ class DrawnApart:
             self._process.kill()
             self._process.join()
 
-    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+    def __iter__(self) -> Iterator[tuple[Frame, ...]]:
         while True:
             yield self._asked()
 
@@ -136,14 +136,14 @@ class DrawnApart:
 
 
 def _draw(scenario: str, track: JointTrack, asked: Any, orders: Connection) -> None:
-    """Draw until the other end of orders closes: say what the cell is, then when it opened, then pair by pair."""
+    """Draw until the other end of orders closes: say what the cell is, then when it opened, then moment by moment."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other ends this one in order
     clock = SystemClock()
     with suppress(EOFError, OSError):
         try:
             cell = live_cell(scenario, clock, **asked)
             with cell.pairs:
-                cell.pairs.pair(0)
+                cell.pairs.moment(0)
             cell.robot.follow(when_heard(track, clock))
             orders.send((cell.pairs.name, cell.robot.n_joints, cell.one_image))
             orders.recv()

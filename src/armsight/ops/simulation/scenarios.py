@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -96,12 +96,18 @@ def build_world(
         return load(SCENARIOS, WORLD)(model, seed=seed, frames=frames, room=room, zoom=zoom)
 
 
-def live_cell(name: str, clock: Clock, *, play: bool = False, **asked: Any) -> Any:
+def live_cell(
+    name: str, clock: Clock, *, play: bool = False, cameras: Sequence[str] | None = None, **asked: Any
+) -> Any:
     """Return the robot of a scenario and the cameras that watch it or that it carries, on one clock.
 
-    play: the robot goes the scenario's way. asked: hand, speed_m_s, seed, fps, room, as the simulation takes them.
+    play: the robot goes the scenario's way. cameras: those of a rig, in its order; None: all. asked: hand, speed_m_s,
+    seed, fps, room, as the simulation takes them. Raises Inconsistent for cameras that the scenario has not.
     """
-    return load(SCENARIOS, LIVE)(load_scenario(name)[0], clock, play=play, **asked)
+    cell = load(SCENARIOS, LIVE)(load_scenario(name)[0], clock, play=play, **asked)
+    if cameras is not None:
+        cell.pairs.see_by(cameras)
+    return cell
 
 
 def sim_camera(

@@ -164,7 +164,7 @@ def open_supervised(
         refuse_cameras(link.follow, **given)
         camera_settings.require_none(f"the simulated cell {link.follow}")
         robot = robot_of(link, clock, arm)
-        cell = watching_cell(link.follow, robot, clock)
+        cell = watching_cell(link.follow, robot, clock, cameras=tuple(names))
         return Supervised(robot=robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))
     require_named(given)
     cameras = cameras_of(names, given)
@@ -185,5 +185,5 @@ def _simulated(
         if text != f"camera:sim:{name}:{side}":
             raise UsageError(f"{text} does not see the simulated robot {robot}", cure=f"Give camera:sim:{name}:{side}")
     camera_settings.require_none(f"the simulated robot {robot}")
-    cell = live_cell(name, clock, play=play)
+    cell = live_cell(name, clock, play=play, cameras=tuple(cameras))
     return Supervised(robot=cell.robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))

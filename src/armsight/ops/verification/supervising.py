@@ -19,7 +19,8 @@ from armsight.control.session.service import TokenBucket
 from armsight.defaults import BLIND_S
 from armsight.drivers import MomentSource, Robot, Views, by_name, news_of
 from armsight.errors import DeviceFailed, StaleData
-from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.consistency.findings import LeftOut
+from armsight.measure.consistency.live_cameras import WatchedTracker
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.ops.recording.recorder import Recorder
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
@@ -145,7 +146,9 @@ class Supervision:
         self._reader = JointReader(devices.robot, clock)
         self._recorder: Recorder | None = None
         self._frames = False
-        self._rig, self._tracker = setup.rig, TargetTracker(setup)
+        self._rig, self._tracker = setup.rig, WatchedTracker(setup)
+        self.contradictions: list[LeftOut] = []
+        """What was found of cameras that are left out, or of a rig whose poses are doubtful."""
         self._ahead_s = np.inf  # the clock's time at the cameras' zero
         self._seen_s: float | None = None
         self._blind = False
@@ -180,6 +183,10 @@ class Supervision:
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._latency_s)
         measured = self._tracker.take(*moment)
         pose = measured.pose
+        for one in self._tracker.contradictions:
+            if one.words not in [other.words for other in self.contradictions]:
+                self.contradictions.append(one)
+                self.note("warning", f"{one.told if one.names else one.words} {one.cure}.")
         zero_s = self._ahead_s if self.devices.origin_s is None else self.devices.origin_s()
         compared, lost = self._compared(pose, pose.t_s + zero_s)
         alarm = None if compared is None else self.judge.add(compared)
