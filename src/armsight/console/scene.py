@@ -21,7 +21,7 @@ from armsight.console.plots import Curve, Ruler, Ticks
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
 from armsight.ops.measurement.run import target_of
-from armsight.optics import SIDES, Rig, RigKind
+from armsight.optics import Rig, RigKind
 from armsight.records import Target
 from armsight.store import read_rig
 from armsight.store.cell_file import cell_path
@@ -42,9 +42,9 @@ BONE_M, JOINT_M = 0.03, 0.042
 """Radii in which an arm's links and joints are drawn."""
 SEEN_RAD = 2e-4
 """Joints (rad or m) that moved less are not drawn anew."""
+CAMERA_COLOURS = ("#0072B2", "#CC79A7", "#00775a", "#8a5a00", "#7a4fb5", "#005a7a", "#a0306e", "#4d6b00")
+"""Of cameras in the rig's order; of a pair left and right."""
 COLOURS = {
-    "left": "#0072B2",
-    "right": "#CC79A7",
     "camera": "#46515c",
     "target": "#D55E00",
     "arm": "#8a97a3",
@@ -103,7 +103,7 @@ class Scene:
         with made.classes("w-full") as self._scene:
             self._scene.props["data-testid"] = "scene"
             self._target = self._draw_target(None if target_file is None else target_of(target_file))
-            self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file))
+            self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file, any_cameras=True))
             self._bones = [] if self._arm is None else [self._draw_bone() for _ in range(2 * self._arm.n + 1)]
             self._measured = Curve("measured", line="none", mark_px=4.0, layer=2)
             self._taught = Curve("taught", line="solid", mark_px=6.0, layer=1)
@@ -243,7 +243,7 @@ class Scene:
             _stretch(bone, begin, end)
             joint.move(*end.tolist())
         self._console.tracks.add_tool(points[-1])
-        if self._console.cell.cameras == "carried":
+        if self._console.cell.on_robot:
             placed = self._placement.rig_pose(self._arm, q)
             self._T_scene_rig = self._T_scene_rig if placed is None else placed
             _put(self._cameras, self._T_scene_rig)
@@ -267,8 +267,11 @@ class Scene:
         one."""
         group: Object3D
         with self._scene.group() as group:
-            for side in () if rig is None else SIDES:
-                self._draw_pyramid(RigidTransform.identity() if rig is None else rig.T_rig_camera(side), COLOURS[side])
+            for colour, camera in zip(CAMERA_COLOURS, () if rig is None else rig.cameras, strict=False):
+                self._draw_pyramid(camera.T_rig_camera, colour)
+                if rig is not None and not rig.is_pair:
+                    label = self._scene.text(camera.name, f"font-weight: 700; font-size: 12px; color: {colour}")
+                    label.move(*camera.T_rig_camera.translation.tolist())
             if rig is not None and rig.kind is RigKind.MIRROR:
                 self._draw_pyramid(RigidTransform.identity(), COLOURS["camera"], 0.4)
         _put(group, self._T_scene_rig)
