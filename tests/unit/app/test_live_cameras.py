@@ -22,7 +22,7 @@ from armsight.console.layout import level_of
 from armsight.console.pages.live import camera_state
 from armsight.console.state import Console, steps_of
 from armsight.drivers import TimedMoments
-from armsight.errors import DeviceLost, UsageError
+from armsight.errors import DeviceLost, Inconsistent, UsageError
 from armsight.records import Frame
 from armsight.store import write_rig, write_target
 from armsight.store.cell_file import CellFile
@@ -55,7 +55,7 @@ class Webcam:
 def filmed(world: Ring) -> dict[str, list[Frame]]:
     """Return what each camera sees of a target that moves on, by a world that shares no code."""
     rng = np.random.default_rng(4)
-    T, out = pose(rng, tilt_rad=0.1), {name: [] for name in NAMES}
+    T, out = pose(rng, tilt_rad=0.1), dict[str, list[Frame]]({name: [] for name in NAMES})
     for i in range(MOMENTS):
         T[:2, 3] += [0.004, -0.003]
         for name, frame in zip(NAMES, draw(world, T, rng), strict=True):
@@ -148,7 +148,7 @@ WRONG = {
 @pytest.mark.parametrize("case", WRONG)
 def test_cameras_that_are_not_the_rigs_are_refused(cell: Path, case: str) -> None:
     file, told = WRONG[case]
-    with refuses(Exception if case == "a reserved name" else UsageError, told):
+    with refuses(Inconsistent if case == "a reserved name" else UsageError, told):
         Console(folder=cell).job_of(file.model_copy(update={"rig": "rig.yaml"}))
 
 
