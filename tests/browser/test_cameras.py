@@ -14,6 +14,7 @@ import yaml
 from tests.truth.camera_ring import SIZE, pose, ring
 from tests.truth.test_views import draw, setup_of
 
+from armsight.console import texts
 from armsight.store import write_rig, write_target
 
 NAMES = ("c0", "c1", "c2", "c3")
@@ -97,7 +98,7 @@ def test_the_step_of_all_cameras_asks_for_a_board_and_says_which_camera_is_lost(
     for name in (*(f"camera-{one}" for one in NAMES), "cameras"):
         assert page.locator(f"[data-testid=step-{name}]").count() == 1
     assert page.locator("[data-testid=step-stereo]").count() == 0
-    assert "Hold the board still" in page.inner_text("[data-testid=hint]")
+    assert page.inner_text("[data-testid=hint]") == texts.NEXT["show_board"]
     page.click("[data-testid=accept]")
     page.wait_for_function(
         "/no picture comes of c2/.test(document.querySelector('[data-testid=step-said]').textContent)"
