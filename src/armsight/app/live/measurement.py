@@ -88,7 +88,7 @@ RATE_S = 1.0
 
 JUDGED, JUDGE_S = 100, 0.1
 """Moments by which it is judged, as by a whole run, whether a camera has moved, before that begins anew; and the time
-between two of them: a look at them takes 30 to 130 ms, with four cameras."""
+between two of them: a look at them takes 30 to 260 ms, with four cameras."""
 
 BLANK = SideView(
     width=640, height=480, spots=[], epipolar=[], advice="nothing_seen", background=0.0, brightest=None, sigma_px=None
