@@ -357,9 +357,9 @@ class Stream:
             sequence=self.n, t_s=self.n / RATE_HZ, fps=RATE_HZ, latency_s=0.01, measuring_s=0.005, status="ok", why="",
             parent="rig", xyz_m=(0.0, 0.0, 0.8), euler_rad=(0.0,) * 3, quat_xyzw=(0.0, 0.0, 0.0, 1.0),
             std=(1e-4,) * 6, residual_px=0.1, counts=Counts(ok=self.n, doubtful=0, position_only=0, lost=0),
-            left=side, right=side,
+            cameras={"left": side, "right": side},
         )  # fmt: skip
-        return Snapshot(view=view, left_jpeg=bytes(60_000), right_jpeg=bytes(60_000))
+        return Snapshot(view=view, jpegs={"left": bytes(60_000), "right": bytes(60_000)})
 
 
 if __name__ == "__main__":

@@ -235,11 +235,11 @@ TRIED = {
     ),
     ("records/motion.py", "a constant lag belongs into --latency"): (history(0.5), history(1.0)),
     ("ops/identification/live.py", "Give --yes to move without"): (answers(False), answers(True)),
-    ("app/live/measurement.py", "Give both cameras; or, for one"): (
-        lambda: require_kind(LiveJob(left="camera:0", right=None), read_rig(Path("rig.yaml"))),
+    ("app/live/measurement.py", "Give all cameras; or, for one"): (
+        lambda: require_kind(LiveJob(cameras={"complex": "camera:0"}), read_rig(Path("rig.yaml"))),
         lambda: [
-            require_kind(LiveJob(left="camera:0", right="camera:2"), read_rig(Path("rig.yaml"))),
-            require_kind(LiveJob(left="camera:0", right=None), read_rig(Path("mirrors.yaml"))),
+            require_kind(LiveJob(cameras={"left": "camera:0", "right": "camera:2"}), read_rig(Path("rig.yaml"))),
+            require_kind(LiveJob(cameras={"complex": "camera:0"}), read_rig(Path("mirrors.yaml"))),
         ],
     ),
     ("ops/robot/recorder.py", "Make room, or name another disk"): (

@@ -14,7 +14,7 @@ from armsight.cli.command import app, command
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
 from armsight.fields import Bounds, Doc, Flag
-from armsight.ops.flags import AN_ARM, KNOWN_ARM, SRC
+from armsight.ops.flags import AN_ARM, KNOWN_ARM, SRC, cameras_of
 from armsight.ops.requests.motion import FollowedCell, RobotJob, RobotSettings, RsiConfig
 from armsight.ops.requests.plant import PLANT, PlantFlags
 
@@ -170,6 +170,11 @@ def console(
     right: Annotated[
         str | None, Doc("Right frames, in step with the left ones; none with mirrors."), Flag(metavar="SRC")
     ] = None,
+    cameras: Annotated[
+        Any,
+        Doc("Frames of a camera by its name in rig.yaml; repeated. --left SRC is short for left=SRC."),
+        Flag("--camera", metavar="NAME=SRC", read=cameras_of, repeated=True),
+    ] = None,
     rig: Annotated[str | None, Doc("rig.yaml, a name inside the folder.")] = None,
     target: Annotated[str | None, Doc("target.yaml, a name inside the folder.")] = None,
     play_again: Annotated[bool, Doc("Files begin anew at their end.")] = False,
@@ -192,7 +197,8 @@ def console(
         at = {"bind": bind, "port": port, "stop_port": stop_port}
         options = ServeOptions(**at, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)  # type: ignore[arg-type]
         check_options(options)
-        given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
+        given = {"left": left, "right": right, "cameras": cameras or None, "rig": rig, "target": target}
+        given["play_again"] = play_again or None
         changed = {name: value for name, value in given.items() if value is not None}
         if (job := _of_robot(robot, robot_settings, rsi_config, follow)) is None:
             _without_robot(face, folder, changed, options, page)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
@@ -43,7 +42,7 @@ WATCHED: dict[str, Callable[[Console], None]] = {"live": partial(live_page, watc
 
 def add_console(server: FastAPI, console: Console) -> None:
     """Add the console's pages to a server: /live and its sisters; / leads to /live."""
-    server.add_middleware(PageSocket, note=partial(_note, console))
+    server.add_middleware(PageSocket, note=console.note)
     server.add_middleware(SafeHeaders)
     server.mount(STATIC, StaticFiles(directory=str(files("armsight") / "console" / "static")))
     add_pictures(server, console)
@@ -68,14 +67,6 @@ def _add_page(name: str, build: Callable[[Console], None], console: Console) -> 
         person = person_of(request)
         with page(name, console):
             (build if person.role == "drive" else WATCHED.get(name, _not_for_watchers))(console)
-
-
-def _note(console: Console, message: str) -> None:
-    """Keep what callers did, in the robot's log where there is one."""
-    if console.robot is None:
-        logging.getLogger("armsight.console").warning(message)
-    else:
-        console.robot.service.authority.note("warning", message)
 
 
 def _not_for_watchers(_: Console) -> None:

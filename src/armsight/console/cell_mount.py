@@ -52,8 +52,8 @@ def _cameras(console: Console) -> Lamp:
         return Lamp("cameras", "bad", texts.NOT_MEASURING.format(why=why.rstrip(".")))
     if shown is None:
         return Lamp("cameras", "idle", texts.STARTING)
-    left, right = (f"{view.width}x{view.height}" for view in (shown.view.left, shown.view.right))
-    words = texts.PICTURES.format(fps=shown.view.fps, left=left, right=right)
+    sizes = ", ".join(f"{name} {view.width}x{view.height}" for name, view in shown.view.cameras.items())
+    words = texts.PICTURES.format(fps=shown.view.fps, sizes=sizes)
     if shown.view.fps < SLOW_FPS:
         return Lamp("cameras", "warn", texts.SLOW.format(fps=shown.view.fps))
     return Lamp("cameras", "good", words)
@@ -63,16 +63,16 @@ def _lights(console: Console, target: Target | None) -> Lamp:
     station = console.station
     if station is None or not console.current or station.shown is None:
         return Lamp("lights", "idle", texts.STARTING if station is not None else texts.NO_CAMERAS)
-    left, right = map(len, station.shown.spots)
+    found = dict(zip(station.shown.view.cameras, map(len, station.shown.spots), strict=True))
+    counts = ", ".join(f"{name} {n}" for name, n in found.items()).capitalize()
     if target is None:
-        return Lamp("lights", "idle", texts.LIGHTS_UNKNOWN.format(left=left, right=right))
+        return Lamp("lights", "idle", texts.LIGHTS_UNKNOWN.format(counts=counts))
     n = len(target.names)
-    counts = {"left": left, "right": right, "n": n}
-    if min(left, right) < n:
-        return Lamp("lights", "bad", texts.FEWER.format(**counts))
-    if max(left, right) > n:
-        return Lamp("lights", "warn", texts.MORE.format(**counts))
-    return Lamp("lights", "good", texts.LIGHTS.format(**counts))
+    if min(found.values()) < n:
+        return Lamp("lights", "bad", texts.FEWER.format(counts=counts, n=n))
+    if max(found.values()) > n:
+        return Lamp("lights", "warn", texts.MORE.format(counts=counts, n=n))
+    return Lamp("lights", "good", texts.LIGHTS.format(counts=counts, n=n))
 
 
 def _joints(console: Console, arm: Arm | None) -> Lamp:

@@ -56,10 +56,15 @@ def button(
     return made
 
 
+def picture_title(name: str) -> str:
+    """Return what a camera's picture is called."""
+    return texts.PICTURES.get(name) or texts.PICTURE.format(name=name)
+
+
 def canvas_of(side: str, *, testid: str = "", plain: bool = False) -> Element:
     """Return a camera's picture, which the browser's script draws; plain: without what nobody named."""
     canvas = ui.element("canvas")
-    canvas.props.update({"data-side": side, "role": "img", "aria-label": texts.PICTURES[side]})
+    canvas.props.update({"data-side": side, "role": "img", "aria-label": picture_title(side)})
     canvas.props.update({f"data-mark-{view}": mark for view, mark in texts.VIEW_MARKS.items()})
     canvas.props["width"], canvas.props["height"] = 1280, 720
     if testid:
@@ -92,6 +97,9 @@ def level_of(console: Console) -> Level:
     if station.silent_s > 0.0:
         return Level("bad", texts.SILENT.format(seconds=station.silent_s))
     status = station.shown.view.status
+    away = [name for name, view in station.shown.view.cameras.items() if view.lost or view.left_out]
+    if status == "ok" and away:
+        return Level("warn", texts.WITHOUT.format(names=", ".join(away)))
     if status == "ok":
         return Level("good", texts.MEASURING)
     if status == "doubtful":

@@ -19,9 +19,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from armsight.app.live.measurement import COMPLEX
-from armsight.app.live.station import Snapshot
-from armsight.app.live.views import complex_view
+from armsight.app.live.station import Snapshot, picture_view
 from armsight.console import texts
 from armsight.console.state import Console
 from armsight.control.session.operator_session import Person
@@ -176,14 +174,13 @@ def reports(folder: Path) -> list[Path]:
     return [name for name in names if REPORT.fullmatch(name.as_posix())]
 
 
-SIDES = ("left", "right", COMPLEX)
 WIDEST_PX = 8192
 """What a page that does not say its width gets at most: every camera's picture as it is."""
 WIDTH = re.compile(r"[1-9][0-9]{0,5}")
 
 
 def add_pictures(server: FastAPI, console: Console) -> None:
-    """Serve the newest picture of a side at /console/pictures/left and /right, as often as the browser asks.
+    """Serve the newest picture of a camera at /console/pictures/NAME, as often as the browser asks.
 
     Each time it says how wide the picture is on its screen, in px; all get what the widest of them needs. A mirror
     rig's one picture, with what was found of both views in it, is at /console/pictures/complex.
@@ -197,7 +194,7 @@ def add_pictures(server: FastAPI, console: Console) -> None:
 
     @server.websocket("/console/pictures/{side}")
     async def pictures(socket: WebSocket, side: str) -> None:
-        if side not in SIDES:
+        if side not in console.pictures:
             await socket.close(code=1008)
             return
         await socket.accept()
@@ -219,13 +216,10 @@ def add_pictures(server: FastAPI, console: Console) -> None:
 
 def picture_message(console: Console, shown: Snapshot, side: str) -> bytes:
     """Return the length of the findings (uint32, little endian), the findings as JSON, and the JPEG."""
-    if side == COMPLEX:
-        view, data = complex_view(shown.view), shown.left_jpeg
-    else:
-        view, data = (shown.view.left, shown.left_jpeg) if side == "left" else (shown.view.right, shown.right_jpeg)
+    view = picture_view(shown, side)
     masks = [list(box) for box in console.look.masked.get(side, ())]
     head = json.dumps({**view.to_dict(), "masks": masks}).encode()
-    return struct.pack("<I", len(head)) + head + data
+    return struct.pack("<I", len(head)) + head + shown.jpegs.get(side, b"")
 
 
 async def _said(socket: WebSocket) -> str:

@@ -21,7 +21,7 @@ from armsight.console.plots import Curve, Ruler, Ticks
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
 from armsight.ops.measurement.run import target_of
-from armsight.optics import SIDES, Rig, RigKind
+from armsight.optics import Rig, RigKind
 from armsight.records import Target
 from armsight.store import read_rig
 from armsight.store.cell_file import cell_path
@@ -42,9 +42,9 @@ BONE_M, JOINT_M = 0.03, 0.042
 """Radii in which an arm's links and joints are drawn."""
 SEEN_RAD = 2e-4
 """Joints (rad or m) that moved less are not drawn anew."""
+CAMERA_COLOURS = ("#0072B2", "#CC79A7", "#00775a", "#8a5a00", "#7a4fb5", "#005a7a", "#a0306e", "#4d6b00")
+"""Of cameras in the rig's order; of a pair left and right."""
 COLOURS = {
-    "left": "#0072B2",
-    "right": "#CC79A7",
     "camera": "#46515c",
     "target": "#D55E00",
     "arm": "#8a97a3",
@@ -60,6 +60,8 @@ POINT_NAME = re.compile(f"{POINT}([0-9]{{1,9}})")
 PATH_COLOUR = "#7a4fb5"
 SEEN_THROUGH = 0.12
 """Opacity of an arm that is looked at from near: curves run within its joints."""
+AROUND = np.array([0.7, -0.9, -1.0])
+"""From the middle of what cameras that are no pair look at to the eye, in their largest distance from it, rig axes."""
 BACK = 1.2
 """How far the eye is from the middle of what it looks at from near, in its diagonals."""
 ASIDE = Rotation.from_euler("z", 35.0, degrees=True)
@@ -103,7 +105,8 @@ class Scene:
         with made.classes("w-full") as self._scene:
             self._scene.props["data-testid"] = "scene"
             self._target = self._draw_target(None if target_file is None else target_of(target_file))
-            self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file))
+            self._rig = None if rig_file is None else read_rig(rig_file, any_cameras=True)
+            self._cameras = self._draw_cameras(self._rig)
             self._bones = [] if self._arm is None else [self._draw_bone() for _ in range(2 * self._arm.n + 1)]
             self._measured = Curve("measured", line="none", mark_px=4.0, layer=2)
             self._taught = Curve("taught", line="solid", mark_px=6.0, layer=1)
@@ -243,7 +246,7 @@ class Scene:
             _stretch(bone, begin, end)
             joint.move(*end.tolist())
         self._console.tracks.add_tool(points[-1])
-        if self._console.cell.cameras == "carried":
+        if self._console.cell.on_robot:
             placed = self._placement.rig_pose(self._arm, q)
             self._T_scene_rig = self._T_scene_rig if placed is None else placed
             _put(self._cameras, self._T_scene_rig)
@@ -267,8 +270,11 @@ class Scene:
         one."""
         group: Object3D
         with self._scene.group() as group:
-            for side in () if rig is None else SIDES:
-                self._draw_pyramid(RigidTransform.identity() if rig is None else rig.T_rig_camera(side), COLOURS[side])
+            for colour, camera in zip(CAMERA_COLOURS, () if rig is None else rig.cameras, strict=False):
+                self._draw_pyramid(camera.T_rig_camera, colour)
+                if rig is not None and not rig.is_pair:
+                    label = self._scene.text(camera.name, f"font-weight: 700; font-size: 12px; color: {colour}")
+                    label.move(*camera.T_rig_camera.translation.tolist())
             if rig is not None and rig.kind is RigKind.MIRROR:
                 self._draw_pyramid(RigidTransform.identity(), COLOURS["camera"], 0.4)
         _put(group, self._T_scene_rig)
@@ -290,8 +296,16 @@ class Scene:
         near = self._arm is None
         self._look_from(near=False)
         self._ruler.show(None)
-        x, y, z = self._T_scene_rig.apply([0.55, -0.4, 0.1] if near else [0.75, -0.65, -0.15]).tolist()
-        to_x, to_y, to_z = self._T_scene_rig.apply([0.02, 0.0, 0.4 if near else 0.7]).tolist()
+        eye, to = (
+            np.array([0.55, -0.4, 0.1] if near else [0.75, -0.65, -0.15]),
+            np.array([0.02, 0.0, 0.4 if near else 0.7]),
+        )
+        if self._rig is not None and not self._rig.is_pair:  # they may stand all round
+            ends = [one.T_rig_camera.apply([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) for one in self._rig.cameras]
+            to = np.mean(ends, axis=(0, 1))
+            eye = to + AROUND * max(1.0, float(np.linalg.norm(np.concatenate(ends) - to, axis=1).max()))
+        x, y, z = self._T_scene_rig.apply(eye).tolist()
+        to_x, to_y, to_z = self._T_scene_rig.apply(to).tolist()
         self._scene.move_camera(x, y, z, to_x, to_y, to_z, 0.0, 0.0, 1.0, duration=0.0)
 
 

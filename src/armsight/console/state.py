@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,22 +22,24 @@ from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
 from armsight.app.guided.step_runner import GuidedStepRunner
 from armsight.app.guided.timing import TimingStep
-from armsight.app.live.measurement import COMPLEX, DetectionSettings, FollowedCell, LiveJob, require_kind
+from armsight.app.live.measurement import DetectionSettings, FollowedCell, LiveJob, require_kind
 from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.live.views import LiveView
 from armsight.app.operator.path_editor import PathEditor
-from armsight.app.operator.robot_cell import RobotCell, cameras_of
+from armsight.app.operator.robot_cell import RobotCell, simulated_cameras
 from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach_controller import TeachController
 from armsight.arrays import Array
 from armsight.calibrate.handeye import Setup
 from armsight.clock import SystemClock
 from armsight.console.plots import Tracks
+from armsight.drivers import is_live
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.ops.measurement.run import target_of
-from armsight.optics import RigKind
+from armsight.ops.sources.cameras import cameras_of, named_cameras
+from armsight.optics import SIDES, RigKind
 from armsight.store import read_rig, read_world
-from armsight.store.cell_file import CellFile, CellMirrors, cell_path, read_cell, write_cell
+from armsight.store.cell_file import COMPLEX, CellFile, CellMirrors, cell_path, read_cell, write_cell
 from armsight.verify.supervision import Seen
 
 HISTORY = 1800
@@ -83,7 +87,7 @@ class Console:
         """
         kept = self.cell if robot is None else self.cell.model_copy(update={"robot": robot})
         try:
-            self.apply(kept.model_copy(update=dict(changed)))
+            self.apply(kept.changed(changed))
         except ArmsightError as error:
             if changed:
                 raise
@@ -95,6 +99,13 @@ class Console:
         supervisor = self.supervisor
         return None if supervisor is None else supervisor.seen
 
+    def note(self, message: str) -> None:
+        """Keep what happened in the robot's log where there is one, else in the program's; any thread may call this."""
+        if self.robot is None:
+            logging.getLogger("armsight.console").warning(message)
+        else:
+            self.robot.service.authority.note("warning", message)
+
     def apply(self, cell: CellFile) -> None:
         """Check what a cell names, keep it in cell.yaml, and measure with it. Raises UsageError, DataRefused."""
         job = self.job_of(cell)
@@ -105,28 +116,34 @@ class Console:
         self.look = DetectionSettings()
         self._forget_steps()
         if job is not None:
-            self.station = MeasurementProcess(job)
+            self.station = MeasurementProcess(job, tell=self.note)
             self.station.start()
 
     def job_of(self, cell: CellFile) -> LiveJob | None:
         """Return what is measured, None without cameras; every file is read, so that a wrong one is refused here."""
         rig, target, world = (cell_path(self.folder, getattr(cell, name), name) for name in ("rig", "target", "world"))
-        known_rig = None if rig is None else read_rig(rig)
+        known_rig = None if rig is None else read_rig(rig, any_cameras=True)
         if target is not None:
             target_of(target)
         if world is not None:
             read_world(world)
-        if cell.right and not cell.left:
+        if cell.right and not cell.left and not cell.named:
             raise UsageError("the left camera is missing", cure="Give both, or none; the one camera of mirrors as left")
-        if not cell.left:
+        sources = cell.sources
+        if not sources:
             return None
+        if COMPLEX not in sources or COMPLEX in cell.named:
+            sources = named_cameras(cell.named, cell.left or None, cell.right or None)
+        if known_rig is not None and known_rig.kind is not RigKind.MIRROR and COMPLEX not in sources:
+            sources = cameras_of(known_rig.names, sources)
+            if len(sources) > len(cell.sources):
+                raise UsageError("one recording is of all cameras", cure="Give it for each of them by its name")
         job = LiveJob(
-            left=cell.left,
-            right=cell.right,
+            cameras=sources,
             rig=rig,
             target=target,
             world=world,
-            fps=None if cell.left.startswith("camera:") else cell.fps,
+            fps=None if any(map(is_live, sources.values())) else cell.fps,
             again=cell.play_again,
             followed=self._followed(cell),
         )
@@ -135,13 +152,13 @@ class Console:
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """Which pictures there are: left and right, or the complex one of one camera with mirrors."""
-        return (COMPLEX,) if self.cell.left and not self.cell.right else ("left", "right")
+        """Which pictures there are: of the cameras by name, or the complex one of one camera with mirrors."""
+        return tuple(self.cell.sources) or SIDES
 
     def _followed(self, cell: CellFile) -> FollowedCell | None:
         """Return the simulated cell whose robot is moved here, where the cameras named are its own."""
         followed = None if self.robot is None else self.robot.followed
-        own = followed is not None and (cell.left, cell.right) == cameras_of(followed.scenario)
+        own = followed is not None and cell.sources == simulated_cameras(followed.scenario)
         return followed if own else None
 
     def teaching(self) -> TeachController:
@@ -169,7 +186,7 @@ class Console:
     def step(self, name: str) -> GuidedStepRunner:
         """Return a guided calibration, begun anew where it was not under way. Raises UsageError, BadFile."""
         if name not in self.steps:
-            self.steps[name] = GuidedStepRunner(STEPS[name](self, self.folder / "calibrate" / name))
+            self.steps[name] = GuidedStepRunner(_maker(self, name)(self, self.folder / "calibrate" / name))
         return self.steps[name]
 
     def set_mirrors(self, built: CellMirrors) -> None:
@@ -196,7 +213,7 @@ class Console:
     def mirror_rig(self) -> Path | None:
         """Return the cell's rig.yaml where it is a mirror rig's. Raises BadFile."""
         rig = cell_path(self.folder, self.cell.rig, "rig")
-        return rig if rig is not None and read_rig(rig).kind is RigKind.MIRROR else None
+        return rig if rig is not None and read_rig(rig, any_cameras=True).kind is RigKind.MIRROR else None
 
     def _forget_steps(self, *names: str) -> None:
         """Begin steps anew; where none is named all but one that reads the cell's files when it needs them."""
@@ -272,22 +289,21 @@ class Console:
 
 
 def _rig(console: Console, folder: Path) -> Guided:
-    return BoardCalibration(board=console.cell.board, folder=folder, out=console.folder / "rig.yaml")
+    out = console.folder / "rig.yaml"
+    return BoardCalibration(board=console.cell.board, folder=folder, out=out, sides=console.pictures)
 
 
-def _camera(side: str) -> Callable[[Console, Path], Guided]:
-    def make(console: Console, folder: Path) -> Guided:
-        out = console.folder / f"camera-{side}.yaml"
-        return BoardCalibration(board=console.cell.board, folder=folder, out=out, sides=(side,))
-
-    return make
+def _lens(picture: str, console: Console, folder: Path) -> Guided:
+    out = console.folder / f"{folder.name}.yaml"
+    return BoardCalibration(board=console.cell.board, folder=folder, out=out, sides=(picture,))
 
 
 def _mirrors(console: Console, folder: Path) -> Guided:
-    if not console.cell.left or console.cell.right:
+    there = tuple(console.cell.sources)
+    if there != (COMPLEX,):
         raise UsageError(
             "mirrors stand before one camera, and this cell has "
-            + ("two cameras" if console.cell.right else "no camera yet"),
+            + (f"the cameras {', '.join(there)}" if there else "no camera yet"),
             consequence="This step cannot begin",
             cure="Give the one camera as the left one on the page Settings, and leave the right one empty",
         )
@@ -316,7 +332,7 @@ def _handeye(console: Console, folder: Path) -> Guided:
         folder=folder,
         out=console.folder / "handeye-calibrated.yaml",
         arm=console.file("arm"),
-        setup=Setup.EYE_IN_HAND if console.cell.cameras == "carried" else Setup.EYE_TO_HAND,
+        setup=Setup.EYE_IN_HAND if console.cell.on_robot else Setup.EYE_TO_HAND,
         read_joints=console.require_robot().reading,
     )
 
@@ -343,10 +359,9 @@ def _whole_cell(console: Console, folder: Path) -> Guided:
 CELL = "cell"
 """The step that has a page of its own."""
 
-STEPS: dict[str, Callable[[Console, Path], Guided]] = {
-    "camera-left": _camera("left"),
-    "camera-right": _camera("right"),
+OF_RIG: dict[str, Callable[[Console, Path], Guided]] = {
     "stereo": _rig,
+    "cameras": _rig,
     "mirrors": _mirrors,
     "timing": _timing,
     "tooltip": _tip,
@@ -354,12 +369,23 @@ STEPS: dict[str, Callable[[Console, Path], Guided]] = {
     "arm": _arm,
     CELL: _whole_cell,
 }
+"""Steps of a whole cell; before them stand those of its cameras' lenses."""
+LENS = "camera-"
+"""Begins the name of a lens's step, before that of its camera; the one of mirrors is called left."""
 
-OF_TWO_CAMERAS = ("camera-right", "stereo", "timing")
-"""Steps that one camera with mirrors has no use for."""
+
+def lenses_of(console: Console) -> dict[str, str]:
+    """Return the picture of each lens's step."""
+    return {f"{LENS}{SIDES[0] if name == COMPLEX else name}": name for name in console.pictures}
+
+
+def _maker(console: Console, name: str) -> Callable[[Console, Path], Guided]:
+    lens = lenses_of(console).get(name)
+    return OF_RIG[name] if lens is None else partial(_lens, lens)
 
 
 def steps_of(console: Console) -> tuple[str, ...]:
     """Return the steps that the page Calibrate offers for a cell, in their order."""
-    one = len(console.pictures) == 1
-    return tuple(name for name in STEPS if name != CELL and not (one and name in OF_TWO_CAMERAS))
+    known = {SIDES: ("stereo", "mirrors", "timing"), (COMPLEX,): ("mirrors",)}
+    of_rig = known.get(console.pictures, ("cameras",) if len(console.pictures) > 1 else ())
+    return (*lenses_of(console), *of_rig, "tooltip", "handeye", "arm")

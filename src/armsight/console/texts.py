@@ -53,6 +53,7 @@ POSITION_ONLY = "Position only"
 DOUBTFUL = "Pose is doubtful"
 STARTING = "Starting"
 ENDED = "The frames have ended"
+WITHOUT = "Measuring without {names}"
 NO_CAMERAS = "No cameras are set up. Give rig, target and the cameras on the page Settings."
 FAILED = "Not measuring"
 SILENT = "No new picture for {seconds:.0f} s"
@@ -64,6 +65,11 @@ PICTURES = {
     "right": "Right camera",
     "complex": "Camera with mirrors: both views in one picture",
 }
+PICTURE = "Camera {name}"
+SEES = "Sees {n} of {of} lights."
+FINDS = "{n} bright spots."
+GONE_CAMERA = "Lost: {why}. The others go on. Look at its plug, then start anew."
+LEFT_OUT = "Left out: {why}"
 COMPLEX_HELP = (
     "Left view (L): rings, blue lines. Right view (R): diamonds, pink lines. Squares: bright spots of neither."
 )
@@ -92,6 +98,7 @@ CURVES = "The last minute"
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FPS, LATENCY, COUNTS = "Pictures measured a second", "From light to pose", "Lost since the start"
 POSITION_COUNT = "Position only since the start"
+SEEING, SEEING_VALUE, SIGHTS = "Cameras that see it", "{n} of {of}", "{n} of {of} sights"
 RESIDUAL, RESIDUAL_VALUE = "Residual, RMS", "{value:.3f} px"
 COUNT, OF_ALL = "{n} ({share:.1%})", "of {total} pictures"
 SPREAD = "± {value} {unit} (1 σ)"
@@ -136,6 +143,7 @@ STEPS = {
     "camera-left": "Left camera's lens",
     "camera-right": "Right camera's lens",
     "stereo": "Both cameras",
+    "cameras": "All cameras",
     "mirrors": "Mirrors before one camera",
     "timing": "Timing of free-running cameras",
     "tooltip": "Tool tip",
@@ -143,6 +151,7 @@ STEPS = {
     "arm": "Arm",
 }
 ONE_CAMERA = "The camera's lens"
+LENS_OF = "Lens of {name}"
 WHOLE_CELL = "All of it at once, from one recording"
 NEXT = {
     "board_twice": "Hold the board still, whole in both views of the picture, the two beside each other; accept it.",
@@ -152,6 +161,7 @@ NEXT = {
     "needs_target": "Choose the target on the page Settings (target.yaml).",
     "turn_lights": "Turn the target to another side, nearer or further, left or right, and accept it.",
     "show_board": "Hold the board still before the cameras, whole in the picture, and accept it.",
+    "join": "Show the board to the {side} camera and to another one at the same time, and accept it.",
     "to_cell": "Bring the board into the {place} of the {side} picture.",
     "tilt": "Tilt the board by 30 degrees, to one side or the other, up or down.",
     "nearer": "Come nearer with the board.",
@@ -273,6 +283,7 @@ CAMERAS = "Cameras"
 FIELDS = {
     "left": "Left or only camera, or its files",
     "right": "Right camera; empty: one with mirrors",
+    "cameras": "Further cameras, or all, by name: NAME=SOURCE; NAME=SOURCE",
     "board": "Board, such as checkerboard:9x6:0.025",
     "rig": "Rig (rig.yaml)",
     "target": "Target (target.yaml)",

@@ -7,8 +7,8 @@ INTRO = (
     "the arm's base, their clocks, the lights on the flange, and the arm's zeros and lengths. No board, no stops."
 )
 NOT_THIS_CELL = (
-    "This wants two cameras that stand beside the robot; this cell has one camera with mirrors, or the robot carries "
-    "its cameras. Nothing is recorded here. Take the steps of the page Calibrate instead, or give two cameras that "
+    "This wants two cameras, left and right, that stand beside the robot; this cell has others, or the robot carries "
+    "them. Nothing is recorded here. Take the steps of the page Calibrate instead, or give two cameras that "
     "stand, on the page Settings."
 )
 STEPS = ("Mount", "Move", "Result")
@@ -36,25 +36,23 @@ LAMPS = {
     "arm": "Arm",
 }
 
-PICTURES = "Pictures come, {fps:.0f} pairs a second: left {left}, right {right} px."
+PICTURES = "Pictures come, {fps:.0f} pairs a second: {sizes} px."
 SLOW = (
     "{fps:.0f} pairs a second are few: clocks and quick motion are told badly. Lower exposure or size, or move slower."
 )
 NO_CAMERAS = "No cameras are set up, so nothing can be recorded. Give both on the page Settings."
 NOT_MEASURING = "No pictures come: {why}. Nothing can be recorded. Look at plugs and power; the page Live starts anew."
 STARTING = "The cameras are being opened."
-LIGHTS = "Left {left}, right {right} of {n} lights are seen."
+LIGHTS = "{counts} of {n} lights are seen."
 FEWER = (
-    "Left {left}, right {right} of {n} lights are seen. Pictures that miss lights tell less. Turn the target to both "
+    "{counts} of {n} lights are seen. Pictures that miss lights tell less. Turn the target to both "
     "cameras, or raise the exposure."
 )
 MORE = (
-    "Left {left}, right {right} bright spots are seen, the target has {n} lights. Those that stand are left out by "
+    "{counts} bright spots are seen, the target has {n} lights. Those that stand are left out by "
     "themselves; dim what moves or shines into the target's way."
 )
-LIGHTS_UNKNOWN = (
-    "Left {left}, right {right} bright spots are seen; how many there should be the target's file will tell."
-)
+LIGHTS_UNKNOWN = "{counts} bright spots are seen; how many there should be the target's file will tell."
 JOINTS = "The robot tells {n} joints; they are recorded beside the pictures."
 JOINTS_OTHER = (
     "The robot tells {n} joints, the arm's model has {wanted}: the log would be refused. Choose the model of this arm "

@@ -237,7 +237,7 @@ class VideoFile:
         self._times_s = times_s
         self._open_capture = open_capture
         self._capture: Capture | None = None
-        self._said = 0
+        self._said, self._read = 0, False
 
     @property
     def total(self) -> int | None:
@@ -255,6 +255,7 @@ class VideoFile:
                 consequence="There are no frames",
                 cure="Check that it plays; a file cut off while recording lacks its index (ffmpeg can rebuild it)",
             )
+        self._read = False
         count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
         self._said = int(count) if np.isfinite(count) and 0 < count < 1e9 else 0
         return self
@@ -271,6 +272,9 @@ class VideoFile:
         capture = self._capture
         if capture is None:
             return
+        if self._read:  # read anew
+            capture.set(cv2.CAP_PROP_POS_FRAMES, 0.0)
+        self._read = True
         rate = capture.get(cv2.CAP_PROP_FPS)
         rate = rate if np.isfinite(rate) and rate > 0.0 else FPS
         fps = self._fps or rate

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 
 import numpy as np
@@ -260,7 +260,11 @@ def _add_consistency(page: Page, run: MeasureRun) -> None:
         ]
         for cause in causes
     ]
-    unseen = [[cause, figure_of(effect_m / MM, "mm", digits=2)] for cause, effect_m in found.undetected_m.items()]
+    told = {cause: figure_of(effect_m / MM, "mm", digits=2) for cause, effect_m in found.undetected_m.items()}
+    kinds = _by_kind(told, () if run.rig.is_pair else run.rig.names)
+    unseen = [
+        [cause, value] for cause, value in told.items() if not any(cause in row.values() for row in kinds.values())
+    ]
     page.add(
         "Do the residuals agree with rig, target and noise?",
         f"{found.sentence or 'They do.'} {found.advice} The noise is "
@@ -270,7 +274,23 @@ def _add_consistency(page: Page, run: MeasureRun) -> None:
         else "",
         "<p>What could be wrong, at most, without this run showing it (error of positions, RMS):</p>",
         table(["cause", "error of positions"], unseen, numbers=(1,)),
+        _of_cameras(told, kinds, run.rig.names) if kinds else "",
     )
+
+
+def _by_kind(told: Mapping[str, str], names: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the causes that are of one camera, such as 'turned top', by their kind and the camera's name."""
+    kinds: dict[str, dict[str, str]] = {}
+    for cause in told:
+        kind, _, name = cause.rpartition(" ")
+        if kind != "light" and name in names:
+            kinds.setdefault(kind, {})[name] = cause
+    return kinds
+
+
+def _of_cameras(told: Mapping[str, str], kinds: Mapping[str, Mapping[str, str]], names: Sequence[str]) -> str:
+    rows = [[kind, *(told[of[name]] if name in of else "" for name in names)] for kind, of in kinds.items()]
+    return table(["camera", *names], rows, numbers=range(1, len(names) + 1))
 
 
 def _add_scene(page: Page, run: MeasureRun) -> None:
@@ -285,7 +305,12 @@ def _add_scene(page: Page, run: MeasureRun) -> None:
         )
     if not run.samples:
         return
-    figures = "".join(sample_figure(sample, i) for i, sample in enumerate(run.samples[:MAX_SAMPLES]))
+    moments = {sample.frame: [one for one in run.samples if one.frame == sample.frame] for sample in run.samples}
+    each = list(moments.values())
+    if not run.rig.is_pair:  # there is room for few moments: one with a pose comes first
+        each.sort(key=lambda seen: not any(one.names for one in seen))
+    shown = each[: max(MAX_SAMPLES // len(run.rig.cameras), 1)]
+    figures = "".join(sample_figure(sample, i) for i, sample in enumerate(one for seen in shown for one in seen))
     page.add(
         "What the cameras saw",
         "Green: spots used, with their names and, enlarged, their measured centres. Orange: seen and not matched. "

@@ -83,7 +83,10 @@ def live(result: VerifyLiveOutput, files: Sequence[Path], given: Given) -> str:
     """Return the page of a supervision."""
     from armsight.report.verify_pages import live_report
 
-    devices = ("robot", "left", "right", "arm")
+    cameras = given.get("cameras")
+    given = {**given, **(cameras if isinstance(cameras, Mapping) else {})}
+    names = ("left", "right", *(cameras if isinstance(cameras, Mapping) else ()))
+    devices = ("robot", *dict.fromkeys(names), "arm")
     return live_report(result, inputs=_named(given, (*devices, "rig", "target", "world"), devices))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +15,8 @@ from armsight.store.schema import Origin, read_document, write_document
 
 CELL_FORMAT: Literal["armsight/cell"] = "armsight/cell"
 CELL_NAME = "cell.yaml"
+COMPLEX = "complex"
+"""The one picture of a mirror rig, which holds both views."""
 
 
 class CellMirrors(Strict):
@@ -37,7 +40,8 @@ class CellFile(Origin):
     left, right: sources of frames, or DRIVER:DEVICE cameras, as commands take them; left alone is the one camera of a
     mirror rig, whose mirrors are as `mirrors` says and whose lens as the file `camera`. robot: DRIVER:DEVICE. All
     others are names of files in the cell's folder. fps: of files. play_again: files begin anew at their end.
-    cameras: whether they stand beside the robot, or are carried by it.
+    cameras: further sources, or all, by their cameras' names, `carried` then says that the robot carries the cameras;
+    else whether left and right stand beside the robot or are carried by it.
     """
 
     format: Literal["armsight/cell"] = CELL_FORMAT
@@ -56,7 +60,35 @@ class CellFile(Origin):
     board: str = "checkerboard:9x6:0.025"
     fps: Finite = Field(30.0, gt=0.0)
     play_again: bool = False
-    cameras: Literal["standing", "carried"] = "standing"
+    cameras: Literal["standing", "carried"] | dict[str, str] = "standing"
+    carried: bool = False
+
+    @property
+    def named(self) -> dict[str, str]:
+        """The sources that stand by their cameras' names."""
+        return {} if isinstance(self.cameras, str) else self.cameras
+
+    @property
+    def sources(self) -> dict[str, str]:
+        """All sources, by the names of the pictures: of the cameras, or of a mirror rig's one."""
+        if self.left and not self.right and not self.named:
+            return {COMPLEX: self.left}
+        return {side: text for side, text in (("left", self.left), ("right", self.right)) if text} | self.named
+
+    def changed(self, entries: Mapping[str, Any]) -> CellFile:
+        """Return the cell with other entries; who carries the cameras stays, by whichever key it is said."""
+        named = entries.get("cameras", self.cameras)
+        said: Any = (
+            {"carried": self.on_robot}
+            if isinstance(named, dict) and named
+            else {"cameras": "carried" if self.on_robot else "standing", "carried": False}
+        )
+        return self.model_copy(update={**entries, **said})
+
+    @property
+    def on_robot(self) -> bool:
+        """Whether the robot carries the cameras."""
+        return self.carried or self.cameras == "carried"
 
 
 def read_cell(folder: Path) -> CellFile:
@@ -69,7 +101,8 @@ def read_cell(folder: Path) -> CellFile:
 
 def write_cell(folder: Path, cell: CellFile) -> Path:
     """Write cell.yaml into the folder, which is made where it is missing; return the file. Raises DeviceFailed."""
-    content: dict[str, Any] = cell.model_dump(exclude={"format", "version", "created", "software", "inputs"})
+    said = set() if cell.named or cell.carried else {"carried"}
+    content: dict[str, Any] = cell.model_dump(exclude={"format", "version", "created", "software", "inputs"} | said)
     path = folder / CELL_NAME
     write_document(path, CELL_FORMAT, content, [])
     return path

@@ -43,8 +43,10 @@ class Pictures:
             (folder / "left" / p.name, folder / "right" / p.name) for p in sorted((folder / "left").iterdir())
         ]
 
-    def save_pair(self, left: Path, right: Path) -> None:
-        for source, goal in zip(self.pairs.pop(0), (left, right), strict=True):
+    def save(self, files: dict[str, Path]) -> None:
+        pictures = dict(zip(("left", "right"), self.pairs.pop(0), strict=True))
+        for name, goal in files.items():
+            source = pictures[name]
             goal.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(source, goal)
 
@@ -61,12 +63,12 @@ class Poses:
             sequence=1, t_s=t_s, fps=30.0, latency_s=0.01, measuring_s=0.001, status="ok", why="",
             parent="rig", xyz_m=tuple(xyz), euler_rad=(0.0, 0.0, 0.0), quat_xyzw=tuple(turn.as_quat()),
             std=(1e-4,) * 3 + (1e-3,) * 3, residual_px=0.1, counts=Counts(ok=1, doubtful=0, position_only=0, lost=0),
-            left=SIDE, right=SIDE,
+            cameras={"left": SIDE, "right": SIDE},
         )  # fmt: skip
         T = RigidTransform.from_components(xyz, turn).as_matrix()
         C = np.diag([1e-8] * 3 + [1e-6] * 3)
         pose = TargetPose(t_s=t_s, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=C)
-        return Snapshot(pose=pose, spots=(Spots.none(), Spots.none()), view=view, left_jpeg=b"", right_jpeg=b"")
+        return Snapshot(pose=pose, spots=(Spots.none(), Spots.none()), view=view, jpegs={})
 
 
 def test_what_was_measured_comes_with_its_whole_covariance_and_what_is_doubtful_is_no_pose_to_take() -> None:
@@ -101,7 +103,13 @@ def test_a_beacon_is_told_with_the_deviation_that_its_light_has_in_the_pictures(
     run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=0, doubtful=0, position_only=0, lost=1))
     lost = TargetPose(t_s=1.0, status=PoseStatus.LOST, parent="rig", why="one light alone")
     station: Any = SimpleNamespace(
-        shown=Snapshot(pose=lost, spots=spots, view=live_view(lost, run, sides), left_jpeg=b""), failure=""
+        shown=Snapshot(
+            pose=lost,
+            spots=spots,
+            view=live_view(lost, run, dict(zip(("left", "right"), sides, strict=True))),
+            jpegs={},
+        ),
+        failure="",
     )
     seen = StationObserver(station, rig, "A", ManualClock()).observe("while it is tested")
     assert seen.std_px == pytest.approx(0.03) and seen.xyz_m == pytest.approx([0.0, 0.05, 1.0], abs=1e-9)

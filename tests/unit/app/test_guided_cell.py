@@ -43,7 +43,7 @@ def shown(t_s: float, left: Any, right: Any = None) -> Any:
     spots = [np.asarray(uv, float).reshape(-1, 2) for uv in (left, left if right is None else right)]
     return SimpleNamespace(
         spots=tuple(Spots.of_centres(uv, np.tile(np.eye(2), (len(uv), 1, 1))) for uv in spots),
-        view=SimpleNamespace(t_s=t_s, left=SIDE, right=SIDE, fps=30.0),
+        view=SimpleNamespace(t_s=t_s, cameras={"left": SIDE, "right": SIDE}, fps=30.0),
     )
 
 

@@ -15,7 +15,7 @@ from armsight.app.guided.mirror_alignment import COARSE_RAD, MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.step import Figure, Next
 from armsight.app.guided.step_runner import History, figures_of
-from armsight.app.live.measurement import COMPLEX, LiveJob
+from armsight.app.live.measurement import LiveJob
 from armsight.console import texts
 from armsight.console.pages.mirrors import turn_words
 from armsight.console.state import Console, steps_of
@@ -25,7 +25,7 @@ from armsight.ops.simulation.run import simulate
 from armsight.optics import Camera
 from armsight.records import Silent
 from armsight.store import read_rig, write_camera
-from armsight.store.cell_file import CellFile, CellMirrors, read_cell
+from armsight.store.cell_file import COMPLEX, CellFile, CellMirrors, read_cell
 from refusals import refuses
 
 
@@ -34,17 +34,18 @@ class OnePicture:
     """Stands for a station: gives the pictures of a folder one after the other, round and round."""
 
     folder: Path
-    right: str = ""
+    names: tuple[str, ...] = (COMPLEX,)
     taken: int = 0
 
     @property
     def job(self) -> LiveJob:
-        return LiveJob(left=str(self.folder), right=self.right)
+        return LiveJob(cameras=dict.fromkeys(self.names, str(self.folder)))
 
-    def save_pair(self, left: Path, right: Path | None = None) -> None:
+    def save(self, wanted: dict[str, Path]) -> None:
+        (goal,) = wanted.values()
         files = sorted(self.folder.iterdir())
-        left.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(files[self.taken % len(files)], left)
+        goal.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(files[self.taken % len(files)], goal)
         self.taken += 1
 
 
@@ -118,7 +119,7 @@ def test_a_picture_without_both_views_is_not_taken(mirror_boards: Any, boards: A
         step.accept(OnePicture(boards.folder / "left"))  # type: ignore[arg-type]
     assert step.samples == () and not list(tmp_path.rglob("*.png"))
     with refuses(UsageError, "two cameras"):
-        step.accept(OnePicture(mirror_boards.straight, right="camera:1"))  # type: ignore[arg-type]
+        step.accept(OnePicture(mirror_boards.straight, names=("left", "right")))  # type: ignore[arg-type]
 
 
 def test_the_lit_target_needs_the_lens_and_the_baseline(mirror_boards: Any, tmp_path: Path) -> None:
@@ -197,7 +198,7 @@ def test_the_cell_keeps_how_the_mirrors_were_built(tmp_path: Path) -> None:
     assert console.mirror_alignment().built.baseline_m == 0.12
     two = Console(folder=tmp_path, cell=CellFile(left="camera:0", right="camera:1"))
     assert {"mirrors", "stereo"} <= set(steps_of(two)) <= set(texts.STEPS)
-    with refuses(UsageError, "two cameras"):
+    with refuses(UsageError, "one camera", "left, right"):
         two.step("mirrors")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.live.measurement import COMPLEX, DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
+from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredMoment
 from armsight.app.live.station import Snapshot
 from armsight.app.live.views import complex_view, drawn_ellipsoid, track_colours
 from armsight.app.operator.robot_cell import prepare_simulated
@@ -22,7 +22,7 @@ from armsight.ops.recording.recorder import Recorder
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.run import simulate
 from armsight.store import read_poses
-from armsight.store.cell_file import CellFile
+from armsight.store.cell_file import COMPLEX, CellFile
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter
 from refusals import refuses
 
@@ -38,20 +38,20 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def job(cell: Path, **more: Any) -> LiveJob:
-    return LiveJob(left=str(cell / "image"), rig=cell / "rig.yaml", target=cell / "target.yaml", **more)
+    return LiveJob(cameras={COMPLEX: str(cell / "image")}, rig=cell / "rig.yaml", target=cell / "target.yaml", **more)
 
 
-def moments(measurement: LiveMeasurement) -> list[MeasuredPair]:
-    with measurement.pairs:
+def moments(measurement: LiveMeasurement) -> list[MeasuredMoment]:
+    with measurement.source:
         return list(measurement.moments())
 
 
 @pytest.fixture(scope="module")
-def seen(cell: Path) -> list[MeasuredPair]:
+def seen(cell: Path) -> list[MeasuredMoment]:
     return moments(LiveMeasurement(job(cell), ManualClock()))
 
 
-def test_the_poses_are_the_simulated_ones(cell: Path, seen: list[MeasuredPair]) -> None:
+def test_the_poses_are_the_simulated_ones(cell: Path, seen: list[MeasuredMoment]) -> None:
     truth = read_poses(cell / "truth.csv")
     assert [one.view.status for one in seen] == ["ok"] * FRAMES
     for one, true in zip(seen, truth, strict=True):
@@ -59,7 +59,7 @@ def test_the_poses_are_the_simulated_ones(cell: Path, seen: list[MeasuredPair]) 
         assert np.abs(off_m / np.array(one.view.std[:3])).max() < 5.0 and np.abs(off_m).max() < 1e-3
 
 
-def test_the_one_picture_tells_which_spot_is_of_which_view(seen: list[MeasuredPair]) -> None:
+def test_the_one_picture_tells_which_spot_is_of_which_view(seen: list[MeasuredMoment]) -> None:
     """The left view of a point lies to the right of its right view (MATH 3.2), and each on a curve of its own view."""
     for one in seen:
         view = complex_view(one.view)
@@ -84,7 +84,7 @@ def near(curve: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.asarray(ways[np.argmin(np.linalg.norm(ways, axis=1))])
 
 
-def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list[MeasuredPair]) -> None:
+def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list[MeasuredMoment]) -> None:
     spot = next(one for one in complex_view(seen[0].view).spots if (one.name, one.view) == ("A", "right"))
     measurement = LiveMeasurement(job(cell), ManualClock())
     measurement.look(
@@ -96,17 +96,17 @@ def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list
 
 
 def test_masks_count_before_there_is_a_rig(cell: Path) -> None:
-    bare = LiveMeasurement(LiveJob(left=str(cell / "image")), ManualClock())
+    bare = LiveMeasurement(LiveJob(cameras={COMPLEX: str(cell / "image")}), ManualClock())
     assert len(complex_view(moments(bare)[0].view).spots) == 6
-    masked = LiveMeasurement(LiveJob(left=str(cell / "image")), ManualClock())
+    masked = LiveMeasurement(LiveJob(cameras={COMPLEX: str(cell / "image")}), ManualClock())
     masked.look(DetectionSettings(masked={COMPLEX: ((0.0, 0.0, 5000.0, 5000.0),)}))
     assert complex_view(moments(masked)[0].view).spots == []
 
 
-def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[MeasuredPair], tmp_path: Path) -> None:
+def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[MeasuredMoment], tmp_path: Path) -> None:
     console = Console(folder=tmp_path)
     message = picture_message(
-        console, Snapshot(pose=seen[0].pose, spots=seen[0].spots, view=seen[0].view, left_jpeg=b"JPEG"), COMPLEX
+        console, Snapshot(pose=seen[0].pose, spots=seen[0].spots, view=seen[0].view, jpegs={COMPLEX: b"JPEG"}), COMPLEX
     )
     (length,) = struct.unpack("<I", message[:4])
     told = json.loads(message[4 : 4 + length])
@@ -117,25 +117,27 @@ def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[Mea
 
 
 def test_the_wrong_number_of_cameras_is_refused(cell: Path, scene: Any) -> None:
-    with refuses(UsageError, "rig", "two"):
-        LiveMeasurement(LiveJob(left=str(scene.folder / "left"), rig=scene.folder / "rig.yaml"), ManualClock())
+    with refuses(UsageError, "one picture", "left, right"):
+        LiveMeasurement(
+            LiveJob(cameras={COMPLEX: str(scene.folder / "left")}, rig=scene.folder / "rig.yaml"), ManualClock()
+        )
     with refuses(UsageError, "has mirrors"):
-        LiveMeasurement(LiveJob(left="a", right="b", rig=cell / "rig.yaml"), ManualClock())
+        LiveMeasurement(LiveJob(cameras={"left": "a", "right": "b"}, rig=cell / "rig.yaml"), ManualClock())
     with refuses(UsageError, "left camera", "missing"):
         Console(folder=cell).job_of(CellFile(right="camera:0"))
     console = Console(folder=cell, cell=CellFile(left="image"))
     assert console.pictures == (COMPLEX,) and Console(folder=cell).pictures == ("left", "right")
 
 
-def test_a_recording_of_it_has_one_camera(seen: list[MeasuredPair], tmp_path: Path) -> None:
+def test_a_recording_of_it_has_one_camera(seen: list[MeasuredMoment], tmp_path: Path) -> None:
     file = tmp_path / "one.mcap"
     with Recorder(RecordingWriter(file, clock=ManualClock()), ImageFormat.PNG, live=False) as recorder:
         for one in seen:
-            recorder.put({"image": one.pair[0]})
+            recorder.put({"image": one.frames[COMPLEX]})
     with Recording(file) as recording:
         assert tuple(recording.cameras) == ("image",) and recording.count("/image/image") == FRAMES
         frames = list(recording.frames("image"))
-    np.testing.assert_array_equal(frames[0].image, seen[0].pair[0].image)
+    np.testing.assert_array_equal(frames[0].image, seen[0].frames[COMPLEX].image)
 
 
 def test_an_ellipsoid_is_drawn_large_enough_to_be_seen() -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
+from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredMoment
 from armsight.app.live.station import MeasurementProcess
 from armsight.clock import ManualClock, SystemClock
 from armsight.errors import BadFile, DeviceFailed
@@ -21,16 +21,15 @@ PATIENCE_S = 60.0
 
 def job(scene: Any, **more: Any) -> LiveJob:
     return LiveJob(
-        left=str(scene.folder / "left"),
-        right=str(scene.folder / "right"),
+        cameras={side: str(scene.folder / side) for side in ("left", "right")},
         rig=scene.folder / "rig.yaml",
         target=scene.folder / "target.yaml",
         **more,
     )
 
 
-def moments(measurement: LiveMeasurement) -> list[MeasuredPair]:
-    with measurement.pairs:
+def moments(measurement: LiveMeasurement) -> list[MeasuredMoment]:
+    with measurement.source:
         return list(measurement.moments())
 
 
@@ -40,40 +39,44 @@ def test_the_poses_are_the_scenes(scene: Any) -> None:
     np.testing.assert_allclose([one.view.xyz_m for one in seen], scene.xyz_m, atol=1e-3)
     last = seen[-1].view
     assert (last.counts.ok, last.counts.lost, last.sequence) == (len(seen), 0, len(seen))
-    assert {spot.name for spot in last.left.spots} == {"A", "B", "C"}
-    assert all(spot.residual_px is not None and np.hypot(*spot.residual_px) < 0.5 for spot in last.left.spots)
+    assert {spot.name for spot in last.cameras["left"].spots} == {"A", "B", "C"}
+    assert all(
+        spot.residual_px is not None and np.hypot(*spot.residual_px) < 0.5 for spot in last.cameras["left"].spots
+    )
 
 
 def test_every_light_lies_on_its_epipolar_curve(scene: Any) -> None:
     """A parallel pair: the curve of a light is the row of its partner."""
     view = moments(LiveMeasurement(job(scene), ManualClock()))[0].view
-    for spot, curve in zip(view.left.spots, view.left.epipolar, strict=True):
+    for spot, curve in zip(view.cameras["left"].spots, view.cameras["left"].epipolar, strict=True):
         assert np.abs(np.array(curve)[:, 1] - spot.v_px).max() < 0.5
 
 
 def test_nothing_is_looked_for_under_a_mask(scene: Any) -> None:
     measurement = LiveMeasurement(job(scene), ManualClock())
-    light = moments(measurement)[0].view.left.spots[0]
+    light = moments(measurement)[0].view.cameras["left"].spots[0]
     box = (light.u_px - 15.0, light.v_px - 15.0, light.u_px + 15.0, light.v_px + 15.0)
     measurement = LiveMeasurement(job(scene), ManualClock())
     measurement.look(DetectionSettings(masked={"left": (box,)}))
     view = moments(measurement)[0].view
-    assert light.name not in {spot.name for spot in view.left.spots}
+    assert light.name not in {spot.name for spot in view.cameras["left"].spots}
     assert view.status != "ok"
-    assert len(view.right.spots) == 3, "the other camera is not masked"
+    assert len(view.cameras["right"].spots) == 3, "the other camera is not masked"
 
 
 def test_without_rig_lights_are_found_and_nothing_is_measured(scene: Any) -> None:
-    bare = LiveJob(left=str(scene.folder / "left"), right=str(scene.folder / "right"))
+    bare = LiveJob(cameras={side: str(scene.folder / side) for side in ("left", "right")})
     view = moments(LiveMeasurement(bare, ManualClock()))[0].view
     assert view.status == "lost"
     assert "not calibrated" in view.why
-    assert len(view.left.spots) == len(view.right.spots) == 3
+    assert len(view.cameras["left"].spots) == len(view.cameras["right"].spots) == 3
 
 
 def test_a_missing_rig_is_refused_at_once(scene: Any, tmp_path: Path) -> None:
     with pytest.raises(BadFile, match="rig"):
-        LiveMeasurement(LiveJob(left="a", right="b", rig=tmp_path / "rig.yaml", target=None), ManualClock())
+        LiveMeasurement(
+            LiveJob(cameras={"left": "a", "right": "b"}, rig=tmp_path / "rig.yaml", target=None), ManualClock()
+        )
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +106,7 @@ def wait(what: Any) -> None:
 def test_a_process_shows_what_it_measures(station: MeasurementProcess) -> None:
     wait(lambda: station.shown is not None and station.shown.view.status == "ok")
     assert station.shown is not None
-    assert station.shown.left_jpeg[:2] == b"\xff\xd8"
+    assert station.shown.jpegs["left"][:2] == b"\xff\xd8"
     first = station.shown.view.sequence
     wait(lambda: station.shown is not None and station.shown.view.sequence > first)
 
@@ -111,13 +114,15 @@ def test_a_process_shows_what_it_measures(station: MeasurementProcess) -> None:
 def test_pictures_are_no_wider_than_what_shows_them(station: MeasurementProcess) -> None:
     def widths() -> list[int]:
         assert station.shown is not None
-        return [decoded(data).shape[1] for data in (station.shown.left_jpeg, station.shown.right_jpeg)]
+        return [decoded(data).shape[1] for data in station.shown.jpegs.values()]
 
     wait(lambda: station.shown is not None)
-    full = station.shown.view.left.width if station.shown is not None else 0
+    full = station.shown.view.cameras["left"].width if station.shown is not None else 0
     station.show_width(full // 2)
     wait(lambda: widths() == [full // 2] * 2)
-    assert station.shown is not None and station.shown.view.left.width == full, "what is found stays in its px"
+    assert station.shown is not None and station.shown.view.cameras["left"].width == full, (
+        "what is found stays in its px"
+    )
     station.show_width(4 * full)
     wait(lambda: widths() == [full] * 2)
 
@@ -158,7 +163,7 @@ def test_a_pair_is_saved_bit_for_bit(station: MeasurementProcess, scene: Any, tm
 
     wait(lambda: station.shown is not None)
     left, right = tmp_path / "l" / "a.png", tmp_path / "r" / "a.png"
-    station.save_pair(left, right)
+    station.save({"left": left, "right": right})
     for file, side in ((left, "left"), (right, "right")):
         image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
         originals = [cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in (scene.folder / side).iterdir()]
@@ -166,12 +171,12 @@ def test_a_pair_is_saved_bit_for_bit(station: MeasurementProcess, scene: Any, tm
 
 
 def test_what_cannot_be_measured_is_told(tmp_path: Path) -> None:
-    made = MeasurementProcess(LiveJob(left=str(tmp_path / "none"), right=str(tmp_path / "none2")))
+    made = MeasurementProcess(LiveJob(cameras={"left": str(tmp_path / "none"), "right": str(tmp_path / "none2")}))
     made.start()
     wait(lambda: made.failure)
     assert "none" in made.failure
     with pytest.raises(DeviceFailed):
-        made.save_pair(tmp_path / "a.png", tmp_path / "b.png")
+        made.save({"left": tmp_path / "a.png"})
     with pytest.raises(DeviceFailed, match="none"):
         made.shown_since(0.0)
     made.stop()

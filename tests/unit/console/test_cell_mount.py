@@ -26,7 +26,9 @@ LIGHTS = {"A": (0.05, 0.01, 0.0), "B": (-0.02, 0.055, 0.018), "C": (-0.045, -0.0
 
 def station(left: int = 4, right: int = 4, **said: Any) -> Any:
     view = SimpleNamespace(width=640, height=360)
-    moment = SimpleNamespace(spots=("x" * left, "x" * right), view=SimpleNamespace(fps=30.0, left=view, right=view))
+    moment = SimpleNamespace(
+        spots=("x" * left, "x" * right), view=SimpleNamespace(fps=30.0, cameras={"left": view, "right": view})
+    )
     return SimpleNamespace(**{"shown": moment, "failure": "", "ended": False, "silent_s": 0.0, "current": True} | said)
 
 

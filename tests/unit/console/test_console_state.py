@@ -30,7 +30,7 @@ def view(fps: float) -> LiveView:
     return LiveView(
         sequence=1, t_s=0.0, fps=fps, latency_s=0.01, measuring_s=0.001, status="ok", why="", parent="rig",
         xyz_m=(0.0, 0.0, 1.0), euler_rad=(0.0, 0.0, 0.0), quat_xyzw=(0.0, 0.0, 0.0, 1.0), std=None, residual_px=0.1,
-        counts=Counts(ok=1, doubtful=0, position_only=0, lost=0), left=SIDE, right=SIDE,
+        counts=Counts(ok=1, doubtful=0, position_only=0, lost=0), cameras={"left": SIDE, "right": SIDE},
     )  # fmt: skip
 
 
@@ -39,9 +39,9 @@ def test_pictures_that_stop_are_told_and_their_pose_is_not_current(
     tmp_path: Path, fps: float, silent_after_s: float
 ) -> None:
     clock = ManualClock()
-    station = MeasurementProcess(LiveJob(left="a", right="b"), clock)
+    station = MeasurementProcess(LiveJob(cameras={"left": "a", "right": "b"}), clock)
     console = Console(folder=tmp_path, station=station)
-    station.shown = Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view(fps), left_jpeg=b"")
+    station.shown = Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view(fps), jpegs={})
     clock.advance(silent_after_s - 0.1)
     assert console.current and level_of(console).level == "good"
     clock.advance(0.2)
@@ -51,10 +51,10 @@ def test_pictures_that_stop_are_told_and_their_pose_is_not_current(
 
 def test_a_failure_ends_the_pose_and_a_source_that_ended_keeps_its_last(tmp_path: Path) -> None:
     clock = ManualClock()
-    station = MeasurementProcess(LiveJob(left="a", right="b"), clock)
+    station = MeasurementProcess(LiveJob(cameras={"left": "a", "right": "b"}), clock)
     console = Console(folder=tmp_path, station=station)
     assert not console.current and level_of(console).level == "idle"
-    station.shown = Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view(30.0), left_jpeg=b"")
+    station.shown = Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view(30.0), jpegs={})
     clock.advance(60.0)
     station.ended = True
     assert console.current and "ended" in level_of(console).words

@@ -38,9 +38,9 @@ class PartialRequest:
         view = LiveView(
             sequence=0, t_s=0.0, fps=30.0, latency_s=0.0, measuring_s=0.0, status="lost", why="", parent="rig",
             xyz_m=None, euler_rad=None, quat_xyzw=None, std=None, residual_px=None,
-            counts=Counts(ok=0, doubtful=0, position_only=0, lost=1), left=side, right=side,
+            counts=Counts(ok=0, doubtful=0, position_only=0, lost=1), cameras={"left": side, "right": side},
         )  # fmt: skip
-        return Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view, left_jpeg=b"left", right_jpeg=b"right")
+        return Snapshot(pose=UNSEEN, spots=NO_SPOTS, view=view, jpegs={"left": b"left", "right": b"right"})
 
     def show_width(self, width_px: int) -> None:
         self.widths_px.append(width_px)

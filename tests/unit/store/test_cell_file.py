@@ -16,6 +16,21 @@ def test_a_cell_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert again.model_dump(exclude={"created", "software"}) == cell.model_dump(exclude={"created", "software"})
 
 
+def test_cameras_by_name_are_read_as_written_and_files_of_two_stay_as_they_were(tmp_path: Path) -> None:
+    four = CellFile(left="camera:0", cameras={"top": "camera:2", "back": "b.mp4"}, carried=True)
+    assert read_cell(write_cell(tmp_path, four).parent).cameras == four.cameras
+    assert read_cell(tmp_path).on_robot and list(four.sources) == ["left", "top", "back"]
+    pair = CellFile(left="camera:0", right="camera:2", cameras="carried")
+    text = write_cell(tmp_path, pair).read_text()
+    assert "\ncameras: carried\ncreated: " in text and "\ncarried: " not in text
+    assert list(pair.sources) == ["left", "right"] and list(CellFile(left="camera:0").sources) == ["complex"]
+    named = pair.changed({"cameras": {"top": "camera:4"}})
+    assert named.on_robot and named.carried and named.changed({"cameras": {}}).cameras == "carried"
+    (tmp_path / "cell.yaml").write_text("format: armsight/cell\nversion: 1\ncameras: {top: 3}\n")
+    with refuses(BadFile, "cameras"):
+        read_cell(tmp_path)
+
+
 def test_a_folder_without_one_is_an_empty_cell(tmp_path: Path) -> None:
     assert read_cell(tmp_path) == CellFile()
 

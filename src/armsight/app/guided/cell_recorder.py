@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,30 +46,29 @@ class CellWatch:
     cells: dict[str, NDArray[np.int64]] = field(
         default_factory=lambda: {side: np.zeros((CELLS, CELLS), dtype=np.int64) for side in SIDES}
     )
-    whole: list[int] = field(default_factory=lambda: [0, 0])
-    missed: list[int] = field(default_factory=lambda: [0, 0])
+    whole: Counter[str] = field(default_factory=Counter)
+    missed: dict[str, int] = field(default_factory=dict)
     gap_s: float = 0.0
     readings: list[tuple[float, Array]] = field(default_factory=list)
     _low: Array | None = None
     _high: Array | None = None
     _first_s: float | None = None
-    _before: deque[Array] = field(default_factory=lambda: deque([np.empty((0, 2))] * 2, maxlen=2))
+    _before: dict[str, Array] = field(default_factory=dict)
 
     def add_pictures(self, shown: Snapshot) -> None:
-        """Take both pictures of a moment."""
+        """Take the pictures of a moment."""
         t_s = shown.view.t_s
         self._first_s = t_s if self._first_s is None else self._first_s
         self.seconds = t_s - self._first_s
         self.n_pictures += 1
-        for i, (side, view) in enumerate(zip(SIDES, (shown.view.left, shown.view.right), strict=True)):
-            uv = np.asarray(shown.spots[i].uv_px)
+        for (side, view), spots in zip(shown.view.cameras.items(), shown.spots, strict=True):
+            uv = np.asarray(spots.uv_px)
             enough = len(uv) >= max(self.n_lights, 1)
-            self.whole[i] += enough
-            self.missed[i] = 0 if enough else self.missed[i] + 1
-            before = self._before.popleft()
-            if self.n_pictures > 1:
-                self._count(side, _moved(uv, before), (view.width, view.height))
-            self._before.append(uv)
+            self.whole[side] += enough
+            self.missed[side] = 0 if enough else self.missed.get(side, 0) + 1
+            if side in self._before:
+                self._count(side, _moved(uv, self._before[side]), (view.width, view.height))
+            self._before[side] = uv
 
     def _count(self, side: str, uv: Array, size: tuple[int, int]) -> None:
         places = (uv / size * CELLS).astype(int).clip(0, CELLS - 1)
@@ -96,11 +95,11 @@ class CellWatch:
     @property
     def lost_side(self) -> str:
         """The camera that has not seen all lights for a while, empty where both see them."""
-        return next((side for side, n in zip(SIDES, self.missed, strict=True) if n >= LOST_LOOKS), "")
+        return next((side for side, n in self.missed.items() if n >= LOST_LOOKS), "")
 
     def seen_share(self, side: str) -> float:
         """Return in which share of the pictures a camera saw as many spots as the target has lights."""
-        return self.whole[SIDES.index(side)] / max(self.n_pictures, 1)
+        return self.whole[side] / max(self.n_pictures, 1)
 
 
 def _moved(uv: Array, before: Array) -> Array:

@@ -17,7 +17,7 @@ from armsight.ops.calibration.board_pictures import BoardPictures
 from armsight.ops.calibration.mirrors import AlignmentWatch, reference_of
 from armsight.records import Frame, NotSeen
 from armsight.store import parse_board, read_camera, read_rig
-from armsight.store.cell_file import CellMirrors
+from armsight.store.cell_file import COMPLEX, CellMirrors
 
 LOOKS = 120
 """Looks kept for the plot: two minutes at one a second."""
@@ -109,7 +109,7 @@ class MirrorAlignment:
             reference = reference_of(self.built, rig, camera, parallel=self.parallel)
             self._watch = AlignmentWatch(reference=reference, board=board, back=BACK)
         file = self.folder / "now.png"
-        station.save_pair(file)
+        station.save({COMPLEX: file})
         self._count += 1
         frame = Frame(image=read_image(file), t_s=float(self._count), sequence=self._count, source="the picture")
         file.unlink(missing_ok=True)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from armsight.app.guided.boards import CELLS, ENOUGH, FEWEST, TILTED, TILTED_SHARE, tilt
 from armsight.app.guided.step import Figure, Hint, Next, Sample, StepResult
-from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import MeasurementProcess
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.preconditions import image_share
@@ -31,7 +30,7 @@ from armsight.optics import Rig
 from armsight.optics.parallelism import parallelism
 from armsight.records import BoardView, Frame, NotSeen, Progress, Target, TargetPose
 from armsight.store import parse_board, read_camera, read_target
-from armsight.store.cell_file import CellMirrors
+from armsight.store.cell_file import COMPLEX, CellMirrors
 
 ENOUGH_LIT = 15
 IMAGES = "image"
@@ -165,7 +164,7 @@ class MirrorsStep:
             self._clear()
         name = f"{self._count:03d}"
         file = self.folder / IMAGES / f"{name}.png"
-        station.save_pair(file)
+        station.save({COMPLEX: file})
         frame = Frame(
             image=read_image(file, colour=self._colour()),
             t_s=float(self._count),

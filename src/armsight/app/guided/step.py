@@ -22,6 +22,7 @@ class Next(StrEnum):
     NEEDS_LENS = "needs_lens"
     NEEDS_BASELINE = "needs_baseline"
     NEEDS_TARGET = "needs_target"
+    JOIN = "join"
     TO_CELL = "to_cell"
     TILT = "tilt"
     NEARER = "nearer"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import threading
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -12,16 +13,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredPair
-from armsight.app.live.views import LiveView
+from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredMoment
+from armsight.app.live.views import LiveView, SideView, complex_view
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.recording.recorder import LiveRecording, RecordingState
-from armsight.optics import SIDES
 from armsight.priority import give_way
 from armsight.records import Frame, Silent, Spots, TargetPose
 from armsight.store.atomic import write_bytes
+from armsight.store.cell_file import COMPLEX
 
 PICTURES_HZ = 30.0
 """Pictures a second that a screen gets at most: more is not seen."""
@@ -30,7 +31,7 @@ RESTS = 4.0
 browser too. With three browsers on two processors p99 from light to pose is 110 ms with 1, 25 ms with 4."""
 JPEG_QUALITY = 80
 SAVE_S = 5.0
-"""Time after which a pair that was asked for is given up."""
+"""Time after which a moment that was asked for is given up."""
 SILENT_S, SILENT_FRAMES = 2.0, 4.0
 """A station is silent after so long without a picture, or so many times the pace of the last ones."""
 END_S = 5.0
@@ -39,17 +40,15 @@ END_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """The newest moment: what was measured, with its whole covariance; what a screen says; both pictures.
+    """The newest moment: what was measured, with its whole covariance; what a screen says; the pictures.
 
-    pose: in the view's parent. spots: of the left and the right picture. right_jpeg: empty where the left one holds
-    both views.
+    pose: in the view's parent. spots: of each of the view's cameras. jpegs: by picture, of one that is lost the last.
     """
 
     pose: TargetPose
-    spots: tuple[Spots, Spots]
+    spots: tuple[Spots, ...]
     view: LiveView
-    left_jpeg: bytes
-    right_jpeg: bytes = b""
+    jpegs: Mapping[str, bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +58,7 @@ class _Record:
 
 @dataclass(frozen=True, slots=True)
 class _Save:
-    left: Path
-    right: Path | None
+    files: Mapping[str, Path]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,22 +77,31 @@ class _Failed:
 
 
 @dataclass(frozen=True, slots=True)
+class _News:
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class _Ended:
     pass
 
 
-_Message = Snapshot | RecordingState | _Saved | _Failed | _Ended
+_Message = Snapshot | RecordingState | _Saved | _Failed | _News | _Ended
 
 
 class MeasurementProcess:
     """The measuring process from the outside. Threads of the caller may use it at once.
 
-    `shown` is the newest moment, `failure` why it does not measure (empty where it does).
+    `shown` is the newest moment, `failure` why it does not measure (empty where it does). tell: is told once, in a
+    thread of its own, of each camera that is lost or left out while the others go on.
     """
 
-    def __init__(self, job: LiveJob, clock: Clock | None = None) -> None:
+    def __init__(
+        self, job: LiveJob, clock: Clock | None = None, tell: Callable[[str], object] = lambda _: None
+    ) -> None:
         """Start nothing yet."""
         self.job = job
+        self._tell = tell
         self._clock = clock or SystemClock()
         self._heard_s = 0.0
         self.shown: Snapshot | None = None
@@ -187,19 +194,27 @@ class MeasurementProcess:
             raise DeviceFailed(why, consequence="Nothing was taken", cure="Look at the cameras")
         return shown
 
-    def save_pair(self, left: Path, right: Path | None = None) -> None:
-        """Write the next pair as two images, bit for bit; right: None where one picture holds both views.
+    def save(self, files: Mapping[str, Path]) -> None:
+        """Write the next moment that has all these pictures into files by their names, bit for bit.
 
-        One caller waits for the other. Raises DeviceFailed where no pair comes or none is written.
+        One caller waits for the other. Raises DeviceFailed where no such moment comes or it is not written.
         """
         with self._saving:
             self._saved.clear()
-            self._send(_Save(left, right))
+            self._send(_Save(files))
             starting = "" if self.shown is not None else "the cameras are still starting"
             came = not (self.failure or starting) and self._saved.wait(SAVE_S)
-            failure = self._save_failure if came else self.failure or starting or "no pair of pictures comes"
+            if not came:
+                self._send(_Save({}))
+            failure = self._save_failure if came else self.failure or starting or self._without(files)
         if failure:
             raise DeviceFailed(failure, consequence="No picture was taken", cure="Look at the cameras and the disk")
+
+    def _without(self, files: Mapping[str, Path]) -> str:
+        """Return which of some pictures do not come."""
+        views = {} if self.shown is None else self.shown.view.cameras
+        lost = [f"{name} ({view.lost})" for name, view in views.items() if name in files and view.lost]
+        return f"no picture comes of {', '.join(lost or files)}"
 
     def _send(self, command: object) -> None:
         with self._lock, suppress(BrokenPipeError, OSError):
@@ -223,6 +238,8 @@ class MeasurementProcess:
                         self._saved.set()
                     case _Failed(text):
                         self.failure = text
+                    case _News(text):
+                        self._tell(text)
                     case _Ended():
                         self.ended = True
         results.close()
@@ -246,9 +263,10 @@ class _Worker:
 
     def __init__(self, job: LiveJob, messages: Connection, commands: Connection, clock: Clock) -> None:
         self._measurement = LiveMeasurement(job, clock)
-        self._one_picture = job.complex
         self._messages, self._commands, self._clock = messages, commands, clock
-        self._mailbox: MeasuredPair | None = None
+        self._mailbox: MeasuredMoment | None = None
+        self._jpegs: dict[str, bytes] = {}
+        self._told: set[str] = set()
         self._posted = threading.Condition()
         self._post_lock = threading.Lock()
         self._ending = False
@@ -262,7 +280,7 @@ class _Worker:
         sender = threading.Thread(target=self._send, daemon=True, name="pictures")
         sender.start()
         try:
-            with self._measurement.pairs:
+            with self._measurement.source:
                 for moment in self._measurement.moments():
                     self._take(moment)
                     if self._obey():
@@ -276,15 +294,19 @@ class _Worker:
                 self._posted.notify()
             sender.join()
 
-    def _take(self, moment: MeasuredPair) -> None:
-        names = ("image",) if self._one_picture else SIDES
-        self._recording.put(dict(zip(names, moment.pair, strict=False)))  # of one picture both are the same
+    def _take(self, moment: MeasuredMoment) -> None:
+        self._recording.put({"image" if name == COMPLEX else name: frame for name, frame in moment.frames.items()})
+        for name, view in moment.view.cameras.items():
+            what = f"the camera {name} is lost: {view.lost}" if view.lost else view.left_out
+            if what and what not in self._told:
+                self._told.add(what)
+                self._post(_News(what))
         with self._posted:
             self._mailbox = moment
             self._posted.notify()
 
     def _obey(self) -> bool:
-        """Do what was asked since the last pair; return whether that is to end."""
+        """Do what was asked since the last moment; return whether that is to end."""
         while self._commands.poll():
             try:
                 command = self._commands.recv()
@@ -325,29 +347,25 @@ class _Worker:
                 moment, self._mailbox = self._mailbox, None
             if moment is None:
                 continue
-            self._save_pair(moment)
+            self._save_moment(moment)
             begun_s = self._clock.now_s()
             if begun_s < next_s:
                 continue
-            left = jpeg(moment.pair[0], self._width_px)
-            right = b"" if self._one_picture else jpeg(moment.pair[1], self._width_px)
-            self._post(
-                Snapshot(pose=moment.pose, spots=moment.spots, view=moment.view, left_jpeg=left, right_jpeg=right)
-            )
+            self._jpegs |= {name: jpeg(frame, self._width_px) for name, frame in moment.frames.items()}
+            self._post(Snapshot(pose=moment.pose, spots=moment.spots, view=moment.view, jpegs=self._jpegs))
             ended_s = self._clock.now_s()
             jitter_s = 1.0 / PICTURES_HZ  # which skips none
             next_s = max(next_s + 0.9 / PICTURES_HZ, begun_s - jitter_s, ended_s + RESTS * (ended_s - begun_s))
             self._recording.notify()
 
-    def _save_pair(self, moment: MeasuredPair) -> None:
-        if self._save is None:
+    def _save_moment(self, moment: MeasuredMoment) -> None:
+        if self._save is None or not self._save.files or not self._save.files.keys() <= moment.frames.keys():
             return
         asked, self._save = self._save, None  # nobody asks for another before this one is answered
         failure = ""
         try:
-            for file, frame in zip((asked.left, asked.right), moment.pair, strict=True):
-                if file is None:
-                    continue
+            for name, file in asked.files.items():
+                frame = moment.frames[name]
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_bytes(file, cv2.imencode(".png", np.asarray(frame.image))[1].tobytes())
         except (ArmsightError, OSError) as error:
@@ -357,6 +375,11 @@ class _Worker:
     def _post(self, message: _Message) -> None:
         with self._post_lock, suppress(BrokenPipeError, OSError):
             self._messages.send(message)
+
+
+def picture_view(shown: Snapshot, picture: str) -> SideView:
+    """Return what a screen shows of a picture: of a camera, or of the one with both views."""
+    return complex_view(shown.view) if picture == COMPLEX else shown.view.cameras[picture]
 
 
 def jpeg(frame: Frame, width_px: int | None = None) -> bytes:

@@ -1,8 +1,8 @@
-"""One pair measured, as a screen shows it; a position's uncertainty and a track's colours in a 3-D scene."""
+"""One moment measured, as a screen shows it; a position's uncertainty and a track's colours in a 3-D scene."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, cast
 
@@ -59,11 +59,20 @@ class SideView(Output):
     sigma_px: Annotated[float | None, Doc("Median width of the lights (Gaussian sigma), px.")]
     n_clipped: Annotated[int | None, Doc("Lights that hold clipped pixels.")] = None
     exposure_s: Annotated[float | None, Doc("Exposure, s, where the camera tells it.")] = None
+    lost: Annotated[str | None, Doc("Why the camera gives no picture any more; null while it does.")] = None
+    left_out: Annotated[str | None, Doc("Why its lights do not count, though they are seen; null where they do.")] = (
+        None
+    )
+
+    @property
+    def names(self) -> set[str]:
+        """Names of the lights that it shows."""
+        return {spot.name for spot in self.spots if spot.name}
 
 
 @output
 class Counts(Output):
-    """Pairs of frames since the start."""
+    """Moments since the start."""
 
     ok: Annotated[int, Doc("With a whole pose.")]
     doubtful: Annotated[int, Doc("With a whole pose that does not fit the claims.")]
@@ -75,11 +84,11 @@ class Counts(Output):
 class LiveView(Output):
     """One moment of live measurement."""
 
-    sequence: Annotated[int, Doc("Pairs measured so far.")]
+    sequence: Annotated[int, Doc("Moments measured so far.")]
     t_s: Annotated[float, Doc("Time of the frames, on the measuring clock.")]
-    fps: Annotated[float, Doc("Pairs measured a second, over the last second.")]
+    fps: Annotated[float, Doc("Moments measured a second, over the last second.")]
     latency_s: Annotated[float, Doc("From the exposure (for files: the moment it is played) to the pose.")]
-    measuring_s: Annotated[float, Doc("Time that measuring this pair took.")]
+    measuring_s: Annotated[float, Doc("Time that measuring this moment took.")]
     status: Annotated[str, Doc("ok, doubtful, position_only or lost.")]
     why: Annotated[str, Doc("Why there is no whole pose; else empty.")]
     parent: Annotated[str, Doc("Frame that the pose is in: rig, or the world's name.")]
@@ -92,8 +101,8 @@ class LiveView(Output):
     ] = None
     residual_px: Annotated[float | None, Doc("RMS of the reprojection residuals.")]
     counts: Annotated[Counts, Doc("Since the start.")]
-    left: Annotated[SideView, Doc("Left picture.")]
-    right: Annotated[SideView, Doc("Right picture.")]
+    cameras: Annotated[dict[str, SideView], Doc("By camera, in the rig's order; of mirrors by view.")]
+    n_lights: Annotated[int | None, Doc("Lights of the target; null without one.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,8 +115,8 @@ class RunView:
     counts: Counts
 
 
-def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> LiveView:
-    """Return what a screen shows of one moment: the pose in its frame, and both pictures."""
+def live_view(pose: TargetPose, run: RunView, cameras: Mapping[str, SideView], n_lights: int | None = None) -> LiveView:
+    """Return what a screen shows of one moment: the pose in its frame, and the pictures by camera."""
     T, covariance = pose.pose, pose.covariance
     whole = pose.status.size == 6 and T is not None
     return LiveView(
@@ -126,23 +135,26 @@ def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> Live
         covariance_m2=None if covariance is None else np.asarray(covariance)[:3, :3].tolist(),
         residual_px=float(np.sqrt(np.mean(pose.residual_px**2))) if len(pose.residual_px) else None,
         counts=run.counts,
-        left=sides[0],
-        right=sides[1],
+        cameras=dict(cameras),
+        n_lights=n_lights,
     )
 
 
 def side_view(
     rig: Rig | None, settings: SpotSettings, side: int, frame: Frame, measured: Measured, *, overlaid: bool = False
 ) -> SideView:
-    """Return what a screen shows of one camera's picture; side: 0 left, 1 right; overlaid: it holds both views."""
-    seen = measured.left_seen if side == 0 else measured.right_seen
-    other = measured.right if side == 0 else measured.left
+    """Return what a screen shows of the picture of a rig's camera; side: its place; overlaid: it holds both views.
+
+    Epipolar curves are a pair's: those of three others and more would hide the picture.
+    """
+    seen = measured.seen[side]
+    other = () if rig is None or not rig.is_pair else measured.spots[1 - side].uv_px
     hint = aiming_hint(frame, seen, settings)
     return SideView(
         width=frame.width,
         height=frame.height,
         spots=list(_spots(measured, side, seen, overlaid=overlaid)),
-        epipolar=[] if rig is None else [_curve(rig, SIDES[1 - side], px) for px in other.uv_px],
+        epipolar=[] if rig is None else [_curve(rig, SIDES[1 - side], px) for px in other],
         advice=hint.advice.value,
         background=hint.background,
         brightest=hint.brightest,
@@ -154,33 +166,26 @@ def side_view(
 
 def complex_view(view: LiveView) -> SideView:
     """Return what a screen shows of the one picture that holds both views: the spots and curves of both."""
-    named = [
-        replace(spot, view=side)
-        for side, one in zip(SIDES, (view.left, view.right), strict=True)
-        for spot in one.spots
-        if spot.name
-    ]
-    others = {(spot.u_px, spot.v_px): spot for one in (view.left, view.right) for spot in one.spots if not spot.name}
-    curves = {side: one.epipolar for side, one in zip(SIDES, (view.left, view.right), strict=True)}
+    views = view.cameras
+    named = [replace(spot, view=side) for side, one in views.items() for spot in one.spots if spot.name]
+    others = {(spot.u_px, spot.v_px): spot for one in views.values() for spot in one.spots if not spot.name}
     return replace(
-        view.left,
+        views[SIDES[0]],
         spots=[*named, *others.values()],
-        epipolar=[curve for side in SIDES for curve in curves[side]],
-        epipolar_views=[side for side in SIDES for _ in curves[side]],
+        epipolar=[curve for one in views.values() for curve in one.epipolar],
+        epipolar_views=[side for side, one in views.items() for _ in one.epipolar],
     )
 
 
 def _spots(measured: Measured, side: int, seen: Spots, *, overlaid: bool) -> Iterator[SpotView]:
     """Yield the named spots with their residuals, then those that nobody named; overlaid: in neither view."""
-    matched, other = (measured.left, measured.right) if side == 0 else (measured.right, measured.left)
-    residuals = np.full((len(matched), 2), np.nan)
-    vectors = measured.pose.residual_px.reshape(-1, len(SIDES), 2)
-    if len(vectors) == len(matched):
-        residuals = -vectors[:, side]  # the record has model minus measured
-    for name, (u, v), (du, dv) in zip(measured.names, matched.uv_px, residuals, strict=True):
+    matched, residuals = measured.spots[side], -measured.residuals_px(side)  # the record has model minus measured
+    if len(residuals) != len(matched):
+        residuals = np.full((len(matched), 2), np.nan)
+    for name, (u, v), (du, dv) in zip(measured.names_in(side), matched.uv_px, residuals, strict=True):
         known = bool(np.isfinite(du))
         yield SpotView(name=name, u_px=float(u), v_px=float(v), residual_px=(float(du), float(dv)) if known else None)
-    known_px = np.concatenate([matched.uv_px, other.uv_px]) if overlaid else matched.uv_px
+    known_px = np.concatenate([one.uv_px for one in measured.spots]) if overlaid else matched.uv_px
     named = {(float(u), float(v)) for u, v in known_px}
     for u, v in seen.uv_px:
         if (float(u), float(v)) not in named:

@@ -209,7 +209,7 @@ def _placed(asked: IdentifyRequest, arm: Arm, q: Array) -> tuple[RigidTransform,
     """Return T_world_rig and T_flange_target by the hand-eye calibration of standing cameras; None without one."""
     placement = read_placement(asked.folder, asked.cell)
     T_world_rig = placement.rig_pose(arm, q)
-    if placement.handeye is None or T_world_rig is None or asked.cell.cameras == "carried":
+    if placement.handeye is None or T_world_rig is None or asked.cell.on_robot:
         return None
     return T_world_rig, placement.handeye.T_parent_target
 

@@ -93,7 +93,7 @@ def plan(asked: IsoRequest, robot: RobotCell) -> IsoPlan:
     The target keeps its attitude. Raises UsageError, BadFile, NotEnoughData for what the cell lacks, DataRefused with
     the reason for every size.
     """
-    if asked.cell.cameras == "carried":
+    if asked.cell.on_robot:
         raise UsageError("the cameras ride on the arm", cure="Put them beside it: they have to see where the arm goes")
     if not (asked.cycles >= FEWEST_VISITS and asked.speed_m_s > 0.0 and (asked.side_m is None or asked.side_m > 0.0)):
         raise UsageError(f"at least {FEWEST_VISITS} cycles, and a speed and a side above 0, are needed")

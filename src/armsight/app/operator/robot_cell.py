@@ -29,10 +29,11 @@ from armsight.ops.robot.recorder import RecordingLog, default_log, require_recor
 from armsight.ops.simulation.following import require_joints
 from armsight.ops.simulation.run import write_set_up
 from armsight.ops.simulation.scenarios import build_world, load_scenario
+from armsight.optics import SIDES
 from armsight.records import JointReading
 from armsight.store import World, read_world
 from armsight.store.atomic import disk_errors
-from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
+from armsight.store.cell_file import COMPLEX, CellFile, cell_path, read_cell, write_cell
 from armsight.store.handeye_file import HandEyeFile, read_handeye
 from armsight.store.limits_file import read_limits
 
@@ -114,14 +115,15 @@ def scenario_of(job: RobotJob) -> str | None:
     return device if driver == SIM else job.follow
 
 
-def cameras_of(scenario: str) -> tuple[str, str]:
-    """Return the left and right camera of a simulated cell, as sources; of a mirror rig its one camera, and none.
+def simulated_cameras(scenario: str) -> dict[str, str]:
+    """Return the cameras of a simulated cell as sources by name; of a mirror rig its one picture.
 
     Raises DeviceNotFound, BadFile for the scenario.
     """
-    if load_scenario(scenario)[0].cameras.mirrors is not None:
-        return f"camera:sim:{scenario}:image", ""
-    return f"camera:sim:{scenario}:left", f"camera:sim:{scenario}:right"
+    cameras = load_scenario(scenario)[0].cameras
+    if cameras.mirrors is not None:
+        return {COMPLEX: f"camera:sim:{scenario}:image"}
+    return {name: f"camera:sim:{scenario}:{name}" for name in cameras.lenses}
 
 
 def prepare_simulated(job: RobotJob, folder: Path) -> CellFile | None:
@@ -137,7 +139,9 @@ def prepare_simulated(job: RobotJob, folder: Path) -> CellFile | None:
     folder.mkdir(parents=True, exist_ok=True)
     world = build_world(scenario, model, seed=None, frames=1, room="dark")  # of which nothing is written
     write_set_up(world, folder)
-    left, right = cameras_of(scenario)
+    named = simulated_cameras(scenario)
+    left, right = named.pop(COMPLEX, None) or named.pop(SIDES[0]), named.pop(SIDES[1], "")
+    carried = world.T_flange_rig is not None
     cell = CellFile(
         left=left,
         right=right,
@@ -146,7 +150,8 @@ def prepare_simulated(job: RobotJob, folder: Path) -> CellFile | None:
         target="target.yaml",
         arm="arm.yaml",
         handeye="handeye.yaml",
-        cameras="standing" if world.T_flange_rig is None else "carried",
+        cameras=named or ("carried" if carried else "standing"),
+        carried=carried and bool(named),
     )
     write_cell(folder, cell)
     return read_cell(folder)

@@ -140,10 +140,12 @@ class StationObserver:
     """The beacon as the measuring station shows it: one light of the target, by its name where the station tells it.
 
     Where it does not, for three lights seen askew may fit several names, the light is followed from picture to picture.
+    Raises UsageError for a rig that is no pair.
     """
 
     def __init__(self, station: MeasurementProcess, rig: Rig, light: str, clock: Clock) -> None:
-        self._snapshots, self._rig, self._light, self._clock = Snapshots(lambda: station, clock), rig, light, clock
+        self._snapshots, self._light, self._clock = Snapshots(lambda: station, clock), light, clock
+        self._rig = rig.require_pair("following one light")
         self._uv: tuple[float, Array] | None = None
         self._lost = 0
 
@@ -175,7 +177,7 @@ class StationObserver:
         It is found by its name, or as what it has become.
         """
         centres, covariances, view = [], [], shown.view
-        for pictured, spots, side in zip((view.left, view.right), shown.spots, (0, 1), strict=True):
+        for side, (pictured, spots) in enumerate(zip(view.cameras.values(), shown.spots, strict=True)):
             centre = _named(pictured, self._light)
             if centre is None and self._uv is not None:
                 centre = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
@@ -206,7 +208,7 @@ def around_px(shown: Snapshot | None, light: str) -> float:
     Where they stay in the pictures too, a light is told by its name all the way.
     """
     far = [0.0]
-    for view in () if shown is None else (shown.view.left, shown.view.right):
+    for view in () if shown is None else shown.view.cameras.values():
         own = _named(view, light)
         if own is not None:
             far += [float(np.hypot(spot.u_px - own[0], spot.v_px - own[1])) for spot in view.spots if spot.name]

@@ -131,7 +131,7 @@ class StationSupervisor(StationFollower):
 
 
 def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> PredictedPose:
-    if cell.cameras == "carried":
+    if cell.on_robot:
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
     arm, T_world_rig = read_placement(folder, cell).on_robot(robot.session.arm, "Nothing is supervised")
     return PredictedPose(arm=arm, T_parent_rig=T_world_rig, joint_std=JOINT_STD, time_std_s=LATENCY_STD_S)

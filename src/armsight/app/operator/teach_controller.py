@@ -87,7 +87,7 @@ class TeachController(StationFollower):
 def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPose:
     """Return where the rig is in world at a moment."""
     arm = robot.session.arm
-    placement = read_placement(folder, cell, target=cell.cameras == "carried")
+    placement = read_placement(folder, cell, target=cell.on_robot)
     placed = placement.rig_pose(arm, robot.joints())
     if placed is None or arm is None:
         raise NotEnoughData(
@@ -95,7 +95,7 @@ def _rig_pose(folder: Path, cell: CellFile, robot: RobotCell, history: JointHist
             consequence="A path taught now could not be run",
             cure="Calibrate hand-eye first, on the page Calibrate",
         )
-    if cell.cameras == "carried" and placement.handeye is not None:
+    if cell.on_robot and placement.handeye is not None:
         return CarriedRig(arm=arm, history=history, T_flange_rig=placement.handeye.T_parent_camera)
     # a view is in the rig's axes, or, where world.yaml is there, already in those of its frame
     return StandingRig(T_world_rig=placement.world_parent(arm) if cell.world else placed)

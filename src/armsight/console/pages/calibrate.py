@@ -11,7 +11,6 @@ from nicegui.elements.mixins.text_element import TextElement
 
 from armsight.app.guided.step import Hint, Sample
 from armsight.app.guided.step_runner import GuidedStepRunner, GuidedStepState
-from armsight.app.live.measurement import COMPLEX
 from armsight.console import texts, texts_cell
 from armsight.console.layout import (
     TICK_S,
@@ -29,10 +28,12 @@ from armsight.console.layout import (
 )
 from armsight.console.pages.mirrors import alignment_card, built_card
 from armsight.console.plots import Plot
-from armsight.console.state import Console, steps_of
+from armsight.console.state import Console, lenses_of, steps_of
 from armsight.console.work import jog_card
 from armsight.errors import ArmsightError
+from armsight.optics import SIDES
 from armsight.records import Silent
+from armsight.store.cell_file import COMPLEX
 
 CELLS = 9
 """Of a picture's coverage."""
@@ -53,15 +54,17 @@ def calibrate_page(console: Console) -> None:
         for name in steps_of(console):
             title = step_title(console, name)
             button(title, partial(choose, name), kind="act quiet", testid=f"step-{name}")
-        if len(console.pictures) == 2:
+        if console.pictures == SIDES:
             text_of("a", texts.WHOLE_CELL, href="/cell")
     body = ui.element("div").style("display: contents")
-    choose("stereo" if "stereo" in steps_of(console) else "mirrors")
+    choose(next((name for name in steps_of(console) if name in OF_PLACES), steps_of(console)[0]))
 
 
 def step_title(console: Console, name: str) -> str:
     """Return what a step is called in a cell; one camera is neither the left nor the right one."""
-    return texts.ONE_CAMERA if console.pictures == (COMPLEX,) and name == "camera-left" else texts.STEPS[name]
+    if name in (lenses := lenses_of(console)) and (COMPLEX in console.pictures or name not in texts.STEPS):
+        return texts.ONE_CAMERA if len(lenses) == 1 else texts.LENS_OF.format(name=lenses[name])
+    return texts.STEPS[name]
 
 
 def _step(console: Console, name: str) -> None:
@@ -113,7 +116,7 @@ class _Step:
 
     def _pictures(self) -> None:
         self._cells: dict[str, list[TextElement]] = {}
-        with ui.element("div").classes("columns"):
+        with ui.element("div").classes("columns" if len(self._console.pictures) <= len(SIDES) else "pictures"):
             for side in self._console.pictures:
                 with ui.element("div"):
                     canvas_of(side, plain=True)
@@ -156,7 +159,7 @@ class _Step:
                 set_text(cell, str(n))
                 set_attribute(cell, "data-level", "good" if n else "idle")
                 cell_name = texts.PLACES[i // 3][i % 3]
-                cell.props["aria-label"] = texts.COVERED.format(side=texts.SIDES[side], place=cell_name, n=n)
+                cell.props["aria-label"] = texts.COVERED.format(side=texts.SIDES.get(side, side), place=cell_name, n=n)
         self._samples.clear()
         with self._samples, ui.element("table").classes("plain"):
             for i, sample in enumerate(state.samples):
@@ -177,7 +180,7 @@ class _Step:
 def hint_text(hint: Hint) -> str:
     """Return a hint in words."""
     cell_name = "" if hint.cell is None else texts.PLACES[hint.cell[1]][hint.cell[0]]
-    figures = {"place": cell_name, "side": texts.SIDES.get(hint.side, ""), "why": hint.why}
+    figures = {"place": cell_name, "side": texts.SIDES.get(hint.side, hint.side), "why": hint.why}
     return texts.NEXT[hint.what.value].format(**figures, axis=hint.axis, share=hint.share)
 
 
@@ -226,10 +229,12 @@ def show_verdict(console: Console, name: str, state: GuidedStepState) -> None:
                     text_of("li", line)
 
 
+OF_PLACES = ("stereo", "cameras", "mirrors")
 LENSES = ("camera-left",)
 USED_AS = {
     "camera-left": "camera",
     "stereo": "rig",
+    "cameras": "rig",
     "mirrors": "rig",
     "tooltip": "tip",
     "handeye": "handeye",

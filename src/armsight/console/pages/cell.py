@@ -44,7 +44,7 @@ MOUNT, MOVE, RESULT = range(3)
 def cell_page(console: Console) -> None:
     """Build the page."""
     text_of("p", texts.INTRO)
-    if len(console.pictures) != len(SIDES) or console.cell.cameras == "carried":
+    if console.pictures != SIDES or console.cell.on_robot:
         notice(texts.NOT_THIS_CELL)
         return
     runner = console.step(CELL)

@@ -1,4 +1,4 @@
-"""Live: both pictures, the pose with its uncertainty, the cell in 3-D, curves, and how lights are looked for."""
+"""Live: all pictures, the pose with its uncertainty, the cell in 3-D, curves, and how lights are looked for."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 from numpy.typing import NDArray
 
-from armsight.app.live.measurement import COMPLEX, DetectionSettings
-from armsight.app.live.station import Snapshot
+from armsight.app.live.measurement import DetectionSettings
+from armsight.app.live.station import Snapshot, picture_view
 from armsight.app.live.views import SideView
 from armsight.console import texts
 from armsight.console.layout import (
@@ -23,6 +23,7 @@ from armsight.console.layout import (
     notice,
     number,
     number_field,
+    picture_title,
     refusals_in,
     say,
     set_text,
@@ -36,6 +37,7 @@ from armsight.console.state import Console, values_of
 from armsight.console.work import jog_card
 from armsight.errors import ArmsightError, UsageError
 from armsight.ops.measure import measure
+from armsight.store.cell_file import COMPLEX
 from armsight.units import DEG
 
 Refresh = Callable[[Snapshot], None]
@@ -43,6 +45,8 @@ Refresh = Callable[[Snapshot], None]
 SLOW_S = 0.5
 """Time between two updates of scene and curves."""
 CURVE_POINTS = 300
+PAIR = 2
+"""Pictures up to which each is as large as the page has room for; more stand in a grid."""
 MASKS = 50
 """Of a picture; each costs measuring its time."""
 
@@ -60,7 +64,7 @@ def live_page(console: Console, *, watching: bool = False) -> None:
 def _measuring(console: Console, *, watching: bool) -> None:
     if not watching:
         _lost_camera(console)
-    with ui.element("div").classes("columns"):
+    with ui.element("div").classes("columns" if len(console.pictures) <= PAIR else "pictures"):
         pictures = [_picture(name) for name in console.pictures]
         beside = _figures(console, watching=watching) if len(pictures) == 1 else None
     with ui.element("div").classes("columns"):
@@ -95,19 +99,26 @@ def _measuring(console: Console, *, watching: bool) -> None:
 def _figures(console: Console, *, watching: bool) -> tuple[tuple[Refresh, ...], Callable[[], None]]:
     """The pose, how measuring goes, and recording; return what keeps them as they are now."""
     with card(texts.POSE):
-        return (_pose(console), _status()), (lambda: None) if watching else _record(console)
+        return (_pose(console), _status(many=len(console.pictures) > PAIR)), (lambda: None) if watching else _record(
+            console
+        )
 
 
 def _lost_camera(console: Console) -> None:
-    """A line that is there while no pictures come, with what to do, and a button that begins anew."""
+    """A line that is there while a camera or all give no pictures or count no more, with what to do, and a button."""
     with ui.element("div").classes("row notice") as line:
         words = text_of("p", role="alert", testid="camera-lost")
         button(texts.RESTART, lambda: run.io_bound(console.require_station().start), testid="restart")
 
     def tick() -> None:
-        failure = "" if console.station is None else console.station.failure
-        line.set_visibility(bool(failure))
-        set_text(words, texts.CAMERA_LOST.format(why=failure) if failure else "")
+        station = console.station
+        failure = "" if station is None else station.failure
+        told = texts.CAMERA_LOST.format(why=failure) if failure else ""
+        if station is not None and station.shown is not None and not failure:
+            away = {name: _away(view) for name, view in station.shown.view.cameras.items()}
+            told = " ".join(f"{picture_title(name)}: {why}" for name, why in away.items() if why)
+        line.set_visibility(bool(told))
+        set_text(words, told)
 
     tick()
     ui.timer(TICK_S, tick)
@@ -124,19 +135,36 @@ def _legend(scale: float, range_m: tuple[float, float] | None, *, arm: bool) -> 
 
 
 def _picture(side: str) -> Refresh:
-    with card(texts.PICTURES[side]):
+    with card(picture_title(side)):
         canvas_of(side, testid=f"camera-{side}")
         if side == COMPLEX:
             text_of("p", texts.COMPLEX_HELP).classes("hint")
-        hint = text_of("p").classes("hint")
+        hint = text_of("p", testid=f"sees-{side}").classes("hint")
         figures = text_of("p").classes("hint")
 
     def refresh(shown: Snapshot) -> None:
-        view = shown.view.right if side == "right" else shown.view.left
-        say(hint, texts.ADVICE[view.advice], "good" if view.advice == "good" else "warn")
-        set_text(figures, _aiming(view))
+        view = picture_view(shown, side)
+        say(hint, *camera_state(view, shown.view.n_lights))
+        set_text(figures, "" if view.lost else _aiming(view))
 
     return refresh
+
+
+def _away(view: SideView) -> str:
+    """Return why a camera does not count, empty where it does."""
+    if view.lost:
+        return texts.GONE_CAMERA.format(why=view.lost)
+    return texts.LEFT_OUT.format(why=view.left_out) if view.left_out else ""
+
+
+def camera_state(view: SideView, n_lights: int | None) -> tuple[str, str]:
+    """Return what is told of a camera, and its level: lost, left out, or the lights it sees and how it is aimed."""
+    if away := _away(view):
+        return away, "bad"
+    n = len(view.names)
+    seen = texts.FINDS.format(n=len(view.spots)) if n_lights is None else texts.SEES.format(n=n, of=n_lights)
+    good = view.advice == "good" and (n_lights is None or n > 0)
+    return f"{seen} {texts.ADVICE[view.advice]}", "good" if good else "warn"
 
 
 def _aiming(view: SideView) -> str:
@@ -175,13 +203,15 @@ def _pose(console: Console) -> Refresh:
     return refresh
 
 
-def _status() -> Refresh:
+def _status(*, many: bool) -> Refresh:
+    """How measuring goes; many: with how many of the cameras see the target."""
     with ui.element("div").classes("numbers"):
         fps, _ = _number(texts.FPS, "fps")
         latency, _ = _number(texts.LATENCY, "latency")
         lost = _number(texts.COUNTS, "lost")
         partly = _number(texts.POSITION_COUNT, "position-only")
         residual, _ = _number(texts.RESIDUAL, "residual")
+        seeing = _number(texts.SEEING, "cameras-seeing") if many else None
     why = text_of("p").classes("hint")
 
     def refresh(shown: Snapshot) -> None:
@@ -193,6 +223,11 @@ def _status() -> Refresh:
             set_text(below, texts.OF_ALL.format(total=view.sequence))
         px = view.residual_px
         set_text(residual, texts.NO_VALUE if px is None else texts.RESIDUAL_VALUE.format(value=px))
+        if seeing is not None:
+            counts = [len(one.names) for one in view.cameras.values() if not one.left_out]
+            set_text(seeing[0], texts.SEEING_VALUE.format(n=sum(map(bool, counts)), of=len(view.cameras)))
+            of = len(view.cameras) * (view.n_lights or 0)
+            set_text(seeing[1], texts.SIGHTS.format(n=sum(counts), of=of) if of else "")
         set_text(why, view.why)
 
     return refresh

@@ -53,6 +53,8 @@
     async show(data) {
       const length = new DataView(data).getUint32(0, true);
       const found = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+      this.canvas.toggleAttribute("data-lost", Boolean(found.lost));
+      if (data.byteLength === 4 + length) return; // a camera that has not given any picture yet
       const blob = new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" });
       const bitmap = await createImageBitmap(blob);
       if (this.canvas.width !== bitmap.width || this.canvas.height !== bitmap.height) {
@@ -76,7 +78,7 @@
 
     draw(found) {
       const c = this.context;
-      const size = Math.max(1, this.width / 640);
+      const size = Math.max(1, this.width / Math.min(640, this.canvas.clientWidth || 640)); // as large on small pictures
       c.lineWidth = 1.5 * size;
       c.font = `600 ${16 * size}px system-ui, sans-serif`;
       c.fillStyle = COLOURS.mask;
