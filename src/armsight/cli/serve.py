@@ -33,6 +33,19 @@ Certificate: TypeAlias = Annotated[Path | None, Doc("The server's certificate, P
 Key: TypeAlias = Annotated[Path | None, Doc("The certificate's key, PEM.")]
 
 
+CellLeft: TypeAlias = Annotated[
+    str | None, Doc(f"Left frames, or the complex images of a mirror rig: {SRC}."), Flag(metavar="SRC")
+]
+CellRight: TypeAlias = Annotated[
+    str | None, Doc("Right frames, in step with the left ones; none with mirrors."), Flag(metavar="SRC")
+]
+CellCameras: TypeAlias = Annotated[
+    Any,
+    Doc("Frames of a camera by its name in rig.yaml; repeated. --left SRC is short for left=SRC."),
+    Flag("--camera", metavar="NAME=SRC", read=cameras_of, repeated=True),
+]
+
+
 @command(app, json=False, panels=(PLANT,))
 def serve(
     face: CommandUI,
@@ -164,17 +177,9 @@ def console(
     rsi_config: RsiConfig = None,
     follow: FollowedCell = None,
     folder: Annotated[Path, Doc("Where cell.yaml and all results are kept."), Flag(metavar="FOLDER")] = Path("cell"),
-    left: Annotated[
-        str | None, Doc(f"Left frames, or the complex images of a mirror rig: {SRC}."), Flag(metavar="SRC")
-    ] = None,
-    right: Annotated[
-        str | None, Doc("Right frames, in step with the left ones; none with mirrors."), Flag(metavar="SRC")
-    ] = None,
-    cameras: Annotated[
-        Any,
-        Doc("Frames of a camera by its name in rig.yaml; repeated. --left SRC is short for left=SRC."),
-        Flag("--camera", metavar="NAME=SRC", read=cameras_of, repeated=True),
-    ] = None,
+    left: CellLeft = None,
+    right: CellRight = None,
+    cameras: CellCameras = None,
     rig: Annotated[str | None, Doc("rig.yaml, a name inside the folder.")] = None,
     target: Annotated[str | None, Doc("target.yaml, a name inside the folder.")] = None,
     play_again: Annotated[bool, Doc("Files begin anew at their end.")] = False,

@@ -40,19 +40,14 @@ DRIVES = "{who} drives; you can watch, and stop"
 JOG = "Move the robot by hand"
 JOG_HELP = "Hold a key to move; it is its own enable. Speed is set above."
 JOG_FRAMES = {"joints": "Joints", "base": "Tool along the base's axes", "tool": "Tool along its own axes"}
-JOG_JOINT = "Joint {n}"
 JOG_AXES = ("x", "y", "z", "turn x", "turn y", "turn z")
-JOG_KEY = "{axis} {sense}"
+JOG_JOINT, JOG_KEY = "Joint {n}", "{axis} {sense}"
 JOG_SENSES = {1: "plus", -1: "minus"}
-JOINT_NOW = "{value:.1f} deg"
-SLIDE_NOW = "{value:.1f} mm"
+JOINT_NOW, SLIDE_NOW = "{value:.1f} deg", "{value:.1f} mm"
 
-MEASURING = "Measuring"
-LOST = "Target not seen"
-POSITION_ONLY = "Position only"
-DOUBTFUL = "Pose is doubtful"
-STARTING = "Starting"
-ENDED = "The frames have ended"
+MEASURING, LOST = "Measuring", "Target not seen"
+POSITION_ONLY, DOUBTFUL = "Position only", "Pose is doubtful"
+STARTING, ENDED = "Starting", "The frames have ended"
 WITHOUT = "Measuring without {names}"
 NO_CAMERAS = "No cameras are set up. Give rig, target and the cameras on the page Settings."
 FAILED = "Not measuring"
@@ -66,8 +61,7 @@ PICTURES = {
     "complex": "Camera with mirrors: both views in one picture",
 }
 PICTURE = "Camera {name}"
-SEES = "Sees {n} of {of} lights."
-FINDS = "{n} bright spots."
+SEES, FINDS = "Sees {n} of {of} lights.", "{n} bright spots."
 GONE_CAMERA = "Lost: {why}. The others go on. Look at its plug, then start anew."
 LEFT_OUT = "Left out: {why}"
 COMPLEX_HELP = (

@@ -194,9 +194,8 @@ class MeasureResult(Output):
     @property
     def exit_code(self) -> int:
         """With which a command ends."""
-        found, free = self.consistency, self.timing
-        inconsistent = found is not None and found.verdict == "inconsistent"
-        return 3 if inconsistent or (free is not None and self.n_doubtful) else 0
+        inconsistent = self.consistency is not None and self.consistency.verdict == "inconsistent"
+        return 3 if inconsistent or (self.timing is not None and self.n_doubtful) else 0
 
     def plot(self) -> Any:
         """Return a plotly figure of the poses over time."""
@@ -214,8 +213,7 @@ class MeasureResult(Output):
                 yield f"  the camera {name} {note_of(part)}"
         found = self.consistency
         if found is not None and found.sentence:
-            loud = found.verdict == "inconsistent"
-            yield f"{'INCONSISTENT: the poses are not to be trusted. ' if loud else 'Note: '}{found.sentence}"
+            yield f"{LOUD if found.verdict == 'inconsistent' else 'Note: '}{found.sentence}"
             yield f"  {found.advice}".rstrip()
         yield f"Results: {{out}}; open {{out}}/{REPORT}"
 
@@ -251,18 +249,12 @@ def _rows(done: MeasureResult) -> list[list[str]]:
         if free.n_views is not None:
             rows.append(["views, left and right", f"{free.n_views.left} and {free.n_views.right}"])
         for name, clock in list((free.by_camera or {}).items())[1:]:
-            rows.append(
-                [f"camera {name} late by, ms", f"{digits(clock.delay_s / MS)} +- {digits(_ms(clock.delay_std_s))}"]
-            )
+            rows.append([f"camera {name} late by, ms", digits(clock.delay_s / MS)])
         rows += [
             ["speed, mm/s RMS", digits(None if free.speed_m_s is None else free.speed_m_s / MM)],
             ["motion between nearest frames, mm RMS", digits(None if moved_m is None else moved_m / MM)],
         ]
     return rows
-
-
-def _ms(time_s: float | None) -> float | None:
-    return None if time_s is None else time_s / MS
 
 
 REASONS = {
@@ -299,7 +291,7 @@ REASONS = {
 
 GOOD_SHARE = 0.95
 """Share of full poses from which a run is called complete."""
-LEFT_OUT = "Without a camera"
+LEFT_OUT, LOUD = "Without a camera", "INCONSISTENT: the poses are not to be trusted. "
 RESIDUALS = {"doubtful": ("care", "Doubtful"), "inconsistent": ("bad", "Inconsistent")}
 """How the verdict on the residuals shows."""
 NEXT: Mapping[str, str] = {

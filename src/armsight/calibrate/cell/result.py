@@ -73,9 +73,7 @@ def tip_slopes(
     weight = inside / np.square(np.asarray(sigma_px))[None, :, None]
     # by the target's own motion (dt, dw) about the tip: a light at T (light - tip) moves by dt + dw x that
     a = model.lights_at
-    by_flange = np.stack(
-        [J[:, :, i, :, a + 3 * i : a + 3 * i + 3] for i in range(n)], axis=2
-    )  # by lights in flange axes
+    by_flange = np.stack([J[:, :, i, :, a + 3 * i : a + 3 * i + 3] for i in range(n)], axis=2)  # by lights' places
     by_base = by_flange @ T[:, None, None, :3, :3].transpose(0, 1, 2, 4, 3)
     lever = (T[:, :3, :3] @ (lights - arm_at).T).transpose(0, 2, 1)  # (k, n, 3)
     by_pose = np.concatenate([by_base, by_base @ -skew(lever)[:, None]], axis=-1)  # (k, 2, n, 2, 6)

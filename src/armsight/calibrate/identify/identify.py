@@ -8,19 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.calibrate.identify.chain import (
-    KEYS,
-    Axis,
-    arm_of,
-    assign_frames,
-    at_home,
-    degeneracy_notes,
-    deviations,
-    measured_entries,
-    moved_by,
-    propagate_covariance,
-    suggest_coupling,
-)
+from armsight.calibrate.identify import chain
+from armsight.calibrate.identify.chain import Axis
 from armsight.calibrate.identify.global_fit import (
     GlobalFit,
     all_covariance,
@@ -139,19 +128,19 @@ def _at_once(
     """Place the frames on the axes of the whole arm's fit."""
     arm_fit = fit_globally(seen, found)
     widen, misfit = _widening(seen, arm_fit, sigma)
-    notes += misfit + suggest_coupling(seen.take(arm_fit.rows), arm_fit.model, arm_fit.fit.shared, rig)
+    notes += misfit + chain.suggest_coupling(seen.take(arm_fit.rows), arm_fit.model, arm_fit.fit.shared, rig)
     notes += [f"reading {row + 1} discarded: {why}" for row, why in arm_fit.dropped]
     p, model = arm_fit.fit.shared, arm_fit.model
     notes += _notes(found, [axis.revolute for axis in model.axes])
     covariance = all_covariance(arm_fit.fit.names, arm_fit.fit.covariance, widen) + arm_fit.systematic(seen, rig)
     axes, beacon = model.axes_at(p)
-    table, first, tool = assign_frames(axes, beacon, base)
+    table, first, tool = chain.assign_frames(axes, beacon, base)
 
     def entries(x: Array) -> Array:
-        return assign_frames(*model.axes_at(x), base)[0].ravel()
+        return chain.assign_frames(*model.axes_at(x), base)[0].ravel()
 
-    covariance, said = _with_rivals(arm_fit.rivals(widen), table, propagate_covariance(entries, p, covariance), base)
-    notes += said
+    covariance = chain.propagate_covariance(entries, p, covariance)
+    covariance, notes[len(notes) :] = _with_rivals(arm_fit.rivals(widen), table, covariance, base)
     placed_frames = _PlacedFrames(
         axes=axes,
         beacon=beacon,
@@ -184,10 +173,10 @@ def _widening(seen: SweepResiduals, arm_fit: GlobalFit, sigma: float | None) -> 
 
 def _with_rivals(rivals: Sequence[GlobalFit], table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
     """Return a covariance that covers every arm the readings do not tell from this one, and a note of it."""
-    std = deviations(covariance)
+    std = chain.deviations(covariance)
     wide, count = std.copy(), 0
     for rival in rivals:
-        off = assign_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
+        off = chain.assign_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
         off[:, [0, 3, 4]] = np.mod(off[:, [0, 3, 4]] + np.pi, 2.0 * np.pi) - np.pi
         if (np.abs(off) > ANOTHER * std)[np.isfinite(std) & (std > 0.0)].any():
             wide, count = np.maximum(wide, np.hypot(std, off)), count + 1
@@ -210,7 +199,7 @@ def _joint_by_joint(
     axes = [measured(item, sweeps) for item in found]
     beacon = _where_paths_meet([item.path for item in found], sweeps, home)
     notes = notes + _notes(found, [axis.revolute for axis in axes])
-    table, first, tool = assign_frames(axes, beacon, base)
+    table, first, tool = chain.assign_frames(axes, beacon, base)
     sizes = [len(item.path.names) for item in found]
     p = np.concatenate([np.zeros(size) for size in sizes])
     covariance = np.zeros((len(p), len(p)))
@@ -220,9 +209,9 @@ def _joint_by_joint(
     shifted = _shifter(found, axes, sizes)
 
     def entries(x: Array) -> Array:
-        return assign_frames(shifted(x), beacon, base)[0].ravel()
+        return chain.assign_frames(shifted(x), beacon, base)[0].ravel()
 
-    covariance = propagate_covariance(entries, p, covariance)
+    covariance = chain.propagate_covariance(entries, p, covariance)
     notes = [*notes, "only the order of the commanded values was used: joint values count from the pose at rest"]
     predicted = sweeps.xyz_m.copy()
     for item in found:
@@ -302,12 +291,12 @@ def _from_paper(
             seen_axes.append(Axis(point_m=point, direction=direction, revolute=False))
     check_slopes(found, seen, [possible_axes(seen, item, j) for j, item in enumerate(found)])
     notes = notes + _notes(found, [axis.revolute for axis in seen_axes])
-    axes = at_home(seen_axes, [sweeps.q[item.main[0], :j] for j, item in enumerate(found)])
+    axes = chain.at_home(seen_axes, [sweeps.q[item.main[0], :j] for j, item in enumerate(found)])
     beacon = beacon_at_zero(axes, sweeps, np.arange(len(sweeps)))
-    table, first, tool = assign_frames(axes, beacon, base)
+    table, first, tool = chain.assign_frames(axes, beacon, base)
     X = np.tile(beacon, (len(sweeps), 1))
     for axis, q in zip(axes[::-1], sweeps.q.T[::-1], strict=True):
-        X = moved_by(axis, q, X)
+        X = chain.moved_by(axis, q, X)
     placed_frames = _PlacedFrames(axes=axes, beacon=beacon, table=table, first=first, tool=tool, predicted=X)
     return _finish(seen, found, placed_frames, notes, name, "paper")
 
@@ -341,12 +330,12 @@ def _finish(
     """Return the arm with its standard deviations, and what each joint's readings say of it."""
     sweeps, covariance = seen.sweeps, frames.covariance
     travel = np.array([[sweeps.q[sweeps.rows(j), j].min(), sweeps.q[sweeps.rows(j), j].max()] for j in range(sweeps.n)])
-    arm = arm_of(name, frames.axes, frames.table, frames.first, frames.tool, travel)
+    arm = chain.arm_of(name, frames.axes, frames.table, frames.first, frames.tool, travel)
     cases: list[str] = []
     std = np.full(frames.table.shape, np.nan)
     if covariance is not None:
-        cases, std = degeneracy_notes(frames.axes, frames.table, deviations(covariance))
-        arm = replace(arm, covariance=measured_entries(covariance, std))
+        cases, std = chain.degeneracy_notes(frames.axes, frames.table, chain.deviations(covariance))
+        arm = replace(arm, covariance=chain.measured_entries(covariance, std))
     return Identification(
         arm=arm,
         joints=_joints_found(seen, found, frames, arm, std, travel),
@@ -385,14 +374,14 @@ def _joints_found(
             JointFound(
                 index=j + 1,
                 type=str(arm.joints[j].type),
-                **{name: getattr(arm.joints[j], name) for name in KEYS},
+                **{name: getattr(arm.joints[j], name) for name in chain.KEYS},
                 sign=arm.joints[j].sign,
                 axis=frames.axes[j],
                 measured=measured(item, sweeps),
                 radius_m=item.path.radius_m,
                 p_line=item.p_line,
                 decided=item.decided,
-                std=dict(zip(KEYS, std[j].tolist(), strict=True)),
+                std=dict(zip(chain.KEYS, std[j].tolist(), strict=True)),
                 travel=(float(travel[j, 0]), float(travel[j, 1])),
                 rows=rows,
                 discarded=(*item.discarded, *more),

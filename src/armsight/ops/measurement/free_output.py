@@ -14,7 +14,8 @@ from armsight.file_names import MEASURE, REPORT
 from armsight.measure.poses.setup import Setup
 from armsight.measure.results import CameraPart, FrameTime, FreeRunning, MeasureResult, believed, grounds_of
 from armsight.ops.measurement.collector import Zoomed
-from armsight.ops.measurement.free_running import KINDS, FreeRun, MovingPose, measure_free_running
+from armsight.ops.measurement.free_poses import KINDS, MovingPose
+from armsight.ops.measurement.free_running import FreeRun, measure_free_running
 from armsight.ops.measurement.outputs import Outputs, Velocity, moved_to
 from armsight.ops.measurement.run import zooms_of
 from armsight.ops.measurement.streams import FrameSources
@@ -54,21 +55,17 @@ def measure_free(
     ms = (time.perf_counter() - start_s) / MS / sum(len(stream.t_s) for stream in streams)
     poses = [moved_to(one.pose, world) for one in done.poses]
     if all(pose.status is PoseStatus.LOST for pose in poses):
-        raise NotEnoughData(
-            "none of the times asked for is near a view of the target",
-            consequence="There is no pose",
-            cure=f"Check that the times of --at are those of the {setup.rig.names[0]} camera's stamps",
-        )
+        cure = f"Check that the times of --at are those of the {setup.rig.names[0]} camera's stamps"
+        raise NotEnoughData("none of the times asked for is near a view", consequence="There is no pose", cure=cure)
     outputs = _written(out, setup, poses, done, world)
     left_over = np.vstack(list(done.residuals.values()))[:, 1:] if done.residuals else np.empty((0, 2))
     rms_px = float(np.sqrt(np.mean(np.sum(left_over**2, axis=1)))) if len(left_over) else None
-    views, grounds = (rms_px, FrameTime(median=ms, p99=None)), grounds_of(poses)
     found = outputs.summary(
         setup,
         poses,
         done.consistency,
-        grounds,
-        views,
+        grounds_of(poses),
+        (rms_px, FrameTime(median=ms, p99=None)),
         timing=done.figures,
         zoom=zooms_of(zoomed),
         by_camera=None if setup.rig.is_pair else _by_camera(setup, done, [len(stream.t_s) for stream in streams]),

@@ -235,9 +235,8 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
     model, best = judged.model, judged.best.fitted
     touches, arm_model = model.touches, model.arm_model
     covariance, fitted = _covariance(judged), _fitted(arm_model, best, touches, tolerance)
-    at_limit = limits_reached(arm_model, fitted.p, judged.free, tolerance)
+    at_limit, touched = limits_reached(arm_model, fitted.p, judged.free, tolerance), judged.given.as_points()
     before_m, after_m = (one.fitted.misses_m(model, judged.given) for one in (judged.levels[0], judged.best))
-    touched = judged.given.as_points()
     gross, cross = gross_rows(judged.every, best), [Errors.of(x.left_m) for x in (judged.levels[0], judged.best)]
     return ArmResult(
         arm=_arm(arm_model, best, covariance),
