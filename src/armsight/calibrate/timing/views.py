@@ -1,4 +1,4 @@
-"""What both cameras saw, as rays with the line and the steady stamp of each spot."""
+"""What the cameras saw, as rays with the line and the steady stamp of each spot."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from armsight.arrays import Array
 from armsight.calibrate.timing.stamps import SteadyStamps
 from armsight.errors import NotEnoughData
 from armsight.fitting.groups import whitener
-from armsight.optics import SIDES, Rig
+from armsight.optics import Rig
 from armsight.records import SpotTrack
 
 STEP_PX = 0.5
@@ -21,9 +21,9 @@ STEP_PX = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Views:
-    """Spots (m,) of both cameras: side 0 left, 1 right; light; frame time by the camera's own steady clock; line from
-    -0.5 to 0.5; std_px as given; equations A (m, 2, 3) X = b (m, 2) of a point in rig axes, whitened but for its depth,
-    which is depth_row (m, 3) X + depth_off (m,). pairs (p, 2): lights whose distance is one and the same at all times.
+    """Spots (m,) of all cameras: side, their place in the rig; light; frame time by the camera's own steady clock; line
+    from -0.5 to 0.5; std_px as given; equations A (m, 2, 3) X = b (m, 2) of a point in rig axes, whitened but for its
+    depth, which is depth_row (m, 3) X + depth_off (m,). pairs (p, 2): lights whose distance is the same at all times.
     """
 
     side: NDArray[np.intp]
@@ -47,20 +47,21 @@ class Views:
         return Views(**{name: getattr(self, name)[kept] for name in rows}, names=self.names, pairs=self.pairs)
 
     def scaled(self, std: Array) -> Views:
-        """Return them with the standard deviations of the left and the right spots multiplied by these."""
+        """Return them with the standard deviations of each camera's spots multiplied by these (V,)."""
         factor = 1.0 / std[self.side]
         A, b = self.A * factor[:, None, None], self.b * factor[:, None]
         rows = ("side", "light", "stamp_s", "line", "std_px", "depth_row", "depth_off", "names", "pairs")
         return Views(**{name: getattr(self, name) for name in rows}, A=A, b=b)
 
 
-def common_lights(left: SpotTrack, right: SpotTrack) -> tuple[str, ...]:
-    """Return the names of the lights that both cameras saw, the most seen first. Raises NotEnoughData."""
-    counts = {name: min(left.names.count(name), right.names.count(name)) for name in dict.fromkeys(left.names)}
+def common_lights(*tracks: SpotTrack) -> tuple[str, ...]:
+    """Return the names of the lights that two cameras saw, those that these saw most first. Raises NotEnoughData."""
+    seen = dict.fromkeys(name for track in tracks for name in track.names)
+    counts = {name: sorted(track.names.count(name) for track in tracks)[-2] for name in seen}
     names = tuple(sorted((name for name, count in counts.items() if count), key=lambda name: (-counts[name], name)))
     if not names:
         raise NotEnoughData(
-            "no light was seen by both cameras",
+            f"no light was seen by {'both' if len(tracks) == 2 else 'two'} cameras",
             consequence="No timing is given",
             cure="Wave the target where both cameras see it, and give its lights the same names in both files",
         )
@@ -68,9 +69,9 @@ def common_lights(left: SpotTrack, right: SpotTrack) -> tuple[str, ...]:
 
 
 def views_of(rig: Rig, tracks: Sequence[SpotTrack], clocks: Sequence[SteadyStamps], names: tuple[str, ...]) -> Views:
-    """Return the spots of the named lights in both cameras."""
+    """Return the spots of the named lights in all cameras, tracks and clocks in the rig's order."""
     parts: dict[str, list[Array]] = {}
-    for s, (side, track, clock) in enumerate(zip(SIDES, tracks, clocks, strict=True)):
+    for s, (side, track, clock) in enumerate(zip(rig.names, tracks, clocks, strict=True)):
         kept = np.flatnonzero([name in names for name in track.names])
         for key, value in _equations(rig, side, track.uv_px[kept], track.covariance_px2[kept]).items():
             parts.setdefault(key, []).append(value)
