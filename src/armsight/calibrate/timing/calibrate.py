@@ -43,6 +43,8 @@ MAX_RESIDUAL = 5.0
 """The same over what a table says of its spots, where that is more."""
 FIRST_SPACING = 3.0
 """Periods, while the delay is known to some hundredths of a second only."""
+ROUNDS_OF_SCALES = 3
+"""Of variance components, where there are more than two: they hang on each other."""
 DISTANCE_STD_M = 1e-3
 """Of a target's distances as its file has them: they are found anew, so this only keeps them from running away."""
 
@@ -231,9 +233,10 @@ def _solve(
     total, given = np.ones(V), np.array([float(np.median(views.std_px[views.side == s])) for s in range(V)])
     priors = _priors(views, names, coarse_s, period_s, positions_m)
     for final in (False, True):
-        model = build(views, spacing, mid_s, x, depth)
-        scale = model.side_scales(model.fit_paths(x))
-        views, total = views.scaled(scale), total * scale
+        for _ in range(ROUNDS_OF_SCALES if V > 2 else 1):
+            model = build(views, spacing, mid_s, x, depth)
+            scale = model.side_scales(model.fit_paths(x))
+            views, total = views.scaled(scale), total * scale
         model = build(views, spacing, mid_s, x, depth)
         fit = solve_model(model, x, priors)
         x = fit.shared.copy()

@@ -28,6 +28,8 @@ DISTANCE_M = 0.3
 RIGID_ROUNDS = 2
 SPACINGS = (4.0, 3.0, 2.5, 2.0, 1.5, 1.2, 1.0)
 """Grids tried, in periods of the slower camera."""
+PROBES = 8
+"""Random vectors for a trace: known to a hundredth with a thousand views."""
 MARGIN_S = 0.1
 """By which the grid reaches beyond the time that both cameras saw."""
 
@@ -183,10 +185,26 @@ class PathModel:
         return float(np.sqrt(paths.residuals[0] @ paths.residuals[0] / max(self.dof, 1)))
 
     def side_scales(self, paths: PathFit) -> Array:
-        """Return the same (V,) for the views of each camera alone."""
+        """Return the same (V,) for the views of each camera alone.
+
+        Of more than two cameras each has its own degrees of freedom (variance components, Foerstner 1979): paths follow
+        the one that sees best and most often, whose residuals would else be taken for too small.
+        """
         r = (paths.residuals[0] ** 2).reshape(-1, 2).sum(axis=1)
+        if len(self.mid_s) > 2:
+            return np.asarray(np.sqrt(np.bincount(self.views.side, r) / np.maximum(self._free_equations(paths), 1.0)))
         share = 2.0 * len(self.views) / max(self.dof, 1)
         return np.array([np.sqrt(share * r[self.views.side == s].mean() / 2.0) for s in range(len(self.mid_s))])
+
+    def _free_equations(self, paths: PathFit) -> Array:
+        """Return the equations of each camera (V,) less what they tell of the paths: a trace, by random signs."""
+        side, V = np.repeat(self.views.side, 2), len(self.mid_s)
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(side), PROBES))
+        each = np.concatenate([signs * (side == s)[:, None] for s in range(V)], axis=1)
+        none = [np.zeros((len(rows.right), V * PROBES)) for rows in paths.parts[1:]]
+        made = times(paths.parts[0], paths.band.solve(transposed_times(paths.parts, [each, *none], self.size)))
+        told = (each * made).sum(axis=0).reshape(V, PROBES).mean(axis=1)
+        return np.bincount(side, minlength=V) - told
 
 
 def build(views: Views, spacing_s: float, mid_s: Array, x: Array, depth: Array) -> PathModel:

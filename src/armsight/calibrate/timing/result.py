@@ -35,6 +35,11 @@ def time_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return (*(f"{whose[name]}{key}" for name in names[1:] for key in CLOCK), *(f"{name}.readout_s" for name in names))
 
 
+FORETOLD = 2.0
+"""What a path through the other cameras' views leaves of one camera's, over its own residuals: 1.0 to 1.3 of an exact
+rig."""
+
+
 @output
 class CameraClock(Output):
     """When a camera of a rig exposes, by the clock of the rig's first one."""
@@ -117,6 +122,14 @@ class _Timing(Output, Saveable):
             out.append(
                 f"{most:.2g} px RMS remain in the {side} view beside {least:.2g}: its frames are not exposed when "
                 "their stamps say, and the standard deviations do not hold; record with the camera's own stamps"
+            )
+        told = {name: one.left_out_px for name, one in each.items() if one.left_out_px is not None}
+        odd = {name: px for name, px in told.items() if px > max(FORETOLD * residual[name], UNEVEN_PX)}
+        if odd:
+            side = max(odd, key=odd.__getitem__)
+            out.append(
+                f"views of {side} that were left out are foretold to {odd[side]:.2g} px beside {residual[side]:.2g}: "
+                "rig.yaml is less exact than the spots, and the standard deviations do not hold; calibrate the rig anew"
             )
         if self.std_middle_s > GOOD_DELAY_S:
             late = max(each, key=lambda name: each[name].std_middle_s)
