@@ -1,6 +1,7 @@
 """`calibrate arm` from recordings whose errors drift: do the claimed deviations hold, and the errors of rows left out?
 
-`--fits N` recordings (200), of which joint zeros are fitted, and `--streams N` (20), of which everything is done. Each
+`--fits N` recordings (200), of which joint zeros are fitted, `--lengths N` (40) of arms whose lengths, which are held,
+are off within their tolerance, and `--streams N` (20), of which everything is done. Each
 is taken with its times and, as if its rows were independent, without them; so are the same errors in random order. The
 arm has wrong zeros only; judged are those that base and tool cannot stand for. Fresh: the kept arm at other positions
 in the recording's joint ranges, with noise of the same size.
@@ -14,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from armsight.calibrate.arm import ArmResult, calibrate_arm
-from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks
+from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, widened
 from armsight.calibrate.arm.fit import Tolerance, fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
@@ -53,7 +54,7 @@ def zeros_alone(first: int, count: int) -> None:
             fitted = fit_arm(model, made.points, start(model, made.points), names, Tolerance())
             drift = drift_of(model, made.points, fitted)
             points = in_blocks(made.points, None if drift is None else drift.correlation)
-            for kind, one in zip(KINDS, (believed(model, points, fitted)[0], fitted), strict=True):
+            for kind, one in zip(KINDS, (believed(model, points, fitted, Tolerance())[0], fitted), strict=True):
                 std = one.fit.std()
                 z[kind] += [(one.fit.value(name) - made.true[name]) / std[name] for name in names]
         for kind in KINDS:
@@ -64,14 +65,47 @@ def zeros_alone(first: int, count: int) -> None:
     table(f"Three zeros of an arm, {count} recordings, no other parameter in doubt", header, rows)
 
 
+def lengths_off(first: int, count: int) -> None:
+    """Print the same of zeros beside lengths that are held, and how much wider their claims are for it."""
+    rows: list[list[object]] = []
+    for kind in ("exact", "one, by 2 mm", "all, by 1 mm"):
+        z: list[list[float]] = [[], []]
+        wider = []
+        for seed in range(first, first + count):
+            built = np.zeros((5, 2))
+            if kind == "one, by 2 mm":
+                built[1, 1] = 2e-3 * (-1.0) ** seed
+            elif kind == "all, by 1 mm":
+                built = np.random.default_rng([seed, 9]).normal(0.0, 1e-3, (5, 2))
+            made = scene.stream(seed, built_m=built)
+            model, names = ArmModel(arm=scene.NOMINAL, labels=made.points.labels, turned=False), list(made.true)
+            fitted = fit_arm(model, made.points, start(model, made.points), names, Tolerance())
+            drift = drift_of(model, made.points, fitted)
+            points = in_blocks(made.points, None if drift is None else drift.correlation)
+            exact = fitted if drift is None or points.block is None else widened(model, points, fitted, drift)
+            fits = exact, believed(model, points, fitted, Tolerance())[0]
+            for own, one in zip(z, fits, strict=True):
+                own += [(one.fit.value(name) - made.true[name]) / one.fit.std()[name] for name in names]
+            wider += [fits[1].fit.std()[name] / fits[0].fit.std()[name] for name in names]
+        for how, one in zip(("exact", "as off as residuals say"), np.abs(z), strict=True):
+            held = f"{100.0 * (one < 1.96).mean():.1f}"
+            rows.append([kind, how, held, float(np.sqrt((one**2).mean())), float(one.max()), float(np.median(wider))])
+    header = ["lengths off", "taken as", "inside 95 %, %", "error / claim, RMS", "largest", "wider, median"]
+    table(f"Three zeros of an arm beside lengths that are held, {count} recordings", header, rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fits", type=int, default=200)
+    parser.add_argument("--lengths", type=int, default=40)
     parser.add_argument("--streams", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     asked = parser.parse_args()
     print(machine())
-    zeros_alone(asked.first, asked.fits)
+    if asked.fits:
+        zeros_alone(asked.first, asked.fits)
+    if asked.lengths:
+        lengths_off(asked.first, asked.lengths)
     if asked.streams:
         whole(asked.first, asked.streams)
 

@@ -24,7 +24,7 @@ from armsight.calibrate.cameras import calibrate_stereo
 from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.measure.consistency.check import RunCheck
-from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.findings import Consistency
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup, warm_up
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig

@@ -25,7 +25,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck, advice, sentence
-from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.findings import Consistency
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup, warm_up
 from armsight.measure.results import ConsistencyOutput

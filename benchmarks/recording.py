@@ -27,7 +27,7 @@ from mcap.writer import CompressionType, Writer
 
 from armsight.drivers import RecordedMoments, Skew
 from armsight.errors import BadFile
-from armsight.ops.recording.record import RecordJob, record_pairs
+from armsight.ops.recording.record import RecordJob, record_moments
 from armsight.ops.simulation.cells import load_cell
 from armsight.ops.sources.frames import RecordedFrames
 from armsight.records import Frame
@@ -123,7 +123,7 @@ def rates(folder: Path, seconds_s: float) -> None:
     for kind, rate in RATES:
         path = folder / f"{kind.value}.mcap"
         with Memory() as memory:
-            done = record_pairs(
+            done = record_moments(
                 RecordJob(out=path, kind=kind, overwrite=True), Paced(images, rate, seconds_s), live=True
             )
         with Recording(path) as recording:
@@ -157,7 +157,8 @@ def peer(folder: Path, n: int) -> None:
         with RecordingWriter(folder / "ours.mcap", overwrite=True) as writer:
             for i in range(n):
                 a, b = images[i % len(images)]
-                writer.pair(*(Frame(image=x, t_s=i / 60.0, sequence=i, source="") for x in (a, b)))
+                frames = (Frame(image=x, t_s=i / 60.0, sequence=i, source="") for x in (a, b))
+                writer.moment(dict(zip(("left", "right"), frames, strict=True)))
 
     def theirs() -> None:
         with (folder / "theirs.mcap").open("wb") as file:
@@ -182,7 +183,7 @@ def peer(folder: Path, n: int) -> None:
 
 
 def _child(path: Path, kind: ImageFormat, images: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    record_pairs(RecordJob(out=path, kind=kind), Paced(images, 60.0, 3600.0), live=True)
+    record_moments(RecordJob(out=path, kind=kind), Paced(images, 60.0, 3600.0), live=True)
 
 
 def killed(path: Path, kind: ImageFormat, images: list[tuple[np.ndarray, np.ndarray]], after_s: float) -> float:

@@ -7,6 +7,7 @@ own way, by which a light must be seen by both.
 
     python benchmarks/views.py                  # 2,000 poses a row
     python benchmarks/views.py --poses 200
+    python benchmarks/views.py --rig            # with the uncertainty of the rig's calibration
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.views import measure_views
 from armsight.records import PoseStatus
 from bench import machine, table
+from knocked_camera import drawn
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -68,6 +70,23 @@ def run(views: int, hidden: float, reflections: int, poses: int, seed: int) -> l
     return [views, hidden, reflections, 100.0 * len(q) / poses, *ratios, inside, wrong, float(np.median(ms))]
 
 
+def of_rigs(views: int, poses: int) -> list[object]:
+    """Return one row: poses by rig files drawn from a calibration's covariance, errors over what is claimed in all."""
+    rng, cameras = np.random.default_rng(100 + views), world.ring(views)
+    q: list[float] = []
+    squares: list[np.ndarray] = []
+    for _ in range(poses):
+        setup, T = drawn(views, rng), world.pose(rng)
+        seen = world.look(cameras, world.LIGHTS, T, rng, hidden=0.1)
+        measured = measure_views(setup, 0.0, [scene.spots(uv) for uv in seen.uv])
+        if measured.pose.status is PoseStatus.OK:
+            q.append(scene.mahalanobis2(measured, T))
+            off = scene.difference(measured.pose.T_parent_target, T)
+            squares.append(off**2 / np.diag(measured.pose.covariance))
+    ratios = [float(np.sqrt(np.array(squares)[:, part].mean())) for part in (slice(3), slice(3, 6))]
+    return [views, 100.0 * len(q) / poses, *ratios, 100.0 * float((np.array(q) < chi2.ppf(0.95, 6)).mean())]
+
+
 def of_pictures(views: int, passes: int = 30) -> list[object]:
     """Return the least times in ms of 1280x720 pictures in memory, searched as a whole and tracked."""
     rng, cameras = np.random.default_rng(views), world.ring(views)
@@ -92,8 +111,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--poses", type=int, default=2000)
     parser.add_argument("--views", type=int, nargs="+", default=[1, 2, 3, 4, 8])
+    parser.add_argument("--rig", action="store_true", help="rigs as uncertain as a calibration leaves them")
     args = parser.parse_args()
     print(machine())
+    if args.rig:
+        head = ["cameras", "ok, %", "position / claimed", "rotation / claimed", "in 95 %, %"]
+        table("Poses by rigs drawn from their covariance", head, [of_rigs(v, args.poses) for v in args.views if v > 2])
+        return
     rows = [run(v, *scene_, args.poses, 10 * v + i) for v in args.views for i, scene_ in enumerate(SCENES)]
     head = [
         "cameras",

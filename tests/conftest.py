@@ -28,12 +28,6 @@ import warm_python
 warm_python.begin()
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """What runs alone stands in the dark."""
-    if config.option.markexpr == "alone":
-        os.environ[warm_python.DARK] = "1"
-
-
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Of what runs alone, read the files that hold such tests: all others take half a minute."""
     if config.option.markexpr != "alone" or not collection_path.name.startswith("test_"):
@@ -46,9 +40,12 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-def pytest_runtest_setup() -> None:
-    """Share the rooms of simulated cells with all other processes, as soon as there may be some."""
-    lit_rooms.share(warm_python.rooms())
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Bare the rooms of simulated cells, or share them with all other processes, as soon as there may be some."""
+    if item.nodeid.startswith(lit_rooms.LIT):
+        lit_rooms.share(warm_python.rooms())
+    else:
+        lit_rooms.bare()
 
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 320, 240, 400.0, 0.1

@@ -1,7 +1,8 @@
-"""The rooms of simulated cells are furnished, lit and drawn once for all processes of one run of tests.
+"""The rooms of simulated cells: bare for most tests, else furnished, lit and drawn once for all processes of one run.
 
-A room takes seconds of computing, and hundreds of tests stand in a dozen rooms. What each is made of is the key, so
-that another one is never taken for it. tests/unit/sim/test_rooms.py makes its own anew: `apart`.
+A room takes five to nine seconds of computing, and another number of frames is another room. What each is made of is
+the key, so that another one is never taken for it. tests/unit/sim/test_rooms.py makes its own anew: `apart`. What
+lights and boards look like among other things is for tests/truth and tests/golden to tell, and a few named in LIT.
 """
 
 from __future__ import annotations
@@ -15,22 +16,51 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+LIT = ("tests/truth/", "tests/golden/", "tests/unit/sim/", "tests/unit/app/test_mirrors.py",
+       "tests/unit/app/test_other_scale.py", "tests/unit/app/test_other_unit.py",
+       "tests/unit/ops/test_all_actions.py")  # fmt: skip
+"""Where tests begin that stand in furnished rooms."""
 MODULE = "armsight_sim.backdrops"
 OWN: dict[str, Any] = {}
 """What the simulation has in place of what is shared, by name."""
+SHARED: dict[str, Any] = {}
 
 
 def share(folder: Path) -> None:
     """Keep in a folder what the simulation's cameras see of rooms and take it from there, once it is imported."""
     backdrops: Any = sys.modules.get(MODULE)
-    if OWN or backdrops is None:
+    if backdrops is None:
         return
     folder.mkdir(parents=True, exist_ok=True)
-    OWN.update(furnished=backdrops.furnished, _standing=backdrops._standing)
-    for name, own in OWN.items():
-        setattr(backdrops, name, lru_cache(own.cache_parameters()["maxsize"])(kept(own.__wrapped__, folder)))
+    OWN.update({} if OWN else {"furnished": backdrops.furnished, "_standing": backdrops._standing})
+    if not SHARED:
+        for name, own in OWN.items():
+            SHARED[name] = lru_cache(own.cache_parameters()["maxsize"])(kept(own.__wrapped__, folder))
+    for name, shared in SHARED.items():
+        setattr(backdrops, name, shared)
+
+
+class Bare:
+    """What stands for a room: nothing in it, and a little light everywhere."""
+
+    def light(self, view: Any, T_room_camera: object, channels: int, samples: int = 4) -> Any:
+        """Return the light (h, w, channels) on a camera."""
+        return np.full((view.lens.height, view.lens.width, channels), 9.0, np.float32)
+
+    def seen_indicators(self, eye_m: object) -> tuple[()]:
+        """Return nothing: there are none."""
+        return ()
+
+
+def bare() -> None:
+    """Put cells into bare rooms from here on, once the simulation is imported."""
+    backdrops: Any = sys.modules.get(MODULE)
+    if backdrops is not None:
+        OWN.update({} if OWN else {"furnished": backdrops.furnished, "_standing": backdrops._standing})
+        backdrops.furnished, backdrops._standing = (lambda *_: Bare()), OWN["_standing"]
 
 
 def kept(make: Callable[..., Any], folder: Path) -> Callable[..., Any]:

@@ -29,8 +29,6 @@ import lit_rooms
 
 FOLDER = "ARMSIGHT_WARM_FOLDER"
 TESTS = "ARMSIGHT_TESTS_PID"
-DARK = "ARMSIGHT_WARM_DARK"
-"""Set where no command will want a room."""
 SOCKET, STARTED, WORDS = "socket", "started", 1 << 20
 CLIENT = """\
 #!{python} -ISE
@@ -86,7 +84,7 @@ def write_commands(folder: Path) -> None:
 
 
 def load_all() -> None:
-    """Import all that commands import, load the kernels from their cache, and light the rooms that most cells have."""
+    """Import all that commands import, load the kernels from their cache, and bare the rooms of cells."""
     import importlib
     import pkgutil
     import warnings
@@ -100,7 +98,6 @@ def load_all() -> None:
     import armsight_sim
     from armsight.kinematics import warm_up
     from armsight.ops.compilation import GROUPS
-    from armsight.ops.simulation.run import simulate
 
     for package in (armsight, armsight_sim, armsight_plant, armsight_lab):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
@@ -112,10 +109,7 @@ def load_all() -> None:
         if name not in ("kinematics", "room", "simulator", "measure"):  # the first begins threads, others take long
             run()
     warm_up()
-    lit_rooms.share(rooms())
-    with tempfile.TemporaryDirectory() as folder:
-        for cell in () if DARK in os.environ else ("webcam-cell", "hand-cell"):
-            simulate(cell, Path(folder) / cell, frames=1)
+    lit_rooms.bare()
 
 
 def serve(folder: Path) -> None:

@@ -18,7 +18,7 @@ import warm_python
 from armsight.ops.simulation.scenarios import build_world, load_scenario, scenario_text
 
 CHROMIUM = "/usr/bin/chromium"
-PATIENCE_MS = 60_000
+PATIENCE_MS = 150_000
 WORK_MS = 240_000
 FIRST = ["nice", "-n", "-10"]
 """A cell's computer does nothing else, and browsers run on others: here both go before the tests beside them, where

@@ -57,15 +57,24 @@ def shown(page: Any, more_than: int = 0) -> None:
         )
 
 
-def test_live_shows_pictures_and_the_pose_with_its_uncertainty(browser: Any, console: Any, lights: str) -> None:
+def test_live_shows_pictures_and_the_pose_with_its_uncertainty_and_nothing_from_elsewhere(
+    browser: Any, console: Any, lights: str
+) -> None:
+    """A cell is often offline: every file the page asks for is the console's own."""
     page = console.opened(browser, f"{lights}/live")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.reload(wait_until="domcontentloaded")
     shown(page, 10)
     page.wait_for_function("document.querySelector('[data-testid=state]').textContent.includes('Measuring')")
+    page.wait_for_function("document.querySelector('[data-testid=pose-z]').textContent.includes(' ')")
     z_mm = float(page.inner_text("[data-testid=pose-z]").split()[0])
     assert 599.0 < z_mm < 612.5, "the target moves from 600 to 611 mm"
     for name in ("pose-x", "pose-y", "pose-rx", "pose-ry", "pose-rz", "fps", "latency", "scene", "record"):
         assert page.locator(f"[data-testid={name}]").count() == 1
     assert "1 σ" in page.inner_text("main")
+    own = (lights, lights.replace("http", "ws", 1), "blob:", "data:")
+    assert len(asked) > 2 and [url for url in asked if not url.startswith(own)] == []
     page.close()
 
 
@@ -114,33 +123,18 @@ def test_a_reload_in_the_middle_of_a_recording_loses_nothing(
             assert missing <= dropped(recording), f"{side}: {missing} frames are missing"
 
 
-def test_a_phone_shows_live_without_scrolling_sideways(browser: Any, console: Any, lights: str) -> None:
-    page = console.opened(browser, f"{lights}/live", width=390, dark=True)
-    shown(page)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    page.close()
-
-
-@pytest.mark.parametrize("name", ["live", "calibrate", "verify", "settings"])
-def test_pages_have_no_serious_fault_of_accessibility(browser: Any, console: Any, lights: str, name: str) -> None:
+def test_pages_have_no_serious_fault_of_accessibility(browser: Any, console: Any, lights: str) -> None:
     """And a phone shows each without scrolling sideways, long names of fields as well."""
-    page = console.opened(browser, f"{lights}/{name}")
-    for scheme in ("light", "dark"):
-        assert console.faults(page, scheme) == [], scheme
-    page.set_viewport_size({"width": 390, "height": 900})
-    page.wait_for_function("document.documentElement.scrollWidth <= 390")
-    page.close()
-
-
-def test_nothing_comes_from_elsewhere(browser: Any, lights: str) -> None:
-    """A cell is often offline: every file the page asks for is the console's own."""
-    page = browser.new_page()
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
-    page.goto(f"{lights}/live", wait_until="domcontentloaded")
-    shown_at = lights.removeprefix("http://")
-    page.wait_for_selector("[data-testid=pose-x]")
-    assert [url for url in asked if shown_at not in url and not url.startswith(("blob:", "data:"))] == []
+    page = console.opened(browser, f"{lights}/live")
+    shown(page)
+    for name in ("live", "calibrate", "verify", "settings"):
+        page.set_viewport_size({"width": 1400, "height": 900})
+        page.goto(f"{lights}/{name}", wait_until="domcontentloaded")
+        page.wait_for_selector("[data-testid=state]")
+        for scheme in ("light", "dark"):
+            assert console.faults(page, scheme) == [], (name, scheme)
+        page.set_viewport_size({"width": 390, "height": 900})
+        page.wait_for_function("document.documentElement.scrollWidth <= 390")
     page.close()
 
 
@@ -154,20 +148,18 @@ def test_wrong_settings_are_told_and_not_used(browser: Any, console: Any, lights
     page.close()
 
 
-@pytest.mark.parametrize(
-    ("name", "size", "said"),
-    [
-        ("arm.yaml", 20, "arm.yaml is in the folder"),
-        ("arm.exe", 20, "is no file name of this cell"),
-        ("big.csv", 2_000_001, "larger than 2 MB"),
-        ("rig.yaml", 20, "is there already"),
-    ],
+FILES = (
+    ("arm.yaml", 20, "arm.yaml is in the folder"),
+    ("arm.exe", 20, "is no file name of this cell"),
+    ("big.csv", 2_000_001, "larger than 2 MB"),
+    ("rig.yaml", 20, "is there already"),
 )
-def test_a_file_is_brought_or_refused_with_the_reason(
-    browser: Any, console: Any, lights: str, name: str, size: int, said: str
-) -> None:
+
+
+def test_a_file_is_brought_or_refused_with_the_reason(browser: Any, console: Any, lights: str) -> None:
     page = console.opened(browser, f"{lights}/settings")
-    file = {"name": name, "mimeType": "text/plain", "buffer": b"x" * size}
-    page.set_input_files("[data-testid=upload]", file)
-    page.wait_for_function("said => document.getElementById('uploaded').textContent.includes(said)", arg=said)
+    for name, size, said in FILES:
+        file = {"name": name, "mimeType": "text/plain", "buffer": b"x" * size}
+        page.set_input_files("[data-testid=upload]", file)
+        page.wait_for_function("said => document.getElementById('uploaded').textContent.includes(said)", arg=said)
     page.close()

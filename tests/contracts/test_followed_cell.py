@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,15 +15,15 @@ from scipy.spatial.transform import Rotation
 from tests.truth.emulated_links import link_of
 
 from armsight.app.operator.robot_cell import scenario_of
-from armsight.clock import ManualClock
+from armsight.clock import ManualClock, SystemClock
 from armsight.drivers import AUTOMATIC
 from armsight.drivers.pace import ControllerClock
-from armsight.errors import DeviceLost, Inconsistent, UsageError
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.ops.identification.live import open_devices
 from armsight.ops.requests.motion import RobotJob
-from armsight.ops.simulation.following import followed_cell
-from armsight.ops.simulation.scenarios import load_scenario, with_arm
+from armsight.ops.simulation.following import followed_cell, watching_cell
+from armsight.ops.simulation.scenarios import live_cell, load_scenario, with_arm
 from armsight.records import JointReading
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping, write_arm
@@ -30,7 +31,7 @@ from armsight.store.yamls import dump_yaml
 from armsight.testing.wrong_controllers import prove
 from armsight_sim.devices import sim_robot
 from armsight_sim.scenario_builder import robotics
-from armsight_sim.twins.base import small_arm
+from armsight_sim.twins.base import small_arm, twin_home
 from refusals import refuses
 
 LIGHT = target_from_mapping({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}}, "light")
@@ -153,6 +154,41 @@ def test_nothing_is_guessed_beyond_what_was_heard(make_egm: Any, scenario: Path)
             pair.twin.fault("silent")
             with refuses(DeviceLost, "told no joints"):
                 pairs.pair(60)
+
+
+class Telling:
+    """A robot that tells its joints when the test does."""
+
+    name, n_joints = "telling", 6
+
+    def listen(self, heard: Callable[[float, Any], None]) -> None:
+        self.tell = heard
+
+
+def test_pictures_are_drawn_by_a_process_of_their_own_where_the_arm_was(scenario: Path) -> None:
+    robot, clock = Telling(), SystemClock()
+    cell = watching_cell(str(scenario), robot, clock)  # type: ignore[arg-type]
+    keys = load_scenario(str(scenario))[0]
+    told = live_cell(str(scenario), clock)
+    setup = Setup(rig=rig_from_mapping(told.rig, "rig"), target=target_from_mapping(told.target, "target"))
+    begin_s, home = clock.now_s(), twin_home(small_arm())
+    for t_s in (begin_s - 1.0, begin_s + 100.0):
+        robot.tell(t_s, home + 0.002 * (t_s - begin_s) * WAY)
+    with cell.pairs as pairs:
+        pose = measure_pair(setup, *next(iter(pairs))).pose
+        (other,) = (p for p in multiprocessing.active_children() if p.name == "armsight-pictures")
+        q = home + 0.002 * (cell.origin_s + pose.t_s - begin_s) * WAY
+        true = (keys.cameras.T_mount_rig.pose().inv().as_matrix() @ flange(q)
+                @ keys.target.T_flange_target.pose().as_matrix())[:3, 3]  # fmt: skip
+        off = np.linalg.solve(np.linalg.cholesky(pose.covariance[:3, :3]), pose.T_parent_target[:3, 3] - true)
+        assert np.linalg.norm(off) < 4.5
+        other.kill()
+        with refuses(DeviceFailed, "has ended"):
+            for _ in pairs:
+                pass
+    assert not other.is_alive()
+    with refuses(DeviceNotFound, "no scenario 'nowhere'"):  # told by the other process
+        watching_cell("nowhere", robot, clock)  # type: ignore[arg-type]
 
 
 def test_packets_that_come_late_are_taken_for_when_they_were_sent() -> None:

@@ -39,7 +39,7 @@ def ways(robot: Any, pair: Any, cycles: int, speed_deg_s: float) -> None:
 def test_both_sides_pack_alike() -> None:
     for name in ("HELLO", "BEGIN", "STATE", "GOAL"):
         assert getattr(driver, name).format == getattr(link, name).format
-    flags = ("MAY", "ENABLED", "HOMED", "JOINT_MODE", "E_STOP", "AUTO", "MDI", "SWITCH_ON", "HOME", "OFFSETS")
+    flags = ("MAY", "ENABLED", "HOMED", "JOINT_MODE", "E_STOP", "AUTO", "MDI", "SWITCH_ON", "HOME", "OFFSETS", "READS")
     assert (
         [getattr(driver, name, getattr(state, name, None)) for name in flags]
         == [getattr(pins, name) for name in flags]
@@ -54,6 +54,7 @@ def test_both_sides_pack_alike() -> None:
             1,
             2,
             4,
+            8,
         ]
     )
     whys = link.BEGUN, link.LET_GO, link.STOPPED, link.NOT_TAKEN
@@ -125,6 +126,33 @@ def test_nothing_answers_where_linuxcnc_does_not_run(free_port: int) -> None:
 def test_an_address_that_is_none_is_refused(device: str) -> None:
     with refuses(UsageError, "no"):
         LinuxcncRobot(device)
+
+
+def test_a_link_that_only_reads_opens_while_others_move_the_arm_and_moves_nothing(make_linuxcnc: Any) -> None:
+    pair = make_linuxcnc(reads_only=True, switch_on=True)
+    joint = pair.twin.world.joints[0]
+    joint.ask(40.0)  # by the operator's hand
+    with pair.robot as robot:
+        pair.advance(0.4)
+        assert abs(joint.speed) == pytest.approx(SPEED), "it goes at full speed"
+        assert robot.read().q[0] == pytest.approx(math.radians(joint.at), abs=math.radians(2.0 * SPEED * pair.cycle_s))
+        for asked in (robot.reset, lambda: robot.step_joints(np.full(6, 1e-3))):
+            with refuses(DeviceFailed, "only reads"):
+                asked()
+        pair.advance(2.0)
+    assert joint.at == pytest.approx(math.degrees(pair.home[0]) + 40.0)
+    assert not {"jog-enable", "session", "estop-reset", "machine-on"} & {
+        k for k, v in pair.twin.world.pins.items() if v
+    }
+
+
+def test_an_arm_that_moves_is_refused_with_the_way_to_read_it(make_linuxcnc: Any) -> None:
+    pair = make_linuxcnc(open_s=0.1)
+    joint = pair.twin.world.joints[0]
+    joint.high = math.inf
+    joint.ask(1e9)
+    with refuses(DeviceFailed, "reads_only"), pair.robot:
+        pass
 
 
 def test_a_second_program_is_refused_and_the_first_goes_on(make_linuxcnc: Any) -> None:

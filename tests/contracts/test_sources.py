@@ -14,7 +14,7 @@ import pytest
 
 from armsight.clock import ManualClock
 from armsight.drivers import FileMoments, ImageFolder, OneImage, OpenCvCamera, TimedMoments, VideoFile
-from armsight.drivers.protocols import FrameSource, PairSource
+from armsight.drivers.protocols import FrameSource, MomentSource
 from armsight.errors import ArmsightError
 
 COUNT = 12
@@ -166,7 +166,7 @@ def halves(folder: Path) -> OneImage:
     return OneImage(make_folder(folder), (24, SHAPE[0]), (40, SHAPE[0]))
 
 
-PAIRS: dict[str, Callable[[Path], PairSource]] = {
+PAIRS: dict[str, Callable[[Path], MomentSource]] = {
     "files": files_in_pairs,
     "videos": videos_in_pairs,
     "cameras": cameras_in_pairs,
@@ -175,11 +175,11 @@ PAIRS: dict[str, Callable[[Path], PairSource]] = {
 
 
 @pytest.fixture(params=PAIRS)
-def pairs(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[PairSource]:
+def pairs(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[MomentSource]:
     yield PAIRS[request.param](tmp_path / "pairs")
 
 
-def test_pairs_are_in_step(pairs: PairSource) -> None:
+def test_pairs_are_in_step(pairs: MomentSource) -> None:
     with pairs, closing(iter(pairs)) as both:
         total = pairs.total
         got = list(islice(both, COUNT))

@@ -13,13 +13,15 @@ import pytest
 import yaml
 
 from armsight.clock import ManualClock
-from armsight.drivers import AUTOMATIC, CameraSettings, OpenCvCamera, open_pairs, open_source
+from armsight.drivers import AUTOMATIC, CameraSettings, OpenCvCamera, open_source
 from armsight.drivers.aravis import AravisCamera
 from armsight.drivers.camera_settings import ZOOM_S
 from armsight.drivers.live import SETTLED
 from armsight.errors import DeviceFailed, UsageError
 from armsight.ops.simulation import scenarios
 from armsight.ops.simulation.scenarios import VIEW
+from armsight.ops.sources.cameras import open_rig
+from armsight.optics import SIDES
 from armsight.store.yamls import parse_yaml
 from armsight_sim.scenario_builder import build_world
 from armsight_sim.scenario_schema import Scenario
@@ -122,9 +124,9 @@ def test_each_camera_of_a_pair_gets_its_own_zoom(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr("armsight.drivers.opening.load", lambda *_: make)
     left, right = CameraSettings(zoom=100.0, gain=2.0), CameraSettings(zoom=300.0, gain=2.0)
-    open_pairs("camera:mine:1", "camera:mine:2", settings=(left, right))
+    open_rig(SIDES, "camera:mine:1", "camera:mine:2", settings=(left, right))
     assert asked == {"1": left, "2": right}
-    open_pairs("camera:mine:1", "camera:mine:2", settings=left)
+    open_rig(SIDES, "camera:mine:1", "camera:mine:2", settings=left)
     assert asked == {"1": left, "2": left}
 
 
@@ -132,7 +134,7 @@ def test_what_is_not_live_and_what_sets_no_zoom_is_refused(monkeypatch: pytest.M
     zoomed = CameraSettings(zoom=100.0)
     for refused in (
         lambda: open_source("folder", settings=zoomed),
-        lambda: open_pairs("a", "b", settings=(AUTOMATIC, zoomed)),
+        lambda: open_rig(SIDES, "a", "b", settings=(AUTOMATIC, zoomed)),
     ):
         with refuses(UsageError, "--set-zoom", "live"):
             refused()

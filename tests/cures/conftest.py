@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # histories.py
 
 from cure_tables import FILES
 
+from armsight_lab.design.changes import CHANGES
 from histories import baseline_runs, runs
 
 
@@ -92,4 +93,5 @@ def trial_folder(given_files, tmp_path, monkeypatch):
     shutil.copytree(given_files, tmp_path, copy_function=lent, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ARMSIGHT_HISTORY", str(tmp_path / "history.db"))
+    monkeypatch.setattr("armsight_lab.design.changes.CHANGES", CHANGES[:1])  # what a plan tells of others costs most
     return tmp_path

@@ -221,7 +221,7 @@ TRIED = {
         (RECORD, lambda: open_source("a.mcap")),
         ("convert recording a.mcap -o f", lambda: list(open_source("f/left").__enter__())),
     ),
-    ("drivers/opening.py", "Give each camera's own source"): (
+    ("ops/sources/cameras.py", "Give each camera's own source"): (
         "measure --rig rig.yaml --target target.yaml --left left --right left -o m",
         MEASURE,
     ),
@@ -229,7 +229,7 @@ TRIED = {
         f"{RECORD} && measure --rig rig.yaml --target target.yaml --left a.mcap --fps 30 -o m",
         "measure --rig rig.yaml --target target.yaml --left a.mcap -o m",
     ),
-    ("ops/sources/frames.py", "or one recording for both"): ("record --left left -o a.mcap", RECORD),
+    ("ops/sources/cameras.py", "or give one recording that has all"): ("record --left left -o a.mcap", RECORD),
     ("store/foreign/numbers.py", "Calibrate it with armsight calibrate camera"): (
         "convert camera rational.yml -o c.yaml",
         CAMERA,

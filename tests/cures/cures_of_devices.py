@@ -29,7 +29,6 @@ from armsight.drivers.rtde import link
 from armsight.kinematics import preset
 from armsight.measure.correspondence import PatchSettings, StereoViews, find_in_other_view
 from armsight.ops.identification.live import Known, _ask, _modelled
-from armsight.ops.recording.free_cameras import FreeJob
 from armsight.ops.robot.recorder import require_recorded
 from armsight.ops.robot.run_motion import recorded_cameras
 from armsight.optics import Camera
@@ -243,10 +242,6 @@ TRIED = {
             require_kind(LiveJob(left="camera:0", right=None), read_rig(Path("mirrors.yaml"))),
         ],
     ),
-    ("ops/recording/free_cameras.py", "Give live cameras, such as"): (
-        lambda: FreeJob(left="left", right="right", out=Path("a.mcap")),
-        lambda: FreeJob(left="camera:0", right="camera:2", out=Path("a.mcap")),
-    ),
     ("ops/robot/recorder.py", "Make room, or name another disk"): (
         lambda: require_recorded("no space is left"),
         lambda: require_recorded(""),
@@ -280,6 +275,6 @@ TRIED = {
     ),
     ("ops/robot/run_motion.py", "Give --left and --right too"): (
         moved(camera_settings=EXPOSED),
-        lambda: recorded_cameras(*LIVE_EYES.values(), EXPOSED, Path("moved")),
+        lambda: recorded_cameras(LIVE_EYES, EXPOSED, Path("moved")),
     ),
 }

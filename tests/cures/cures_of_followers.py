@@ -9,11 +9,13 @@ import numpy as np
 from armsight.app.operator.robot_cell import scenario_of
 from armsight.calibrate.arm.touch import Kind, KnownLength, Touches
 from armsight.calibrate.arm.touch.touches import check_touches
+from armsight.drivers.linuxcnc import LinuxcncRobot
 from armsight.kinematics import preset
 from armsight.ops.arm_files import load_arm
 from armsight.ops.flags import lengths_of
-from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
+from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_named
 from armsight.ops.simulation.following import require_joints
+from armsight.ops.verification.live import check_stop
 from armsight.store.arm_points import read_arm_points
 from armsight.store.touch_table import read_touches
 
@@ -42,7 +44,12 @@ def touching(q=Q, length_m=0.27):
     return lambda: check_touches(preset("irb120"), touches)
 
 
+READ = LinuxcncRobot("127.0.0.1", settings={"reads_only": True})
 TRIED = {
+    ("ops/verification/live.py", "Leave --stop-mm, --stop-deg and --stop-blind out"): (
+        lambda: check_stop(READ, asked=True),
+        lambda: check_stop(READ, asked=False),
+    ),
     ("app/operator/robot_cell.py", "Leave --follow out, or name a real controller"): (
         lambda: scenario_of(RobotJob(robot="sim:webcam-cell", follow="webcam-cell")),
         lambda: [
@@ -54,13 +61,13 @@ TRIED = {
         lambda: refuse_cameras("webcam-cell", left="camera:0", right=None),
         lambda: [
             refuse_cameras("webcam-cell", left=None, right=None),
-            require_views("camera:0", "camera:2"),
+            require_named({"left": "camera:0", "right": "camera:2"}),
         ],
     ),
     ("ops/requests/motion.py", "Give --left and --right, or --follow SCENARIO"): (
-        lambda: require_views("camera:0", None),
+        lambda: require_named({}),
         lambda: [
-            require_views("camera:0", "camera:2"),
+            require_named({"left": "camera:0", "right": "camera:2"}),
             refuse_cameras("webcam-cell", left=None, right=None),
         ],
     ),

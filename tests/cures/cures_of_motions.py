@@ -17,13 +17,13 @@ from armsight.control.guard import Limits
 from armsight.control.play import PlaySettings, Weave, plan_path
 from armsight.control.play.shape import shaped
 from armsight.control.teach import PathRecorder, StandingRig
-from armsight.drivers import AUTOMATIC, CameraSettings
+from armsight.drivers import CameraSettings
 from armsight.drivers.jog_inputs import open_jog_input
 from armsight.kinematics import preset
 from armsight.ops import motion, robots
 from armsight.ops.action import action_of
 from armsight.ops.identification.left_out import read_limits
-from armsight.ops.identification.live import Known, LiveSweeps, open_devices
+from armsight.ops.identification.live import Known, LiveSweeps
 from armsight.ops.identification.live import _check as check_identify
 from armsight.ops.identify import joint_numbers
 from armsight.ops.play.play_job import check as check_play
@@ -31,11 +31,13 @@ from armsight.ops.play.play_job import check_speeds
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.ops.robot.robot_run import check_arm
+from armsight.ops.servo.cameras import CameraNames
 from armsight.ops.servo.run_servo import require_axis, turning
-from armsight.ops.servo.vision import CameraNames, ServoDevices, measuring, open_servo, placed_cameras
+from armsight.ops.servo.vision import ServoDevices, measuring, open_servo, placed_cameras
 from armsight.ops.verification.live import check_arm as check_supervised_arm
 from armsight.ops.verification.live import check_times, open_supervised
 from armsight.ops.verification.mastering import drawn_about
+from armsight.optics import SIDES
 from armsight.records import TaughtPath
 from armsight.store import read_rig, read_target
 
@@ -70,10 +72,10 @@ def planned(path, arm=UR, at=AT, **more):
     return lambda: plan_path(path, arm, Limits(), at, settings)
 
 
-def supervised(*views, play=False):
+def supervised(play=False, **eyes):
     """Return a call that opens a robot and the cameras that watch it."""
     link, settings = RobotJob(robot="egm:6510"), CameraSettings()
-    return lambda: open_supervised(link, views, target(), ManualClock(), UR, play=play, camera_settings=settings)
+    return lambda: open_supervised(link, SIDES, eyes, target(), ManualClock(), UR, play=play, camera_settings=settings)
 
 
 def times(**more):
@@ -84,10 +86,6 @@ def times(**more):
 
 def identified(**known):
     check_identify(LiveSweeps(limits=np.ones((6, 2))), Known(rig=None, **known))
-
-
-def identified_by(left, right):
-    open_devices(RobotJob(robot="rsi:49152"), (left, right), AUTOMATIC, target(), ManualClock())
 
 
 def moved(*, yes=True, **more):
@@ -131,7 +129,7 @@ def eyes(**more):
 
 
 def named(left=None, right=None):
-    return CameraNames(left, right, None, None)
+    return CameraNames.of(None, left, right, None, None)
 
 
 def target():
@@ -274,12 +272,12 @@ TRIED = {
         times(latency_s=0.0),
     ),
     ("ops/verification/live.py", "Leave --play away"): (
-        supervised(*LIVE_EYES.values(), play=True),
-        supervised(*LIVE_EYES.values()),
+        supervised(play=True, **LIVE_EYES),
+        supervised(**LIVE_EYES),
     ),
-    ("ops/verification/live.py", "Give camera:NAME for"): (
-        supervised(f"camera:{SIM}:left", f"camera:{SIM}:right"),
-        supervised(*LIVE_EYES.values()),
+    ("ops/sources/cameras.py", "Give live cameras, such as"): (
+        supervised(left=f"camera:{SIM}:left", right=f"camera:{SIM}:right"),
+        supervised(**LIVE_EYES),
     ),
     ("ops/verification/mastering.py", "Give --around q1"): (MASTERING, "{} --around 0.1,0.2,0.1,0.2,0.9,0.3"),
     ("ops/verification/mastering.py", "Give degrees above 0"): (around(span_rad=0.0), around(span_rad=0.3)),
@@ -312,7 +310,7 @@ TRIED = {
     ("ops/teach.py", "or --from poses.csv"): ("teach -o taught", "teach --from poses.csv -o taught"),
     ("ops/teaching.py", "Give --world world.yaml, made with"): (f"{TEACH} {VIEWS}", "{} --world cell/world.yaml"),
     ("ops/teaching.py", "--image for a mirror rig, or"): (
-        f"{TEACH} --left cell/left --world cell/world.yaml",
+        f"{TEACH} --world cell/world.yaml",
         f"{TEACH} {VIEWS} --world cell/world.yaml && teach --from poses.csv -o other",
     ),
     ("ops/robot/robot_run.py", "Give the arm's file (--arm)"): (
@@ -326,10 +324,6 @@ TRIED = {
     ("ops/verification/live.py", "Give the file of this arm"): (
         lambda: check_supervised_arm(preset("iiwa14"), SimpleNamespace(robot=telling(UR))),
         lambda: check_supervised_arm(UR, SimpleNamespace(robot=telling(UR))),
-    ),
-    ("ops/identification/live.py", "Give camera:NAME for --left"): (
-        lambda: identified_by("left", "right"),
-        lambda: identified_by(**LIVE_EYES),
     ),
     ("control/play/plan.py", "Run the positions alone"): (
         planned(TURNED, **FIVE),

@@ -37,6 +37,9 @@ IN_TESTS = {
     ("calibrate/handeye/one_axis.py", "Give metres, or the unit with the number"): (
         "tests/truth/test_handeye_one_axis.py::test_a_height_in_millimetres_taken_as_metres_is_refused"
     ),
+    ("armsight_lab/design/plan.py", "Calibrate them (armsight calibrate cameras)"): (
+        "tests/truth/test_design.py::test_other_cameras_than_a_pair_are_planned_as_they_are_calibrated"
+    ),
     ("drivers/timed_moments.py", "Set all cameras to one frame rate and one clock"): (
         "tests/unit/drivers/test_moments.py::test_a_camera_apart_is_told_with_its_cure_and_each_cure_keeps_it"
     ),
@@ -141,7 +144,7 @@ IN_TESTS = {
     ),
     ("armsight_lab/batch/work.py", "fewer workers at once (--jobs)"): (
         "tests/unit/app/test_batch.py::"
-        "test_a_job_that_needs_the_memory_of_several_workers_is_done_by_one_as_its_cure_says"
+        "test_a_job_whose_worker_is_killed_is_done_again_and_one_that_kills_three_is_done_by_one_as_its_cure_says"
     ),
     ("armsight_lab/cli/batch_commands.py", "Give fewer workers (--jobs)"): (
         "tests/unit/cli/test_batch.py::test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone"

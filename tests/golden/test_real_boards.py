@@ -61,10 +61,9 @@ def test_swapped_sides_are_recognised(views: tuple[list[BoardView], list[BoardVi
 
 
 @needs_stereo
-@pytest.mark.parametrize("size", [(8, 6), (9, 5), (7, 7)])
-def test_wrong_size_is_told_with_the_right_one(size: tuple[int, int]) -> None:
-    with refuses(BadImage, "{}x{}".format(*size), size=(9, 6)):
-        find_board(picture(STEREO / "left01.jpg"), board_target(TargetKind.CHECKERBOARD, *size, 0.025))
+def test_wrong_size_is_told_with_the_right_one() -> None:
+    with refuses(BadImage, "7x7", size=(9, 6)):
+        find_board(picture(STEREO / "left01.jpg"), board_target(TargetKind.CHECKERBOARD, 7, 7, 0.025))
 
 
 @needs_stereo

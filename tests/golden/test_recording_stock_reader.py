@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
-from armsight.optics import Camera, parallel_rig
+from armsight.optics import SIDES, Camera, parallel_rig
 from armsight.records import Frame
 from armsight.store.recording import ImageFormat, RecordingWriter, encode
 
@@ -63,7 +63,8 @@ def record(path: Path, images: list[np.ndarray], kind: ImageFormat) -> None:
         writer.rig(0.0, parallel_rig(camera, 0.12))
         for i in range(0, len(images), 2):
             pair = [Frame(image=images[i + k], t_s=i / 60.0, sequence=i // 2, source="s") for k in range(2)]
-            writer.pair(pair[0], pair[1], (encode(pair[0].image, kind), encode(pair[1].image, kind)))
+            views = dict(zip(SIDES, pair, strict=True))
+            writer.moment(views, {side: encode(one.image, kind) for side, one in views.items()})
 
 
 @pytest.mark.parametrize("kind", [ImageFormat.RAW, ImageFormat.PNG])

@@ -55,16 +55,25 @@ def place(rows: np.ndarray, q: np.ndarray) -> np.ndarray:
     return out
 
 
-def stream(seed: int, *, rate_hz: float = 10.0, drifts: bool = True, off_rad: float = 0.005) -> ArmStream:
+def stream(
+    seed: int,
+    *,
+    rate_hz: float = 10.0,
+    drifts: bool = True,
+    off_rad: float = 0.005,
+    reach: float = 1.0,
+    built_m: np.ndarray | None = None,
+) -> ArmStream:
     """20 to 60 s of smooth motion of all joints; errors drift over 0.3 to 5 s, beside white noise.
 
-    drifts: otherwise the same errors, in random order.
+    drifts: otherwise the same errors, in random order. reach: share of the ranges that the joints go over. built_m:
+    (5, 2) by which d and a are off.
     """
     rng = np.random.default_rng([seed, 5])
     t_s = np.arange(0.0, rng.uniform(20.0, 60.0), 1.0 / rate_hz)
     n = len(t_s)
     period, phase = rng.uniform(3.0, 12.0, (3, 5)), rng.uniform(0.0, 2.0 * np.pi, (3, 5))
-    q = sum(np.sin(2.0 * np.pi * t_s[:, None] / period[k] + phase[k]) for k in range(3)) / 1.7
+    q = reach * sum(np.sin(2.0 * np.pi * t_s[:, None] / period[k] + phase[k]) for k in range(3)) / 1.7
     drift_s, sigma_m = np.exp(rng.uniform(np.log(0.3), np.log(5.0))), rng.uniform(1e-4, 5e-4)
     white = rng.uniform(0.1, 1.0)
     error = rng.normal(size=(n, 3))
@@ -76,6 +85,7 @@ def stream(seed: int, *, rate_hz: float = 10.0, drifts: bool = True, off_rad: fl
         error = rng.permutation(error)
     rows, wrong = LINKS.copy(), rng.normal(0.0, off_rad, 3)
     rows[1:4, 0] += wrong
+    rows[:, 1:3] += 0.0 if built_m is None else built_m
     points = ArmPoints(q=q, xyz_m=place(rows, q) + sigma_m * error, t_s=t_s)
     true = dict(zip(JUDGED, wrong.tolist(), strict=True))
     return ArmStream(points=points, rows=rows, true=true, sigma_m=float(sigma_m * np.sqrt(1.0 + white**2)))

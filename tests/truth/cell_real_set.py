@@ -192,9 +192,11 @@ def joints_of(arm: Arm, T_base_wrist: Sequence[RigidTransform], middle_m: Array)
 
 @dataclass(frozen=True, kw_only=True)
 class Bundle:
-    """A cell of all pictures of a set, of which a fit uses some; x (P,): to begin with, by the chain of these."""
+    """A cell of all pictures of a set, of which a fit uses some; x (P,): to begin with, by the chain of these, told the
+    configuration's pitch."""
 
     pictures: tuple[int, ...]
+    chain: Chain
     model: CellModel
     target: Target
     x: Array
@@ -241,7 +243,7 @@ def bundle_of(given: RealSet, pictures: Sequence[int], *, scale: float = SCALE, 
     T = chain.T_wrist_camera
     camera = np.concatenate([chain.camera.intrinsics, T.translation, T.rotation.as_rotvec(), np.zeros(3)])
     x = start_vector(model, [camera, camera], turn.apply(dots - dots.mean(axis=0)))
-    return Bundle(pictures=tuple(pictures), model=model, target=target, x=x)
+    return Bundle(pictures=tuple(pictures), chain=chain, model=model, target=target, x=x)
 
 
 def standing_log(at_s: Array, q: Array) -> JointLog:

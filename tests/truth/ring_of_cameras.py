@@ -27,9 +27,9 @@ def vector(T: np.ndarray) -> np.ndarray:
     return np.r_[T[:3, 3], cv2.Rodrigues(T[:3, :3])[0].ravel()]
 
 
-def pixels(k: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Pixels (n, 2) of the board at T_camera_board (4, 4); k (10,) in the order of NAMES."""
-    X = BOARD.xyz_m @ T[:3, :3].T + T[:3, 3]
+def pixels(k: np.ndarray, T: np.ndarray, points: np.ndarray = BOARD.xyz_m) -> np.ndarray:
+    """Pixels (n, 2) of points (n, 3), the board's, at T_camera_board (4, 4); k (10,) in the order of NAMES."""
+    X = points @ T[:3, :3].T + T[:3, 3]
     K = np.array([[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]])
     uv = cv2.projectPoints(X, np.zeros(3), np.zeros(3), K, k[5:])[0].reshape(-1, 2)
     return uv + k[4] * (uv[:, 1:] - k[3]) / k[1] * [1.0, 0.0]
@@ -179,6 +179,23 @@ def waved(still: Ring, n_moments: int = 60, interval_s: float = 0.1) -> tuple[Ri
     boards = np.array([at(0.0, g) for g in range(n_moments)])
     seen = np.array([visible(still.k, still.T, one) for one in boards])
     return Ring(k=still.k, T=still.T, boards=boards, seen=seen), at
+
+
+def rolled(film: Ring, at: Callable[[float, int], np.ndarray], late: np.ndarray, readout_s: np.ndarray) -> np.ndarray:
+    """Pixels (G, C, n, 2) of cameras that read their rows one after the other, the middle one at the picture's time."""
+    out = np.full((*film.seen.shape, len(BOARD.xyz_m), 2), np.nan)
+    node = np.linspace(-0.5, 0.5, 5)
+    others = [np.delete(node, j) for j in range(5)]
+    for g, c in zip(*np.nonzero(film.seen), strict=True):
+        back = np.linalg.inv(film.T[c])
+        uv = np.array([pixels(film.k[c], back @ at(late[c] + readout_s[c] * x, int(g))) for x in node])
+        seen = uv[2]
+        for _ in range(4):  # a point is seen where it was when its row was read
+            line = seen[:, 1] / (SIZE[1] - 1.0) - 0.5
+            weight = [np.prod((line[:, None] - o) / (x - o), axis=1) for x, o in zip(node, others, strict=True)]
+            seen = np.einsum("jn,jnk->nk", weight, uv)
+        out[g, c] = seen
+    return out
 
 
 def views(

@@ -52,9 +52,8 @@ def simulated(seed: int, noise_rad: float, m: int = 60, held: int = 200) -> tupl
     return ArmPoints(q=q[:m], xyz_m=seen, rotation=turned), q[m:], x[m:]
 
 
-@pytest.mark.parametrize("noise_rad", [0.0, 1e-6])
-def test_rotations_better_than_any_arm_turns_its_tool_do_not_rule_the_positions(noise_rad: float) -> None:
-    points, q, truth = simulated(0, noise_rad)
+def test_rotations_better_than_any_arm_turns_its_tool_do_not_rule_the_positions() -> None:
+    points, q, truth = simulated(0, 0.0)
     result = calibrate_arm(NOMINAL, points)
     alone = calibrate_arm(NOMINAL, replace(points, rotation=None))
     off, off_alone = (np.linalg.norm(fk(x.arm, q)[:, :3, 3] - truth, axis=1).mean() for x in (result, alone))

@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 
 from armsight.calibrate.arm import ArmResult, calibrate_arm
+from armsight.calibrate.arm.covariance import HeldGeometry, believed, drift_of, in_blocks
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
+from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.model import ArmModel
 from armsight.store.arm_points import read_arm_points
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -73,6 +77,52 @@ def test_blocks_of_time_are_left_out_with_what_is_near(timed: ArmResult, mixed: 
     assert points.t_s is not None
     apart = np.abs(points.t_s[rest][:, None] - points.t_s[block == 2]).min()
     assert apart > 1.0 and rest.sum() >= len(points) - 50 - 22
+
+
+def zeros_of(
+    seed: int, built_m: np.ndarray | None, off_rad: float = 0.005
+) -> tuple[np.ndarray, ArmFit, ArmFit, HeldGeometry | None]:
+    """Return what the zeros are off by, their fit with lengths held, as it is to be believed, and what is held."""
+    made = stream(seed, rate_hz=4.0, built_m=built_m, off_rad=off_rad)
+    model, tolerance = ArmModel(arm=NOMINAL, labels=made.points.labels, turned=False), Tolerance()
+    fitted = fit_arm(model, made.points, start(model, made.points), JUDGED, tolerance)
+    drift = drift_of(model, made.points, fitted)
+    assert drift is not None
+    points = in_blocks(made.points, drift.correlation)
+    assert points.block is not None
+    off = np.array([fitted.fit.value(name) - made.true[name] for name in JUDGED])
+    fit, _, held = believed(model, points, fitted, tolerance)
+    return off, fitted, fit, held
+
+
+def claims(fit: ArmFit) -> np.ndarray:
+    return np.array([fit.fit.std()[name] for name in JUDGED])
+
+
+def test_lengths_that_are_held_and_off_widen_what_zeros_claim() -> None:
+    lengths = np.random.default_rng(4).normal(0.0, 1e-3, (6, 5, 2))
+    found = [zeros_of(seed, built) for seed, built in enumerate(lengths)]
+    z = np.array([off / claims(fit) for off, _, fit, _ in found])
+    assert np.sqrt(np.mean(z**2)) < 1.3 and np.abs(z).max() < 3.0
+    assert max(np.abs(off / claims(own)).max() for off, own, _, _ in found) > 10.0
+
+
+def test_lengths_that_are_right_cost_zeros_next_to_nothing() -> None:
+    off, _, fit, held = zeros_of(1, None)
+    assert held is not None and fit.fit.covariance is not None and not held.doubt(fit, JUDGED)
+    added = np.linalg.norm(held.moved, axis=1)[[fit.fit.covariance.names.index(name) for name in JUDGED]]
+    assert (added < 0.5 * claims(fit)).all() and np.abs(off / claims(fit)).max() < 3.0
+
+
+def test_one_length_off_is_told_beside_zeros_that_stand_for_it() -> None:
+    built = np.zeros((5, 2))
+    built[1, 1] = 2e-3
+    off, _, fit, held = zeros_of(0, built, off_rad=0.0)
+    assert held is not None and np.abs(off / claims(fit)).max() < 2.0
+    k = held.names.index("j2.a_m")
+    assert abs(held.off[k] - 2e-3) < 3.0 * held.std[k] < 2e-3
+    doubt = held.doubt(fit, JUDGED)
+    assert "j3.theta_rad cannot be told" in doubt and "j2.a_m off by +" in doubt
 
 
 def test_times_are_read_and_may_be_missing(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def calibrated(seed: int) -> tuple[Cell, ArmPoints, ArmResult]:
 def test_left_out_errors_are_what_the_cramer_rao_bound_predicts() -> None:
     """The prediction is the noise and the parameters' doubt at further places."""
     ratios, inside = [], []
-    for seed in range(500, 503):
+    for seed in range(500, 502):
         _, far, result = calibrated(seed)
         assert result.gain and result.level == "geometry"
         assert result.left_before.mean_m > 5e-3
@@ -114,8 +114,15 @@ def test_an_elbow_whose_reading_is_absolute_is_found() -> None:
     names = [joint.name for joint in made.arm.joints]
     assert result.couplings == ((names[2], names[1], -1.0),)
     assert names[2] in result.verdict
+    assert result.before.mean_m > 0.05  # without the coupling
     assert result.left_after.mean_m < 3.0 * NOISE_M
-    assert calibrate_arm(made.arm, points).couplings == ()
+    assert calibrated(500)[2].couplings == ()
+    # To add to readings: joint 3 turns by its reading minus joint 2's, so its zero is to be added to its own value.
+    rows = {row[0]: row for row in (line.split(",") for line in corrections(result).splitlines()[1:])}
+    zeros = np.rad2deg(made.true[:, 0] - table(made.arm)[:, 0])
+    zeros[2] += zeros[1]
+    for name, wanted in zip(names[1:5], zeros[1:5], strict=True):
+        assert abs(float(rows[name][1]) - wanted) < max(4.0 * float(rows[name][3]), 0.01), name
     arm = result.arm  # takes the controller's readings, and as a nominal arm asks for them
     np.testing.assert_allclose(arm.values(reading), points.q, atol=1e-12)
     np.testing.assert_allclose(arm.readings(points.q), reading, atol=1e-12)
@@ -126,8 +133,12 @@ def test_an_elbow_whose_reading_is_absolute_is_found() -> None:
 def test_zeros_are_found_within_their_deviations_where_all_lengths_are_off_too() -> None:
     """Zeros off by 2 degrees, lengths by 0.5 mm: Hayati's beta must not take a joint zero's place (MATH 4.5)."""
     chi2 = []
-    for seed in range(500, 503):
+    for seed in range(500, 502):
         made, _, result = calibrated(seed)
+        assert not set(result.free) & set(dict(result.fixed))
+        assert {result.change(name) for name, _ in result.fixed} == {0.0}
+        geometry = result.model.names[: result.model.n_geometry]
+        assert {name for name in geometry if result.change(name) != 0.0} == set(result.free)
         std, off = result.std(), made.true - table(made.arm)
         names = [joint.name for joint in made.arm.joints]
         zeros = [(f"{name}.theta_rad", true) for name, true in zip(names, off[:, 0], strict=True)]
@@ -136,17 +147,8 @@ def test_zeros_are_found_within_their_deviations_where_all_lengths_are_off_too()
         assert [name for name in result.free if "beta" in name] == [f"{names[1]}.beta_rad"]  # parallel: joints 2, 3
         assert f"{names[1]}.d_m" in dict(result.fixed)
         chi2 += [((result.change(name) - true) / std[name]) ** 2 for name, true in free]
-    assert np.mean(chi2) == pytest.approx(1.0, abs=0.8)  # 12 terms: 1 +- 0.41
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.9)  # 8 terms: 1 +- 0.5
     assert max(chi2) < 16.0
-
-
-def test_what_is_fixed_is_as_in_the_nominal_arm() -> None:
-    for seed in (500, 501):
-        result = calibrated(seed)[2]
-        assert result.gain and not set(result.free) & set(dict(result.fixed))
-        assert {result.change(name) for name, _ in result.fixed} == {0.0}
-        geometry = result.model.names[: result.model.n_geometry]
-        assert {name for name in geometry if result.change(name) != 0.0} == set(result.free)
 
 
 def test_beta_is_offered_for_parallel_axes_only_and_in_both_conventions() -> None:
@@ -179,7 +181,6 @@ def test_a_holdout_must_prove_the_gain_too() -> None:
     made = cell(rng)
     points = made.points(rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng)
     other = Cell(made.arm, table(made.arm), made.tools).points(rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng)
-    assert calibrate_arm(made.arm, points).gain
     result = calibrate_arm(made.arm, points, holdout=other)  # of an arm that is as nominal
     assert not result.gain and result.free == () and result.level == "nominal"
     assert "holdout" in result.verdict and "cross-validation" in result.verdict
@@ -192,8 +193,8 @@ def test_a_holdout_must_prove_the_gain_too() -> None:
 def test_rows_that_are_not_of_the_arm_are_refused_by_number() -> None:
     rng = np.random.default_rng(23)
     made = cell(rng)
-    points = made.points(rng.uniform(-1.0, 1.0, (40, 6)) * REACH, rng)
-    for rows in (slice(60, None), slice(40, 80)):  # places of a reflection
+    points = made.points(rng.uniform(-1.0, 1.0, (24, 6)) * REACH, rng)
+    for rows in (slice(36, None), slice(24, 48)):  # places of a reflection
         mirrored = points.xyz_m.copy()
         mirrored[rows, 0] = 2.2 - mirrored[rows, 0]
         with refuses(Inconsistent, "agree"):
@@ -222,25 +223,15 @@ def test_a_lack_of_joint_positions_is_said_as_such() -> None:
 def test_coupled_readings_alone_are_a_gain() -> None:
     rng = np.random.default_rng(25)
     arm = preset("irb120")
-    names = [joint.name for joint in arm.joints]
-    true = table(arm)
-    for zeros in (np.zeros(6), np.deg2rad([0.0, 1.0, -2.0, 0.5, 0.8, 0.0])):
-        made = Cell(arm, true + np.outer(zeros, [1.0, 0.0, 0.0, 0.0]), np.array([[0.05, 0.02, 0.1], [0.0, 0.05, 0.15]]))
-        points = made.points(rng.uniform(-1.0, 1.0, (40, 6)) * REACH, rng)
-        reading = points.q.copy()
-        reading[:, 2] += reading[:, 1]
-        result = calibrate_arm(arm, replace(points, q=reading))
-        assert result.gain and result.level.startswith("coupled readings") and "coupled readings" in result.verdict
-        assert result.before.mean_m > 0.05 > 3e-4 > result.after.mean_m  # before: without the coupling
-        if not zeros.any():
-            assert result.free == ()
-            continue
-        rows = [line.split(",") for line in corrections(result).splitlines()[1:]]
-        found = {row[0]: float(row[1]) for row in rows}
-        # To add to readings: joint 3 turns by its reading minus joint 2's, so -2 of its value is -2 + 1 of its reading.
-        for name, wanted in zip(names[1:5], (1.0, -1.0, 0.5, 0.8), strict=True):
-            std = float(rows[names.index(name)][3])
-            assert abs(found[name] - wanted) < max(4.0 * std, 0.01), name
+    points = Cell(arm, table(arm), np.array([[0.05, 0.02, 0.1], [0.0, 0.05, 0.15]])).points(
+        rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng
+    )
+    reading = points.q.copy()
+    reading[:, 2] += reading[:, 1]
+    result = calibrate_arm(arm, replace(points, q=reading))
+    assert result.gain and result.level.startswith("coupled readings") and "coupled readings" in result.verdict
+    assert result.before.mean_m > 0.05 > 3e-4 > result.after.mean_m  # before: without the coupling
+    assert result.free == ()
 
 
 def test_a_perfect_arm_is_left_alone_and_gross_rows_are_named() -> None:
@@ -301,8 +292,7 @@ def test_proposed_positions_are_worth_more_than_random_ones() -> None:
         return float(np.mean([np.log(std[name]) for name in result.free if name in std]))
 
     assert size(told.q) < size(rng.uniform(-0.3, 0.3, (8, 6)) * REACH) - 0.5
-    some = propose(result.model, result.fitted, points, 4, visible=lambda xyz: xyz[:, 2] > 0.7)
-    assert len(some.q) == 4
+    assert len(propose(result.model, result.fitted, points, 1, visible=lambda xyz: xyz[:, 2] > 0.7).q) == 1
     with refuses(NotEnoughData, "both cameras"):
         propose(result.model, result.fitted, points, 4, visible=lambda xyz: np.zeros(len(xyz), bool))
 
@@ -359,8 +349,7 @@ def test_a_real_positioner_is_corrected_as_far_as_it_can_be() -> None:
 
 
 @real
-@pytest.mark.parametrize("turned", [True, False])
-def test_no_gain_is_claimed_from_23_noisy_poses(turned: bool) -> None:
+def test_no_gain_is_claimed_from_23_noisy_poses() -> None:
     rows = (
         (0.1807, 0.0, 1),
         (0.0, -0.6127, 0),
@@ -372,8 +361,6 @@ def test_no_gain_is_claimed_from_23_noisy_poses(turned: bool) -> None:
     joints = tuple(Joint(name=f"j{i}", d_m=d, a_m=a, alpha_rad=k * np.pi / 2) for i, (d, a, k) in enumerate(rows, 1))
     arm = Arm(name="ur10e", joints=joints)
     points = read_arm_points(DATA / "ur10_positions" / "points.csv")
-    if not turned:
-        points = ArmPoints(q=points.q, xyz_m=points.xyz_m)
     result = calibrate_arm(arm, points)
     assert not result.gain and "No gain" in result.verdict
     np.testing.assert_array_equal(table(result.arm), table(arm))

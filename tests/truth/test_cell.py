@@ -150,8 +150,8 @@ def test_a_target_whose_file_says_another_size_is_refused_and_its_size_as_built_
     assert abs(found.scale.ratio - 1.0) < 4.0 * found.scale.std
 
 
-def test_a_missing_camera_is_refused() -> None:
-    world = make_cell(SEED, seconds=SECONDS)
+def test_a_missing_camera_is_refused(good: tuple[CellWorld, CellResult]) -> None:
+    world, _ = good
     empty = type(world.right)(
         t_s=world.right.t_s,
         frame=np.zeros(0, np.intp),

@@ -22,29 +22,28 @@ def given() -> real.RealSet:
 
 
 @pytest.fixture(scope="module")
-def whole(given: real.RealSet) -> tuple[real.Bundle, real.CellFit]:
-    bundle = real.bundle_of(given, range(len(given.views)))
+def some(given: real.RealSet) -> tuple[real.Bundle, real.CellFit]:
+    bundle = real.bundle_of(given, [k for k in range(len(given.views)) if k % EACH])
     return bundle, real.fit_bundle(bundle)
 
 
 def test_the_virtual_arm_takes_the_robots_poses_exactly(
-    whole: tuple[real.Bundle, real.CellFit], given: real.RealSet
+    some: tuple[real.Bundle, real.CellFit], given: real.RealSet
 ) -> None:
-    bundle, _ = whole
+    bundle, _ = some
     model, x = bundle.model, bundle.x
     log = model.recording.log
     at_s = real.APART_S * np.arange(len(given.views))
     T = model.flange(x, log.at(at_s)[0])
     assert np.abs(log.at(at_s)[1]).max() < 1e-9
-    chain = real.chain_of(given, real.CONFIG_M)
-    dots = chain.T_base_board.apply(bundle.target.xyz_m)
+    dots = bundle.chain.T_base_board.apply(bundle.target.xyz_m)
     for k, pose in enumerate(given.robot):
         at_wrist = model.lights_m(x) @ T[k, :3, :3].T + T[k, :3, 3]
         assert np.abs(at_wrist - pose.inv().apply(dots)).max() < 1e-9
 
 
-def test_the_pitch_is_the_robots_and_not_the_configurations(whole: tuple[real.Bundle, real.CellFit]) -> None:
-    bundle, found = whole
+def test_the_pitch_is_the_robots_and_not_the_configurations(some: tuple[real.Bundle, real.CellFit]) -> None:
+    bundle, found = some
     pitch_m, slope = bundle.pitch_m(found.x)
     std_m = float(np.sqrt(slope @ found.covariance(bundle.model) @ slope))
     assert std_m < 1e-4
@@ -52,8 +51,8 @@ def test_the_pitch_is_the_robots_and_not_the_configurations(whole: tuple[real.Bu
     assert abs(pitch_m - real.CONFIG_M) > 5.0 * std_m
 
 
-def test_what_standing_pictures_do_not_tell_is_named(whole: tuple[real.Bundle, real.CellFit]) -> None:
-    told = {one.name: one for one in real.told(*whole)}
+def test_what_standing_pictures_do_not_tell_is_named(some: tuple[real.Bundle, real.CellFit]) -> None:
+    told = {one.name: one for one in real.told(*some)}
     open_ = {name for name, one in told.items() if one.bits is not None and one.bits < 0.2}
     assert {"left.drift_ppm", "left.readout_s"} <= open_
     assert told["left.fx"].bits is None
@@ -63,13 +62,13 @@ def test_what_standing_pictures_do_not_tell_is_named(whole: tuple[real.Bundle, r
         assert bits > 1.0
 
 
-def test_pictures_left_out_are_predicted_no_worse_than_by_the_chain(given: real.RealSet) -> None:
+def test_pictures_left_out_are_predicted_no_worse_than_by_the_chain(
+    some: tuple[real.Bundle, real.CellFit], given: real.RealSet
+) -> None:
+    bundle, found = some
     out = range(0, len(given.views), EACH)
-    rest = [k for k in range(len(given.views)) if k not in out]
-    bundle = real.bundle_of(given, rest)
-    x = real.fit_bundle(bundle).x
-    chains = real.chain_of(given.take(rest), real.CONFIG_M), real.advised_chain(given.take(rest))
-    ours = [real.missed(bundle.predict(x, k), given.views[k]) for k in out]
+    chains = bundle.chain, real.chain_of(given.take(bundle.pictures), bundle.chain.pitch_found_m)
+    ours = [real.missed(bundle.predict(found.x, k), given.views[k]) for k in out]
     told, advised = ([real.missed(chain.predict(given.robot[k]), given.views[k]) for k in out] for chain in chains)
     ours_rms, told_rms, advised_rms = (np.sqrt(np.square(each).mean(axis=0)) for each in (ours, told, advised))
     assert (ours_rms < 0.7 * told_rms).all()

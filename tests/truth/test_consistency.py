@@ -13,8 +13,8 @@ from scipy.stats import chi2 as chi2_law
 from armsight.geometry import pose_difference
 from armsight.measure.consistency.causes import causes_of
 from armsight.measure.consistency.check import RunCheck, advice, sentence
-from armsight.measure.consistency.diagnosis import Consistency, Finding
 from armsight.measure.consistency.evidence import target_basis
+from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels.rig_covariance import misfit_factor
 from armsight.measure.poses.pipeline import Measured, Setup
@@ -199,9 +199,9 @@ def test_a_frame_refused_tells_the_cause_as_well() -> None:
     assert best.cause.key == "scale" and best.estimate[0] == pytest.approx(0.03, rel=0.1)
 
 
-@pytest.mark.parametrize("noise", [0.7, 1.0, 1.4])
+@pytest.mark.parametrize("noise", [0.7, 1.4])
 def test_no_alarm_where_rig_and_target_are_as_good_as_they_say(noise: float) -> None:
-    """20 rigs and targets drawn from their own covariances; noise that the spots claim too small or too large."""
+    """12 rigs and targets drawn from their own covariances; noise that the spots claim too small or too large."""
     sigma = dict.fromkeys(RIG_PARAMETERS, 0.0)
     sigma |= {f"right.t{a}": 5e-5 for a in "xyz"} | {f"right.r{a}": 1e-4 for a in "xyz"}
     sigma |= {
@@ -209,7 +209,7 @@ def test_no_alarm_where_rig_and_target_are_as_good_as_they_say(noise: float) -> 
     }
     covariance = NamedCovariance(names=RIG_PARAMETERS, matrix=np.diag([sigma[n] ** 2 for n in RIG_PARAMETERS]))
     rig, target = replace(RIG, covariance=covariance), spot_target(LIGHTS, covariance=1e-10 * np.eye(12))
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng([seed, 3])
         true = moved_rig(RIG, rng.normal(0.0, [sigma[name] for name in RIG_PARAMETERS]))
         world = World(rig=true, lights=X + rng.normal(0.0, 1e-5, X.shape))
@@ -255,7 +255,7 @@ def test_a_sentence_quotes_what_stands_out() -> None:
 
 def test_a_target_that_stands_still_proves_little() -> None:
     """Its spots keep an error of 0.02 px in every frame: no fault, however often it is looked at."""
-    for seed in range(5):
+    for seed in range(3):
         found, _ = run(World(), seed=seed, motion=Motion(seed, speed=0.0), frames=300, sigma_px=0.03, bias_px=0.02)
         assert found.verdict == "ok", sentence(found)
 

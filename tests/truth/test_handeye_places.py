@@ -50,16 +50,16 @@ def test_five_images_at_each_pose_are_believed_as_one() -> None:
 
 def test_a_robot_that_errs_by_a_millimetre_does_not_make_the_target_wrong() -> None:
     """Ten images at each of six places: one in four such sets was told a target of another size."""
-    for seed in range(20):
+    for seed in range(12):
         scale = calibrated(seed, 6, 10, (1e-3, 0.0)).scale
         assert scale is None or not scale.wrong
-    told = [calibrate_eye_in_hand(recorded(seed, 8, 10, (3e-4, 0.0), size=1.03)).scale for seed in range(10)]
+    told = [calibrate_eye_in_hand(recorded(seed, 8, 10, (3e-4, 0.0), size=1.03)).scale for seed in range(4)]
     assert all(one is not None and one.wrong and one.factor == pytest.approx(1.03, abs=0.005) for one in told)
 
 
 @pytest.mark.parametrize(("places", "readings"), [(10, 1), (20, 1), (16, 10)])
 def test_a_mount_that_slipped_is_told_with_the_row(places: int, readings: int) -> None:
-    for seed in range(5):
+    for seed in range(3):
         both = recorded(seed, places, readings, (2e-4, 3e-4), slip_m=5e-3)
         half = places // 2 * readings
         with refuses(Inconsistent, f"row {half + 1}", "apart"):
@@ -72,7 +72,7 @@ def test_a_mount_that_slipped_is_told_with_the_row(places: int, readings: int) -
 
 def test_a_slip_of_a_few_noises_is_told_with_its_row() -> None:
     """2 mm over 0.2 mm of noise, and 0.3 mrad through the lever: they moved the camera by 1 mm, called good."""
-    for seed in range(8):
+    for seed in range(4):
         with refuses(Inconsistent, "row 11", "apart"):
             calibrate_eye_in_hand(recorded(seed, 20, 1, (2e-4, 3e-4), slip_m=2e-3))
         calibrate_eye_in_hand(recorded(seed, 20, 1, (2e-4, 3e-4)))
@@ -81,7 +81,7 @@ def test_a_slip_of_a_few_noises_is_told_with_its_row() -> None:
 @pytest.mark.parametrize(("places", "readings"), [(6, 10), (8, 5)])
 def test_readings_of_a_place_are_judged_as_one(places: int, readings: int) -> None:
     """Of six places of ten, three good ones were lost as outliers; a wrong place and wrong readings are found."""
-    for seed in range(6):
+    for seed in range(3):
         good = recorded(seed, places, readings, (3e-4, 9e-4))
         assert calibrate_eye_in_hand(good).used.all()
         wrong = np.arange(len(good)) // readings == seed % places
@@ -94,7 +94,7 @@ def test_readings_of_a_place_are_judged_as_one(places: int, readings: int) -> No
 
 
 def test_a_mount_that_turned_is_told_with_the_row() -> None:
-    for seed in range(5):
+    for seed in range(3):
         good = recorded(seed, 20, 1, (3e-4, 5e-4))
         turn = RigidTransform.from_rotation(
             Rotation.from_rotvec(np.where(np.arange(20)[:, None] < 10, 0, [0.01, 0, 0]))
@@ -105,7 +105,7 @@ def test_a_mount_that_turned_is_told_with_the_row() -> None:
 
 
 def test_errors_that_drift_are_no_slip() -> None:
-    for seed in range(40):
+    for seed in range(0, 40, 2):
         n, rng = 10 + seed % 31, np.random.default_rng(seed)
         good = recorded(seed, n, 1, (1e-4, 2e-4))
         drift = np.cumsum(rng.normal(0, 1e-3, (n, 3)), axis=0) / np.sqrt(n)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,7 @@ def off(result: HandEyeResult, X: RigidTransform, Z: RigidTransform) -> np.ndarr
     return np.concatenate(out)
 
 
+@cache
 def errors(change: Change | None, seeds: int = 12) -> tuple[float, np.ndarray]:
     """Return the RMS error of the camera's place in mm, and all errors over their claimed deviations."""
     moved, z = [], []

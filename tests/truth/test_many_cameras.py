@@ -22,7 +22,7 @@ from armsight.records import NamedCovariance
 from refusals import refuses
 
 sys.path.insert(0, str(Path(__file__).parent))
-from ring_of_cameras import BOARD, NAMES, SIZE, Ring, matrix, moved, off, ring, seen_from, views, visible, waved
+from ring_of_cameras import BOARD, NAMES, SIZE, Ring, matrix, moved, off, ring, rolled, seen_from, views, visible, waved
 
 C = ("a", "b", "c", "d")
 SIGMA_PX = 0.1
@@ -113,6 +113,26 @@ def test_delays_are_found_from_the_boards_motion_within_what_they_claim(four: Ri
     assert any("exact" in one and "a, b, c, d" in one for one in done.advice)
     places = np.linalg.norm([off(matrix(found), T)[:3] for found, T in zip(done.state.sides, film.T[1:], strict=True)])
     assert places < 2e-3
+
+
+def test_read_outs_are_found_beside_the_delays_within_what_they_claim(four: Ring) -> None:
+    film, at = waved(four)
+    late, took = np.array([0.0, 0.060, -0.050, 0.015]), np.array([0.016, 0.0, 0.030, 0.010])
+    clean = rolled(film, at, late, took)
+    uv = clean + np.random.default_rng(3).normal(0.0, 0.3, clean.shape)
+    stamps = {name: [0.1 * g for g in range(len(film.boards))] for name in C}
+    done = solve_cameras(views(uv, C, 0.3), BOARD, PLAIN, lenses=held(film), times_s=stamps)
+    claimed = done.covariance.std()
+    found = np.r_[done.delays_s[1:] - late[1:], done.readouts_s - took]
+    std = np.array([claimed[f"{name}.delay"] for name in C[1:]] + [claimed[f"{name}.readout"] for name in C])
+    assert (std < 3e-3).all()
+    assert (np.abs(found) < 3.5 * std + 2e-4).all()
+    assert done.robust.fit.scale < 1.1
+    places = np.array([off(matrix(pose), T)[:3] for pose, T in zip(done.state.sides, film.T[1:], strict=True)])
+    doubt = np.array([[claimed[f"{name}.t{axis}"] for axis in "xyz"] for name in C[1:]])
+    assert (np.abs(places) < 4.0 * doubt).all()
+    at_once = film.uv(late, at) + np.random.default_rng(3).normal(0.0, 0.3, clean.shape)
+    assert not solve_cameras(views(at_once, C, 0.3), BOARD, PLAIN, lenses=held(film), times_s=stamps).readouts_s.any()
 
 
 def test_delays_of_boards_held_still_are_held_at_zero(four: Ring) -> None:

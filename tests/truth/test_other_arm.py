@@ -80,10 +80,9 @@ def test_figures_of_quite_another_arm_are_refused_with_its_name() -> None:
         calibrate_arm(preset("iiwa14"), measured(preset("panda"), 2))
 
 
-@pytest.mark.parametrize(("name", "off_m"), [("ur5e", 3e-4), ("kr6", 1.5e-3)])
-def test_an_arm_of_its_own_figures_is_better(name: str, off_m: float) -> None:
-    """Built to a maker's tolerance, and rebuilt by hand with lengths off by a millimetre or two."""
-    result = calibrate_arm(preset(name), measured(preset(name), 5, n=30, off_m=off_m))
+def test_an_arm_of_its_own_figures_is_better() -> None:
+    """Rebuilt by hand with lengths off by a millimetre or two."""
+    result = calibrate_arm(preset("kr6"), measured(preset("kr6"), 5, n=30, off_m=1.5e-3))
     assert result.gain and result.other_arm is None
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -133,7 +134,7 @@ CASES = {
     "29.97 and 60, one global shutter": Truth(rates=(29.97, 60.0), delay_s=0.4, readout_s=(0.0, 0.014), start_s=50.0),
     "one beacon, the right camera on its side": Truth(lights=1, portrait=True, baseline_m=0.3, turned_rad=0.3),
 }
-RUNS = 3
+RUNS = 2
 
 
 def off(truth: Truth, found: TimingResult) -> tuple[Array, Array]:
@@ -145,19 +146,23 @@ def off(truth: Truth, found: TimingResult) -> tuple[Array, Array]:
     return np.array([shift, found.drift_ppm - truth.drift_ppm, *read]), np.array(claimed)
 
 
+@cache
+def calibrated(name: str, seed: int) -> TimingResult:
+    return calibrate_timing(*record(CASES[name], np.random.default_rng(seed)), PLACES)
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_timing_is_found_as_well_as_claimed(name: str) -> None:
     truth = CASES[name]
     errors, claims = [], []
     for seed in range(RUNS):
-        found = calibrate_timing(*record(truth, np.random.default_rng(seed)), PLACES)
-        e, s = off(truth, found)
+        e, s = off(truth, calibrated(name, seed))
         errors.append(e)
         claims.append(s)
     z = np.abs(errors) / claims
     assert np.abs(errors)[:, 0].max() < 2e-4
     assert np.median(np.abs(errors)[:, 2:]) < 0.03 * 0.02
-    assert np.mean(z < 1.96) > 0.8  # 12 figures, of which 11 are expected inside
+    assert np.mean(z**2) < 2.3  # 8 figures: 1 +- 0.5
     assert z.max() < 4.0
 
 
@@ -203,7 +208,7 @@ def test_a_target_of_unknown_geometry_will_do() -> None:
 
 
 def test_files_hold_what_was_found() -> None:
-    found = calibrate_timing(*record(CASES["30 and 30"], np.random.default_rng(6)), PLACES)
+    found = calibrated("30 and 30", 0)
     left, right = found.cameras()
     assert (left.delay_s, left.drift_ppm) == (0.0, 0.0)
     assert left.names == ("readout_s", "jitter_s")
@@ -286,7 +291,7 @@ def test_stamps_without_a_rate_are_refused() -> None:
     refused(Inconsistent, "steady rate", rig, wild, right)
 
 
-@pytest.mark.parametrize("units", [(1.0, 1e3), (1e3, 1e3), (1e6, 1.0), (1.0, 1e9)])
+@pytest.mark.parametrize("units", [(1e3, 1e6), (1.0, 1e9)])
 def test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure(units: tuple[float, float]) -> None:
     rig, left, right = record(Truth(), np.random.default_rng(1))
     tracks = [replace(one, t_s=unit * one.t_s) for one, unit in zip((left, right), units, strict=True)]

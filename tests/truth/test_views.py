@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 from tests.truth.camera_ring import CENTRE, FOCAL, K1, LIGHTS, SIZE, Ring, look, pose, ring
 
-from armsight.errors import UsageError
-from armsight.measure.poses.kernels import one_view
-from armsight.measure.poses.moments import measure_moment, require_views
+from armsight.errors import Inconsistent, UsageError
+from armsight.measure.poses.kernels import completion, one_view
+from armsight.measure.poses.moments import TargetTracker, measure_moment, require_views
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.views import measure_views
@@ -140,7 +142,7 @@ def complete(setup: Setup, X: np.ndarray, T: np.ndarray, uv: np.ndarray, view: i
     found, rows = spots(uv), np.full((len(X), len(setup.packed.k)), -1, np.intp)
     first = np.array([0] * (view + 1) + [len(uv)] * (rows.shape[1] - view), np.intp)
     near = (found.uv_px, found.covariance_px2, first), (0.01, 16.0)
-    assert one_view.complete(setup.packed.arrays, X, T, 1e-10 * np.eye(6), setup.packed.covariance, *near, rows)
+    assert completion.complete(setup.packed.arrays, X, T, 1e-10 * np.eye(6), setup.packed.covariance, *near, rows)
     assert (np.delete(rows, view, axis=1) == -1).all()
     return list(rows[:, view].tolist())
 
@@ -241,6 +243,31 @@ def test_pictures_are_tracked_a_lost_camera_is_left_and_a_half_hidden_light_goes
     sights = shown(measured, 6, 3)
     assert not sights[2, 0] and sights[2, 1:].all() and sights[:, 0].sum() == 5
     assert len(measured.notes) == 1 and names_it(measured.notes[0], "C")
+
+
+def test_a_followed_target_goes_on_where_a_view_is_missing_or_cannot_be_read() -> None:
+    rng, world = np.random.default_rng(9), ring(3)
+    setup, T = setup_of(world), pose(rng, tilt_rad=0.1)
+    tracker, states = TargetTracker(setup), []
+    for number in range(5):
+        T[0, 3] += 0.001
+        moment: list[Frame | None] = [replace(f, t_s=0.01 * number) for f in draw(world, T, rng)]
+        if number == 1:
+            moment[0] = replace(draw(world, T, rng)[0], t_s=0.01, unreadable="cut off")  # whatever it shows
+        if number == 2:
+            moment[2] = None
+        if number == 3:
+            moment = [None, replace(draw(world, T, rng)[1], t_s=0.03, unreadable="cut off"), None]
+        measured = tracker.take(*moment)
+        states.append(measured.pose.status)
+        if number == 3:
+            assert "cut off" in measured.pose.why and measured.pose.t_s == 0.03
+            continue
+        assert mahalanobis2(measured, T) < WRONG
+        assert shown(measured, 6, 3).any(axis=0).tolist() == [number != 1, True, number != 2]
+    assert states == [PoseStatus.OK] * 3 + [PoseStatus.LOST, PoseStatus.OK]
+    with refuses(Inconsistent, "c1", "view 1"):
+        tracker.take(None, replace(draw(world, T, rng)[1], image=np.zeros((10, 10), np.uint8)), None)
 
 
 def test_what_needs_two_cameras_is_refused_by_other_rigs() -> None:

@@ -70,7 +70,7 @@ class KeptBackdrops(MovingBackdrops):
 
 
 class CarriedView:
-    """The frames of a rig on the flange of a simulated robot: a PairSource without end, at the rig's own pace.
+    """The frames of a rig on the flange of a simulated robot: a MomentSource without end, at the rig's own pace.
 
     A mirror rig's complex image is given as left and as right. The target goes its own way, which the robot does not
     know. A frame that nobody fetched in its time is not taken. Not simulated: the arm in the view, and of the
@@ -182,7 +182,7 @@ class FreeTarget:
 
 
 class LiveView:
-    """The pairs of a fixed rig that watches a simulated robot: a PairSource without end, at the rig's own pace.
+    """The pairs of a fixed rig that watches a simulated robot: a MomentSource without end, at the rig's own pace.
 
     The target is on the robot's flange, or goes the way of a hand. A frame that nobody fetched in its time is not
     taken. Of the scenario's events the target's jumps are simulated (a tool that is knocked), at times since the

@@ -16,7 +16,7 @@ from armsight.errors import Inconsistent, NotEnoughData
 from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
 from armsight.measure.consistency.check import RunCheck, finalise
-from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.findings import Consistency
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pipeline import Setup, measure_pair

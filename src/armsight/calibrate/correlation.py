@@ -137,6 +137,14 @@ def score_covariance(found: Averaged, J: Array, t_s: Array) -> Array:
     return out
 
 
+def made_independent(found: Averaged, columns: Array, t_s: Array) -> Array:
+    """Return columns (n, c) of rows at t_s (n,), in order of time, as they are where the errors of the likeliest model
+    found are independent, each of variance one."""
+    order, best = np.argsort(t_s, kind="stable"), int(np.argmax(found.weight))
+    white, _ = _innovations(columns[order], t_s[order], found.share[best : best + 1], found.time_s[best : best + 1])
+    return np.asarray(white[0] / np.sqrt(found.variance[best]))
+
+
 def time_blocks(t_s: Array, correlation: Correlation, *, blocks: int = BLOCKS) -> list[tuple[NDArray[np.bool_], ...]]:
     """Return (rows of a block, rows further away in time than a drift lasts), each (n,), of blocks of equal time."""
     out: list[tuple[NDArray[np.bool_], ...]] = []

@@ -23,6 +23,7 @@ from armsight.drivers.camera_settings import (
     check_settings,
     lock_settings,
 )
+from armsight.drivers.usb import crowd_of
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
 
@@ -188,6 +189,7 @@ class OpenCvCamera(LiveCamera):
         self._settings = settings
         self._open_capture = open_capture
         self._capture: CameraCapture | None = None
+        self._started = False
 
     def _open_device(self) -> None:
         capture = self._open_capture(self._device)
@@ -222,13 +224,19 @@ class OpenCvCamera(LiveCamera):
             t_s = self._now_s()
             if good and image is not None:
                 self._put(Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=self.name))
-                sequence, failed = sequence + 1, 0
+                sequence, failed, self._started = sequence + 1, 0, True
                 if sequence == SETTLED:
                     check_settings(capture, self._settings, self.name)
                 continue
             failed += 1
             if failed >= FAILED_READS:
                 raise self._lost(f"stopped sending after {sequence} frames")
+
+    def _lost(self, what: str) -> DeviceLost:
+        """Return that it is lost; of a camera that never started also what its bus has no room for."""
+        lost = super()._lost(what)
+        lost.cure = ("" if self._started else crowd_of(self._device)) or lost.cure
+        return lost
 
     def _convert(self, image: np.ndarray) -> np.ndarray:
         if image.ndim == 3 and not self._colour:

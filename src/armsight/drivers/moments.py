@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import repeat
@@ -15,7 +15,7 @@ from typing import Self
 
 import numpy as np
 
-from armsight.drivers.protocols import FrameSource
+from armsight.drivers.protocols import FrameSource, MomentSource, Views
 from armsight.drivers.sources import ImageFolder
 from armsight.errors import DeviceFailed, Inconsistent
 from armsight.records import Frame
@@ -27,7 +27,7 @@ FEWEST = 2
 """Views that make a moment of three cameras and more: one alone tells no depth."""
 
 
-class Moment(tuple[Frame | None, ...]):
+class Moment(Views):
     """One frame of each camera at one time, in the rig's order; None where one has none. A pair always has both."""
 
     __slots__ = ()
@@ -42,15 +42,30 @@ class Moment(tuple[Frame | None, ...]):
         """The mean of their times."""
         return float(np.mean([frame.t_s for frame in self.there]))
 
-    @property
-    def left(self) -> Frame | None:
-        """The first camera's, of a pair the left one's."""
-        return self[0]
 
-    @property
-    def right(self) -> Frame | None:
-        """The second camera's, of a pair the right one's."""
-        return self[1]
+def by_name(names: Sequence[str], moment: Views) -> dict[str, Frame]:
+    """Return the frames that a moment has, by their cameras' names."""
+    return {name: frame for name, frame in zip(names, moment, strict=True) if frame is not None}
+
+
+def moments_of(source: MomentSource) -> Generator[Views, None, None]:
+    """Yield a source's moments, as a generator, which can be closed."""
+    yield from source
+
+
+def news_of(source: MomentSource, told: list[str]) -> list[str]:
+    """Return what to tell of the cameras of a source that were lost since they were last told, which it notes."""
+    lost: Mapping[str, str] = getattr(source, "lost", {})
+    fresh = [name for name in lost if name not in told]
+    told += fresh
+    return [f"the camera {name} is lost: {lost[name]}" for name in fresh]
+
+
+def pairs_of(moments: Iterable[Views]) -> Generator[tuple[Frame, Frame], None, None]:
+    """Yield the two frames of each moment of a pair of cameras."""
+    for left, right in moments:
+        if left is not None and right is not None:
+            yield left, right
 
 
 class Moments(ABC):
@@ -144,6 +159,8 @@ class FileMoments(Moments):
             return
         if self._partial:
             self._rows = _rows([one.paths for one in folders], self.names)
+            for k, folder in enumerate(folders):
+                folder.moments = [j for j, row in enumerate(self._rows) if row[k]]
         else:
             check_partners(folders[0].paths, folders[1].paths)
 

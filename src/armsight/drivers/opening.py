@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter, signature
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
+from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings
 from armsight.drivers.images import AS_THEY_ARE, ImageReading
 from armsight.drivers.moments import FileMoments, Moments
-from armsight.drivers.protocols import FrameSource, PairSource
+from armsight.drivers.protocols import FrameSource
 from armsight.drivers.sources import FPS, VIDEO_SUFFIXES, ImageFolder, VideoFile
 from armsight.drivers.timed_moments import MAX_SKEW_S, TimedMoments
 from armsight.errors import UsageError
@@ -70,43 +71,6 @@ def open_source(
     return ImageFolder(text, colour=colour, fps=fps or FPS, times_s=times_s, reading=reading)
 
 
-def open_pairs(
-    left: str,
-    right: str,
-    *,
-    colour: bool = False,
-    fps: float | None = None,
-    times_s: Sequence[float] | None = None,
-    max_skew_s: float = MAX_SKEW_S,
-    settings: PairSettings = AUTOMATIC,
-    reading: ImageReading = AS_THEY_ARE,
-) -> PairSource:
-    """Return the pairs of two sources; nothing is opened yet. Raises UsageError for one live and one not.
-
-    settings: what is asked of live cameras, of both or of each.
-    """
-    if is_live(left) != is_live(right):
-        raise UsageError(f"{left} and {right} cannot be paired: one is live, the other is not")
-    if left == right:
-        raise UsageError(
-            f"left and right are both {left}",
-            consequence="The same image twice has no depth",
-            cure="Give each camera's own source; where a command has --image, one that holds both views goes there",
-        )
-    return cast(
-        PairSource,
-        open_moments(
-            {"left": left, "right": right},
-            colour=colour,
-            fps=fps,
-            times_s=times_s,
-            max_skew_s=max_skew_s,
-            settings=dict(zip(("left", "right"), by_side(settings), strict=True)),
-            reading=reading,
-        ),
-    )
-
-
 def open_moments(
     cameras: Mapping[str, str],
     *,
@@ -116,6 +80,7 @@ def open_moments(
     max_skew_s: float = MAX_SKEW_S,
     settings: Mapping[str, CameraSettings] = MappingProxyType({}),
     reading: ImageReading = AS_THEY_ARE,
+    tell: Callable[[str], None] = warnings.warn,
 ) -> Moments:
     """Return the moments of cameras' sources by their names, all live or none; nothing is opened yet.
 
@@ -131,7 +96,9 @@ def open_moments(
         for name, text in cameras.items()
     ]
     names = tuple(cameras)
-    return TimedMoments(*sources, names=names, max_skew_s=max_skew_s) if live else FileMoments(*sources, names=names)
+    if live:
+        return TimedMoments(*sources, names=names, max_skew_s=max_skew_s, tell=tell)
+    return FileMoments(*sources, names=names, tell=tell)
 
 
 def _driver(text: str) -> tuple[str, str]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +50,15 @@ class FrameSource(Protocol):
         ...
 
 
-class PairSource(Protocol):
-    """Pairs (left, right) of frames in step; opened and closed like a FrameSource."""
+Views: TypeAlias = tuple[Frame | None, ...]
+"""A frame of each camera at one time, or None where one has none."""
+
+
+class MomentSource(Protocol):
+    """Moments in step: a frame of each of some cameras, in one order, or None where one has none.
+
+    Opened and closed like a FrameSource. Of a pair every moment has both.
+    """
 
     @property
     def name(self) -> str:
@@ -60,12 +67,12 @@ class PairSource(Protocol):
 
     @property
     def total(self) -> int | None:
-        """How many pairs there will be; None where that cannot be known."""
+        """How many moments there will be; None where that cannot be known."""
         ...
 
     @property
     def skew(self) -> Skew | None:
-        """How far apart the pairs read so far were; None where both views share one time stamp."""
+        """How far apart the frames of a moment were so far; None where all views share one time stamp."""
         ...
 
     def __enter__(self) -> Self:
@@ -78,8 +85,8 @@ class PairSource(Protocol):
         """Close it; legal at any time."""
         ...
 
-    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
-        """Yield the pairs. Raises BadImage, Inconsistent or DeviceLost at the pair that fails."""
+    def __iter__(self) -> Iterator[Views]:
+        """Yield the moments. Raises BadImage, Inconsistent or DeviceLost at the one that fails."""
         ...
 
 
@@ -195,7 +202,7 @@ class RobotTraits:
     joints (n,) really were at a time of the clock, as only a simulated robot knows. listen: has a function told of each
     reading: when it was sent, on the clock, and its joints (n,). reading_step: of its encoders, in rad or m, where that
     is more than a reading's noise: readings are whole steps. joint_range: lower and upper (n,) ends beyond which its
-    link takes it nowhere, in rad or m.
+    link takes it nowhere, in rad or m. reads_only: its link commands nothing, not even a stop.
     """
 
     takes_joints: bool = True
@@ -205,6 +212,7 @@ class RobotTraits:
     listen: Callable[[Callable[[float, NDArray[np.float64]], object]], None] | None = None
     reading_step: float = 0.0
     joint_range: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    reads_only: bool = False
 
     @property
     def reading_std(self) -> float:

@@ -153,6 +153,8 @@ class ImageFolder:
         self._fps = fps
         self._times_s = times_s
         self._paths: tuple[Path, ...] = ()
+        self.moments: Sequence[int] = ()
+        """Which moment each image is of, where some have none: without given times these tell the time."""
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -199,7 +201,9 @@ class ImageFolder:
             yield Frame(image=image, t_s=self._time_s(sequence), sequence=sequence, source=str(path))
 
     def _time_s(self, sequence: int) -> float:
-        return float(self._times_s[sequence] if self._times_s is not None else sequence / self._fps)
+        if self._times_s is not None:
+            return float(self._times_s[sequence])
+        return (self.moments[sequence] if self.moments else sequence) / self._fps
 
     def _read(self, path: Path) -> NDArray[np.uint8] | DataRefused:
         """Return the image, or the error where it may be passed over. Raises BadImage for bits that are not told."""

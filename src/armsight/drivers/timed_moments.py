@@ -171,8 +171,10 @@ class RecordedMoments(TimedMoments):
         end_together: bool = False,
         max_skew_s: float = MAX_SKEW_S,
         names: Sequence[str] = PAIR,
+        fewest: int | None = None,
+        tell: Callable[[str], None] = warnings.warn,
     ) -> None:
-        super().__init__(*sources, names=names, max_skew_s=max_skew_s)
+        super().__init__(*sources, names=names, max_skew_s=max_skew_s, fewest=fewest, tell=tell)
         self._end_together = end_together
 
     @property

@@ -124,6 +124,16 @@ class ZoomAt(Output):
 
 
 @output
+class CameraPart(Output):
+    """What one camera had of a run, of a rig that is no pair."""
+
+    n_frames: Annotated[int, Doc("Moments in which it had a frame.")]
+    n_used: Annotated[int, Doc("Moments whose pose took lights that it shows.")]
+    rms_px: Annotated[float | None, Doc("RMS of its 2-D residual per light, px.")]
+    left_out: Annotated[str | None, Doc("Why the run goes on without it; null where it counts.")]
+
+
+@output
 class MadeWith(Output):
     """Which rig and target a run was measured with, as fingerprints: equal only where their numbers are."""
 
@@ -160,6 +170,7 @@ class MeasureResult(Output):
     ] = None
     zoom: Annotated[dict[str, ZoomAt] | None, Doc("The cameras that zoom, by left and right.")] = None
     made_with: Annotated[MadeWith | None, Doc("Which rig and target it was.")] = None
+    by_camera: Annotated[dict[str, CameraPart] | None, Doc("Of a rig that is no pair: each camera's part.")] = None
     grounds: Grounds
     poses: PoseTrack
 
@@ -185,6 +196,9 @@ class MeasureResult(Output):
             yield f"Doubtful: {self.timing.note}"
         for kind, count in list(self.reasons.items())[:REJECTED_SHOWN]:
             yield f"  {count} x {REASONS.get(kind, kind)}"
+        for name, part in (self.by_camera or {}).items():
+            if part.left_out is None and note_of(part):
+                yield f"  the camera {name} {note_of(part)}"
         found = self.consistency
         if found is not None and found.sentence:
             loud = found.verdict == "inconsistent"
@@ -196,7 +210,9 @@ class MeasureResult(Output):
 def _rows(done: MeasureResult) -> list[list[str]]:
     """Return the rows of the figures that a terminal shows."""
     free, ms = done.timing, done.ms_per_frame
+    one = "pair" if done.by_camera is None else "moment"
     counted, took = ("pairs of frames", "pair, median") if free is None else ("poses asked for", "view")
+    counted, took = (counted, took) if done.by_camera is None else ("moments", "moment, median")
     rows = [
         [counted, str(done.n_frames)],
         ["pose", str(done.n_ok)],
@@ -206,9 +222,12 @@ def _rows(done: MeasureResult) -> list[list[str]]:
         ["reprojection, px RMS", digits(done.reprojection_rms_px)],
         [f"ms per {took}", digits(ms.median)],
     ]
-    rows += [["ms per pair, 99 %", digits(ms.p99)]] if free is None else []
+    rows += [[f"ms per {one}, 99 %", digits(ms.p99)]] if free is None else []
     rows += [] if done.assumed_fps is None else [["time", f"assumed at {done.assumed_fps:g} fps"]]
-    if done.skew is not None:
+    for name, part in (done.by_camera or {}).items():
+        used = f"used in {part.n_used} of {part.n_frames}, {digits(part.rms_px)} px RMS"
+        rows.append([f"camera {name}", "left out" if part.left_out is not None else used])
+    if done.skew is not None and done.by_camera is None:
         rows += [
             ["right after left, ms mean", digits(done.skew.mean_s / MS)],
             ["right after left, ms largest", digits(done.skew.largest_s / MS)],
@@ -258,6 +277,7 @@ REASONS = {
 
 GOOD_SHARE = 0.95
 """Share of full poses from which a run is called complete."""
+LEFT_OUT = "Without a camera"
 RESIDUALS = {"doubtful": ("care", "Doubtful"), "inconsistent": ("bad", "Inconsistent")}
 """How the verdict on the residuals shows."""
 NEXT: Mapping[str, str] = {
@@ -266,6 +286,7 @@ NEXT: Mapping[str, str] = {
     "No pose": 'Mend what stands first under "What was lost", and record again.',
     "Broken off": "Mend what ended the run, and measure the rest; the poses until then are kept.",
     "Claim doubted": "Do not rely on the claimed standard deviations: they are not the size of the errors here.",
+    LEFT_OUT: "Use the full poses, which are by the other cameras alone.",
     "Doubtful": "Do not rely on these poses before what is told is explained.",
     "Inconsistent": "Do not use these poses: mend what is told, and measure again.",
 }
@@ -310,6 +331,24 @@ def believed(done: MeasureResult) -> ConsistencyOutput | None:
     return replace(found, verdict="inconsistent") if done.n_doubtful else found
 
 
+HARDLY = 0.1
+"""Share of its moments in which a camera takes part below which it is asked about."""
+
+
+def note_of(part: CameraPart) -> str:
+    """Return why a camera is left out, or what to look at where it hardly takes part; empty for any other."""
+    if part.left_out is not None:
+        return f"left out: {part.left_out}"
+    if part.n_used >= HARDLY * part.n_frames:
+        return ""
+    return "hardly takes part: look whether it is out of focus or covered, or looks elsewhere"
+
+
+def left_out_of(done: MeasureResult) -> list[str]:
+    """Return the cameras that were left out of a run."""
+    return [name for name, part in (done.by_camera or {}).items() if part.left_out is not None]
+
+
 def measure_verdict(done: MeasureResult) -> Verdict:
     """Return what a run comes to."""
     n, ok, broken, seen = done.n_frames, done.n_ok + done.n_doubtful, done.error or "", done.grounds
@@ -333,11 +372,15 @@ def measure_verdict(done: MeasureResult) -> Verdict:
     if found is not None and found.verdict in RESIDUALS:
         level, word = RESIDUALS[found.verdict]
         said = f"{found.sentence} By what they claim: {said}"
+    elif left_out_of(done):
+        level, word, said = "care", LEFT_OUT, f"{found.sentence if found else ''} By the others: {said}"
     if broken:
         level, word, said = "bad", "Broken off", f"{broken.rstrip('.')}. Until then: {said}"
     todo = NEXT[word]
     if found is not None and found.advice and word in ("Doubtful", "Inconsistent"):
         todo = found.advice
+    elif found is not None and word == LEFT_OUT:
+        todo = f"{todo} {found.advice}"
     elif found is not None and found.verdict == "unchecked" and word == "Complete":
         todo = f"{todo} {UNCHECKED}"
     return Verdict(level=level, headline=word, reasons=[said], next=[todo])

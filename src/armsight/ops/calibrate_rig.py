@@ -75,8 +75,16 @@ SPOTS = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
 )
 def calibrate_cameras(
     cameras: NamedImages,
-    board: BoardLike,
+    board: BoardLike = None,
     *,
+    back: Annotated[
+        BoardLike,
+        Doc("Board printed on the other side of the plate, with markers of another dictionary. [default: none]"),
+        Flag(metavar="BOARD"),
+    ] = None,
+    target: Annotated[
+        TargetLike, Doc("In place of a board: target.yaml of four and more lights, which one waves. Needs --lens.")
+    ] = None,
     lenses: Lenses = None,
     hold_lenses: Annotated[bool, Doc("Hold the lenses of --lens as they are.")] = False,
     rig: Annotated[AnyRigLike, Doc("rig.yaml that is extended or mended; its other cameras and its axes stay.")] = None,
@@ -94,6 +102,8 @@ def calibrate_cameras(
     detector: Detector = "auto",
     bits: Bits = None,
     strict: Strict = False,
+    threshold: Threshold = None,
+    inverted: Inverted = False,
     out: RigOut = None,
     progress: Progress | None = None,
 ) -> CamerasCalibration:
@@ -105,14 +115,14 @@ def calibrate_cameras(
     ----------
     cameras
         Images by the camera's name, each as calibrate_camera takes them: as many of each camera, in the same order.
-    board
-        As calibrate_camera takes it.
+    board, back, target
+        As calibrate_camera takes it, with another one on its back; or a target of lights.
     lenses, hold_lenses
         By the camera's name: a camera.yaml, a Camera, or what calibrate_camera returns. Or the kind of all lenses.
     rig, add, again
         A rig that gets one more camera (its images by its name), or one of whose cameras is placed anew.
-    options, every, frames, detector, bits
-        As calibrate_camera takes them.
+    options, every, frames, detector, bits, threshold, inverted
+        As calibrate_camera and calibrate_target take them.
     fps
         Of images in folders, where they are a film's.
     out
@@ -125,21 +135,25 @@ def calibrate_cameras(
     Inconsistent
         Lists out of step, mirrored images, a lens or a rig that no longer fits; else as calibrate_camera.
     """
+    from armsight.measure.settings import SpotSettings
     from armsight.ops.calibrate_cameras import board_options, threads
     from armsight.ops.calibration.board_pictures import BoardPictures
     from armsight.ops.calibration.many_cameras import Reading, Wanted, see_all, solved
     from armsight.ops.calibration.reports import write_cameras_report
+    from armsight.ops.calibration.shown import shown_of
 
+    shown = shown_of(board, back, target)
     given = dict(lenses or {})
     kind = given.pop("", "pinhole")
     wanted = Wanted(rig=rig, cameras=cameras, add=add, again=again, lenses=given, hold_lenses=hold_lenses)
     wanted.require()
     options, pictures = board_options(options, kind, most=1), BoardPictures()
-    reading = Reading(fps, every, frames, threads(workers), bits, strict, detector)
-    seen = see_all(wanted.sources, board, reading, pictures, progress)
-    done = solved(wanted, seen, board, options, progress)
+    spots = SpotSettings(threshold=threshold, inverted=inverted)
+    reading = Reading(fps, every, frames, threads(workers), bits, strict, detector, spots)
+    seen = see_all(wanted, shown, reading, pictures, progress)
+    done = solved(wanted, seen, shown, options, progress)
     if out is not None:
-        write_cameras_report(out, done, board, pictures)
+        write_cameras_report(out, done, shown, pictures)
     return done
 
 
@@ -188,14 +202,15 @@ def calibrate_target(
     from armsight.drivers import AUTOMATIC
     from armsight.measure.settings import SpotSettings
     from armsight.ops.calibration.spots_of_frames import lit_frames
-    from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
+    from armsight.ops.sources.cameras import open_rig
+    from armsight.ops.sources.frames import complex_pairs, open_source
     from armsight.records import Silent
 
     settings, cameras = SpotSettings(threshold=threshold, inverted=inverted), camera_settings or AUTOMATIC
     if (image is None) == (left is None):
         raise UsageError("which frames?", cure="Give --left and --right, or --image with both views in one image")
     if image is None:
-        source, overlaid = open_pairs(left, right, settings=cameras), False
+        source, overlaid = open_rig(rig.names, left, right, settings=cameras), False
     else:
         source, overlaid = complex_pairs(partial(open_source, image, settings=cameras), rig)
     with source as pairs:

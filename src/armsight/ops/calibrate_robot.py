@@ -164,13 +164,14 @@ def calibrate_pivot(
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
     from armsight.ops.calibration.pivot import pivot
-    from armsight.ops.sources.frames import open_pairs
+    from armsight.ops.sources.cameras import open_rig
     from armsight.ops.sources.pace import pace_of
     from armsight.records import Silent
 
     settings = SpotSettings(colour=target.colour)
     setup = Setup(rig=rig, target=target, settings=settings, pace=pace_of(left, right))
-    pairs = open_pairs(left, right, colour=target.colour is not None, settings=camera_settings or AUTOMATIC)
+    asked, colour = camera_settings or AUTOMATIC, target.colour is not None
+    pairs = open_rig(rig.names, left, right, colour=colour, settings=asked)
     recording = TipRecording(point=_measured(point_m, point_std_m), good_m=goal_m)
     return pivot(setup, pairs, recording, progress or Silent())
 

@@ -52,6 +52,7 @@ PARAMETERS: Mapping[str, str] = {
     "--latency": "latency_s",
     "--latency-std": "latency_std_s",
     "--max-skew": "max_skew_s",
+    "--link-radius-mm": "link_radius_m",
     "--near-mm": "near_m",
     "--no-prediction": "predict",
     "--offset": "offset_s",

@@ -16,6 +16,7 @@ import cv2
 from armsight._version import __version__
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, cameras_there, cores, folder, known
 from armsight.drivers.aravis import genicam_cameras
+from armsight.drivers.usb import crowded_buses, usb_cameras
 from armsight.fields import Doc
 from armsight.measure.planning import LEAST_COMMON, Choice, plan
 from armsight.ops.simulation.scenarios import FILES, scenario_names
@@ -198,7 +199,7 @@ def looked_at(told: RigResolution | None, failed: Sequence[str]) -> DoctorOutput
         cameras=[*cameras_there(), *genicam_cameras()],
         drivers=drivers,
         kernels=kernels,
-        problems=[*failed, *_problems(drivers, kernels), *_too_wide(told)],
+        problems=[*failed, *_problems(drivers, kernels), *crowded_buses(usb_cameras()), *_too_wide(told)],
         rig=told,
     )
 

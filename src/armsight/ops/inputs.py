@@ -137,21 +137,32 @@ def chain(name: str, value: Any, given: Given, undo: ExitStack) -> Arm:
     return as_arm(name, value if whole else arm_source(as_text(name, value, Arm), **links))
 
 
-def readings(name: str, value: Any, given: Given, undo: ExitStack) -> str:
-    """Return joint readings as text: a file's path, or the numbers, which are read with the arm that they are of."""
+def readings(name: str, value: Any, given: Given, undo: ExitStack) -> str | None:
+    """Return joint readings as text: a file's path, or the numbers, which are read with the arm that they are of.
+
+    None as it is: the action says when it needs them.
+    """
+    if value is None:
+        return None
     if isinstance(value, str | PathLike):
         return fspath(value)
     return ",".join(map(repr, checked_array(name, value, (None,)).tolist()))
 
 
-def file(name: str, value: Any, given: Given, undo: ExitStack) -> Path:
-    """Return the path of a file with the value: its own where it is one, else one that goes with the action."""
+def file(name: str, value: Any, given: Given, undo: ExitStack) -> Path | None:
+    """Return the path of a file with the value: its own where it is one, else one that goes with the action.
+
+    None as it is: the action says when it needs a file.
+    """
+    if value is None:
+        return None
     return undo.enter_context(Folder()).file(name, value)
 
 
 def each_file(name: str, value: Any, given: Given, undo: ExitStack) -> list[Path]:
     """Return the paths of one file or of several, see file."""
-    return [file(name, one, given, undo) for one in (value if isinstance(value, list | tuple) else [value])]
+    folder = undo.enter_context(Folder())
+    return [folder.file(name, one) for one in (value if isinstance(value, list | tuple) else [value])]
 
 
 def picture(name: str, value: Any, given: Given, undo: ExitStack) -> NDArray[np.uint8]:

@@ -34,11 +34,12 @@ Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o -
     examples=(
         "--left frames/left --right frames/right --rig rig.yaml --target target.yaml -o measured",
         "--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml -o measured",
+        "--camera a=run.mcap --camera b=run.mcap --camera c=run.mcap --rig rig.yaml --target target.yaml -o measured",
     ),
     judged=True,
 )
 def measure(
-    rig: Annotated[AsFile, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
+    rig: Annotated[AsFile, Doc("rig.yaml of the cameras, from `armsight calibrate stereo` or `cameras`.")],
     target: Annotated[
         AsFile,
         Doc("target.yaml: the lights or the board that is looked for; or a board as checkerboard:9x6:0.025."),
@@ -94,7 +95,7 @@ def measure(
     set_zoom: Annotated[bool, Doc("Set live cameras to these first.")] = False,
     progress: Progress | None = None,
 ) -> MeasureResult:
-    """Measure the target's pose in every pair of frames.
+    """Measure the target's pose in every pair of frames, or by all cameras of a rig of one to eight.
 
     Writes poses.csv, points.csv, spots.csv, poses.tum, measure.json and report.html. Exit code 3, with all of them
     written, where the run is inconsistent: its poses are doubtful.
@@ -108,7 +109,7 @@ def measure(
     out
         A folder; None writes nothing.
     cameras
-        Instead: these by the cameras' names, {'left': ..., 'right': ...}.
+        Instead: these by the cameras' names in the rig, {'left': ..., 'top': ...}.
     image
         Instead: images that hold both views of a mirror rig.
     times
@@ -139,7 +140,8 @@ def measure(
     >>> done.n_ok, done.poses.T_parent_target.shape
     (3, (3, 4, 4))
     """
-    from armsight.drivers import AUTOMATIC, ImageReading
+    from armsight.drivers import AUTOMATIC, ImageReading, MomentSource
+    from armsight.measure.poses.moments import require_views
     from armsight.measure.poses.setup import SLACK_PX, Setup, rig_slack_px
     from armsight.measure.settings import SpotSettings
     from armsight.ops.measurement.free_output import measure_free
@@ -153,11 +155,14 @@ def measure(
 
     settings, zoom, progress = camera_settings or AUTOMATIC, (zoom_left, zoom_right), progress or Silent()
     wanted, (seen_by, zoomed) = target_of(target), zoomed_rig(rig, zoom)
-    if cameras:
-        left, right = cameras_of(seen_by.names, named_cameras(cameras, left, right)).values()
+    pair, given = seen_by.is_pair, dict[str, str]()
+    if cameras or not pair:
+        given = cameras_of(seen_by.names, named_cameras(cameras or {}, left, right))
+        left, right = given.values() if pair else (None, None)
     sources = FrameSources(
         left=left,
         right=right,
+        cameras={} if pair else given,
         image=image,
         left_spots=left_spots,
         right_spots=right_spots,
@@ -172,7 +177,12 @@ def measure(
     seen = None if mask is None else mask > 0
     spots = SpotSettings(threshold=threshold, inverted=inverted, mask=seen, colour=colour, method=method)
     setup = partial(
-        Setup, rig=seen_by, target=wanted, settings=spots, slack_px=rig_slack_px(seen_by) if zoomed else SLACK_PX
+        Setup,
+        many=True,
+        rig=seen_by,
+        target=wanted,
+        settings=spots,
+        slack_px=rig_slack_px(seen_by) if zoomed or not pair else SLACK_PX,
     )
     facts = [("rig's file", str(rig)), ("target's file", str(target))]
     if sources.run_free(seen_by, timing, stills=stills, rate_hz=rate_hz, at=at):
@@ -181,10 +191,14 @@ def measure(
             setup(), sources, out, when=when, progress=progress, world=place, facts=facts, zoomed=zoomed
         )
     facts += [("place of the rig", str(world))] if place else []
-    told = frame_times(left or image, times, fps)
-    pairs, overlaid = sources.pairs(seen_by, told.times_s, colour=colour is not None)
+    told = frame_times(next(iter(sources.named), None), times, fps)
+    pairs: MomentSource
+    pairs, overlaid = sources.of_rig(seen_by, told.times_s, colour=colour is not None)
+    made = setup(overlaid=overlaid)
+    if not pair:
+        require_views(made, len(seen_by.cameras))
     about = about_pairs(sources, pairs.name, told, facts, zoomed, stills=stills)
-    return run(setup(overlaid=overlaid), pairs, out, world=place, limit=frames, progress=progress, about=about)
+    return run(made, pairs, out, world=place, limit=frames, progress=progress, about=about)
 
 
 def _with_zoom(settings: PairSettings, zoom: tuple[float | None, float | None]) -> PairSettings:
@@ -205,6 +219,7 @@ def _with_zoom(settings: PairSettings, zoom: tuple[float | None, float | None]) 
     writes=True,
     examples=(
         "--left camera:0 --right camera:1 --seconds 60 -o recording.mcap",
+        "--camera left=camera:0 --camera right=camera:2 --camera top=camera:4 -o recording.mcap",
         "--repair recording.mcap -o mended.mcap",
     ),
 )
@@ -213,6 +228,7 @@ def record(
     left: Left = None,
     right: Right = None,
     *,
+    cameras: CamerasLike = None,
     cell: Annotated[str | None, Doc("A simulated cell in place of cameras, such as hand-cell.")] = None,
     seed: Annotated[int, Doc("The same seed gives the same frames."), Bounds(least=0)] = 0,
     rig: Annotated[AsFile, Doc("rig.yaml: its calibration goes into the recording.")] = None,
@@ -231,15 +247,16 @@ def record(
     camera_settings: Cameras | None = None,
     progress: Progress | None = None,
 ) -> RecordOutput:
-    """Record both cameras into an MCAP file, or mend one that was cut off.
+    """Record one to eight cameras into an MCAP file, or mend one that was cut off.
 
-    Stop with Ctrl-C. Whatever happens to the program or the disk, all but the last second is readable.
+    Of three and more a camera that is lost is told, and the others go on. Stop with Ctrl-C. Whatever happens to the
+    program or the disk, all but the last second is readable.
 
     Parameters
     ----------
     out
         FILE.mcap.
-    left, right
+    left, right, cameras
         As `measure` takes them; or cell, a simulated one such as 'hand-cell', in their place.
     frames, seconds_s
         When to stop; else with the frames.
@@ -261,13 +278,13 @@ def record(
     from armsight.drivers import AUTOMATIC
     from armsight.ops.recording.record import RecordJob, image_format
     from armsight.ops.recording.record import record as run
+    from armsight.ops.sources.cameras import named_cameras
 
     if out is None:
         raise UsageError("the recording has no name", cure="Give -o FILE.mcap")
     job = RecordJob(
         out=out,
-        left=left,
-        right=right,
+        cameras=named_cameras(cameras or {}, left, right),
         cell=cell,
         seed=seed,
         rig=rig,

@@ -18,11 +18,12 @@ from armsight.ops.flags import KNOWN_ARM
 from armsight.ops.kinds import (
     READERS,
     ROBOT_READERS,
+    AnyRigLike,
     ArmLike,
     AsFile,
+    CamerasLike,
     Confirm,
     GuardLimits,
-    RigLike,
     RobotLike,
     TargetLike,
     ToolTip,
@@ -89,7 +90,7 @@ DISTANCE_M = 0.6
 )
 def servo(
     robot: RobotLike,
-    rig: Annotated[RigLike, Doc("rig.yaml of the cameras.")],
+    rig: Annotated[AnyRigLike, Doc("rig.yaml of the cameras.")],
     target: Annotated[TargetLike, Doc("target.yaml of the lights that are followed.")],
     handeye: Annotated[AsFile, Doc("handeye.yaml: where the cameras are, on the flange or on the base.")],
     *,
@@ -122,6 +123,7 @@ def servo(
     seconds_s: Seconds = None,
     left: LiveLeft = None,
     right: LiveRight = None,
+    cameras: CamerasLike = None,
     image: LiveImage = None,
     latency_s: Latency = LATENCY_S,
     exposure_s: Exposure = None,
@@ -173,7 +175,7 @@ def servo(
         Of the robot's driver, by name, as its page has them; of rsi: the RSI Ethernet configuration.
     seconds_s
         End after so long; else progress ends it: its cancelled() is the operator's enable, let go of.
-    left, right, image
+    left, right, cameras, image
         Live cameras, 'camera:NAME'.
     arm, limits, speed
         The arm where the robot does not tell it, what the guard keeps, and the share of its speeds.
@@ -200,14 +202,15 @@ def servo(
     from armsight.ops.measurement.warm_up import prepare
     from armsight.ops.robot.recorder import require_new
     from armsight.ops.robot.robot_run import RobotRun
+    from armsight.ops.servo.cameras import CameraNames
     from armsight.ops.servo.run_servo import LAG_CYCLES, follow_target, require_axis, turning
-    from armsight.ops.servo.vision import CameraNames, measuring, open_servo, placed_cameras
+    from armsight.ops.servo.vision import measuring, open_servo, placed_cameras
 
     record = None if out is None else require_new(out, SERVO_RECORDING)
     placed, turns = placed_cameras(handeye), turning(rotation)
     require_axis(at, placed, handeye)
-    cameras = CameraNames(left, right, image, exposure_s, latency_s)
-    device = open_servo(robot, rig, target, arm, cameras, hand=hand, hand_speed_m_s=hand_speed_m_s)
+    eyes = CameraNames.of(cameras, left, right, image, exposure_s, latency_s)
+    device = open_servo(robot, rig, target, arm, eyes, hand=hand, hand_speed_m_s=hand_speed_m_s)
     run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed, device=device)
     run.require_lengths("Where its cameras are is not known, and nothing is moved")
     settings = ServoSettings(
@@ -272,11 +275,12 @@ def play(
         Literal["world", "base"], Doc("Frame of the path: world or base."), Flag(read=str, panel=WAY)
     ] = "world",
     speed: Speed = 1.0,
-    rig: Annotated[RigLike, Doc("rig.yaml of cameras that watch."), Flag(panel=CAMERAS)] = None,
+    rig: Annotated[AnyRigLike, Doc("rig.yaml of cameras that watch."), Flag(panel=CAMERAS)] = None,
     target: Annotated[TargetLike, Doc("target.yaml they see."), Flag(panel=CAMERAS)] = None,
     handeye: Annotated[AsFile, Doc("handeye.yaml of them."), Flag(panel=CAMERAS)] = None,
     left: LiveLeft = None,
     right: LiveRight = None,
+    cameras: CamerasLike = None,
     image: MirrorImage = None,
     latency_s: Latency = LATENCY_S,
     exposure_s: Exposure = None,
@@ -341,7 +345,8 @@ def play(
     from armsight.ops.robot.opening import clocked_robot
     from armsight.ops.robot.recorder import require_new
     from armsight.ops.robot.robot_run import RobotRun
-    from armsight.ops.servo.vision import CameraNames, measuring, open_servo, placed_cameras
+    from armsight.ops.servo.cameras import CameraNames
+    from armsight.ops.servo.vision import measuring, open_servo, placed_cameras
 
     play_job.check(frame, stop_m)
     settings = PlaySettings(
@@ -353,13 +358,14 @@ def play(
         keep_rotation=keep_rotation,
     )
     record = None if out is None else require_new(out, PLAY_RECORDING)
-    watched = any(one is not None for one in (rig, target, handeye, left, right, image, follow))
+    watched = any(one is not None for one in (rig, target, handeye, left, right, cameras, image, follow))
     watcher: Watcher | None
     device: ClockedRobot
     if watched:
         play_job.require_cameras(rig=rig, target=target, handeye=handeye)
         placed = placed_cameras(handeye)
-        seen = device = open_servo(robot, rig, target, arm, CameraNames(left, right, image, exposure_s, latency_s))
+        eyes = CameraNames.of(cameras, left, right, image, exposure_s, latency_s)
+        seen = device = open_servo(robot, rig, target, arm, eyes)
         watcher = play_job.TargetMonitor(seen, measuring(rig, target, seen), placed)
     else:
         device = clocked_robot(robot, arm)

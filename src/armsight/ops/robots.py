@@ -15,7 +15,7 @@ from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import FRAMES, MOTION_RECORDING, MOVED
 from armsight.ops.action import action
 from armsight.ops.flags import KNOWN_ARM, Cameras
-from armsight.ops.kinds import ArmLike, AsFile, Confirm, GuardLimits, RobotLike
+from armsight.ops.kinds import ArmLike, AsFile, CamerasLike, Confirm, GuardLimits, RobotLike
 from armsight.ops.motion import Folder
 from armsight.ops.requests.motion import A_WAY, HOW_FAR, JOINT, LIVE_SRC, SHARE, UP_TO_1, Override, RsiConfig, Speed
 from armsight.ops.requests.motion import RobotSettings as Settings
@@ -161,6 +161,7 @@ def run_motion(
     speed: Speed = 1.0,
     left: Annotated[str | None, Doc("Left camera, camera:NAME, recorded meanwhile: frames.mcap."), LIVE_SRC] = None,
     right: Annotated[str | None, Doc("Right camera; both, or none."), LIVE_SRC] = None,
+    cameras: CamerasLike = None,
     camera_settings: Cameras | None = None,
     begun: Callable[[JointMotionSource], object] = lambda _: None,
     enabled: Callable[[], bool] = lambda: True,
@@ -168,7 +169,7 @@ def run_motion(
 ) -> RunMotionOutput:
     """Run a motion of the joints through the guard, and record the readings. Ctrl-C brings the arm to rest.
 
-    The whole motion is checked first: ranges of the joints, boxes of tool and flange. Both cameras are recorded beside
+    The whole motion is checked first: ranges of the joints, boxes of tool and flange. The cameras are recorded beside
     it, from before it until after it: one that fails or falls silent brings the arm to rest.
 
     Parameters
@@ -179,7 +180,7 @@ def run_motion(
         The motion (t_s, q), or joints.csv; the arm goes to its first reading, then along it.
     override, begun, enabled
         As `play` takes them.
-    left, right, camera_settings
+    left, right, cameras, camera_settings
         Cameras that are recorded meanwhile.
     out
         A folder for motion.json, the recordings and the readings.
@@ -194,10 +195,11 @@ def run_motion(
     from armsight.ops.robot.recorder import require_new
     from armsight.ops.robot.robot_run import RobotRun
     from armsight.ops.robot.run_motion import checked_motion, recorded_cameras, run_joints
+    from armsight.ops.sources.cameras import named_cameras
     from armsight.store.tracks import read_joints
 
-    cameras = recorded_cameras(left, right, camera_settings, out)
+    recorded = recorded_cameras(named_cameras(cameras or {}, left, right), camera_settings, out)
     record = None if out is None else require_new(out, MOTION_RECORDING, FRAMES)
     run = RobotRun(robot, arm, progress, confirm=confirm, recording=record, limits=limits, speed=speed)
     wanted = checked_motion(read_joints(motion), run.guard, str(motion))
-    return run_joints(run, wanted, cameras, override=override, begun=begun, enabled=enabled)
+    return run_joints(run, wanted, recorded, override=override, begun=begun, enabled=enabled)

@@ -11,7 +11,7 @@ from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import TAUGHT
 from armsight.ops.action import Input, action, action_of
 from armsight.ops.flags import KNOWN_ARM
-from armsight.ops.kinds import FRAMES, ROBOT_READERS, AsFile, Confirm, RigLike, TargetLike, WorldLike
+from armsight.ops.kinds import FRAMES, ROBOT_READERS, AnyRigLike, AsFile, CamerasLike, Confirm, TargetLike, WorldLike
 from armsight.ops.motion import DISTANCE_M, MOVED_ARM, Folder, servo
 from armsight.ops.requests.motion import (
     A_GAIN,
@@ -51,11 +51,12 @@ __all__ = ["teach"]
     ),
 )
 def teach(
-    rig: Annotated[RigLike, Doc("rig.yaml of the cameras.")] = None,
+    rig: Annotated[AnyRigLike, Doc("rig.yaml of the cameras.")] = None,
     target: Annotated[TargetLike, Doc("target.yaml of the lights that are led along.")] = None,
     left: Annotated[Any, Doc("Left camera, or its file."), FRAMES, LIVE_SRC] = None,
     right: Annotated[Any, Doc("Right camera, or its file."), FRAMES, LIVE_SRC] = None,
     *,
+    cameras: CamerasLike = None,
     image: Annotated[Any, Doc("The one camera of a mirror rig."), FRAMES, LIVE_SRC] = None,
     world: Annotated[WorldLike, Doc("world.yaml: where cameras that stand are; without --robot.")] = None,
     poses: Annotated[
@@ -117,7 +118,7 @@ def teach(
 
     Parameters
     ----------
-    rig, target, left, right, image
+    rig, target, left, right, cameras, image
         As `measure` takes them; with robot as `servo` does.
     world
         T_base_rig of cameras that stand.
@@ -156,14 +157,14 @@ def teach(
     from armsight.measure.settings import SpotSettings
     from armsight.ops import teaching as parts
     from armsight.ops.robot.robot_run import as_question
-    from armsight.ops.servo.vision import CameraNames
+    from armsight.ops.servo.cameras import CameraNames
     from armsight.ops.sources.pace import pace_of
     from armsight.records import Silent
     from armsight.store import read_poses
 
     parts.require_speed(path_speed_m_s)
     if poses is not None:
-        parts.refuse_beside("--from", {"robot": robot, "rig": rig, "left": left, "image": image})
+        parts.refuse_beside("--from", {"robot": robot, "rig": rig, "left": left, "camera": cameras, "image": image})
         recorder = parts.standing_recorder(world, tip, every=every, mean=mean)
         recorder.start()
         for pose in read_poses(poses):
@@ -177,10 +178,16 @@ def teach(
             "no --robot", {"handeye": handeye, "arm": arm, "limits": limits, "hand": hand, "follow": follow}
         )
         parts.require_world(world)
-        pairs, overlaid = parts.require_pairs(CameraNames(left, right, image, exposure_s).pairs(rig, target))
+        eyes = CameraNames.of(cameras, left, right, image, exposure_s)
+        pairs, overlaid = parts.require_pairs(eyes.moments(rig, target))
         recorder = parts.standing_recorder(world, tip, every=every, mean=mean)
-        spots, pace = SpotSettings(colour=target.colour), pace_of(left, right, image)
-        setup = Setup(rig=rig, target=target, settings=spots, overlaid=overlaid, pace=pace)
+        setup = Setup(
+            rig=rig,
+            target=target,
+            settings=SpotSettings(colour=target.colour),
+            overlaid=overlaid,
+            pace=pace_of(*eyes.named().values()),
+        )
         if not wait:
             recorder.start()
         begun(recorder)

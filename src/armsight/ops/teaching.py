@@ -18,15 +18,16 @@ from armsight.clock import Clock
 from armsight.control.servo import Mount, ServoSource
 from armsight.control.status import QueueSink
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig
-from armsight.drivers import PairSource
+from armsight.drivers import MomentSource, Views
 from armsight.errors import StaleData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import PATH, TARGETS, TEACH
 from armsight.kinematics import Arm
-from armsight.measure.poses.pipeline import Setup, TargetTracker
+from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.poses.pipeline import Setup
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.servo.run_servo import ServoOutput
-from armsight.records import Frame, Progress, TargetPose, TaughtPath
+from armsight.records import Progress, TargetPose, TaughtPath
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store import World, write_poses
@@ -36,7 +37,6 @@ from armsight.units import MM
 
 AS_MEASURED = "as measured"
 """The frame of a poses.csv: world where it was measured with a world.yaml, else the cameras' own."""
-Pair = tuple[Frame, Frame]
 Seen = Callable[[TargetPose], object]
 """Is told of each pose as it is measured, in rig axes."""
 
@@ -176,7 +176,7 @@ def require_world(world: World | None) -> None:
         )
 
 
-def require_pairs(pairs: tuple[PairSource, bool] | None) -> tuple[PairSource, bool]:
+def require_pairs(pairs: tuple[MomentSource, bool] | None) -> tuple[MomentSource, bool]:
     """Return the pairs. Raises UsageError where they are not said."""
     if pairs is None:
         raise UsageError(
@@ -190,7 +190,7 @@ def require_pairs(pairs: tuple[PairSource, bool] | None) -> tuple[PairSource, bo
 def teach_standing(
     lesson: Lesson,
     setup: Setup,
-    pairs: PairSource,
+    pairs: MomentSource,
     seconds_s: float | None,
     progress: Progress,
     *,
@@ -210,7 +210,7 @@ def teach_standing(
 def _taught(
     recorder: PathRecorder,
     setup: Setup,
-    pairs: Iterable[Pair],
+    pairs: Iterable[Views],
     seconds_s: float | None,
     progress: Progress,
     seen: Seen,
@@ -219,8 +219,8 @@ def _taught(
     tracker = TargetTracker(setup)
     first_s: float | None = None
     shown_s = -1.0
-    for pair in pairs:
-        pose = tracker.take(*pair).pose
+    for moment in pairs:
+        pose = tracker.take(*moment).pose
         recorder.observe(pose, pose.t_s)
         seen(pose)
         first_s = pose.t_s if first_s is None else first_s

@@ -14,7 +14,7 @@ from armsight.file_names import LIVE as RECORDING
 from armsight.file_names import MASTERING as POSES_TO_MEASURE
 from armsight.ops.action import action
 from armsight.ops.flags import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
-from armsight.ops.kinds import CHAIN, ArmLike, AsFile, JointsFile, MeasuredFile, Readings, WorldFile
+from armsight.ops.kinds import CHAIN, ArmLike, AsFile, CamerasLike, JointsFile, MeasuredFile, Readings, WorldFile
 from armsight.ops.requests.motion import LATENCY_S, FollowedCell, RobotJob, RobotSettings
 from armsight.ops.requests.plant import PlantFlags
 from armsight.units import DEG, MM
@@ -198,6 +198,7 @@ def supervise(
     arm: OneArm,
     world: WorldFile,
     *,
+    cameras: CamerasLike = None,
     follow: FollowedCell = None,
     warn_m: Annotated[float | None, Doc("Error of place that warns."), Flag(unit=MM, panel=LIVE)] = None,
     stop_m: Annotated[float | None, Doc("Error of place that stops the robot."), Flag(unit=MM, panel=LIVE)] = None,
@@ -236,12 +237,12 @@ def supervise(
     clock: Clock | None = None,
     devices: Supervised | None = None,
 ) -> VerifyLiveOutput:
-    """Watch a running arm with two cameras, stop it where it is not where it says, and return what was seen.
+    """Watch a running arm with cameras, stop it where it is not where it says, and return what was seen.
 
     Parameters
     ----------
-    robot, left, right
-        As identify_arm_live takes them, and robot_settings, rsi_config and follow.
+    robot, left, right, cameras
+        As identify_arm_live takes them, or cameras by the rig's names, and robot_settings, rsi_config and follow.
     arm, world
         Where the arm should be: its geometry, and where the rig stands (T_base_rig).
     warn_m, stop_m, warn_rad, stop_rad
@@ -275,6 +276,7 @@ def supervise(
     from armsight.ops.given import Given as Folder
     from armsight.ops.measurement.run import target_of
     from armsight.ops.measurement.warm_up import prepare
+    from armsight.ops.sources.cameras import named_cameras
     from armsight.ops.sources.pace import live_pace
     from armsight.ops.verification import live
     from armsight.ops.verification.supervising import Supervision
@@ -285,13 +287,12 @@ def supervise(
 
     limits = Limits(warn_m=warn_m, stop_m=stop_m, warn_rad=warn_rad, stop_rad=stop_rad)
     clock, progress = clock or SystemClock(), progress or Silent()
-    seen, lights, stand = read_rig(rig), target_of(target), read_world(world)
+    seen, lights, stand = read_rig(rig, any_cameras=True), target_of(target), read_world(world)
     live.check_times(latency_s, latency_std_s, blind_stop_s, joint_std)
     link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, follow=follow)
-    settings = camera_settings or AUTOMATIC
-    devices = devices or live.open_supervised(
-        link, (left, right), lights, clock, arm, play=play, camera_settings=settings
-    )
+    eyes, settings = named_cameras(cameras or {}, left, right), camera_settings or AUTOMATIC
+    named = (link, seen.names, eyes, lights, clock, arm)
+    devices = devices or live.open_supervised(*named, play=play, camera_settings=settings)
     expectation = PredictedPose(
         arm=arm if stand.parent == "world" else arm.based(),
         T_parent_rig=stand.T_parent_rig,
@@ -300,6 +301,7 @@ def supervise(
         time_std_s=0.0 if devices.origin_s is not None else latency_std_s,
     )
     live.check_arm(arm, devices)
+    live.check_stop(devices.robot, asked=stop_m is not None or stop_rad is not None or blind_stop_s is not None)
     setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
     prepare(progress)
     run = Supervision(setup, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
@@ -394,6 +396,5 @@ def check_mastering(
     stand = None if world is None else read_world(world)
     placed, how = mastering.in_measured_frame(arm, stand, tool)
     file = read_measured(measured)
-    if stand is not None:
-        file = replace(file, measured=in_world(file.measured, stand))
+    file = file if stand is None else replace(file, measured=in_world(file.measured, stand))
     return mastering.judge_poses(placed, how, file, mastering.readings_of(placed, file, measured, joints))

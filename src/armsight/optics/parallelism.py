@@ -14,7 +14,7 @@ from armsight.arrays import Array
 from armsight.defaults import SPOT_STD_PX
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
-from armsight.optics.camera import INTRINSICS, SIDES
+from armsight.optics.camera import INTRINSICS
 from armsight.optics.rig import RIGHT_POSE, Rig, moved_rig
 from armsight.optics.triangulate import triangulate
 from armsight.records import NamedCovariance, frozen_array
@@ -173,11 +173,14 @@ def resolution(rig: Rig, depth_m: float, sigma_px: float = SPOT_STD_PX) -> Resol
 def mean_axes(rig: Rig) -> Array:
     """Return (3, 3) with columns in rig axes: baseline direction, the one square to both, mean optical axis.
 
-    The first is made square to the mean optical axis. Raises Inconsistent for cameras that look at each other
-    or along the baseline.
+    Of other rigs than pairs the direction is from the first camera to the last, of one camera its x axis. The first is
+    made square to the mean optical axis. Raises Inconsistent for cameras that look at each other or along the baseline.
     """
-    z = np.sum([rig.T_rig_camera(side).rotation.as_matrix()[:, 2] for side in SIDES], axis=0)
-    baseline = np.asarray(rig.T_rig_right.translation) - np.asarray(rig.T_rig_left.translation)
+    poses = [one.T_rig_camera for one in rig.cameras]
+    z = np.sum([T.rotation.as_matrix()[:, 2] for T in poses], axis=0)
+    baseline = np.asarray(poses[-1].translation) - np.asarray(poses[0].translation)
+    if len(poses) == 1:
+        baseline = poses[0].rotation.as_matrix()[:, 0]
     length = float(np.linalg.norm(z))
     z = z / length if length > 0.0 else z
     x = baseline - (baseline @ z) * z

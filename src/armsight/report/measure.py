@@ -8,9 +8,9 @@ from datetime import datetime
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.measure.results import ConsistencyOutput, OtherCause
+from armsight.measure.results import ConsistencyOutput, OtherCause, note_of
 from armsight.measure.series import Errors, Series, errors_of, losses_of, median_columns, series_of
-from armsight.optics import SIDES, Camera
+from armsight.optics import Camera, Rig
 from armsight.records import PoseStatus, Target
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Card, Page, add_recordings, bullets, table
@@ -40,6 +40,7 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     _add_truth(page, errors)
     _add_track(page, run, series, errors)
     _add_residuals(page, run)
+    _add_cameras(page, run)
     _add_consistency(page, run)
     _add_losses(page, run, series)
     _add_inputs(page, run)
@@ -53,7 +54,7 @@ def _subtitle(run: MeasureRun, series: Series) -> str:
     if series.apart:
         return f"{n:,} single shots"
     over = f" over {figure_of(float(np.ptp(series.t_s)), 's')}" if series.timed else ""
-    return f"{n:,} pairs of frames{over}"
+    return f"{n:,} {'pairs of frames' if run.rig.is_pair else 'moments'}{over}"
 
 
 def _rms_columns(values: Array) -> Array:
@@ -96,7 +97,7 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
             note=f"RMS distance, {spots:,} spots" if spots else "",
         ),
         Card(
-            name="time per pair",
+            name="time per pair" if run.rig.is_pair else "time per moment",
             value=figure_of(run.median_ms, "ms"),
             note=f"median; 99 % below {figure_of(run.p99_ms, 'ms')}" if run.p99_ms is not None else "median",
         ),
@@ -218,6 +219,26 @@ def _add_residuals(page: Page, run: MeasureRun) -> None:
     )
 
 
+def _add_cameras(page: Page, run: MeasureRun) -> None:
+    """Add what each camera had of the run, where it is not a pair's."""
+    if not run.by_camera:
+        return
+    rows = [
+        [
+            name,
+            f"{part.n_used:,} of {part.n_frames:,}",
+            figure_of(part.rms_px, "px") if part.rms_px else "",
+            note_of(part),
+        ]
+        for name, part in run.by_camera.items()
+    ]
+    page.add(
+        "What each camera had of it",
+        "Moments whose pose took lights that the camera shows; a light that one camera alone shows counts too.",
+        table(["camera", "used in", "residuals, RMS", ""], rows, numbers=(1, 2)),
+    )
+
+
 def _estimate(cause: ConsistencyOutput | OtherCause) -> str:
     if cause.estimate is None:
         return ""
@@ -306,15 +327,15 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
 def _add_inputs(page: Page, run: MeasureRun) -> None:
     rig, target = run.rig, run.target
     rows = [
-        ["rig", f"{rig.kind}, baseline {figure_of(rig.baseline_m / MM, 'mm', digits=5)}"],
-        *([f"{side} camera", _camera_text(rig.camera(side))] for side in SIDES),
+        ["rig", _rig_text(rig)],
+        *([f"{one.name} camera", _camera_text(one.camera)] for one in rig.cameras),
         ["calibration's RMS", figure_of(rig.rms_px, "px") if rig.rms_px is not None else "not given"],
         ["target", _target_text(target)],
         ["frame of the poses", run.parent],
         *([name, value] for name, value in run.facts),
     ]
     if target.diameter_m is not None:
-        rows.insert(5, ["diameter of a light", figure_of(target.diameter_m / MM, "mm")])
+        rows.insert(len(rig.cameras) + 3, ["diameter of a light", figure_of(target.diameter_m / MM, "mm")])
     assumed = [f"<p>Assumed:</p>{bullets(list(run.assumptions))}"] if run.assumptions else []
     add_recordings(page, run.recordings)
     page.add("What went in", "", table(["", ""], rows), *assumed)
@@ -330,6 +351,12 @@ def ranges(frames: Sequence[int], limit: int = 8) -> str:
             pieces.append([frame, frame])
     shown = [f"{a}" if a == b else f"{a}–{b}" for a, b in pieces[:limit]]
     return ", ".join(shown) + (f" and {len(pieces) - limit} more stretches" if len(pieces) > limit else "")
+
+
+def _rig_text(rig: Rig) -> str:
+    if rig.is_pair:
+        return f"{rig.kind}, baseline {figure_of(rig.baseline_m / MM, 'mm', digits=5)}"
+    return f"{len(rig.cameras)} camera{'s' * (len(rig.cameras) > 1)}: {', '.join(rig.names)}"
 
 
 def _camera_text(camera: Camera) -> str:

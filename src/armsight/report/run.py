@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent
-from armsight.measure.results import ConsistencyOutput
-from armsight.optics import SIDES, Camera, Rig
+from armsight.measure.results import CameraPart, ConsistencyOutput
+from armsight.optics import Camera, Rig
 from armsight.records import Spots, Target, TargetPose, frozen_array
 from armsight.records.result_parts import Verdict
 
@@ -38,11 +38,12 @@ class Sample:
 class MeasureRun:
     """A finished (or broken off) measurement.
 
-    poses: one per pair of frames, in order, in the frame parent. residuals: per side (m, 3): frame, and measured
+    poses: one per pair of frames, in order, in the frame parent. residuals: per camera (m, 3): frame, and measured
     minus projected u, v in px. samples: images to show. truth: the true pose per frame, in the same frame.
     facts: more lines for the table of inputs. consistency: what the check of the residuals says; None where there was
-    none. timed: whether the times of the frames are known and not assumed. stills: whether they are single shots, with
-    no track. T_parent_rig: where the cameras are in the parent frame. recordings: files that the frames are in.
+    none. by_camera: each one's part, of a rig that is no pair. timed: whether the times of the frames are known and not
+    assumed. stills: whether they are single shots, with no track. T_parent_rig: where the cameras are in the
+    parent frame. recordings: files that the frames are in.
     """
 
     poses: Sequence[TargetPose]
@@ -60,6 +61,7 @@ class MeasureRun:
     facts: Sequence[tuple[str, str]] = ()
     assumptions: Sequence[str] = ()
     consistency: ConsistencyOutput | None = None
+    by_camera: Mapping[str, CameraPart] = field(default_factory=dict)
     T_parent_rig: RigidTransform | None = None
     timed: bool = True
     stills: bool = False
@@ -70,8 +72,8 @@ class MeasureRun:
         object.__setattr__(
             self, "residuals", {side: frozen_array(side, rows, (None, 3)) for side, rows in self.residuals.items()}
         )
-        if not set(self.residuals) <= set(SIDES):
-            raise Inconsistent(f"residuals of {', '.join(self.residuals)}: the sides are {', '.join(SIDES)}")
+        if not set(self.residuals) <= set(self.rig.names):
+            raise Inconsistent(f"residuals of {', '.join(self.residuals)}: the cameras are {', '.join(self.rig.names)}")
         if self.truth is not None and len(self.truth) != len(self.poses):
             raise Inconsistent(f"{len(self.truth)} true poses for {len(self.poses)} measured ones")
 

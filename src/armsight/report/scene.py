@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.measure.spots import CANDIDATE
-from armsight.optics import SIDES, Camera, Rig
+from armsight.optics import Camera, Rig
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, Plot, axis, layout, short_names
 from armsight.report.html import Page, text
 from armsight.report.run import BoardPicture, BoardViews, MeasureRun, Sample
@@ -198,15 +198,16 @@ def scene_figure(run: MeasureRun) -> Figure | None:
         return None
     T = np.asarray(run.poses[best].T_parent_target)
     xyz = run.target.xyz_m @ T[:3, :3].T + T[:3, 3]
-    eyes = [_eye(run, side) for side in SIDES]
+    names = run.rig.names
+    eyes = [_eye(run, name) for name in names]
     away = float(np.mean([np.linalg.norm(xyz.mean(axis=0) - eye) for eye in eyes]))
-    data = [camera_line(run.rig, side, run.T_parent_rig, depth_m=0.1 * away) for side in SIDES]
+    data = [camera_line(run.rig, side, run.T_parent_rig, depth_m=0.1 * away) for side in names]
     if len(xyz) <= NAMED:
-        for side, eye in zip(SIDES, eyes, strict=True):
+        for side, eye in zip(names, eyes, strict=True):
             rays = np.concatenate([np.stack([eye, point, eye]) for point in xyz]) / MM
             data.append(line(rays, f"rays, {side}", {"color": GREY, "width": 1}))
-    names = list(run.target.names) if len(xyz) <= NAMED else None
-    marks = {"mode": "markers+text" if names else "markers", "marker": {"size": 5, "color": ORANGE}, "text": names}
+    lights = list(run.target.names) if len(xyz) <= NAMED else None
+    marks = {"mode": "markers+text" if lights else "markers", "marker": {"size": 5, "color": ORANGE}, "text": lights}
     data.append(line(xyz / MM, f"target in frame {best}", {}, **marks))
     size = 0.08 * away
     axes = np.concatenate([np.stack([T[:3, 3], T[:3, 3] + size * T[:3, k], T[:3, 3]]) for k in range(3)])

@@ -10,7 +10,6 @@ import scipy  # loads its ndimage where it is used
 
 from armsight.arrays import Array
 from armsight.measure.series import Series
-from armsight.optics import SIDES
 from armsight.records import PoseStatus
 from armsight.report.figures import (
     BAND,
@@ -64,17 +63,25 @@ def track_figure(run: MeasureRun, series: Series) -> Figure:
         data.append({**marks, "mode": "markers", "marker": {"size": 3, "color": ORANGE}})
     if run.parent == "rig" or run.T_parent_rig is not None:
         hidden = {"visible": "legendonly"} if _is_far(run, xyz) else {}
-        depth_m = run.rig.baseline_m / 3.0
-        data += [{**camera_line(run.rig, side, run.T_parent_rig, depth_m=depth_m), **hidden} for side in SIDES]
+        depth_m = _apart_m(run) / 3.0
+        data += [{**camera_line(run.rig, name, run.T_parent_rig, depth_m=depth_m), **hidden} for name in run.rig.names]
     scene = scene_axes(run.parent)
     return Figure(data=data, layout=layout(scene=scene, uirevision=1), height_px=520)
+
+
+def _apart_m(run: MeasureRun) -> float:
+    """Return a pair's baseline, of other cameras the furthest from the first one; 0.1 m of one alone."""
+    if run.rig.is_pair:
+        return run.rig.baseline_m
+    at = np.array([one.T_rig_camera.translation for one in run.rig.cameras])
+    return float(np.linalg.norm(at - at[0], axis=1).max()) or 0.1
 
 
 def _is_far(run: MeasureRun, xyz: Array) -> bool:
     known = xyz[np.isfinite(xyz[:, 0])]
     if not len(known):
         return False
-    size = max(float(np.ptp(known, axis=0).max()), run.rig.baseline_m / MM)
+    size = max(float(np.ptp(known, axis=0).max()), _apart_m(run) / MM)
     eye = np.zeros(3) if run.T_parent_rig is None else run.T_parent_rig.translation / MM
     return float(np.linalg.norm(known.mean(axis=0) - eye)) > FAR * size
 

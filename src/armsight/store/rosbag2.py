@@ -17,7 +17,7 @@ import numpy as np
 from armsight.errors import NotEnoughData, UsageError
 from armsight.file_names import RIG
 from armsight.geometry import xyz_quat
-from armsight.optics import Camera, Rig
+from armsight.optics import SIDES, Camera, Rig
 from armsight.records import Frame, PoseStatus
 from armsight.store.atomic import disk_errors
 from armsight.store.bags import require_rosbags
@@ -147,11 +147,17 @@ def _add_frame(bag: _Bag, side: str, frame: Frame) -> None:
 
 
 def _camera_infos(recording: Recording) -> dict[str, tuple[Camera, np.ndarray, np.ndarray]]:
-    """Return each camera with its rectifying rotation (3, 3) and projection (3, 4); none without a rig of pinholes."""
+    """Return each camera with its rectifying rotation (3, 3) and projection (3, 4); none without a rig of pinholes.
+
+    Of other rigs than pairs nothing is rectified: their cameras look where they look.
+    """
     if RIG not in recording.attachments:
         return {}
     where = f"{recording.path}, {RIG}"
     rig: Rig = rig_from_mapping(parse_yaml(recording.attachment(RIG), where), where)
+    if rig.names != SIDES:
+        each = {name: rig.camera(name) for name in rig.names}
+        return {name: (one, np.eye(3), np.column_stack([one.matrix, np.zeros(3)])) for name, one in each.items()}
     sizes = {(camera.width, camera.height) for camera in (rig.left, rig.right)}
     if rig.left.plate is not None or len(sizes) > 1:
         return {}

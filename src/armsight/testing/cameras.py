@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from armsight.drivers import FrameSource, PairSource
+from armsight.drivers import FrameSource, MomentSource
 from armsight.errors import ArmsightError
 from armsight.records import Frame
 from armsight.testing.checks import check
@@ -28,7 +28,7 @@ class CameraCase:
     may be opened a second time and then begins anew.
     """
 
-    source: FrameSource | PairSource
+    source: FrameSource | MomentSource
     opened: Callable[[], bool] | None = None
     moves: bool = False
     again: bool = True
@@ -133,7 +133,7 @@ def _frames(item: Any) -> tuple[Frame, ...]:
     return (item,) if isinstance(item, Frame) else tuple(item)
 
 
-def _read(source: FrameSource | PairSource, count: int) -> Sequence[tuple[Frame, ...]]:
+def _read(source: FrameSource | MomentSource, count: int) -> Sequence[tuple[Frame, ...]]:
     """Return up to count frames of each view of a source."""
     with source as opened:
         items = [_frames(item) for item in islice(iter(opened), count)]

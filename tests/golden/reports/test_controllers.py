@@ -12,10 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import armsight
+import warm_python
 from refusals import names_it
 from reports import case
-
-ARMSIGHT = Path(sys.executable).with_name("armsight")
 
 
 def test_a_controllers_own_calibrated_table_is_read():
@@ -42,7 +41,7 @@ def beside_the_controller(tmp_path, port: int, *words: str, controller: tuple[st
 
     Returns its exit code, what it told, and the farthest that a joint went, degrees.
     """
-    command = [ARMSIGHT, "robot", *words, "--robot", f"rsi:{port}"]
+    command = [warm_python.commands() / "armsight", "robot", *words, "--robot", f"rsi:{port}"]
     words_of_it = tmp_path / "told.txt"
     with words_of_it.open("w") as file:
         begun = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, cwd=tmp_path)
@@ -78,10 +77,10 @@ def test_corrections_that_add_up_are_noticed_by_the_probe(tmp_path):
 
 @pytest.mark.alone
 def test_a_hand_eye_turned_round_stops_the_servo(tmp_path):
-    turned, cell = "180", tmp_path / "servo-cell"
+    turned, cell, ours = "180", tmp_path / "servo-cell", warm_python.commands() / "armsight"
 
     def armsight_(*words: object) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([ARMSIGHT, *map(str, words)], capture_output=True, text=True, cwd=tmp_path, check=False)
+        return subprocess.run([ours, *map(str, words)], capture_output=True, text=True, cwd=tmp_path, check=False)
 
     assert armsight_("simulate", "pachidis2005-static", "--frames", 1, "-o", cell).returncode == 0
     subprocess.run([sys.executable, case("arms-23") / "turn.py", turned], cwd=tmp_path, check=True)

@@ -6,10 +6,7 @@ The table is held against the face: a public name, or a parameter, without an en
 from __future__ import annotations
 
 import inspect
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, partial, wraps
@@ -1020,31 +1017,3 @@ def test_a_cut_keeps_its_source_and_tells_that_nothing_was_recorded_then(tmp_pat
         armsight.cut_recording(run, tmp_path / "part.mcap", 5.0, 6.0)
     assert run.read_bytes() == before and list(tmp_path.iterdir()) == [run]
     assert armsight.cut_recording(run, tmp_path / "part.mcap", 0.05, 0.25).duration_s == pytest.approx(0.1)
-
-
-COMPILED = ("Camera.project", "Camera.rays", "triangulate", "Arm.fk")
-"""What hands arrays to compiled code at once, and compiles in seconds."""
-
-
-def reach_compiled_code() -> None:
-    """Run in a process whose compiled code checks its indices: wrong arrays never get there, good ones stay inside."""
-    for name in COMPILED:
-        for parameter, argument in TABLE[name][1].items():
-            _called(name, parameter, argument.good)
-            for value in argument.wrong.values():
-                with pytest.raises(armsight.ArmsightError):
-                    _called(name, parameter, value)
-    reached = armsight.optics.kernels.camera.project_many  # the planted fault: it is the check that keeps arrays out
-    with pytest.raises(IndexError):
-        reached(CAMERA.packed, np.eye(3), np.zeros(3), POINTS[:, :2].copy(), np.empty((len(POINTS), 2)))
-
-
-def test_no_array_of_another_shape_reaches_compiled_code(pytestconfig: pytest.Config, tmp_path: Path) -> None:
-    code = "import armsight.optics.kernels.camera, test_bad_input; test_bad_input.reach_compiled_code()"
-    here = Path(__file__).parent
-    paths = os.pathsep.join(map(str, (here, here.parents[1], Path(armsight.__file__).parents[1])))
-    cache = getattr(pytestconfig, "cache", None)
-    kept = cache.mkdir("kernels-checked") if cache else tmp_path  # compiled once a source
-    environment = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(kept), "PYTHONPATH": paths}
-    done = subprocess.run([sys.executable, "-c", code], env=os.environ | environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[-2000:]

@@ -13,23 +13,15 @@ import pytest
 
 import armsight
 from hand_cell import hand_cell, pictures
+from loading import module_of
 from refusals import refuses
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def test_every_flag_of_the_parser_has_a_python_name_or_a_reason() -> None:
-    done = subprocess.run(
-        [sys.executable, "tools/python_flags.py"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert "| measure | `--rig` | `measure(rig)` |" in done.stdout
-
-
-def test_a_flag_without_a_name_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    import python_flags
-
+def test_every_flag_of_the_parser_has_a_python_name_or_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    python_flags = module_of(ROOT / "tools" / "python_flags.py")
+    assert "| measure | `--rig` | `measure(rig)` |" in python_flags.table()
     monkeypatch.setattr(python_flags, "flags", lambda: iter([("measure", "--planted")]))
     with refuses(SystemExit, "measure", "--planted"):
         python_flags.table()

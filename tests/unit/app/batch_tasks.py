@@ -18,7 +18,7 @@ def work(job: Job, folder: Path) -> Ended:
         with Path(str(told["count"])).open("a") as file:
             file.write(job.name + "\n")
     crowded = told.get("kill") == "crowded" and int(Path(str(told["mark"])).read_text()) > 1
-    if crowded or told.get("kill") == "always" or (told.get("kill") == "once" and not Path(str(told["mark"])).exists()):
+    if crowded or (told.get("kill") == "once" and not Path(str(told["mark"])).exists()):
         if told["kill"] == "once":
             Path(str(told["mark"])).touch()
         os.kill(os.getpid(), signal.SIGKILL)

@@ -84,20 +84,7 @@ def test_every_job_has_its_folder_and_its_row(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "j1" / "whole.txt").exists() and not (tmp_path / "out" / RUNNING).exists()
 
 
-def test_a_job_whose_worker_is_killed_is_done_again_and_one_that_kills_three_is_named(tmp_path: Path) -> None:
-    jobs = [job(f"j{n}", n=n) for n in range(6)]
-    jobs[1:1] = [job("once", n=9, kill="once", mark=str(tmp_path / "mark")), job("always", kill="always")]
-    done = run(jobs, tmp_path / "out")
-    assert done.statuses == {"done": 7, "killed": 1}
-    rows = table(tmp_path / "out")
-    assert (rows["once"]["attempts"], rows["once"]["n"]) == (2, 9)
-    assert (rows["always"]["attempts"], rows["always"]["status"]) == (3, "killed")
-    assert "3 times" in rows["always"]["cause"] and rows["always"]["cure"]
-    assert not (tmp_path / "out" / "always" / "half.txt").exists()
-    assert [(rows[f"j{n}"]["n"], rows[f"j{n}"]["status"]) for n in range(6)] == [(n, "done") for n in range(6)]
-
-
-def test_a_job_that_needs_the_memory_of_several_workers_is_done_by_one_as_its_cure_says(
+def test_a_job_whose_worker_is_killed_is_done_again_and_one_that_kills_three_is_done_by_one_as_its_cure_says(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of several workers that share the memory the system kills one: here they are told how many they are."""
@@ -108,12 +95,21 @@ def test_a_job_that_needs_the_memory_of_several_workers_is_done_by_one_as_its_cu
         yield cluster
 
     monkeypatch.setattr(batch_run, "connected", counted)
-    jobs = [job("small"), job("large", kill="crowded", mark=str(tmp_path / "workers"))]
+    jobs = [job(f"j{n}", n=n) for n in range(6)]
+    jobs[1:1] = [
+        job("once", n=9, kill="once", mark=str(tmp_path / "mark")),
+        job("large", kill="crowded", mark=str(tmp_path / "workers")),
+    ]
     done = run(jobs, tmp_path / "out", workers=Workers(n=2))
-    assert done.statuses == {"done": 1, "killed": 1}
-    assert "(--jobs)" in table(tmp_path / "out")["large"]["cure"]
+    assert done.statuses == {"done": 7, "killed": 1}
+    rows = table(tmp_path / "out")
+    assert (rows["once"]["attempts"], rows["once"]["n"]) == (2, 9)
+    assert (rows["large"]["attempts"], rows["large"]["status"]) == (3, "killed")
+    assert "3 times" in rows["large"]["cause"] and "(--jobs)" in rows["large"]["cure"]
+    assert not (tmp_path / "out" / "large" / "half.txt").exists()
+    assert [(rows[f"j{n}"]["n"], rows[f"j{n}"]["status"]) for n in range(6)] == [(n, "done") for n in range(6)]
     done = run(jobs, tmp_path / "out", workers=Workers(n=1), resume=True)
-    assert done.statuses == {"done": 2} and done.n_kept == 1
+    assert done.statuses == {"done": 8} and done.n_kept == 7
 
 
 def test_resume_does_what_is_missing_changed_or_failed_by_chance(tmp_path: Path) -> None:

@@ -206,7 +206,8 @@ def frames(drawn: DrawnCell) -> Path:
                 Frame(image=image, t_s=5.0 + k / FPS + late_s, sequence=k, source=side)
                 for image, side, late_s in zip(pair, SIDES, (0.0, 0.0), strict=True)
             )
-            writer.pair(left, right, tuple(encode(one.image, ImageFormat.PNG) for one in (left, right)))  # type: ignore[arg-type]
+            views = {"left": left, "right": right}
+            writer.moment(views, {name: encode(one.image, ImageFormat.PNG) for name, one in views.items()})
     return file
 
 

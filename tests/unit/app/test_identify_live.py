@@ -118,7 +118,7 @@ class Cell:
             known,
             read_target(target),
             RobotJob(robot="here"),
-            ("here", "here"),
+            ("here:left", "here:right"),
             person,
             progress=progress,
             clock=self.clock,

@@ -131,7 +131,7 @@ def test_a_recording_of_it_has_one_camera(seen: list[MeasuredPair], tmp_path: Pa
     file = tmp_path / "one.mcap"
     with Recorder(RecordingWriter(file, clock=ManualClock()), ImageFormat.PNG, live=False) as recorder:
         for one in seen:
-            recorder.put(one.pair[0], None)
+            recorder.put({"image": one.pair[0]})
     with Recording(file) as recording:
         assert tuple(recording.cameras) == ("image",) and recording.count("/image/image") == FRAMES
         frames = list(recording.frames("image"))

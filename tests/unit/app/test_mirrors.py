@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from armsight.calibrate.mirrors.result import reasons
 from armsight.cli.actions import action_of
 from armsight.cli.commands import app
-from armsight.drivers import PairSource
+from armsight.drivers import MomentSource
 from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.results import MeasureResult
 from armsight.ops import measure as ops
@@ -351,7 +351,7 @@ def test_the_size_tells_how_an_image_holds_two_views(lit: Path, tmp_path: Path) 
     for name, image in widths.items():
         cv2.imwrite(str(tmp_path / f"{name}.png"), image)
 
-    def source(name: str) -> tuple[PairSource, bool]:
+    def source(name: str) -> tuple[MomentSource, bool]:
         return complex_pairs(partial(open_source, str(tmp_path / f"{name}.png")), read_rig(tmp_path / "rig.yaml"))
 
     pairs, overlaid = source("overlaid")

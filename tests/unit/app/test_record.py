@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,13 +13,15 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import Skew
+from armsight.drivers import Skew, Views
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.recording import recorder as recorder_module
 from armsight.ops.recording.export import export
-from armsight.ops.recording.record import RecordJob, mend, record, record_pairs
+from armsight.ops.recording.record import RecordJob, mend, record, record_moments
 from armsight.ops.recording.recorder import Recorder
-from armsight.ops.sources.frames import RecordedFrames, open_pairs, open_source
+from armsight.ops.sources.cameras import open_cameras, open_rig
+from armsight.ops.sources.frames import RecordedFrames, open_source
+from armsight.optics import SIDES
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_times
 from armsight.store.recording import ImageFormat, Recording, RecordingWriter
@@ -65,10 +66,10 @@ def fakes(n: int) -> list[tuple[Frame, Frame]]:
 def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFormat) -> None:
     path = tmp_path / "a.mcap"
     pairs = fakes(30)
-    done = record_pairs(RecordJob(out=path, kind=kind), Fake(pairs), live=False)
+    done = record_moments(RecordJob(out=path, kind=kind), Fake(pairs), live=False)
     assert (done.n_pairs, done.n_dropped) == (30, 0)
     assert done.pairs_per_s == pytest.approx(60.0)
-    with open_pairs(str(path), None) as back:
+    with open_rig(SIDES, str(path)) as back:
         assert (back.name, back.total) == (str(path), 30)
         replayed = list(back)
     for there, here in zip(pairs, replayed, strict=True):
@@ -77,7 +78,7 @@ def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFor
             assert abs(one.t_s - two.t_s) < 1e-9
 
 
-@pytest.mark.parametrize("wrong", [{"left": "camera:0"}, {"out": Path("run.avi")}])
+@pytest.mark.parametrize("wrong", [{"cameras": {"left": "camera:0"}}, {"out": Path("run.avi")}])
 def test_what_contradicts_itself_is_not_recorded(tmp_path: Path, wrong: dict[str, Any]) -> None:
     with pytest.raises(UsageError):
         record(RecordJob(**{"cell": "hand-cell", "limit": 1, "out": tmp_path / "run.mcap", **wrong}))
@@ -99,7 +100,7 @@ def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path)
         assert recording.count("/left/calibration") == 1
     rig = read_rig(tmp_path / "out" / "rig.yaml")
     with refuses(Inconsistent, "1280x720", "recorded"):
-        record_pairs(RecordJob(out=tmp_path / "b.mcap"), Fake(fakes(2)), live=False, rig=rig)
+        record_moments(RecordJob(out=tmp_path / "b.mcap"), Fake(fakes(2)), live=False, rig=rig)
     assert not (tmp_path / "b.mcap").exists()
 
 
@@ -107,15 +108,15 @@ def test_live_frames_that_find_no_room_are_dropped_and_counted(tmp_path: Path, m
     gate = threading.Event()
     monkeypatch.setattr(recorder_module, "QUEUE_BYTES", 5 * 2 * frame(0).image.nbytes)
     writer = RecordingWriter(tmp_path / "a.mcap")
-    whole = writer.pair
+    whole = writer.moment
 
     def slow(*args: object) -> None:
         gate.wait()
         whole(*args)  # type: ignore[arg-type]  # handed through as they came
 
-    monkeypatch.setattr(writer, "pair", slow)
+    monkeypatch.setattr(writer, "moment", slow)
     with Recorder(writer, ImageFormat.RAW, live=True, clock=ManualClock()) as recorder:
-        taken = [recorder.put(*pair) for pair in fakes(12)]
+        taken = [recorder.put(dict(zip(SIDES, pair, strict=True))) for pair in fakes(12)]
         gate.set()
     assert taken == [True] * 5 + [False] * 7
     assert (recorder.written, recorder.dropped) == (5, 7)
@@ -127,7 +128,7 @@ def test_live_frames_that_would_wait_too_long_are_dropped(tmp_path: Path, monkey
     gate, clock = threading.Semaphore(0), ManualClock()
     done = threading.Semaphore(0)
     writer = RecordingWriter(tmp_path / "a.mcap", clock=clock)
-    whole = writer.pair
+    whole = writer.moment
 
     def slow(*args: object) -> None:
         clock.advance(recorder_module.PACE_LIMIT_S)  # what each pair takes
@@ -135,14 +136,14 @@ def test_live_frames_that_would_wait_too_long_are_dropped(tmp_path: Path, monkey
         done.release()
         gate.acquire()
 
-    monkeypatch.setattr(writer, "pair", slow)
+    monkeypatch.setattr(writer, "moment", slow)
     pairs = fakes(60)
     with Recorder(writer, ImageFormat.RAW, live=True, clock=clock) as recorder:
         for pair in pairs[:30]:  # one at a time: all have room, and the pace is learnt
-            assert recorder.put(*pair)
+            assert recorder.put(dict(zip(SIDES, pair, strict=True)))
             assert done.acquire(timeout=60.0)
             gate.release()
-        taken = [recorder.put(*pair) for pair in pairs[30:]]
+        taken = [recorder.put(dict(zip(SIDES, pair, strict=True))) for pair in pairs[30:]]
         for _ in pairs:
             gate.release()
     room = recorder_module.QUEUE_S / recorder_module.PACE_LIMIT_S
@@ -154,14 +155,14 @@ def test_live_frames_that_would_wait_too_long_are_dropped(tmp_path: Path, monkey
 
 def test_what_the_cameras_missed_is_counted(tmp_path: Path) -> None:
     pairs = [pair for pair in fakes(20) if pair[0].sequence not in (5, 6, 11)]
-    done = record_pairs(RecordJob(out=tmp_path / "a.mcap"), Fake(pairs), live=True)
+    done = record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake(pairs), live=True)
     assert (done.n_pairs, done.n_missed) == (17, 3)
 
 
 def test_a_camera_that_goes_leaves_what_was_recorded(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with refuses(DeviceLost, "a.mcap"):
-        record_pairs(RecordJob(out=path), Fake(fakes(7), DeviceLost("camera:0 is gone")), live=True)
+        record_moments(RecordJob(out=path), Fake(fakes(7), DeviceLost("camera:0 is gone")), live=True)
     with Recording(path) as recording:
         assert recording.finished
         assert recording.count("/right/image") == 7
@@ -171,8 +172,8 @@ def test_time_that_runs_backwards_ends_it_readably(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     pairs = [*fakes(5), (frame(5, t_s=0.01), frame(5, 1, t_s=0.01))]
     with refuses(Inconsistent, "backwards"):
-        record_pairs(RecordJob(out=path, kind=ImageFormat.RAW), Fake(pairs), live=False)
-    with open_pairs(str(path), None) as back:
+        record_moments(RecordJob(out=path, kind=ImageFormat.RAW), Fake(pairs), live=False)
+    with open_rig(SIDES, str(path)) as back:
         assert len(list(back)) == 5
 
 
@@ -183,7 +184,7 @@ def test_a_file_size_limit_ends_it_with_exit_code_4(tmp_path: Path) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))
     try:
         with refuses(DeviceFailed, "written") as caught:
-            record_pairs(RecordJob(out=path, kind=ImageFormat.RAW), Fake(fakes(300)), live=False)
+            record_moments(RecordJob(out=path, kind=ImageFormat.RAW), Fake(fakes(300)), live=False)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert caught.value.exit_code == 4
@@ -193,13 +194,13 @@ def test_a_file_size_limit_ends_it_with_exit_code_4(tmp_path: Path) -> None:
 
 def test_no_pair_makes_no_file(tmp_path: Path) -> None:
     with pytest.raises(NotEnoughData):
-        record_pairs(RecordJob(out=tmp_path / "a.mcap"), Fake([]), live=False)
+        record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake([]), live=False)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_broken_recording_is_mended_in_its_place(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    record_pairs(RecordJob(out=path), Fake(fakes(30)), live=False)
+    record_moments(RecordJob(out=path), Fake(fakes(30)), live=False)
     whole = path.read_bytes()
     path.write_bytes(whole[:-300])
     done = mend(path)
@@ -215,25 +216,82 @@ def test_a_broken_recording_is_mended_in_its_place(tmp_path: Path) -> None:
 
 def test_which_camera_is_meant_must_be_said(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    record_pairs(RecordJob(out=path), Fake(fakes(3)), live=False)
+    record_moments(RecordJob(out=path), Fake(fakes(3)), live=False)
     with refuses(Inconsistent, "left, right"), open_source(str(path)):
         pass
     with open_source(f"{path}:right") as source:
         assert source.total == 3
         np.testing.assert_array_equal(next(iter(source)).image, frame(0, 1).image)
-    with refuses(UsageError, "paired", "recording"):
-        open_pairs(str(path), str(tmp_path))
+    with refuses(UsageError, "put together", "recorded"):
+        open_rig(SIDES, str(path), str(tmp_path))
     with refuses(UsageError, "own times"):
-        open_pairs(str(path), None, fps=30.0)
+        open_rig(SIDES, str(path), fps=30.0)
     with refuses(UsageError, "source", "result", "another name"):
-        record(replace(RecordJob(out=path), left=str(path)))
+        record(RecordJob(out=path, cameras={"left": str(path)}))
+
+
+class Ring:
+    """Moments of three cameras, the last of which is lost after some; the second lacks a frame now and then."""
+
+    name, total, skew = "ring", None, None
+    names = ("west", "east", "top")
+
+    def __init__(self, n: int, last: int) -> None:
+        self.lost: dict[str, str] = {}
+        self._n, self._last = n, last
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[Views]:
+        for i in range(self._n):
+            if i == self._last:
+                self.lost["top"] = "it was pulled out"
+            yield frame(i), None if i % 4 == 2 else frame(i, 1), None if i >= self._last else frame(i, 2)
+
+
+def same(got: Sequence[Views], wanted: Sequence[Views]) -> None:
+    """Hold moments to those that were recorded: the same views, bit for bit."""
+    for here, there in zip(got, wanted, strict=True):
+        for one, two in zip(here, there, strict=True):
+            assert (one is None) == (two is None)
+            if one is not None and two is not None:
+                np.testing.assert_array_equal(one.image, two.image)
+
+
+def test_three_cameras_are_recorded_by_name_and_read_again_moment_by_moment(tmp_path: Path) -> None:
+    path, ring = tmp_path / "a.mcap", Ring(9, 5)
+    done = record_moments(RecordJob(out=path), ring, ring.names, live=False)
+    assert (done.n_pairs, done.n_frames) == (9, {"west": 9, "east": 7, "top": 5})
+    assert done.lost == {"top": "it was pulled out"}
+    assert any("top" in line and "pulled out" in line for line in map(str, done.summary()))
+    with Recording(path) as recording:
+        assert recording.cameras == ring.names
+        (event,) = recording.events()
+        assert "top" in event.message and event.t_s == pytest.approx(5 / 60.0)
+    wanted = [moment for moment in Ring(9, 5) if sum(one is not None for one in moment) > 1]
+    assert len(wanted) == 8  # one view alone tells no depth
+    with open_rig(ring.names, str(path), tell=lambda _: None) as back:
+        same(list(back), wanted)
+
+
+def test_what_three_cameras_recorded_is_exported_under_its_moments_number(tmp_path: Path) -> None:
+    path, ring = tmp_path / "a.mcap", Ring(9, 9)
+    record_moments(RecordJob(out=path), ring, ring.names, live=False)
+    done = export(path, tmp_path / "out")
+    assert {name: done.n[name] for name in ring.names} == {"west": 9, "east": 7, "top": 9}
+    with open_cameras({name: str(tmp_path / "out" / name) for name in ring.names}) as moments:
+        same(list(moments), list(Ring(9, 9)))
 
 
 def test_a_recording_without_frames_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with RecordingWriter(path) as writer:
         writer.joints(JointReading(q=np.zeros(2), t_s=0.5, sequence=0, source="robot"))
-    with refuses(NotEnoughData, "/left/image"), open_pairs(str(path), str(path)) as pairs:
+    with refuses(NotEnoughData, "/left/image"), open_rig(SIDES, str(path), str(path)) as pairs:
         list(pairs)
     with refuses(NotEnoughData, "/target/measured"):
         export(path, tmp_path / "poses.csv")

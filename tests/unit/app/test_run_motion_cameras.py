@@ -162,8 +162,8 @@ def test_a_camera_that_is_lost_on_the_way_brings_the_arm_to_rest_and_is_named(
     [
         ({"left": "camera:0"}, UsageError, "--right"),
         ({"right": "camera:0"}, UsageError, "--left"),
-        ({"left": "camera:0", "right": "camera:0"}, UsageError, "one camera"),
-        ({"left": "camera:0", "right": "camera:/dev/video0"}, UsageError, "one camera"),
+        ({"left": "camera:0", "right": "camera:0"}, UsageError, "both camera:0"),
+        ({"left": "camera:0", "right": "camera:/dev/video0"}, UsageError, ("camera:0", "/dev/video0")),
         ({"left": "camera:0", "right": "frames.mcap"}, UsageError, ("frames.mcap", "camera:2")),
         ({"left": "camera:sim:webcam-cell:left", "right": "camera:0"}, UsageError, "camera:sim"),
         ({"left": "camera:trial:plain", "right": "camera:trial:absent"}, DeviceNotFound, "absent"),
@@ -236,7 +236,7 @@ def recorded(cameras: dict[str, Held], out: Path, monkeypatch: pytest.MonkeyPatc
             clock.advance(1.0)
         return clock.now_s() > 100.0 or time.monotonic() > until_s
 
-    return record_free(FreeJob(left="camera:1", right="camera:2", out=out), lambda: None, ended, clock)
+    return record_free(FreeJob(cameras={"left": "camera:1", "right": "camera:2"}, out=out), lambda: None, ended, clock)
 
 
 def test_a_camera_that_falls_silent_is_lost_though_its_driver_says_nothing(

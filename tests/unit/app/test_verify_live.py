@@ -75,7 +75,14 @@ class Cell:
             on_step=self.clock.calls.append,
         )
         files = {name: self.folder / f"{name}.yaml" for name in ("rig", "target", "arm", "world")}
-        given = {"robot": "here", "left": "here", "right": "here", "out": self.folder / "out", **files, **more}
+        given = {
+            "robot": "here",
+            "left": "here:left",
+            "right": "here:right",
+            "out": self.folder / "out",
+            **files,
+            **more,
+        }
         return supervise(**given, clock=self.clock, devices=devices).to_dict()
 
 

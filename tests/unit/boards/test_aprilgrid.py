@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from armsight.errors import BadFile, BadImage, UsageError
@@ -43,7 +44,7 @@ def ink(x: np.ndarray, y: np.ndarray, border: int) -> np.ndarray:
 
 
 @cache
-def picture(turn: tuple[float, float, float], t_m: tuple[float, float, float], *, border: int = 2, k1: float = -0.2):
+def picture(turn: tuple[float, float, float], t_m: tuple[float, float, float], border: int, k1: float = -0.2):
     """Return a picture of the board and where its corners are in it, in the order of Kalibr's grid (n, 2)."""
     y_up = Rotation.from_euler("x", 180, degrees=True)  # the board's z points to the camera
     R = (Rotation.from_rotvec(turn) * y_up).as_matrix()
@@ -55,9 +56,9 @@ def picture(turn: tuple[float, float, float], t_m: tuple[float, float, float], *
     truth = flat * (1.0 + k1 * (flat**2).sum(axis=1))[:, None] * FOCAL + [WIDTH / 2, HEIGHT / 2]
     v, u = ((np.arange(OVER * n) + 0.5) / OVER - 0.5 for n in (HEIGHT, WIDTH))
     bent = np.stack(np.meshgrid((u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL), axis=-1)
-    ray = bent.copy()
-    for _ in range(10):  # to 1e-3 px
-        ray = bent / (1.0 + k1 * (ray**2).sum(axis=-1))[..., None]
+    radius = np.linspace(0.0, 1.2, 20_001)
+    straight = 1.0 / (1.0 + k1 * radius**2)
+    ray = bent * np.interp(np.hypot(bent[..., 0], bent[..., 1]), radius / straight, straight)[..., None]
     d = np.concatenate([ray, np.ones((*ray.shape[:2], 1))], axis=-1) @ R
     o = -R.T @ t
     xy = o[:2] - d[..., :2] * (o[2] / d[..., 2])[..., None]
@@ -83,7 +84,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Target:
     [((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2), ((-0.4, 0.1, 2.0), (0.01, 0.0, 0.35), 1)],
 )
 def test_its_corners_are_where_they_were_drawn(board: Target, turn, t_m, border: int) -> None:
-    image, truth = picture(turn, t_m, border=border)
+    image, truth = picture(turn, t_m, border)
     seen = find_board(image, board)
     assert len(seen) == 4 * COLUMNS * ROWS
     error = seen.uv_px - truth[seen.index]
@@ -92,8 +93,15 @@ def test_its_corners_are_where_they_were_drawn(board: Target, turn, t_m, border:
     assert seen.sigma_px < 0.05
 
 
+def test_tags_stand_apart_from_the_squares_at_their_corners_in_a_soft_picture(board: Target) -> None:
+    image, _ = picture((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2)
+    noise = np.random.default_rng(1).normal(0.0, 2.0, image.shape)
+    soft = np.clip(np.rint(gaussian_filter(image.astype(float), 1.0) + noise), 0, 255).astype(np.uint8)
+    assert len(find_board(soft, board)) >= 24
+
+
 def test_it_may_be_seen_in_part_but_not_mirrored_and_other_tags_are_none(board: Target) -> None:
-    image, truth = picture((0.2, -0.3, 0.1), (0.0, 0.0, 0.30))
+    image, truth = picture((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2)
     part = image.copy()
     part[:, 330:] = 190
     seen = find_board(part, board)

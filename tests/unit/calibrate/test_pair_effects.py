@@ -60,11 +60,13 @@ def told(found: StereoCalibration) -> list[str]:
 
 @pytest.mark.parametrize("shift_px", [0.1, 0.4])
 def test_a_shift_common_to_each_view_is_weighed_claimed_and_told(shift_px):
-    found = [calibrated(seed, (0.0, shift_px)) for seed in range(5)]
+    found = [calibrated(seed, (0.0, shift_px)) for seed in range(4)]
     errors = np.array([z(one) for one in found])
     assert np.sqrt((errors**2).mean()) < 1.4  # 3.8 at 0.1 px where corners are taken as independent
     assert np.abs(errors).max() < 3.5
     for one in found:
+        assert all(one.rig.camera(side).lens is LensKind.PINHOLE for side in ("left", "right"))
+        assert not [line for line in one.advice if "lens leaves" in line]
         (line,) = told(one)
         assert names_it(line, "stiff bar")
         if shift_px > 0.2:  # a smaller one is as well a turn of 0.005 degrees
@@ -74,19 +76,13 @@ def test_a_shift_common_to_each_view_is_weighed_claimed_and_told(shift_px):
 
 
 def test_a_camera_that_turns_from_pair_to_pair_is_named():
-    found = [calibrated(seed, turn_rad=0.3e-3) for seed in range(4)]
+    found = [calibrated(seed, turn_rad=0.3e-3) for seed in range(3)]
     assert np.sqrt(np.mean([z(one) ** 2 for one in found])) < 1.5
     assert all(names_it(told(one)[0], "turns", "degrees") for one in found)
 
 
 def test_pairs_of_one_rigid_rig_lose_nothing():
-    found = [calibrated(seed) for seed in range(6)]
+    found = [calibrated(seed) for seed in range(4)]
     assert sum(len(told(one)) for one in found) == 0
     tz = [one.std["right.tz_m"] for one in found]
     assert np.mean(tz) == pytest.approx(6.5e-5, rel=0.1)
-
-
-def test_no_lens_is_accused_of_pairs_that_disagree():
-    found = calibrated(3, (0.0, 0.4))
-    assert all(found.rig.camera(side).lens is LensKind.PINHOLE for side in ("left", "right"))
-    assert not [line for line in found.advice if "lens leaves" in line]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from armsight.kinematics import PRESETS, Arm, Joint, JointType, in_convention, link_frames, preset
-from armsight_lab.cell_plan.links import Links, Wall, _apart, _from_box
+from armsight_lab.links import Links, Wall, _from_box
+from armsight_lab.links import apart as distance_apart
 
 HALF_PI = np.pi / 2.0
 PLANAR = Arm(
@@ -46,7 +47,8 @@ def test_distances_are_those_of_points_along_the_parts() -> None:
     to_box = np.linalg.norm(p - np.clip(p, lower, upper), axis=2).min(axis=0)
     assert np.allclose(_from_box(a, b, lower, upper), to_box, atol=4e-3)
     apart = np.array([np.linalg.norm(p[:, None, k] - r[None, :, k], axis=2).min() for k in range(200)])
-    assert np.allclose(_apart(a, b, c, d), apart, atol=4e-3) and (_apart(a, b, c, d) < apart + 1e-9).all()
+    found = distance_apart(a, b, c, d)
+    assert np.allclose(found, apart, atol=4e-3) and (found < apart + 1e-9).all()
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

@@ -12,6 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
+from armsight.ops.sources.cameras import open_rig
+from armsight.optics import SIDES
+
 pytest.importorskip("rosbags", reason="the extra armsight[bags] is not installed")
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -22,7 +25,6 @@ from armsight.errors import ArmsightError, BadFile, BadImage, Inconsistent, Usag
 from armsight.kinematics.presets import preset
 from armsight.ops.kinematics_results import read_values
 from armsight.ops.sources.bags import BagFrames, joint_states
-from armsight.ops.sources.frames import open_pairs
 from armsight.store.bags import bag_topic
 from refusals import refuses
 
@@ -147,7 +149,7 @@ def test_two_bags_share_the_left_one_s_origin(scene: Any, tmp_path: Path) -> Non
     messages = images_of(ros, scene)
     left = ros.write(tmp_path / "one", [one for one in messages if one[0] == "/left/image"])
     right = ros.write(tmp_path / "two", [one for one in messages if one[0] == "/right/image"][4:])
-    with open_pairs(f"bag:{left}:/left/image", f"bag:{right}:/right/image") as pairs:
+    with open_rig(SIDES, f"bag:{left}:/left/image", f"bag:{right}:/right/image") as pairs:
         got = [(one.t_s, other.t_s) for one, other in pairs]
     assert got == [(i * STEP_NS / 1e9, i * STEP_NS / 1e9) for i in range(4, COUNT)]
 

@@ -34,6 +34,14 @@ def cluster() -> Iterator[Any]:
         yield client
 
 
+@pytest.fixture(scope="module")
+def pairs(armsight: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A table of poses for a hand-eye calibration."""
+    folder: Path = tmp_path_factory.mktemp("handeye") / "set"
+    assert armsight("simulate", "handeye", "--frames", 8, "-o", folder).code == 0
+    return folder / "pairs.csv"
+
+
 @pytest.fixture
 def on_cluster(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     @contextmanager
@@ -307,10 +315,9 @@ def test_a_scheduler_that_is_not_there_or_of_other_software_is_told(monkeypatch:
             batch_cluster._require_same_versions(other, "there")  # type: ignore[arg-type]
 
 
-def test_a_job_files_its_result_in_the_history(armsight: Any, tmp_path: Path) -> None:
-    assert armsight("simulate", "handeye", "--frames", 8, "-o", tmp_path / "set").code == 0
+def test_a_job_files_its_result_in_the_history(armsight: Any, pairs: Path, tmp_path: Path) -> None:
     history = str(tmp_path / "cells.sqlite")
-    words = ["--pairs", str(tmp_path / "set" / "pairs.csv"), "--cell", "weld-3", "--history", history]
+    words = ["--pairs", str(pairs), "--cell", "weld-3", "--history", history]
     (folder := tmp_path / "job").mkdir()
     ended = run_command(job(tmp_path, *words, command="calibrate handeye"), folder)
     assert ended.exit_code == 0
@@ -338,12 +345,11 @@ def test_a_worker_that_is_killed_while_it_starts_is_replaced() -> None:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 @pytest.mark.usefixtures("on_cluster")
 def test_results_that_could_not_be_filed_are_told(
-    armsight: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    armsight: Any, pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert armsight("simulate", "handeye", "--frames", 8, "-o", "set").code == 0
     (tmp_path / "bad.sqlite").write_text("no database")
-    written(tmp_path, "name,command,pairs,cell,history\na,calibrate handeye,set/pairs.csv,weld-3,bad.sqlite\n")
+    written(tmp_path, f"name,command,pairs,cell,history\na,calibrate handeye,{pairs},weld-3,bad.sqlite\n")
     done = armsight("batch", "jobs.csv", "-o", "out")
     assert done.code == 0 and "NOT FILED" in done.text, done.text
     assert "out/a/handeye.unfiled.json" in "".join(done.text.split())

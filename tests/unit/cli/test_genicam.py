@@ -58,10 +58,10 @@ def test_the_first_camera_is_found_without_a_name(stock: object) -> None:
 
 
 @needs_aravis
-@pytest.mark.parametrize("name", ["Mono8", "RGB8", "BayerRG8", "BayerBG8", "BayerGB8", "BayerGR8"])
-def test_eight_bit_formats_become_grey_or_bgr(stock: object, name: str) -> None:
-    assert first(1, pixel_format=name)[0].image.shape == (512, 512)
-    assert first(1, pixel_format=name, colour=True)[0].image.shape == (512, 512, 3)
+def test_eight_bit_formats_become_grey_or_bgr(stock: object) -> None:
+    for name in ("Mono8", "RGB8", "BayerRG8", "BayerBG8", "BayerGB8", "BayerGR8"):
+        assert first(1, pixel_format=name)[0].image.shape == (512, 512), name
+        assert first(1, pixel_format=name, colour=True)[0].image.shape == (512, 512, 3), name
 
 
 @needs_aravis

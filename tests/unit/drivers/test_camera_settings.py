@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import CameraSettings, OpenCvCamera, open_pairs, open_source
+from armsight.drivers import CameraSettings, OpenCvCamera, open_source
 from armsight.drivers.live import SETTLED
 from armsight.errors import DeviceFailed, UsageError
+from armsight.ops.sources.cameras import open_rig
+from armsight.optics import SIDES
 from refusals import refuses
 
 ALL = CameraSettings(exposure_s=0.004, gain=20.0, focus=35.0, white_balance_k=4600.0)
@@ -157,4 +159,4 @@ def test_files_have_no_settings() -> None:
         with refuses(UsageError, "--gain", "live"):
             open_source(text, settings=CameraSettings(gain=1.0))
     with refuses(UsageError, "--gain", "live"):
-        open_pairs("left", "right", settings=CameraSettings(gain=1.0))
+        open_rig(SIDES, "left", "right", settings=CameraSettings(gain=1.0))

@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.drivers import FileMoments, ImageFolder, OneImage, VideoFile, open_pairs, open_source, ordered_map
+from armsight.drivers import FileMoments, ImageFolder, OneImage, VideoFile, open_source, ordered_map
 from armsight.errors import BadImage, Inconsistent, UsageError
+from armsight.ops.sources.cameras import open_rig
+from armsight.optics import SIDES
 from refusals import refuses
 
 BLACK = np.zeros((40, 60), np.uint8)
@@ -74,7 +76,7 @@ def test_names_with_nothing_in_common_are_paired_by_position(tmp_path: Path) -> 
         assert len(list(pairs)) == 2
     with (
         refuses(Inconsistent, "2 images", "1"),
-        open_pairs(str(tmp_path / "left"), str(tmp_path / "right" / "*03.png")),
+        open_rig(SIDES, str(tmp_path / "left"), str(tmp_path / "right" / "*03.png")),
     ):
         pass
 
@@ -82,7 +84,7 @@ def test_names_with_nothing_in_common_are_paired_by_position(tmp_path: Path) -> 
 def test_a_video_shorter_than_its_partner_ends_the_pairs_with_a_reason(tmp_path: Path) -> None:
     left, right = video_of(tmp_path / "l.avi", 9), video_of(tmp_path / "r.avi", 14)
     count = 0
-    with open_pairs(str(left), str(right)) as pairs, refuses(Inconsistent, "l.avi", "9 frames"):
+    with open_rig(SIDES, str(left), str(right)) as pairs, refuses(Inconsistent, "l.avi", "9 frames"):
         for _ in pairs:
             count += 1
     assert count == 9
@@ -146,9 +148,9 @@ def test_an_image_of_both_views_must_have_the_rig_s_size(tmp_path: Path) -> None
 
 def test_sources_that_cannot_be_what_is_meant_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="both"):
-        open_pairs("a", "a")
-    with refuses(UsageError, "camera:0", "paired", "live"):
-        open_pairs("camera:0", "a")
+        open_rig(SIDES, "a", "a")
+    with refuses(UsageError, "camera:0", "put together", "live"):
+        open_rig(SIDES, "camera:0", "a")
     with refuses(UsageError, "time stamps"):
         open_source("camera:0", times_s=[1.0])
     with pytest.raises(UsageError, match="recording"):

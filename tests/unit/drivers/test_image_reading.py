@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.drivers import ImageReading, open_pairs, open_source
+from armsight.drivers import ImageReading, open_source
 from armsight.drivers.images import read_image
 from armsight.errors import BadImage, UsageError
 from armsight.ops.calibration.board_images import see_board
+from armsight.ops.sources.cameras import open_rig
 from armsight.ops.sources.frames import open_source as open_any
+from armsight.optics import SIDES
 from armsight.records import NotSeen, TargetKind, board_target
 from refusals import names_it, refuses
 
@@ -57,7 +59,7 @@ def test_bits_are_for_image_files(tmp_path: Path) -> None:
         with refuses(UsageError, "--bits", "image files"):
             open_any(text, reading=reading)
     with refuses(UsageError, "--bits", "image files"):
-        open_pairs("camera:0", "camera:1", reading=reading)
+        open_rig(SIDES, "camera:0", "camera:1", reading=reading)
 
 
 @pytest.mark.parametrize("broken", [0, 1])

@@ -8,7 +8,8 @@ import pytest
 
 from armsight.drivers import VideoFile, open_source
 from armsight.errors import Inconsistent
-from armsight.ops.sources.frames import open_pairs
+from armsight.ops.sources.cameras import open_rig
+from armsight.optics import SIDES
 from refusals import refuses
 
 PERIOD_MS = 40
@@ -64,21 +65,21 @@ def moments(lost):
 def test_frames_lost_at_different_places_leave_pairs_of_one_moment(tmp_path):
     left = video(tmp_path / "left.mkv", *moments({4, 15, 16}))
     right = video(tmp_path / "right.mkv", *moments({9, 20, 25}))
-    with open_pairs(left, right) as pairs:
+    with open_rig(SIDES, left, right) as pairs:
         grey = [(round(a.image.mean() / 8), round(b.image.mean() / 8)) for a, b in pairs]
         dropped = pairs.skew.n_dropped
     assert all(a == b for a, b in grey) and [a for a, _ in grey] == [
         k for k in range(30) if k not in {4, 15, 16, 9, 20, 25}
     ]
     assert dropped == 6
-    with open_pairs(left, right, fps=25.0) as by_number:  # as the cure says
+    with open_rig(SIDES, left, right, fps=25.0) as by_number:  # as the cure says
         assert sum(1 for _ in by_number) == 27
 
 
 def test_videos_of_other_clocks_are_refused(tmp_path):
     left = video(tmp_path / "left.mkv", *moments(set()))
     right = video(tmp_path / "right.mkv", [t + 15_000 for t in moments(set())[0]], moments(set())[1])
-    with open_pairs(left, right, max_skew_s=1e-3) as pairs, refuses(Inconsistent, "--fps"):
+    with open_rig(SIDES, left, right, max_skew_s=1e-3) as pairs, refuses(Inconsistent, "--fps"):
         list(pairs)
 
 

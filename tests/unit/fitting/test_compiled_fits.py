@@ -1,6 +1,7 @@
-"""Each compiled fit against the engine on the same data: same optimum, same covariance (decision 0001).
+"""Compiled fits against the engine on the same data: same optimum, same covariance (decision 0001).
 
-The models are written anew here, with derivatives by finite differences.
+The models are written anew here, with derivatives by finite differences. Spots and poses are held against the bound of
+their data: tests/truth/test_spots.py, test_pose.py.
 """
 
 from __future__ import annotations
@@ -14,34 +15,12 @@ from scipy.special import erf
 
 from armsight.fitting import Evaluation, Fit, Problem, solve
 from armsight.fitting.kernels import diagonalise
-from armsight.geometry import pose_from_rotvec
 from armsight.kinematics import fk, preset, solve_numeric
 from armsight.measure.boards.kernels import subpixel
-from armsight.measure.poses.kernels import pose as pose_kernels
-from armsight.measure.poses.pose import UNKNOWN
-from armsight.measure.spots.kernels import light_models
-from armsight.measure.spots.kernels.columns import Picture
-from armsight.measure.spots.kernels.leastsquares import fit_model
-from armsight.measure.spots.kernels.light_models import STREAK, grid_of
-from armsight.measure.spots.kernels.patch import Patch
-from armsight.measure.spots.kernels.round_gaussian import (
-    COV,
-    DOF,
-    RESULT,
-    RSS,
-    A,
-    B,
-    Q,
-    U,
-    V,
-    fit_round,
-    new_work,
-)
-from armsight.optics import Camera, PackedRig, parallel_rig, triangulate
+from armsight.optics import Camera, parallel_rig, triangulate
 
 Array = NDArray[np.float64]
 RIG = parallel_rig(Camera.pinhole(640, 480, 800.0, 800.0, 319.5, 239.5), 0.1)
-ANY = np.empty((0, 0), np.uint8)
 
 
 def by_engine(residuals: Callable[[Array], Array], start: Array) -> Fit:
@@ -98,83 +77,6 @@ def test_eigenvalues_and_their_vectors_are_lapacks() -> None:
         np.testing.assert_allclose(V @ np.diag(np.diag(D)) @ V.T, S, atol=1e-14 * size)
         np.testing.assert_allclose(V.T @ V, np.eye(len(S)), atol=1e-14)
         np.testing.assert_allclose(np.sort(np.diag(D)), np.linalg.eigvalsh(S), atol=2e-14 * size)
-
-
-def test_the_pose_of_a_target_is_the_engines() -> None:
-    rng = np.random.default_rng(2)
-    X = np.array([[-0.04, 0.0, 0.0], [0.03, 0.032, 0.0], [0.03, -0.03, 0.01], [0.0, 0.05, -0.02]])
-    guess = np.array([0.05, -0.02, 0.9, 0.2, -0.3, 0.4])
-    uv, cov = spots_of(pose_from_rotvec(guess[:3], guess[3:]).apply(X), rng)
-    packed, n = PackedRig.of(RIG), len(X)
-    T, C, residual = np.empty((4, 4)), np.empty((6, 6)), np.zeros((n, 2, 2))
-    state, _, chi2 = pose_kernels.solve_named(
-        packed.arrays, (uv, cov), 0.0, (X, np.zeros((n, 2)), np.array([0.0, 0.0, 1.0])), UNKNOWN,
-        np.empty((n, 3)), np.empty((n, 3, 3)), T, C, residual,
-    )  # fmt: skip
-    assert state == pose_kernels.SOLVED
-    # about the answer, in the project's perturbation: translation and a turn from the left
-    at = T.copy()
-
-    def residuals(p: Array) -> Array:
-        turned = pose_from_rotvec(np.zeros(3), p[3:]).as_matrix()[:3, :3] @ at[:3, :3]
-        return whitened(X @ turned.T + at[:3, 3] + p[:3], uv, cov)
-
-    slow = by_engine(residuals, np.array([1e-3, -1e-3, 2e-3, 0.01, -0.01, 0.005]))
-    assert slow.covariance is not None
-    std = np.sqrt(np.diag(slow.covariance.matrix))
-    assert (np.abs(slow.shared) < 1e-3 * std).all()
-    np.testing.assert_allclose(np.sqrt(np.diag(C)), std, rtol=1e-3)
-    assert chi2 == pytest.approx(float(np.sum(residuals(np.zeros(6)) ** 2)), rel=1e-6)
-
-
-def test_a_round_light_is_the_engines() -> None:
-    rng = np.random.default_rng(3)
-    y, x = np.mgrid[:60, :70]
-    truth = np.array([33.3, 28.6, 120.0, 6.0, 20.0])  # u, v, height, variance, background
-
-    def light(p: Array) -> Array:
-        return np.asarray(p[4] + p[2] * np.exp(-((x - p[0]) ** 2 + (y - p[1]) ** 2) / (2.0 * p[3])))
-
-    image = np.clip(np.rint(light(truth) + rng.normal(0.0, 2.0, x.shape)), 0, 255).astype(np.uint8)
-    work, out = new_work(), np.empty(RESULT)
-    hot = np.empty((0, 2), np.int64)
-    start = truth + np.array([0.4, -0.3, 10.0, 1.0, 2.0])
-    flat = np.full(4, 1e-12)  # the background's slope is known to be none
-    assert fit_round(Picture(image, np.uint8(0), 255, ANY), hot, False, start, flat, work, out)
-    x0, x1, y0, y1 = work.box
-    window = np.s_[y0:y1, x0:x1]
-    slow = by_engine(lambda p: (light(p)[window] - image[window]).ravel(), start)
-    assert slow.covariance is not None
-    std = np.sqrt(np.diag(slow.covariance.matrix))  # of noise of one grey level, as out's
-    assert (np.abs(out[[U, V, A, Q, B]] - slow.shared) < 0.2 * std).all()
-    assert np.sqrt(out[[COV, COV + 2]]) == pytest.approx(std[:2], rel=0.02)
-    assert out[RSS] / out[DOF] == pytest.approx(4.0, rel=0.2)
-
-
-def test_a_streak_is_the_engines() -> None:
-    rng = np.random.default_rng(4)
-    ny, nx = 25, 31
-    truth = np.array([12.0, 15.2, 12.4, 90.0, 1.6, 0.5, 2.4])
-    values = np.empty((ny, nx))
-    residuals = np.zeros((ny, nx))
-    p = truth.copy()
-    use = np.ones((ny, nx), np.uint8)
-
-    # the model at the truth, from the fit's own residuals of an empty picture, then noise on top
-    def light(p: Array) -> Array:
-        m, J = np.empty(nx * ny), np.empty((len(p), nx * ny))
-        light_models.light(STREAK, p, len(p), grid_of(0, 0, nx, ny), J, m)
-        return m + p[0]
-
-    values = light(truth).reshape(ny, nx) + rng.normal(0.0, 1.5, (ny, nx))
-    residuals, use = np.zeros((ny, nx)), np.ones((ny, nx), np.uint8)
-    p = truth + np.array([1.0, 0.3, -0.2, 8.0, 0.1, -0.1, 0.2])
-    start = p.copy()
-    assert fit_model(STREAK, p, len(p), Patch(np.array([0, nx, 0, ny]), values, use), nx * ny, residuals) > 0.0
-    slow = by_engine(lambda q: (light(q) - values.ravel()) / 1.5, start)
-    assert slow.covariance is not None
-    std = np.sqrt(np.diag(slow.covariance.matrix))
-    assert (np.abs(p - slow.shared) < 0.1 * std)[[0, 1, 2, 3]].all()
 
 
 @pytest.mark.parametrize("aside", [False, True])

@@ -16,7 +16,8 @@ from armsight.measure.motion.kernels import levels
 from armsight.measure.poses import board_pose as boardpair
 from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.kernels import correspondence
-from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, Track, measure_pair, warm_up
+from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
 from armsight.measure.settings import BATCH, LIVE_S, Pace, SpotSettings
 from armsight.ops.sources.pace import SideBySide
 from armsight.optics import Camera, converged_rig, parallel_rig

@@ -33,7 +33,7 @@ def frame(number: int, *, colour: bool = False, size: tuple[int, int] = (12, 20)
 def write(path: Path, n: int = 40, *, chunk_bytes: int = 2000, close: bool = True) -> RecordingWriter:
     writer = RecordingWriter(path, origin_ns=ORIGIN_NS, clock=ManualClock(), chunk_bytes=chunk_bytes)
     for i in range(n):
-        writer.pair(frame(2 * i), frame(2 * i + 1))
+        writer.moment({"left": frame(2 * i), "right": frame(2 * i + 1)})
     if close:
         writer.close()
     return writer
@@ -299,7 +299,7 @@ def test_a_full_disk_leaves_a_complete_recording(tmp_path: Path, monkeypatch: py
     writer = RecordingWriter(path, origin_ns=ORIGIN_NS, clock=ManualClock(), chunk_bytes=2000)
     with refuses(DeviceFailed, "No space", "readable") as caught:
         for i in range(1000):
-            writer.pair(frame(2 * i), frame(2 * i + 1))
+            writer.moment({"left": frame(2 * i), "right": frame(2 * i + 1)})
     assert caught.value.exit_code == 4
     writer.close()
     assert path.stat().st_size <= room

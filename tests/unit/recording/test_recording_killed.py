@@ -20,7 +20,7 @@ import pytest
 from mcap.reader import make_reader
 
 from armsight.drivers import Skew
-from armsight.ops.recording.record import RecordJob, record_pairs
+from armsight.ops.recording.record import RecordJob, record_moments
 from armsight.records import Frame
 from armsight.store.recording import ImageFormat, Recording, repair
 
@@ -60,7 +60,7 @@ class Endless:
 
 
 def _child(path: Path, kind: ImageFormat, pipe: Connection, tell_at: int) -> None:
-    record_pairs(RecordJob(out=path, kind=kind), Endless(pipe, tell_at), live=False)
+    record_moments(RecordJob(out=path, kind=kind), Endless(pipe, tell_at), live=False)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no kill -9")

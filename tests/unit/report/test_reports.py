@@ -147,7 +147,13 @@ def judged(poses, truth=None, *, error=None, consistency=None):
     """What a run of these poses comes to."""
     whole = sum(pose.status.size == 6 for pose in poses)
     counts = {"n_frames": len(poses), "n_ok": whole, "n_doubtful": 0}
-    rest = {"timing": None, "error": error, "consistency": consistency, "grounds": grounds_of(poses, truth)}
+    rest = {
+        "timing": None,
+        "by_camera": None,
+        "error": error,
+        "consistency": consistency,
+        "grounds": grounds_of(poses, truth),
+    }
     return measure_verdict(SimpleNamespace(**counts, **rest))
 
 
@@ -434,7 +440,6 @@ def compare_page():
 
 PAGES = {
     "measure": lambda: measure_report(full_run()),
-    "measure without truth": lambda: measure_report(full_run(poses=poses_and_truth(60)[0], truth=None, samples=())),
     "calibration": calibration_page,
     "boards": boards_page,
     "compare": compare_page,

@@ -199,7 +199,7 @@ def test_a_cell_has_its_name_and_says_what_was_chosen():
 def test_the_board_is_seen_by_the_cameras_of_the_webcam_cell():
     """Both print 120 mm and a toe-in of 5 degrees: one pair."""
     scenario = yaml.safe_load((files("armsight_sim") / "scenarios" / "webcam-cell.yaml").read_text())["cameras"]
-    right = board_cell(0, 2).rig["cameras"]["right"]
+    right = board_cell(0, 2, **DARK).rig["cameras"]["right"]
     assert [right["fx"], right["cy"]] == [scenario["right"]["fx"], scenario["right"]["cy"]]
     turn = Rotation.from_euler("xyz", scenario["right"]["T_rig_camera"]["turn_deg"], degrees=True)
     assert (Rotation.from_quat(right["T_rig_camera"]["quat_xyzw"]).inv() * turn).magnitude() < 1e-9

@@ -61,9 +61,8 @@ def pictures() -> list[Image]:
     return [np.ascontiguousarray(image, np.uint8) for image in images]
 
 
-@pytest.mark.parametrize("number", range(len(pictures())))
-def test_areas_are_those_of_scipys_labels(number: int) -> None:
-    image = pictures()[number]
+@pytest.mark.parametrize("image", pictures(), ids=lambda image: "{}x{}".format(*image.shape))
+def test_areas_are_those_of_scipys_labels(image: Image) -> None:
     h, w = image.shape
     most = h * w
     table, runs, parent = np.empty((most, col.COLUMNS)), np.empty((most, 3), np.int32), np.empty(most, np.int32)

@@ -89,29 +89,25 @@ def test_larger_cubes_are_told_why_not(planned):
         assert why.startswith(f"{1e3 * side:.0f} mm: ")
 
 
-def test_a_turned_and_lifted_base_carries_the_plan_with_it():
+def test_a_slow_arm_gets_a_slower_plan(planned):
+    arm, plan = planned
+    assert (plan.speed_m_s < PlanOptions().speed_m_s) == (arm.name == "korayem6r")
+
+
+def test_a_turned_and_lifted_base_carries_the_plan_with_it_and_it_is_written_with_the_controllers_readings(tmp_path):
     arm = preset("irb120")
     base = RigidTransform.from_components([1.0, 2.0, 0.5], Rotation.from_euler("z", 0.7))
-    moved = Arm(name="moved", joints=arm.joints, T_world_base=base)
-    here, there = plan_test(arm, PlanOptions(side_m=0.2)), plan_test(moved, PlanOptions(side_m=0.2))
+    coupled = Arm(
+        name="coupled", joints=arm.joints, couplings=(Coupling(joint="j3", by="j2", share=1.0),), T_world_base=base
+    )
+    here, there = plan_test(arm, PlanOptions(side_m=0.2)), plan_test(coupled, PlanOptions(side_m=0.2))
     for a, b in zip(here.motions, there.motions, strict=True):
         np.testing.assert_allclose(base.apply(a.xyz_m), b.xyz_m, atol=1e-9)
-
-
-def test_a_slow_arm_gets_a_slower_plan():
-    assert plan_test(preset("korayem6r")).speed_m_s < PlanOptions().speed_m_s
-    assert plan_test(preset("ur10")).speed_m_s == PlanOptions().speed_m_s
-
-
-def test_the_plan_is_written_as_a_path_with_the_controllers_readings(tmp_path):
-    arm = preset("irb120")
-    coupled = Arm(name="coupled", joints=arm.joints, couplings=(Coupling(joint="j3", by="j2", share=1.0),))
-    plan = plan_test(coupled, PlanOptions(side_m=0.2))
-    write_test_plan(tmp_path / "plan.csv", plan)
+    write_test_plan(tmp_path / "plan.csv", there)
     table = read_table(tmp_path / "plan.csv", PLAN_COLUMNS, text=("tag", "pose"), series="q", blank=("repeats",))
-    assert len(table) == sum(len(motion.names) for motion in plan.motions)
+    assert len(table) == sum(len(motion.names) for motion in there.motions)
     readings = table.stacked(table.series("q"))
-    np.testing.assert_array_equal(readings, np.concatenate([motion.q for motion in plan.motions]))
+    np.testing.assert_array_equal(readings, np.concatenate([motion.q for motion in there.motions]))
     T = fk(coupled, coupled.values(readings))
     np.testing.assert_allclose(T[:, :3, 3], table.stacked(("x_m", "y_m", "z_m")), atol=1e-6)
     assert table.text["pose"][:6] == ("P1", "P5", "P4", "P3", "P2", "P1")

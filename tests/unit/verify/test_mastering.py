@@ -21,10 +21,10 @@ SAME = RigidTransform.identity()
 BENT = RigidTransform.from_components([3e-3, 0.0, 1e-3], Rotation.from_rotvec([0.01, 0.02, 0.0]))
 
 
-def measured(by: tuple[float, ...] = (0.0,) * 6, tool: RigidTransform = SAME) -> Measured:
+def measured(by: tuple[float, ...] = (0.0,) * 6, tool: RigidTransform = SAME, q: np.ndarray = Q) -> Measured:
     """Poses of the arm with zeros off by so many degrees and the tool moved."""
     rng = np.random.default_rng(4)
-    T = RigidTransform.from_matrix(fk(ARM, Q + np.deg2rad(by))) * tool
+    T = RigidTransform.from_matrix(fk(ARM, q + np.deg2rad(by))) * tool
     return Measured(
         xyz_m=T.translation + rng.normal(0.0, NOISE[0], (10, 3)),
         rotation=(Rotation.from_rotvec(rng.normal(0.0, NOISE[1], (10, 3))) * T.rotation).as_matrix(),
@@ -46,6 +46,18 @@ def test_nothing_moved_and_a_bent_tool_is_no_joint() -> None:
     found = check_mastering(ARM, Q, measured(tool=BENT), Align.NONE)
     assert found.cause == "tool" and found.joint is None and found.T_tool is not None
     assert np.linalg.norm(found.T_tool.translation - BENT.translation) < 1e-3
+
+
+def test_a_bent_tool_is_no_joint_of_a_wrist_that_hardly_turned() -> None:
+    """Bent about the fifth axis: where the wrist stays within 0.06 rad, that joint's zero does the same."""
+    q = Q.copy()
+    q[:, 3:] = np.array([0.3, 0.8, 0.2]) + np.random.default_rng(3).uniform(-0.06, 0.06, (10, 3))
+    middle = q.mean(axis=0)
+    straight, bent = RigidTransform.from_matrix(
+        fk(ARM, middle + np.deg2rad([[0.0] * 6, [0.0, 0.0, 0.0, 0.0, 0.4, 0.0]]))
+    )
+    found = check_mastering(ARM, q, measured(tool=straight.inv() * bent, q=q), Align.NONE)
+    assert found.cause == "undecided" and found.joint is None
 
 
 def test_two_joints_are_not_called_one() -> None:

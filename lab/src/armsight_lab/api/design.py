@@ -41,6 +41,8 @@ def design(
     arm: ArmLike | None = None,
     mount: Sequence[float] | None = None,
     poses: int = DesignJob.poses,
+    link_radius_m: float = DesignJob.link_radius_m,
+    one_more: bool = DesignJob.one_more,
     arm_noise_m: float = DesignJob.arm_noise_m,
     arm_turn_rad: float = DesignJob.arm_turn_rad,
     cells: int = DesignJob.cells,
@@ -53,10 +55,10 @@ def design(
     """Return what a rig will measure of a target over a volume, what the deviations come from, and what to change.
 
     volume: ((x from, to), (y from, to), (z from, to)) in m, in the rig's axes or world's. rig: one that is there, or
-    none and size, focal length (focal_px, or focal_m and pixel_m) and baseline_m of planned cameras. board, views: what
-    the rig will be calibrated with. arm, with world: deviations of its tool tip in its base. wanted_m: of the position,
-    in 95 % of the volume. simulate: confirm it by so many simulated calibrations. out: a folder for the report and the
-    map. Raises UsageError, DataRefused for a plan that cannot be.
+    none and size, focal length (focal_px, or focal_m and pixel_m), baseline_m. board, views: what the rig is calibrated
+    with. arm, with world: deviations of its tool tip in its base; link_radius_m: of its links, which hide lights.
+    wanted_m: of the position, in 95 % of the volume. one_more: another camera is tried. simulate: so many simulated
+    calibrations. out: a folder for the report and the map. Raises UsageError, DataRefused.
 
     Examples
     --------
@@ -72,8 +74,7 @@ def design(
     >>> planned.parts[0].name
     'calibration of the rig'
     """
-    values = dict(locals())
-    values |= {"volume": _box(volume), "size": _size(size), "mount": _mount(mount)}
+    values = dict(locals()) | {"volume": _box(volume), "size": _size(size), "mount": _mount(mount)}
     values.pop("progress")
     with Given(values.pop("out"), name="design") as given:
         done = run_design(given.job(DesignJob, values), progress)

@@ -32,13 +32,13 @@ from armsight.store.tracks import write_joints
 from armsight.units import MM
 from armsight_lab.cell_plan.cautious import cautious_motion
 from armsight_lab.cell_plan.information import blank_recording
-from armsight_lab.cell_plan.links import Links, Wall
 from armsight_lab.cell_plan.path import MotionBounds
 from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, check_bounds, check_start, plan_motion
 from armsight_lab.cell_plan.request import CellPlanJob
 from armsight_lab.cell_plan.scene import Free, Scene
 from armsight_lab.design.plan import mounted
 from armsight_lab.design.request import Box
+from armsight_lab.links import Links, Wall
 
 EDGE_PX = 10.0
 """What lights keep from the images' edges, beside what the cameras may stand elsewhere."""

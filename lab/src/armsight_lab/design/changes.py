@@ -4,18 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.distance import pdist
+from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.arrays import Array
 from armsight.errors import Cancelled, DataRefused
-from armsight.optics import Camera
-from armsight.records import Progress, Target
+from armsight.optics import Camera, MountedCamera, Rig, mean_axes
+from armsight.optics.rig import PLACE
+from armsight.records import NamedCovariance, Progress, Target
+from armsight.units import DEG
 from armsight_lab.design.plan import Plan, at_baseline
 from armsight_lab.design.records import DesignChange
 from armsight_lab.design.volume import Forecast, forecast
 
 MORE = 1.5
+MORE_NAME, COARSE, LEVEL = "more", 3, 0.1
+"""One more camera's name; cells along the volume's longest edge for which places are tried; sine of the angle to what
+is upright below which a camera has no level of its own."""
+APART_RAD = 22.5 * DEG
+"""Nearer to another camera, seen from the volume, one more has little that is new: half a step of the grid."""
 FRAMES = 10
 FINER = 2
 APART = 0.25
@@ -77,8 +88,8 @@ def _doubled(target: Target) -> Target:
     return replace(target, names=(*target.names, *names), xyz_m=each[next(enough, int(np.argmax(apart)))])
 
 
-def _baseline(plan: Plan) -> Plan:
-    return replace(plan, rig=at_baseline(plan.rig, MORE))
+def _baseline(plan: Plan) -> Plan | None:
+    return None if not plan.rig.is_pair else replace(plan, rig=at_baseline(plan.rig, MORE))
 
 
 def _cameras(change: Callable[[Camera], Camera]) -> Callable[[Plan], Plan | None]:
@@ -99,6 +110,65 @@ def _finer(camera: Camera) -> Camera:
     k[:2] *= FINER
     k[2:4] = FINER * (k[2:4] + 0.5) - 0.5
     return replace(camera, intrinsics=k, width=FINER * camera.width, height=FINER * camera.height)
+
+
+def _with_camera(found: Forecast, place_m: Array, middle_m: Array) -> Plan:
+    """Return the plan with one more camera at a place, looking at the middle (3,) of the volume, in rig axes.
+
+    Its lens is that of the first camera, and it is known as well as the worst of the others.
+    """
+    rig = found.rig
+    z = (middle_m - place_m) / np.linalg.norm(middle_m - place_m)
+    upright = mean_axes(rig)[:, 1]
+    x = np.cross(upright, z)
+    if np.linalg.norm(x) < LEVEL:  # it looks along what is upright for the others
+        x = mean_axes(rig)[:, 0]
+    x = x - (x @ z) * z
+    R = np.column_stack([x, np.cross(z, x), z * np.linalg.norm(x)]) / np.linalg.norm(x)
+    T = RigidTransform.from_components(place_m, Rotation.from_matrix(R))
+    first = rig.cameras[0]
+    more = MountedCamera(name=MORE_NAME, camera=first.camera, T_rig_camera=T, noise=first.noise)
+    wider = Rig(cameras=(*rig.cameras, more), rms_px=rig.rms_px)
+    known = rig.covariance
+    if known is not None:
+        lens = [f"{first.name}.{name}" for name in first.camera.names if f"{first.name}.{name}" in known.names]
+        places = [[f"{one.name}.{name}" for name in PLACE] for one in rig.cameras[1:]]
+        blocks = [known.block(tuple(each)) for each in places if set(each) <= set(known.names)]
+        own = [known.block(tuple(lens)), max(blocks, key=np.trace, default=np.zeros((6, 6)))]
+        own_names = [*(name.split(".", 1)[1] for name in lens), *PLACE]
+        names = (*known.names, *(f"{MORE_NAME}.{name}" for name in own_names))
+        wider = replace(wider, covariance=NamedCovariance(names=names, matrix=block_diag(known.matrix, *own)))
+    return replace(found.plan, rig=wider, calibration=None)
+
+
+def where_it_helps(found: Forecast, wanted_m: float | None, progress: Progress) -> Change:
+    """Return one more camera at the place, of a grid about the volume, where it helps most. Raises Cancelled.
+
+    The grid is of the 26 directions to a cube's corners, edges and faces, at the mean distance of the other cameras;
+    without those nearer to another camera than half way. What each brings is worked out for few cells.
+    """
+    rig, plan = found.rig, found.plan
+    middle = plan.T_frame_rig.inv().apply(np.array(plan.volume).mean(axis=1))
+    ways = np.array([np.asarray(one.T_rig_camera.translation) - middle for one in rig.cameras])
+    far = np.linalg.norm(ways, axis=1)
+    axes = mean_axes(rig)
+    grid = [axes @ np.array(way) / np.linalg.norm(way) for way in product((-1, 0, 1), repeat=3) if any(way)]
+    free = [way for way in grid if (ways @ way / far).max() < np.cos(APART_RAD)]
+    tried: list[tuple[tuple[float, float], Array]] = []
+    for k, way in enumerate(free):
+        progress.update(k, len(free), "trying places of one more camera")
+        if progress.cancelled():
+            raise Cancelled("stopped while places were tried", consequence="Nothing was written")
+        place = middle + far.mean() * way
+        try:
+            coarse = forecast(replace(_with_camera(found, place, middle), cells=COARSE))
+        except DataRefused:
+            continue
+        tried.append((_merit(coarse, wanted_m), place))
+    best = max(tried, key=lambda one: one[0])[1] if tried else middle + far.mean() * free[0]
+    x, y, z = plan.T_frame_rig.apply(best).round(3).tolist()
+    name = f"one more camera at {x:g}, {y:g}, {z:g} m ({plan.frame}), looking at the middle of the volume"
+    return Change(name=name, made=lambda _: _with_camera(found, best, middle))
 
 
 CHANGES: Sequence[Change] = (
@@ -126,13 +196,19 @@ def reaches(found: Forecast, wanted_m: float) -> bool:
     return bool(np.mean(np.nan_to_num(found.position_m, nan=np.inf) <= wanted_m) >= VOLUME_SHARE)
 
 
-def changes_of(found: Forecast, wanted_m: float | None, progress: Progress) -> tuple[DesignChange, ...]:
+def changes_of(
+    found: Forecast, wanted_m: float | None, progress: Progress, *, one_more: bool = False
+) -> tuple[DesignChange, ...]:
     """Return what each change of a plan leads to; where none suffices, also those together that help.
+
+    one_more: also one more camera, where it helps most.
 
     Sorted: what suffices first, the cheapest first; then by the deviation. Raises Cancelled.
     """
     single = [one for one in CHANGES if one.made(found.plan) is not None]
     done = [_tried(found.plan, (one,), wanted_m, progress, (k, len(single)))[0] for k, one in enumerate(single)]
+    if one_more:
+        done.append(_tried(found.plan, (where_it_helps(found, wanted_m, progress),), wanted_m, progress, (0, 1))[0])
     if wanted_m is not None and not any(one.sufficient for one in done):
         together = _together(found, single, wanted_m, progress)
         done += [together] if together is not None else []
@@ -157,9 +233,10 @@ def _together(found: Forecast, single: Sequence[Change], wanted_m: float, progre
     return best if len(kept) > 1 else None
 
 
-def _merit(found: Forecast, wanted_m: float) -> tuple[float, float]:
+def _merit(found: Forecast, wanted_m: float | None) -> tuple[float, float]:
     """Return the share of the volume that is measured as well as wanted, and the less the deviation, the more."""
-    fine = float(np.mean(np.nan_to_num(found.position_m, nan=np.inf) <= wanted_m))
+    most = np.finfo(float).max if wanted_m is None else wanted_m
+    fine = float(np.mean(np.nan_to_num(found.position_m, nan=np.inf) <= most))
     return fine, -float(np.nansum(np.where(found.measured, found.position_m, FAR_OFF)))
 
 

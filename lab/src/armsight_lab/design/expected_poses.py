@@ -14,9 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array, Mask
 from armsight.geometry.poses import skew
 from armsight.measure.poses.kernels.rig_covariance import FOLDED_FROM
-from armsight.measure.poses.pose import NamedSpots, solve_pose
+from armsight.measure.poses.pose import TWO, UNKNOWN, NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup, symmetries
-from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, SIDES, Rig, moved_rig
+from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, Rig, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 from armsight.records import NoiseModel, PoseStatus, Target, TargetPose
 from armsight.units import DEG
@@ -67,6 +67,11 @@ SpotNoise = Callable[[Array, int], Array]
 ALIKE = "the target looks the same when it is turned, so its lights cannot be named"
 NO_TURN = {1: "1 light tells no orientation", 2: "2 lights tell no orientation"}
 POINT_STEP_M = 1e-6
+Hides = Callable[[RigidTransform, Array], Mask]
+"""Which ways are hidden, (m, n, v), from lights (m, n, 3) at poses of the target, in rig axes, to the cameras."""
+
+LEAST_SIGHTS = 4
+"""Of a whole pose: fewer leave it open."""
 LEAST_LIGHTS = 3
 """Fewer tell a position alone."""
 STEEPEST_RAD = 70.0 * DEG
@@ -84,9 +89,10 @@ MARKER_CELLS = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lights:
-    """How m poses of n lights are seen: uv_px (m, n, 2, 2), size_px (m, n, 2) across as [light, side]; 0: not known.
+    """How m poses of n lights are seen by v cameras: uv_px (m, n, v, 2), size_px (m, n, v) across; 0: not known.
 
-    seen (m, n): in both views. why: of each pose, what hides most of the others; "" where nothing does.
+    seen (m, n, v): what counts; of a pair a light that both views show, else every sight. why: of each pose, what hides
+    most of the others; "" where nothing does.
     """
 
     uv_px: Array
@@ -98,7 +104,7 @@ class Lights:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Points:
     """The lights by themselves: xyz_m (m, n, 3) in rig axes, random (m, n, 3, 3) of the spots' noise, slopes
-    (m, n, 3, 26): d point / d rig. NaN where a light is not seen in both views."""
+    (m, n, 3, 16 v - 6): d point / d rig. NaN where a light is not seen in two views."""
 
     xyz_m: Array
     random: Array
@@ -111,7 +117,7 @@ class Expected:
 
     whole (m,): position and orientation; placed (m,): position at least, else `why`. random (m, 6, 6): of one frame's
     spots. slopes (m, 6, p): d pose / d what is the same in every frame, in the order of Setup.covariance: the rig's
-    parameters, then the places of the target's lights. NaN where there is no such thing.
+    parameters, then the places of the target's lights. NaN where there is no such thing. seen: see Lights.
     """
 
     T_rig_target: RigidTransform
@@ -121,6 +127,7 @@ class Expected:
     random: Array
     slopes: Array
     points: Points
+    seen: Mask
 
     def take(self, index: NDArray[np.intp]) -> Expected:
         """Return some of the places."""
@@ -131,6 +138,7 @@ class Expected:
             why=tuple(self.why[i] for i in index.tolist()),
             random=self.random[index],
             slopes=self.slopes[index],
+            seen=self.seen[index],
             points=Points(
                 xyz_m=self.points.xyz_m[index],
                 random=self.points.random[index],
@@ -139,36 +147,38 @@ class Expected:
         )
 
 
-def expected_poses(setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise, *, least_px: float) -> Expected:
-    """Return what the setup measures of its target at poses; least_px: lights smaller than this are not found."""
+def expected_poses(
+    setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise, *, least_px: float, hides: Hides | None = None
+) -> Expected:
+    """Return what the setup measures of its target at poses; least_px: lights smaller than this are not found.
+
+    hides: tells which of the ways from lights to cameras something before them hides.
+    """
     rig, target = setup.rig, setup.target
-    lights = look(rig, target, T_rig_target, least_px)
-    m, n = lights.seen.shape
-    sigma = np.stack([noise(lights.size_px[..., side], side) for side in range(len(SIDES))], axis=2)  # (m, n, 2)
+    lights = look(rig, target, T_rig_target, least_px, hides)
+    m, n, v = lights.seen.shape
+    sigma = np.stack([noise(lights.size_px[..., side], side) for side in range(v)], axis=2)  # (m, n, v)
     points = _points(target, T_rig_target)
-    J, D = _slopes(rig, points)
-    R = T_rig_target.rotation.as_matrix()
-    enough = lights.seen.sum(axis=1) >= min(n, LEAST_LIGHTS)
+    J, D = (np.where(lights.seen[..., None, None], each, 0.0) for each in _slopes(rig, points))
     whole, placed, why = np.zeros(m, bool), np.zeros(m, bool), list(lights.why)
     random = np.full((m, 6, 6), np.nan)
     slopes = np.full((m, 6, len(rig.parameters) + 3 * n), np.nan)
-    alike = n >= LEAST_LIGHTS and not target.is_board and bool(symmetries(target))
-    for i in np.flatnonzero(enough).tolist():
-        seen = np.flatnonzero(lights.seen[i])
-        placed[i] = True
-        W = 1.0 / sigma[i, seen, :, None] ** 2 * np.ones(2)  # (k, 2, 2)
+    many, R = n >= LEAST_LIGHTS, T_rig_target.rotation.as_matrix()
+    alike = many and not target.is_board and bool(symmetries(target))
+    for i in np.flatnonzero(_enough(lights.seen)).tolist():
+        seen = np.flatnonzero(lights.seen[i].any(axis=1))
+        W = np.where(lights.seen[i, seen], 1.0 / sigma[i, seen] ** 2, 0.0)[..., None] * np.ones(2)  # (k, v, 2)
         at = Linear(J=J[i, seen], D=D[i, seen], W=W, R=R[i], X=target.xyz_m[seen], index=seen, n=n)
-        pose = _solved(setup, lights, i, seen, sigma[i, seen]) if n >= LEAST_LIGHTS and not alike else None
+        pose = _solved(setup, lights, i, seen, sigma[i, seen], T_rig_target[i]) if many and not alike else None
         if pose is not None and pose.status is PoseStatus.OK:
-            whole[i], why[i] = True, ""
+            whole[i], placed[i], why[i] = True, True, ""
             bound, slopes[i] = at.pose()
             random[i] = _widened(pose, bound)
             continue
         why[i] = ALIKE if alike else pose.why if pose is not None else NO_TURN[n]
-        if pose is not None and pose.status is PoseStatus.LOST:
-            placed[i] = False
-            continue
-        random[i, :3, :3], slopes[i, :3] = at.points()
+        placed[i] = (pose is None or pose.status is not PoseStatus.LOST) and lights.seen[i, seen].sum(axis=1).min() > 1
+        if placed[i]:
+            random[i, :3, :3], slopes[i, :3] = at.points()
     if target.covariance is None:
         slopes = slopes[:, :, : len(rig.parameters)]
     return Expected(
@@ -179,11 +189,20 @@ def expected_poses(setup: Setup, T_rig_target: RigidTransform, noise: SpotNoise,
         random=random,
         slopes=slopes,
         points=_alone(points, lights.seen, J, D, sigma),
+        seen=lights.seen,
     )
 
 
-def _alone(points: Array, seen: Mask, J: Array, D: Array, sigma: Array) -> Points:
+def _enough(seen: Mask) -> Mask:
+    """Return at which places there are sights enough for a pose, or of one or two lights a position."""
+    n = seen.shape[1]
+    lights = seen.any(axis=2).sum(axis=1) >= min(n, LEAST_LIGHTS)
+    return np.asarray(lights & (seen.sum(axis=(1, 2)) >= (LEAST_SIGHTS if n >= LEAST_LIGHTS else 2 * n)))
+
+
+def _alone(points: Array, sights: Mask, J: Array, D: Array, sigma: Array) -> Points:
     """Return what each light by itself is placed to."""
+    seen = sights.sum(axis=2) >= 2
     random = np.full((*seen.shape, 3, 3), np.nan)
     slopes = np.full((*seen.shape, 3, D.shape[-1]), np.nan)
     JW = J[seen] / sigma[seen][..., None, None] ** 2  # (k, 2, 2, 3)
@@ -192,15 +211,17 @@ def _alone(points: Array, seen: Mask, J: Array, D: Array, sigma: Array) -> Point
     return Points(xyz_m=points, random=random, slopes=slopes)
 
 
-def look(rig: Rig, target: Target, T_rig_target: RigidTransform, least_px: float) -> Lights:
-    """Return which lights both cameras see at m poses."""
+def look(rig: Rig, target: Target, T_rig_target: RigidTransform, least_px: float, hides: Hides | None = None) -> Lights:
+    """Return which lights the cameras see at m poses."""
     points = _points(target, T_rig_target)
     m, n, _ = points.shape
     uv = _pixels(rig, points)
     facing = T_rig_target.rotation.as_matrix()[:, :, 2]  # away from the cameras, as of printed boards
     hidden: list[tuple[str, Mask]] = []
-    size = np.zeros((m, n, 2))
-    for s, side in enumerate(SIDES):
+    size, seen = np.zeros((m, n, len(rig.names))), np.zeros((m, n, len(rig.names)), bool)
+    behind_arm = hides(T_rig_target, points) if hides is not None else None
+    for s, side in enumerate(rig.names):
+        before = len(hidden)
         camera, T = rig.camera(side), rig.T_rig_camera(side)
         way = points - np.asarray(T.translation)
         distance = np.linalg.norm(way, axis=2)
@@ -219,9 +240,13 @@ def look(rig: Rig, target: Target, T_rig_target: RigidTransform, least_px: float
         near = _gaps(uv[:, :, s], size[..., s]) < _least_gap(target)
         what = "corners of the board are too close together" if target.is_board else "lights run into each other"
         hidden.append((f"{what} in the {side} image", near & ~behind & ~outside & ~small))
-    seen = ~np.any([mask for _, mask in hidden], axis=0)
+        if behind_arm is not None:
+            hidden.append((f"the arm is before the {side} camera", behind_arm[..., s] & ~behind & ~outside))
+        seen[..., s] = ~np.logical_or.reduce([mask for _, mask in hidden[before:]])
+    if rig.is_pair:
+        seen &= seen.all(axis=2, keepdims=True)
     if target.is_board:  # a board counts as a whole
-        seen &= seen.all(axis=1)[:, None]
+        seen &= seen.all(axis=1, keepdims=True)
     counts = np.array([mask.sum(axis=1) for _, mask in hidden])  # (reasons, m)
     most = counts.argmax(axis=0)
     why = tuple(hidden[k][0] if counts[k, i] else "" for i, k in enumerate(most.tolist()))
@@ -249,20 +274,24 @@ def _least_gap(target: Target) -> float:
     return max(LEAST_STEP_PX, LEAST_CELLS_PX * MARKER_CELLS * step_m / target.marker_m)
 
 
-def _solved(setup: Setup, lights: Lights, i: int, seen: NDArray[np.intp], sigma: Array) -> TargetPose:
-    """Return the pose that the product gives of these lights, seen without noise."""
-    model, k = setup.model, len(seen)
+def _solved(
+    setup: Setup, lights: Lights, i: int, seen: NDArray[np.intp], sigma: Array, T: RigidTransform
+) -> TargetPose:
+    """Return the pose that the product gives of these lights, seen without noise; of other rigs than pairs, where one
+    view alone may show a light, found from where they are."""
+    model, sights = setup.model, lights.seen[i, seen]
     names = tuple(model.names[j] for j in seen.tolist())
     spots = NamedSpots(
         names=names,
         xyz_m=np.ascontiguousarray(model.xyz_m[seen]),
-        uv_px=np.ascontiguousarray(lights.uv_px[i, seen]),
-        cov_px2=sigma[..., None, None] ** 2 * np.eye(2),
-        radius_m=np.zeros((k, 2)),
+        uv_px=np.where(sights[..., None], lights.uv_px[i, seen], 0.0),
+        cov_px2=np.where(sights[..., None, None], sigma[..., None, None] ** 2 * np.eye(2), np.inf),
+        radius_m=np.zeros(sights.shape),
         normal=model.normal,
     )
     carried = setup.covariance_of(names)
-    return solve_pose(setup.packed, 0.0, spots, limit=np.inf, slack_px=setup.slack_px, covariance=carried).pose
+    start, slack_px = UNKNOWN if sights.shape[1] == TWO else T.as_matrix(), setup.slack_px
+    return solve_pose(setup.packed, 0.0, spots, limit=np.inf, slack_px=slack_px, covariance=carried, start=start).pose
 
 
 def _widened(pose: TargetPose, bound: Array) -> Array:
@@ -281,20 +310,20 @@ def _points(target: Target, poses: RigidTransform) -> Array:
 
 
 def _pixels(rig: Rig, points: Array) -> Array:
-    """Return the pixels (m, n, 2, 2) of points (m, n, 3) as [.., side, (u, v)]."""
+    """Return the pixels (m, n, v, 2) of points (m, n, 3) as [.., camera, (u, v)]."""
     return np.stack([uv.reshape(*points.shape[:2], 2) for uv in rig.project(points.reshape(-1, 3))], axis=2)
 
 
 def _slopes(rig: Rig, points: Array) -> tuple[Array, Array]:
-    """Return d pixels / d point (m, n, 2, 2, 3) and d pixels / d rig.parameters (m, n, 2, 2, 26)."""
+    """Return d pixels / d point (m, n, v, 2, 3) and d pixels / d rig.parameters (m, n, v, 2, 16 v - 6)."""
     J = [(_pixels(rig, points + h) - _pixels(rig, points - h)) / (2.0 * POINT_STEP_M) for h in POINT_STEP_M * np.eye(3)]
-    D = []
+    D, v = [], len(rig.names)
     for i, name in enumerate(rig.parameters):
         if name.endswith(f".{FISHEYE_INTRINSICS[-1]}"):  # an empty place, which nothing follows
-            D.append(np.zeros((*points.shape[:2], 2, 2)))
+            D.append(np.zeros((*points.shape[:2], v, 2)))
             continue
         step = np.zeros(len(rig.parameters))
-        step[i] = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < 2 * len(INTRINSICS) else POSE_STEP
+        step[i] = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < v * len(INTRINSICS) else POSE_STEP
         plus, minus = (_pixels(moved_rig(rig, sign * step), points) for sign in (1.0, -1.0))
         D.append((plus - minus) / (2.0 * step[i]))
     return np.stack(J, axis=-1), np.stack(D, axis=-1)
@@ -302,8 +331,8 @@ def _slopes(rig: Rig, points: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Linear:
-    """One place: of the k lights seen d pixel / d point J (k, 2, 2, 3), d pixel / d rig D (k, 2, 2, 26), the weights W
-    (k, 2, 2), their places X (k, 3) in target axes and their index among all n; R (3, 3) of T_rig_target."""
+    """One place: of the k lights seen d pixel / d point J (k, v, 2, 3), d pixel / d rig D (k, v, 2, q), the weights W
+    (k, v, 2), their places X (k, 3) in target axes and their index among all n; R (3, 3) of T_rig_target."""
 
     J: Array
     D: Array
@@ -314,9 +343,9 @@ class Linear:
     n: int
 
     def pose(self) -> tuple[Array, Array]:
-        """Return C (6, 6) of the spots' noise, and A (6, 26 + 3 n) = -C G' W D."""
+        """Return C (6, 6) of the spots' noise, and A (6, q + 3 n) = -C G' W D."""
         # t + dt, Exp(dw) R: d point = dt + dw x R X, and R d X of the target's own places
-        G = np.concatenate([self.J, self.J @ -skew(self.X @ self.R.T)[:, None]], axis=-1)  # (k, 2, 2, 6)
+        G = np.concatenate([self.J, self.J @ -skew(self.X @ self.R.T)[:, None]], axis=-1)  # (k, v, 2, 6)
         GW = G * self.W[..., None]
         C = np.linalg.inv(np.einsum("ksia,ksib->ab", GW, G))
         of_rig = -C @ np.einsum("ksia,ksip->ap", GW, self.D)

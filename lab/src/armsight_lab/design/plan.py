@@ -73,6 +73,7 @@ class Plan:
     relative: bool = False
     average: int = 1
     cells: int = 9
+    link_radius_m: float = 0.0
     assumptions: tuple[str, ...] = field(default=())
 
 
@@ -113,6 +114,7 @@ def plan_of(job: DesignJob) -> Plan:
         relative=job.relative,
         average=job.average,
         cells=job.cells,
+        link_radius_m=_link_radius(job),
     )
     return replace(plan, assumptions=_assumptions(job, plan))
 
@@ -158,7 +160,8 @@ def _rig(job: DesignJob) -> Rig:
     focal_px = _focal_px(job)
     if job.rig is None:
         return _planned(job, focal_px)
-    rig = read_rig(job.rig)
+    rig = read_rig(job.rig, any_cameras=True)
+    _require_known(rig, job, focal_px)
     if job.toe_in_rad is not None:
         raise UsageError("--toe-in-deg is of planned cameras, and --rig says how they stand", cure="Leave one away")
     changed = focal_px is not None or job.size is not None or job.baseline_m is not None
@@ -168,9 +171,9 @@ def _rig(job: DesignJob) -> Rig:
             consequence="That of the file does not hold for it",
             cure="Give --board and --views",
         )
-    for camera in (rig.left, rig.right):
-        _require_shape(camera, focal_px, job.size)
-    cameras = [_other(camera, focal_px, job.size) for camera in (rig.left, rig.right)]
+    for one in rig.cameras:
+        _require_shape(one.camera, focal_px, job.size)
+    cameras = [_other(one.camera, focal_px, job.size) for one in rig.cameras]
     rig = rig.with_each(camera=cameras)
     if rig.kind is RigKind.MIRROR and all(camera.plate is None for camera in cameras):
         raise Inconsistent(
@@ -184,6 +187,18 @@ def _rig(job: DesignJob) -> Rig:
     for camera in cameras:
         _require_lens(camera)
     return rig
+
+
+def _require_known(rig: Rig, job: DesignJob, focal_px: float | None) -> None:
+    """Raise UsageError where other cameras than a pair are to be calibrated, or changed, only in the plan."""
+    planned = any(one is not None for one in (job.board, job.baseline_m, job.size, job.toe_in_rad, focal_px))
+    if planned and not rig.is_pair:
+        raise UsageError(
+            f"{job.rig} is of the cameras {', '.join(rig.names)}, and calibrations are planned of pairs alone",
+            consequence="How well these cameras would be known cannot be foretold",
+            cure="Calibrate them (armsight calibrate cameras) and give that rig.yaml, without --board and what changes "
+            "the cameras",
+        )
 
 
 def at_baseline(rig: Rig, factor: float) -> Rig:
@@ -325,6 +340,12 @@ def _arm(job: DesignJob, parent: str, T_frame_rig: RigidTransform) -> ArmPlan | 
     )
 
 
+def _link_radius(job: DesignJob) -> float:
+    if job.link_radius_m and job.arm is None:
+        raise UsageError("--link-radius-mm is of an arm, and none is given", cure="Give --arm with it")
+    return job.link_radius_m
+
+
 def mounted(values: tuple[float, ...]) -> RigidTransform:
     """Return T_flange_target of m and, where there are six values, degrees about x, y, z."""
     return pose_from_euler(values[:3], [DEG * value for value in values[3:] or (0.0, 0.0, 0.0)])
@@ -340,7 +361,13 @@ def _assumptions(job: DesignJob, plan: Plan) -> tuple[str, ...]:
         else "the lights' noise follows from that of the cameras in rig.yaml, for lights of 180 grey levels"
     ]
     turned = f", turned by {plan.tilt_rad / DEG:g} deg" if plan.tilt_rad else ""
-    out.append(f"the target faces the rig{turned}, holds still, and nothing hides it")
+    hidden = "nothing hides it"
+    if plan.link_radius_m:
+        hidden = (
+            f"the arm's links, {plan.link_radius_m / MM:g} mm about the lines from joint to joint, hide it, in the "
+            "posture that hides least"
+        )
+    out.append(f"the target faces the rig{turned}, holds still, and {hidden}")
     if not plan.target.is_board and plan.target.diameter_m is None:
         out.append(
             "the lights are large enough to be found, small enough to stay apart, and seen from every side: their size "

@@ -71,9 +71,9 @@ class DesignCalibration(Output):
     """How well the rig will be known."""
 
     views: Annotated[int | None, Doc("Pictures of the board; null where the file's own calibration is taken.")]
-    baseline_std_m: Annotated[float, Doc("Standard deviation of the baseline, m.")]
-    focal_std_px: Annotated[float, Doc("Of the left focal length, px.")]
-    turn_std_rad: Annotated[float, Doc("Of the right camera's direction against the left one's, worst axis, rad.")]
+    baseline_std_m: Annotated[float | None, Doc("Standard deviation of the baseline, m; null of no pair.")]
+    focal_std_px: Annotated[float, Doc("Of the first camera's focal length, px.")]
+    turn_std_rad: Annotated[float, Doc("Of the other cameras' direction against the first one's, worst axis, rad.")]
 
 
 @output
@@ -111,8 +111,8 @@ class DesignSimulation(Output):
 class DesignOutput(Output):
     """armsight design."""
 
-    baseline_m: Annotated[float, Doc("Distance of the cameras, m.")]
-    focal_px: Annotated[float, Doc("Focal length of the left camera, px.")]
+    baseline_m: Annotated[float | None, Doc("Distance of the cameras, m; null of other rigs than pairs.")]
+    focal_px: Annotated[float, Doc("Focal length of the first camera, px.")]
     frame: Annotated[str, Doc("Frame of the volume: rig, world or base.")]
     deviation_in: Annotated[
         str, Doc("What the deviations are in: rig (the left camera's axes), volume (aligned to it), or base.")
@@ -141,6 +141,10 @@ class DesignOutput(Output):
     advice: Annotated[tuple[str, ...], Doc("What to do, and what to know.")]
     assumptions: Annotated[tuple[str, ...], Doc("What was taken for granted.")]
     report: Annotated[str, Doc("The report.")]
+    seen: Annotated[
+        dict[str, float] | None,
+        Doc("Of each camera the share of the lights that it sees over the volume, 0 to 1; left out of plain pairs."),
+    ] = None
 
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:

@@ -20,11 +20,17 @@ EDGES_PX, WIDE_PX, TALLEST_PX = 60.0, 400.0, 460.0
 """Of a slice: margins, width within them in a page of two columns, and the greatest height."""
 
 
+def _cameras(done: DesignOutput, found: Forecast) -> str:
+    if done.baseline_m is not None:
+        return f"baseline {figure_of(done.baseline_m / MM)} mm"
+    return f"cameras {', '.join(found.rig.names)}"
+
+
 def design_report(done: DesignOutput, found: Forecast, *, created: datetime) -> str:
     """Return the page as HTML text that needs no other file; found: the cells that done sums up."""
     page = Page(
         title="What a rig will measure",
-        subtitle=f"baseline {figure_of(done.baseline_m / MM)} mm, focal length {figure_of(done.focal_px)} px; "
+        subtitle=f"{_cameras(done, found)}, focal length {figure_of(done.focal_px)} px; "
         f"the volume is in the axes of the {done.frame}",
         verdict=done.verdict_,
         cards=_cards(done),

@@ -141,6 +141,15 @@ class DesignJob:
     poses: Annotated[
         int, Doc("Poses of the arm from which the rig's place in its base is found."), Bounds(most=500), Flag(panel=ARM)
     ] = POSES
+    link_radius_m: Annotated[
+        float,
+        Doc("How thick the arm's links are about the lines from joint to joint; 0: they hide nothing."),
+        Bounds(least=0.0, most=0.5),
+        Flag(unit=MM, panel=ARM),
+    ] = 0.0
+    one_more: Annotated[
+        bool, Doc("Try one more camera: at which place of a grid about the volume it helps most."), Flag(panel=RIG)
+    ] = False
     arm_noise_m: Annotated[
         float, Doc("How far the arm is from where it says, each axis."), Bounds(least=0.0), Flag(unit=MM, panel=ARM)
     ] = 0.05 * MM

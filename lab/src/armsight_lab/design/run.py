@@ -43,7 +43,7 @@ def run_design(job: DesignJob, progress: Progress | None = None) -> DesignOutput
     progress = progress or Silent()
     plan = plan_of(job)
     found = forecast(plan)
-    changes = changes_of(found, job.wanted_m, progress)
+    changes = changes_of(found, job.wanted_m, progress, one_more=job.one_more)
     simulation = None
     if job.simulate:
         from armsight_lab.design.simulate import simulate_design
@@ -66,11 +66,11 @@ def _output(
 ) -> DesignOutput:
     wanted, reached = job.wanted_m, None if job.wanted_m is None else reaches(found, job.wanted_m)
     tried = [one.position_m for one in changes if one.position_m is not None]
-    position = _spread(found, found.position_m)
+    position, seen = _spread(found, found.position_m), _seen(found)
     best = min([position.p95, *tried])
     return DesignOutput(
-        baseline_m=plan.rig.baseline_m,
-        focal_px=float(plan.rig.left.intrinsics[0]),
+        baseline_m=plan.rig.baseline_m if plan.rig.is_pair else None,
+        focal_px=float(plan.rig.cameras[0].camera.intrinsics[0]),
         frame=plan.frame,
         deviation_in="base" if plan.arm is not None else "volume" if plan.relative else "rig",
         n_cells=len(found.measured),
@@ -92,6 +92,7 @@ def _output(
         advice=_advice(plan, found, simulation),
         assumptions=plan.assumptions,
         report=str(job.out / REPORT),
+        seen=seen if not plan.rig.is_pair or plan.link_radius_m or job.one_more else None,
     )
 
 
@@ -155,15 +156,21 @@ def _not_measured(found: Forecast) -> tuple[NotMeasured, ...]:
     return tuple(NotMeasured(why=why, share=k / n, position=there) for (why, there), k in counts.most_common())
 
 
+def _seen(found: Forecast) -> dict[str, float]:
+    """Return the share of the lights that each camera sees over the volume."""
+    return dict(zip(found.rig.names, found.expected.seen.mean(axis=(0, 1)).tolist(), strict=True))
+
+
 def _calibration(found: Forecast) -> DesignCalibration:
     covariance = found.rig.covariance
     std = {} if covariance is None else covariance.std()
-    turns = [std.get(f"right.{name}", 0.0) for name in ("rx", "ry", "rz")]
+    first, *others = found.rig.names
+    turns = [std.get(f"{other}.{name}", 0.0) for other in others for name in ("rx", "ry", "rz")]
     return DesignCalibration(
         views=None if found.views is None else len(found.views),
-        baseline_std_m=baseline_std(found.rig),
-        focal_std_px=std.get("left.fx", 0.0),
-        turn_std_rad=max(turns),
+        baseline_std_m=baseline_std(found.rig) if found.rig.is_pair else None,
+        focal_std_px=std.get(f"{first}.fx", 0.0),
+        turn_std_rad=max(turns, default=0.0),
     )
 
 
@@ -198,6 +205,9 @@ def _mm(value_m: float) -> str:
 
 def _advice(plan: Plan, found: Forecast, simulation: DesignSimulation | None) -> tuple[str, ...]:
     parts, out = _parts(found), []
+    if not found.rig.is_pair or plan.link_radius_m:
+        each = ", ".join(f"{name} {100.0 * share:.0f} %" for name, share in _seen(found).items())
+        out.append(f"of the lights over the volume the cameras see: {each}")
     if not found.whole.any():
         if len(plan.target.names) < 3:
             lights = "one light" if len(plan.target.names) == 1 else "two lights"

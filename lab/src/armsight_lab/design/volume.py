@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -11,7 +12,7 @@ from armsight.arrays import Array, Mask
 from armsight.errors import Inconsistent
 from armsight.geometry.poses import skew
 from armsight.kinematics import ik
-from armsight.measure.poses.setup import Setup, rig_slack_px
+from armsight.measure.poses.setup import SLACK_PX, Setup, rig_slack_px
 from armsight.optics import Rig, mean_axes
 from armsight.units import DEG
 from armsight_lab.design.expected_poses import Expected, SpotNoise, centre_deviation, expected_poses
@@ -24,6 +25,7 @@ from armsight_lab.design.planned_calibrations import (
     planned_views,
     tool_slopes,
 )
+from armsight_lab.links import Links, apart
 
 NOISE, RIG, TARGET, ARM = "noise of one frame", "calibration of the rig", "measures of the target", "poses of the arm"
 """What a deviation is made of."""
@@ -138,9 +140,10 @@ def forecast(plan: Plan) -> Forecast:
     if calibration is not None:
         views = planned_views(rig, calibration.board, calibration.views, calibration.corner_px)
         rig = planned_rig(rig, views)
-    setup = Setup(rig=rig, target=plan.target, slack_px=rig_slack_px(rig))
+    slack_px = rig_slack_px(rig) if rig.is_pair else SLACK_PX
+    setup = Setup(rig=rig, target=plan.target, slack_px=slack_px, many=True)
     cells = cells_of(plan)
-    expected = expected_poses(setup, _facing(plan, rig, cells), spot_noise(plan), least_px=plan.least_px)
+    expected = _expected(plan, setup, _facing(plan, rig, cells))
     measured, why = expected.placed.copy(), list(expected.why)
     if plan.arm is not None:
         beyond = ~_reached(plan.arm, expected.T_rig_target)
@@ -201,7 +204,7 @@ def _at_tool(found: Forecast, arm: ArmPlan, noise: Array, setup: Setup) -> Forec
 
 def _joint(rig: Rig, plan: Plan) -> Array:
     """Return the covariance of what is shared: the rig's parameters, and the lights' places where not exact."""
-    return Setup(rig=rig, target=plan.target).covariance
+    return Setup(rig=rig, target=plan.target, many=True).covariance
 
 
 def _carried(slopes: Array, covariance: Array) -> Array:
@@ -260,10 +263,45 @@ def moving(places: Array) -> Array:
     return G
 
 
+def _expected(plan: Plan, setup: Setup, poses: RigidTransform) -> Expected:
+    """Return what is measured of the target at poses, before what the plan's arm hides."""
+    hides = None
+    if plan.arm is not None and plan.link_radius_m:
+        hides = partial(hidden_ways, plan.arm, plan.link_radius_m, setup.rig)
+    return expected_poses(setup, poses, spot_noise(plan), least_px=plan.least_px, hides=hides)
+
+
+def hidden_ways(arm: ArmPlan, radius_m: float, rig: Rig, poses: RigidTransform, points: Array) -> Mask:
+    """Return which ways (m, n, v) from lights (m, n, 3) to a rig's cameras the arm's links are in, at poses.
+
+    A link is a line with a thickness; one in whose thickness a light stands carries it, and hides it not. Of several
+    postures the one that hides least counts; where the arm cannot be nothing is hidden. All in rig axes.
+    """
+    links = Links(arm=arm.arm, radius_m=radius_m, keep_m=0.0, walls=())
+    eyes = np.array([arm.T_base_rig.apply(np.asarray(one.T_rig_camera.translation)) for one in rig.cameras])  # (v, 3)
+    out = np.zeros((*points.shape[:2], len(eyes)), bool)
+    for i, postures in enumerate(_postures(arm, poses)):
+        if not len(postures):
+            continue
+        chain = links.chain(postures)  # (s, ., 3)
+        a, b = (chain[:, None, None, links.parts[:, end]] for end in (0, 1))  # (s, 1, 1, k, 3)
+        lights = arm.T_base_rig.apply(points[i])[None, :, None, None]  # (1, n, 1, 1, 3)
+        carried = apart(lights, lights, a, b) < radius_m
+        crossed = apart(lights, eyes[None, None, :, None], a, b) < radius_m  # (s, n, v, k)
+        hidden = np.logical_or.reduce(~carried & crossed, axis=3)
+        out[i] = hidden[hidden.sum(axis=(1, 2)).argmin()]
+    return out
+
+
+def _postures(arm: ArmPlan, T_rig_target: RigidTransform) -> list[Array]:
+    """Return the readings (s, n) with which the arm brings the target to each pose."""
+    tools = arm.arm.T_world_base * arm.T_base_rig * T_rig_target * arm.T_flange_target.inv() * arm.arm.T_flange_tool
+    return [np.array([one.q for one in ik(arm.arm, tools[i])]) for i in range(len(tools))]
+
+
 def _reached(arm: ArmPlan, T_rig_target: RigidTransform) -> Mask:
     """Tell to which poses of the target the arm can bring it."""
-    tools = arm.arm.T_world_base * arm.T_base_rig * T_rig_target * arm.T_flange_target.inv() * arm.arm.T_flange_tool
-    return np.array([len(ik(arm.arm, tools[i])) > 0 for i in range(len(tools))])
+    return np.array([len(each) > 0 for each in _postures(arm, T_rig_target)])
 
 
 def _handeye(found: Forecast, arm: ArmPlan, setup: Setup) -> tuple[RigidTransform, PlannedHandEye]:
@@ -275,7 +313,7 @@ def _handeye(found: Forecast, arm: ArmPlan, setup: Setup) -> tuple[RigidTransfor
     tilt = Rotation.from_rotvec(np.column_stack([lean * np.cos(way), lean * np.sin(way), 0.0 * lean]))
     roll = Rotation.from_rotvec(np.outer(rng.uniform(-ROLL_RAD, ROLL_RAD, len(at)), [0.0, 0.0, 1.0]))
     at = RigidTransform.from_components(at.translation, at.rotation * tilt * roll)
-    there = expected_poses(setup, at, spot_noise(plan), least_px=plan.least_px)
+    there = _expected(plan, setup, at)
     fine = np.flatnonzero(there.whole)
     fine = fine[_reached(arm, at[fine])][: arm.poses] if len(fine) else fine
     if len(fine) < arm.poses:
@@ -298,6 +336,8 @@ CURES = {
     "take wider lenses",
     "turned": "Turn the target towards the rig, or move the cameras closer together",
     "a light": "Take larger lights, longer lenses, or come closer; or say what is found with --least-spot-px",
+    "the arm is before": "Add a camera that looks from elsewhere (--one-more tells where), or mount the target "
+    "further out",
     "beyond": "Move the rig or the volume to where the arm can go; the volume is in the frame of --world",
 }
 

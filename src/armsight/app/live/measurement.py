@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,16 +17,18 @@ from armsight.app.live.views import Counts, LiveView, RunView, live_view, side_v
 from armsight.arrays import Mask
 from armsight.clock import Clock
 from armsight.control.session.channels import JointTrack
-from armsight.drivers import AUTOMATIC, PairSettings, PairSource, Skew, by_side, is_live
+from armsight.drivers import AUTOMATIC, MomentSource, OneImage, PairSettings, Skew, by_side, is_live, pairs_of
 from armsight.errors import Inconsistent, UsageError
-from armsight.measure.poses.pipeline import Measured, Setup, Track, lost_pair, measure_pair
+from armsight.measure.poses.moments import lost_frames
+from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.ops.measurement.outputs import moved_pose
 from armsight.ops.measurement.run import target_of
 from armsight.ops.simulation.following import when_heard
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.frames import open_pairs, open_source, overlaid
+from armsight.ops.sources.cameras import open_rig
+from armsight.ops.sources.frames import open_source
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, Spots, TargetPose
@@ -142,7 +144,7 @@ class MeasuredPair:
 class LiveMeasurement:
     """Measures pair after pair; `look` may be exchanged between two of them."""
 
-    def __init__(self, job: LiveJob, clock: Clock, pairs: PairSource | None = None) -> None:
+    def __init__(self, job: LiveJob, clock: Clock, pairs: MomentSource | None = None) -> None:
         """Read rig, target and place; pairs: in place of the job's sources. Raises UsageError, DataRefused."""
         self._job, self._clock = job, clock
         self.rig: Rig | None = read_rig(job.rig) if job.rig else None
@@ -162,7 +164,7 @@ class LiveMeasurement:
         self._done_s: deque[float] = deque()
 
     @property
-    def pairs(self) -> PairSource:
+    def pairs(self) -> MomentSource:
         """Where the frames come from; to be opened with `with`."""
         return self._pairs
 
@@ -176,7 +178,7 @@ class LiveMeasurement:
         track: Track | None = None
         while True:
             origin_s = self._clock.now_s()
-            with closing(cast(Generator[Pair, None, None], iter(self._pairs))) as source:
+            with closing(pairs_of(self._pairs)) as source:
                 for pair in source:
                     moment, track = self._measured(self._played(pair, origin_s), track)
                     yield moment
@@ -220,11 +222,11 @@ class LiveMeasurement:
                 left = right = find_spots(pair[0].image, self._sides[0], pace)
             else:
                 left, right = pace.both(lambda side: find_spots(pair[side].image, self._sides[side], pace))
-            return replace(lost_pair(pair, NOT_CALIBRATED), seen=(left, right))
+            return replace(lost_frames(pair, NOT_CALIBRATED), seen=(left, right))
         try:
             return measure_pair(setup, *pair, track)
         except Inconsistent as error:
-            return lost_pair(pair, str(error))
+            return lost_frames(pair, str(error))
 
     def _fps(self) -> float:
         now_s = self._clock.now_s()
@@ -285,11 +287,11 @@ def require_kind(job: LiveJob, rig: Rig | None) -> None:
         )
 
 
-def _opened(job: LiveJob, colour: bool) -> PairSource:
+def _opened(job: LiveJob, colour: bool) -> MomentSource:
     if not job.complex:
-        return open_pairs(job.left, job.right, colour=colour, fps=job.fps, settings=job.camera_settings)
+        return open_rig(SIDES, job.left, job.right, colour=colour, fps=job.fps, settings=job.camera_settings)
     asked, _ = by_side(job.camera_settings)
-    return overlaid(open_source(job.left, colour=colour, fps=job.fps, settings=asked))
+    return OneImage(open_source(job.left, colour=colour, fps=job.fps, settings=asked))
 
 
 def mask_of(width: int, height: int, rectangles: tuple[Rectangle, ...]) -> Mask:

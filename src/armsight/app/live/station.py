@@ -18,6 +18,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.recording.recorder import LiveRecording, RecordingState
+from armsight.optics import SIDES
 from armsight.priority import give_way
 from armsight.records import Frame, Silent, Spots, TargetPose
 from armsight.store.atomic import write_bytes
@@ -276,7 +277,8 @@ class _Worker:
             sender.join()
 
     def _take(self, moment: MeasuredPair) -> None:
-        self._recording.put(moment.pair[0], None if self._one_picture else moment.pair[1])
+        names = ("image",) if self._one_picture else SIDES
+        self._recording.put(dict(zip(names, moment.pair, strict=False)))  # of one picture both are the same
         with self._posted:
             self._mailbox = moment
             self._posted.notify()

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
-from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, still, with_held_geometry
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm, limits_reached, tool_points
+from armsight.calibrate.arm.covariance import believed, drift_of, in_blocks, still
+from armsight.calibrate.arm.fit import ArmFit, LimitReached, Tolerance, fit_arm, limits_reached, tool_points
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import (
@@ -48,6 +48,10 @@ GROSS = float(np.sqrt(chi2_ppf(0.99999, 3)))
 CONFIRMED = 1.0
 """Standard errors by which errors must fall in nested folds too, after the kind of model was taken by two of them: the
 folds have a fifth fewer rows, and some take a poorer kind."""
+DOUBTED = (
+    "correct the length in the nominal arm where it may be so far off and calibrate again, or measure over wider "
+    "ranges of the joints"
+)
 
 
 def calibrate_arm(
@@ -161,12 +165,11 @@ def _size(model: ArmModel, x: Level, points: ArmPoints) -> Array:
 
 
 def _result(model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judged: _Judged) -> ArmResult:
-    first, proved = judged.first, judged.proved(points)
-    best, held = _held(model, holdout, first, proved)
-    cross, left = _left_out_errors(judged.left, held, gain=best is not first)
-    at_limit = limits_reached(model, best.fitted.p, best.choice.free, judged.tolerance)
+    first, proved, (best, held, cross, left) = judged.first, *_proved(model, points, holdout, judged)
     before_m, after_m = _size(model, first, judged.given), _size(model, best, judged.given)
-    fitted, correlation = believed(model, points, with_held_geometry(model, points, best.fitted, judged.tolerance))
+    fitted, correlation, held_at = believed(model, points, best.fitted, judged.tolerance)
+    at_limit = limits_reached(model, best.fitted.p, best.choice.free, judged.tolerance)
+    doubt = "" if held_at is None else held_at.doubt(fitted, best.choice.free)
     return ArmResult(
         arm=_arm(model, fitted),
         points=judged.given,
@@ -190,8 +193,9 @@ def _result(model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judge
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(x.sentence for x in at_limit), *_notes_on_rows(model, points, holdout, judged, fitted, correlation)),
-        verdict=" ".join([_verdict(judged, proved, best, held), *(f"{x.sentence}." for x in at_limit)]),
+        doubt=doubt,
+        notes=(*_told(at_limit, doubt), *_notes_on_rows(model, points, holdout, judged, fitted, correlation)),
+        verdict=" ".join([_verdict(judged, proved, best, held), *(f"{x}." for x in _told(at_limit, doubt))]),
         error_m=after_m,
         before_m=before_m,
         position_noise_m=points.typical_m(fitted.sigma_m),
@@ -200,6 +204,21 @@ def _result(model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judge
         other_arm=None,
         urdf=None,
     )
+
+
+def _proved(
+    model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judged: _Judged
+) -> tuple[Level, tuple[Level, tuple[Array, Array] | None, tuple[Errors, Errors], tuple[Errors, Errors]]]:
+    """Return the level that left-out rows prove; the one that stays on the holdout, and its errors on both."""
+    proved = judged.proved(points)
+    best, held = _held(model, holdout, judged.first, proved)
+    # the rows left out in turn chose the level: the holdout, which had no say in it, has the last word
+    return proved, (best, held, *_left_out_errors(judged.left, held, gain=best is not judged.first))
+
+
+def _told(at_limit: Sequence[LimitReached], doubt: str) -> list[str]:
+    """Return what stands in the way of belief in the corrections."""
+    return [*(x.sentence for x in at_limit), *([f"{doubt}: {DOUBTED}"] if doubt else [])]
 
 
 def _left_out_errors(

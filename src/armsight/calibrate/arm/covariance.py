@@ -18,7 +18,7 @@ from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ArmFit, Tolerance
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
-from armsight.calibrate.correlation import Averaged, Correlation, fit_averaged, score_covariance
+from armsight.calibrate.correlation import Averaged, Correlation, fit_averaged, made_independent, score_covariance
 from armsight.records import NamedCovariance
 
 WORTH = 2.0
@@ -141,13 +141,20 @@ def in_blocks(points: ArmPoints, correlation: Correlation | None) -> ArmPoints:
     return replace(points, block=block, gap_s=min(correlation.time_s, 0.5 * span / count))
 
 
-def believed(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> tuple[ArmFit, Correlation | None]:
-    """Return the fit as far as it is to be believed, and how long its errors are alike: of rows in blocks of time with
-    a covariance that says so, of others as it is."""
+def believed(
+    model: ArmModel, points: ArmPoints, fitted: ArmFit, tolerance: Tolerance
+) -> tuple[ArmFit, Correlation | None, HeldGeometry | None]:
+    """Return the fit as far as it is to be believed: with a covariance that says how far the geometry it holds is off,
+    and, of rows in blocks of time, how long the errors are alike; that, and what is held."""
+    held = held_geometry(model, points, fitted, tolerance)
     drift = None if points.block is None else drift_of(model, points, fitted)
-    if drift is None:
-        return fitted, None
-    return widened(model, points, fitted, drift), replace(drift.correlation, counted=points.counted)
+    wide = fitted if drift is None else widened(model, points, fitted, drift)
+    correlation = None if drift is None else replace(drift.correlation, counted=points.counted)
+    covariance = wide.fit.covariance
+    if covariance is None or held is None:
+        return wide, correlation, held
+    more = NamedCovariance(names=covariance.names, matrix=covariance.matrix + held.moved @ held.moved.T)
+    return replace(wide, fit=replace(wide.fit, covariance=more)), correlation, held
 
 
 def widened(model: ArmModel, points: ArmPoints, fitted: ArmFit, drift: Averaged) -> ArmFit:
@@ -183,35 +190,89 @@ def weighted(model: ArmModel, points: ArmPoints, fitted: ArmFit, names: Sequence
 OWN = 1e-6
 """Share of a parameter's effect that is not base's, tool's or a freed one's, below which it is the same parameter by
 another name and has no error of its own."""
+TOLD = 3.0
+"""Standard deviations from which on a correction, or an error of what is held, is named."""
 SMALLEST, LARGEST = 1e-4, 1.0
 """Shares of their tolerances that lengths and angles are looked for to be off by."""
 
 
-def with_held_geometry(model: ArmModel, points: ArmPoints, fitted: ArmFit, tolerance: Tolerance) -> ArmFit:
-    """Return the fit with the covariance that it has where the geometry it holds is as far off as its residuals say.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldGeometry:
+    """Lengths and angles that a fit holds at nominal, and that are off by what its residuals say.
 
-    Rows in blocks of time are left as they are: their errors are alike for another reason, and are counted so.
+    names: of what is held. off (g,), std (g,): by how much it is likely off. moved (k, g): of what was fitted, by one
+    deviation of what is held, as it is believed beforehand.
+    """
+
+    names: tuple[str, ...]
+    off: Array
+    std: Array
+    moved: Array
+
+    def doubt(self, fitted: ArmFit, corrected: Sequence[str]) -> str:
+        """Return which corrections of a fit as it is to be believed are beyond TOLD of its deviations without what is
+        held, and not with it; what of that would explain them. Empty where there are none."""
+        covariance = fitted.fit.covariance
+        if covariance is None:
+            return ""
+        variance, more = np.diag(covariance.matrix), (self.moved**2).sum(axis=1)
+        size = np.array([fitted.fit.value(name) / TOLD for name in covariance.names]) ** 2
+        between = (variance - more < size) & (size < variance)
+        blurred = [name for name, one in zip(covariance.names, between, strict=True) if one and name in corrected]
+        if not blurred:
+            return ""
+        rows = zip(self.names, self.off.tolist(), self.std.tolist(), strict=True)
+        found = [f"{name} {_told(name, off, std)}" for name, off, std in rows if abs(off) > TOLD * std]
+        what = f", such as {' and '.join(found)}, which would explain more" if found else ""
+        return (
+            f"Corrections of {', '.join(blurred)} cannot be told from errors of lengths and angles that are held{what}"
+        )
+
+
+def _told(name: str, off: float, std: float) -> str:
+    scale, unit = (1e3, "mm") if name.endswith("_m") else (float(np.rad2deg(1.0)), "degrees")
+    return f"off by {scale * off:+.3g} +- {scale * std:.2g} {unit}"
+
+
+def held_geometry(model: ArmModel, points: ArmPoints, fitted: ArmFit, tolerance: Tolerance) -> HeldGeometry | None:
+    """Return how far the geometry that a fit holds is off by its residuals; None where it holds none.
+
+    Of rows in blocks of time residuals and effects are made independent first, by the drift that is left beside all
+    geometry: a drift found in what a wrong length leaves would take that for its own.
     """
     covariance = fitted.fit.covariance
-    if covariance is None or points.block is not None:
-        return fitted
+    if covariance is None:
+        return None
     held = [name for name in model.geometry if name not in fitted.free]
-    r = weighted(model, points, fitted, ())[0].ravel()
-    free, known, G = (
-        weighted(model, points, fitted, names)[1].reshape(len(r), -1) for names in (fitted.free, covariance.names, held)
-    )
-    G = G * [tolerance.of(name) for name in held]
+    size = np.array([tolerance.of(name) for name in held])
+    r = weighted(model, points, fitted, ())[0]
+    free, known, G = (weighted(model, points, fitted, names)[1] for names in (fitted.free, covariance.names, held))
+    # residuals, effects of what was fitted, and of what is held by a tolerance each: whitened alike below
+    columns = np.concatenate([r[:, :, None], free, G * size], axis=2)
+    effect = covariance.matrix @ np.einsum("mka,mkg->ag", known, columns[:, :, 1 + len(fitted.free) :])
+    if points.block is not None and points.t_s is not None:
+        basis = orthonormal_basis(columns[:, :, 1:].reshape(r.size, -1)).reshape(*r.shape, -1)
+        drift = fit_averaged(r, basis, points.t_s)
+        columns = made_independent(drift, columns.reshape(len(r), -1), points.t_s).reshape(columns.shape)
+    y, free, G = np.split(columns.reshape(r.size, -1), [1, 1 + len(fitted.free)], axis=1)
     basis = orthonormal_basis(free)
-    size = np.linalg.norm(G, axis=0)
-    own = G - basis @ (basis.T @ G)
-    there = np.linalg.norm(own, axis=0) > OWN * np.maximum(size, 1.0)
+    # what only a held length or angle explains, beside all that was fitted
+    own, y = G - basis @ (basis.T @ G), (y - basis @ (basis.T @ y))[:, 0]
+    there = np.linalg.norm(own, axis=0) > OWN * np.maximum(np.linalg.norm(G, axis=0), 1.0)
     if not there.any():
-        return fitted
-    own, G, kinds = own[:, there], G[:, there], np.array([name.endswith("_m") for name in held])[there]
-    share = _shares(own, r - basis @ (basis.T @ r), kinds, len(r) - basis.shape[1])
-    moved = covariance.matrix @ known.T @ (G * np.where(kinds, share[0], share[1]))  # (k, held) by a deviation each
-    wide = NamedCovariance(names=covariance.names, matrix=covariance.matrix + moved @ moved.T)
-    return replace(fitted, fit=replace(fitted.fit, covariance=wide))
+        return None
+    own, names = own[:, there], np.array(held)[there]
+    kinds = np.array([name.endswith("_m") for name in names])
+    share = np.where(kinds, *_shares(own, y, kinds, len(y) - basis.shape[1]))
+    # y = own share x + noise of variance 1, x of variance 1 beforehand: x is -spread (own share)' y by its sign here
+    spread = np.linalg.inv((own * share).T @ (own * share) + np.eye(len(share)))
+    std = size[there] * share
+    return HeldGeometry(
+        names=tuple(names.tolist()),
+        off=-std * (spread @ (own * share).T @ y),
+        std=std * np.sqrt(np.diag(spread)),
+        moved=effect[:, there] * share,
+    )
 
 
 def _shares(own: Array, r: Array, lengths: NDArray[np.bool_], freedom: int) -> tuple[float, float]:
@@ -230,8 +291,8 @@ def _shares(own: Array, r: Array, lengths: NDArray[np.bool_], freedom: int) -> t
         return float(np.linalg.slogdet(V)[1] + y @ np.linalg.solve(V, y) + count * np.log(noise) + rest2 / noise)
 
     low, high = np.log(SMALLEST), np.log(LARGEST)
-    starts = [np.array([0.0, a, b]) for a in (low / 4.0, low) for b in (low / 2.0, low)]
     box = [(-7.0, 7.0), (low, high), (low, high)]
-    tries = [minimize(neg2_log_likelihood, first, bounds=box, method="L-BFGS-B") for first in starts]
-    best = np.exp(min(tries, key=lambda found: float(found.fun)).x)
-    return float(best[1]), float(best[2])
+    # restricted maximum likelihood: shares of 0 are at infinity in logarithms, so the least of them stands for none
+    found = minimize(neg2_log_likelihood, [0.0, low / 4.0, low / 2.0], bounds=box, method="L-BFGS-B")
+    _, length, angle = np.exp(found.x)
+    return float(length), float(angle)

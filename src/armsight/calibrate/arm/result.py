@@ -98,8 +98,8 @@ class ArmResult(TitledOutput):
     without them; left_before, left_after: on the holdout where one was given (held), else the same. model, fitted:
     names and values of the parameters (changes to the nominal arm), noise. outlier_rows: (row from 0, error in m).
     before_m, error_m: (m,) before and after, by row. position_noise_m: of one coordinate of the middle row.
-    n_places: that the rows are readings of. correlation: of the errors in time, of samples of a stream; folds are
-    blocks of time then, and covariance is widened for it.
+    n_places: that the rows are readings of. doubt: what of it errors of the held geometry would do too. correlation:
+    of the errors in time, of samples of a stream; folds are blocks of time then, and covariance is widened for it.
     """
 
     arm: Arm
@@ -134,6 +134,7 @@ class ArmResult(TitledOutput):
         Doc("Where the nominal arm is another one than was measured: why; nothing is corrected then. Else null."),
     ]
     correlation: Correlation | None = None
+    doubt: str = ""
     n_places: int | None = None
     proposals: Annotated[
         list[list[float]] | None, Doc("Further joint readings to measure at, rad or m; with --propose.")
@@ -195,6 +196,9 @@ class ArmResult(TitledOutput):
         if self.other_arm is not None:
             level, headline = "bad", "Another arm"
             todo = "Correct nothing. Compare the arm's file with the arm's data sheet, then calibrate again."
+        elif self.gain and self.doubt:
+            headline = "Better, and not for sure its joints"
+            todo = "Do what the verdict says of the geometry that is held, then calibrate again."
         elif self.gain and self.at_limit:
             headline = "Better"
             todo = "Before you use it, look whether what is corrected so far is typed right or really built so."

@@ -25,6 +25,9 @@ EMPTY = np.empty((0, 0, 0))
 EMPTY.setflags(write=False)
 POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 DELAY = "delay"
+READOUT = "readout"
+BACK = "board:back"
+"""Before the names of where a board's back is behind its front; no camera is called so."""
 EMPTY_PLACE = "none"
 """The name of a fisheye's tenth intrinsic, which stands for nothing."""
 WIDEST_FIT = float(np.tan(np.radians(89.9)))
@@ -42,12 +45,16 @@ quadratic: the next one would not be seen."""
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bundle:
     """A state of the adjustment: intrinsics k (C, 10); T_first_camera of the others (C - 1, 6) and T_first_board (G, 6)
-    as (t, rotvec); by how much the others' clocks are late, delays_s (C - 1,), none where they are not asked for."""
+    as (t, rotvec); by how much the others' clocks are late, delays_s (C - 1,), none where they are not asked for; of a
+    board with two sides T_front_back, back (6,), between their middles; how long each camera takes to read a picture,
+    readouts_s (C,), none where that is not asked."""
 
     k: Array
     poses: Array
     sides: Array = field(default_factory=lambda: np.zeros((0, 6)))
     delays_s: Array = field(default_factory=lambda: np.zeros(0))
+    back: Array = field(default_factory=lambda: np.zeros(0))
+    readouts_s: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def names_of(observations: Observations) -> tuple[str, ...]:
@@ -57,12 +64,19 @@ def names_of(observations: Observations) -> tuple[str, ...]:
         return INTRINSICS_OF[lenses[0]]
     each = [f"{camera}.{name}" for camera, lens in zip(cameras, lenses, strict=True) for name in INTRINSICS_OF[lens]]
     each += [f"{camera}.{name}" for camera in cameras[1:] for name in POSE]
-    return tuple(each) + (() if observations.t_s is None else delays_of(cameras))
+    each += [] if observations.n_front is None else [f"{BACK}.{name}" for name in POSE]
+    each += [] if observations.t_s is None else delays_of(cameras)
+    return tuple(each) + (() if observations.line is None else readouts_of(cameras))
 
 
 def delays_of(cameras: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of the cameras' delays behind the first one."""
     return tuple(f"{camera}.{DELAY}" for camera in cameras[1:])
+
+
+def readouts_of(cameras: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of how long the cameras take to read a picture."""
+    return tuple(f"{camera}.{READOUT}" for camera in cameras)
 
 
 RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
@@ -72,7 +86,7 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
     """Return the least-squares problem; fixed: names of names_of that are held.
 
     Views of one lens share the left one's intrinsics, and the right ones' are held at them. Where times are known, the
-    boards' poses are held together by the board's motion.
+    boards' poses are held together by the board's motion; of a board with two sides the back follows the front.
     """
     equations = BoardEquations(observations)
     k0 = np.tile(start.k.mean(axis=0), (2, 1)) if equations.tied else start.k
@@ -83,11 +97,12 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
         fixed = fixed | {name for name in names if name.split(".")[-1] == EMPTY_PLACE}
     guess = np.concatenate([k0.ravel(), start.sides.ravel()])
     evaluate, retract, local, rows = equations.evaluate, equations.retract, start.poses, 2 * observations.n_points
-    if observations.t_s is not None:
-        motion = motion_of(observations, start.delays_s)
+    if observations.chained:
+        motion = motion_of(observations, start.delays_s, start.readouts_s)
         views = BoardEquations(motion.views)
         evaluate, retract = partial(motion.evaluate, views.evaluate), partial(motion.retract, views.retract)
-        guess = np.concatenate([guess, start.delays_s])
+        delays, readouts = motion.own[1:]
+        guess = np.concatenate([guess, start.back, start.delays_s[:delays], start.readouts_s[:readouts]])
         local, rows = motion.nodes_of(start.poses), rows + motion.n_empty
     if observations.known is not None:
         at = np.array([names.index(name) for name in observations.known.names], np.intp)
@@ -204,8 +219,8 @@ def adjust(
     if LensKind.FISHEYE in observations.lenses:
         settings = replace(settings, max_iterations=VALLEY * max_iterations, cost_tolerance=VALLEY_SETTLED)
     fit = solve(problem_of(observations, start, fixed), settings, progress)
-    if observations.t_s is not None:
-        fit = motion_of(observations, start.delays_s).of_moments(fit)
+    if observations.chained:
+        fit = motion_of(observations, start.delays_s, start.readouts_s).of_moments(fit)
     if observations.known is not None:
         own = fit.residuals.ravel()[: 2 * observations.weight.size].reshape(observations.n_views, -1)
         fit = replace(fit, residuals=own, weights=np.ones_like(own))
@@ -216,11 +231,15 @@ def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
     """Return the state that a fit has reached."""
     split = len(INTRINSICS) * n_cameras
     end = split + len(POSE) * (n_cameras - 1)
+    late = end + sum(name.startswith(BACK) for name in fit.names)
+    rolled = len(fit.names) - sum(name.endswith(f".{READOUT}") for name in fit.names)
     return Bundle(
         k=fit.shared[:split].reshape(n_cameras, -1),
         sides=fit.shared[split:end].reshape(-1, len(POSE)),
         poses=fit.local,
-        delays_s=fit.shared[end:],
+        delays_s=fit.shared[late:rolled],
+        back=fit.shared[end:late],
+        readouts_s=fit.shared[rolled:],
     )
 
 

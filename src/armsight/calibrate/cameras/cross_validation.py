@@ -58,7 +58,7 @@ def left_out(robust_fit: RobustFit, options: BoardOptions) -> LeftOut | None:
             (
                 part,
                 rig_of(bundle_of(fit, 2), observations.sizes, lenses=observations.lenses)
-                if observations.n_cameras == 2
+                if observations.n_cameras == 2 and observations.n_front is None
                 else None,
             )
         )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.arrays import Array
+from armsight.arrays import Array, Index
 from armsight.calibrate.cameras.bundle_adjustment import Bundle
 from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.cameras.outlier_rejection import named
@@ -29,8 +29,6 @@ from armsight.calibrate.cameras.pairing import (
     spins_of,
 )
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.records import Target
-from armsight.records.views import symmetries
 
 LEAST_SHARED = 4
 """With fewer common moments cameras that do not agree are no news: boards far off may seem to tilt either way."""
@@ -61,20 +59,20 @@ class Edge:
 
 
 def placed(
-    observations: Observations, poses: Array, k: Array, board: Target
+    observations: Observations, poses: Array, k: Array, turns: Sequence[Index]
 ) -> tuple[Observations, Bundle, list[tuple[str, str]]]:
     """Return observations without the views that do not agree, the bundle's start, and (source, why) of those views.
 
     poses (G, C, 2, 6): T_camera_board by the two tilts that a view may show, the likelier one first; NaN where nothing
-    is seen. k (C, 10). Views are renumbered where the print is symmetric. Raises NotEnoughData where cameras are not
-    connected, Inconsistent where they do not agree.
+    is seen. k (C, 10). turns: the print's symmetries, by which views are renumbered. Raises NotEnoughData where cameras
+    are not connected, Inconsistent where they do not agree.
     """
-    turns = symmetries(board)
     spins = spins_of(observations.X, turns)
     slack = 1.0 if observations.t_s is None else MOVING
-    edges = _edges(poses[:, :, 0], spins, slack)
+    edges = edges_of(poses[:, :, 0], spins, slack)
     _require_connected(observations, poses, edges)
-    tree, T = _tree(edges, observations.n_cameras)
+    tree, found = tree_from(edges, 0)
+    T = [found[c] for c in range(observations.n_cameras)]
     _require_closed(observations, poses, spins, edges, tree, T, slack)
     kept, turn, boards = boards_of(poses, spins, T, slack)
     uv, weight = observations.uv.copy(), observations.weight * kept[:, :, None]
@@ -93,7 +91,7 @@ def placed(
     return replace(observations, uv=uv, weight=weight).take(stay), start, rejected
 
 
-def _edges(poses: Array, spins: Array, slack: float) -> list[Edge]:
+def edges_of(poses: Array, spins: Array, slack: float) -> list[Edge]:
     """Return the edges of all cameras that have seen the board at one moment; poses (G, C, 6)."""
     seen = np.isfinite(poses[:, :, 0])
     out = []
@@ -129,19 +127,19 @@ def _require_connected(observations: Observations, poses: Array, edges: list[Edg
     )
 
 
-def _tree(edges: list[Edge], n_cameras: int) -> tuple[list[Edge], list[RigidTransform]]:
-    """Return the edges of the best spanning tree (Prim 1957), and T_first_camera by it."""
-    T: dict[int, RigidTransform] = {0: RigidTransform.identity()}
+def tree_from(edges: list[Edge], root: int) -> tuple[list[Edge], dict[int, RigidTransform]]:
+    """Return the edges of the best spanning tree of a camera's group (Prim 1957), and T_root_camera by it."""
+    T: dict[int, RigidTransform] = {root: RigidTransform.identity()}
     tree = []
-    while len(T) < n_cameras:
-        edge = max((one for one in edges if (one.a in T) != (one.b in T)), key=lambda one: one.weight)
+    while further := [one for one in edges if (one.a in T) != (one.b in T)]:
+        edge = max(further, key=lambda one: one.weight)
         tree.append(edge)
         step = as_pose(edge.paired.side_pose)
         if edge.a in T:
             T[edge.b] = T[edge.a] * step
         else:
             T[edge.a] = T[edge.b] * step.inv()
-    return tree, [T[c] for c in range(n_cameras)]
+    return tree, T
 
 
 def _require_closed(
@@ -204,7 +202,7 @@ def _say_why(observations: Observations, poses: Array, spins: Array, worst: int,
         sizes=(observations.sizes[partner], observations.sizes[worst]),
         lenses=(observations.lenses[partner], observations.lenses[worst]),
     )
-    if mirrored(pair, [poses[g, partner, 0], poses[g, worst, 0]], spins) is not None:
+    if observations.n_front is None and mirrored(pair, [poses[g, partner, 0], poses[g, worst, 0]], spins) is not None:
         raise Inconsistent(
             f"the images of {name} are mirrored",
             consequence="Nothing was calibrated",
@@ -254,11 +252,14 @@ def boards_of(
     return kept, turn, out
 
 
-def tilts_of(poses: Array) -> Array:
-    """Return T_camera_board (G, 6) with the other tilt, which looks almost alike from afar (Schweighofer 2006)."""
+def tilts_of(poses: Array, across: Array) -> Array:
+    """Return T_camera_board (G, 6) with the other tilt, which looks almost alike from afar (Schweighofer 2006).
+
+    across (3,): the board's, in its own axes.
+    """
     R = Rotation.from_rotvec(poses[:, 3:])
     sight = poses[:, :3] / np.linalg.norm(poses[:, :3], axis=1)[:, None]
-    normal = R.as_matrix()[:, :, 2]
+    normal = R.as_matrix() @ across
     normal = normal * np.sign(np.einsum("gi,gi->g", normal, sight))[:, None]
     # the normal goes to its mirror image in the line of sight
     axis = np.cross(normal, sight)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from armsight.arrays import Array
@@ -129,6 +130,18 @@ def poses_by_rays(observations: Observations, camera: Camera) -> Array | None:
     ideal = rays * width + 0.5 * np.array([width - 1.0, height - 1.0])
     poses = board_poses(homographies(replace(observations, uv=ideal[:, None])), np.full(2, float(width)), width)
     return poses if np.isfinite(poses).all() else None
+
+
+def poses_of_lights(observations: Observations, camera: Camera) -> Array | None:
+    """Return T_camera_target (G, 6) of points anywhere, from their rays (Terzakis, Lourakis 2020); None as above."""
+    poses = np.empty((observations.n_views, 6))
+    for g, (uv, weight) in enumerate(zip(observations.uv[:, 0], observations.weight[:, 0], strict=True)):
+        rays, X = camera.rays(uv[weight > 0.0]), observations.X[weight > 0.0]
+        if not np.isfinite(rays).all():
+            return None
+        _, turn, place = cv2.solvePnP(X, rays[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+        poses[g] = np.concatenate([place.ravel(), turn.ravel()])
+    return poses
 
 
 def _median_distance(observations: Observations, camera: Camera, poses: Array) -> float:

@@ -6,53 +6,49 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape
 from armsight.calibrate.cameras.bundle_adjustment import (
+    BACK,
     DELAY,
+    READOUT,
     Bundle,
     adjust,
     bundle_of,
-    delays_of,
     names_of,
-    start_at,
 )
 from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
+from armsight.calibrate.cameras.clocks import with_clocks
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.extended import considered, held_beside, placed_beside, with_standing
 from armsight.calibrate.cameras.graph import placed, tilts_of
-from armsight.calibrate.cameras.initial_guess import poses_by_rays
+from armsight.calibrate.cameras.initial_guess import poses_by_rays, poses_of_lights
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of
 from armsight.calibrate.cameras.many_checks import (
     KnownLens,
+    beforehand,
+    on_exact,
     require_lenses,
     require_lists,
     require_one_clock,
     require_sizes,
 )
-from armsight.calibrate.cameras.moving_board import alone
-from armsight.calibrate.cameras.observations import BoardOptions, Known, Observations, pack
+from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import (
     RobustFit,
     fit_tilted,
     fit_without_outliers,
-    fixed_names,
-    named,
 )
 from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
+from armsight.calibrate.cameras.points_off import require_size_of_back, with_doubt_of
 from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
-from armsight.errors import DataRefused, Inconsistent, NotConverged, NotEnoughData, Undetermined
-from armsight.fitting import Fit
+from armsight.calibrate.cameras.two_sides import TwoSided, with_the_back
+from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import INTRINSICS, Camera, Rig
 from armsight.optics.mounted import MountedCamera
 from armsight.records import BoardView, NamedCovariance, Progress, Target
-
-LOOSE_S = 0.02
-"""A delay less sure than this is held at zero: boards were still, or times are none."""
-BY_CHANCE = 1e-3
-"""Delays are taken where chi-square would fall as much without any this often."""
+from armsight.records.views import symmetries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,6 +84,19 @@ class ManySolved:
         return np.concatenate([[0.0], delays if len(delays) else np.zeros(self.observations.n_cameras - 1)])
 
     @property
+    def readouts_s(self) -> Array:
+        """How long each camera takes to read a picture (C,), 0 where held so."""
+        found = self.state.readouts_s
+        return found if len(found) else np.zeros(self.observations.n_cameras)
+
+    @property
+    def of_cameras(self) -> NamedCovariance:
+        """The covariance of what a rig holds: of lenses and places."""
+        clocks, every = (f".{DELAY}", f".{READOUT}"), self.covariance.names
+        names = tuple(one for one in every if not one.endswith(clocks) and not one.startswith(BACK))
+        return NamedCovariance(names=names, matrix=self.covariance.block(names))
+
+    @property
     def cameras(self) -> dict[str, Camera]:
         """The cameras by name."""
         seen = self.observations
@@ -97,7 +106,7 @@ class ManySolved:
 
 def solve_cameras(
     views: Mapping[str, Sequence[BoardView | None]],
-    board: Target,
+    board: Target | TwoSided,
     options: BoardOptions | None = None,
     *,
     lenses: Mapping[str, KnownLens] | None = None,
@@ -119,36 +128,53 @@ def solve_cameras(
         lenses |= {name: KnownLens(camera=rig.camera(name)) for name in views if name in rig.names}
     observations, rejected = moments_of(views, board, options, lenses, times_s)
     poses, k, advice = each_alone(observations, options, lenses)
-    observations, start, dropped = placed(observations, poses, k, board)
+    poses, back = with_the_back(observations, poses)
+    turns = symmetries(board) if isinstance(board, Target) else (np.arange(len(observations.X)),)
+    observations, start, dropped = placed(observations, poses, k, turns)
+    start = replace(start, back=back)
     rejected += dropped
     if rig is not None:
         held = observations.held | (held_beside(rig) & set(names_of(observations)))
         observations, start = replace(observations, held=held), with_standing(observations.cameras, start, rig)
-    robust, told, lost = _fitted(observations, start, options, progress)
+    given = {} if rig is None else {one.name: one.timing.readout_s for one in rig.cameras if one.timing is not None}
+    robust, told, lost = _fitted(observations, start, options, given, progress)
     require_lenses(robust, observations.known, lenses)
+    require_size_of_back(robust)
     out = left_out(robust, options)
-    covariance = required(robust) if rig is None else considered(robust, rig)
-    if robust.observations.t_s is None and rig is None:
-        shape = board_shape(robust.observations, robust.fit, covariance)
-        covariance, advice = shape.covariance, [*advice, *shape.advice]
+    covariance, more = _doubts(robust, board if isinstance(board, Target) else board.front, rig)
     return ManySolved(
         robust=robust,
         covariance=covariance,
         holdout_rms_px=None if out is None else out.rms_px,
         rejected=(*rejected, *lost, *robust.rejected),
-        advice=(*advice, *told, *caveats(covariance, robust), *robust.notes, *_on_exact(exact)),
+        advice=(*advice, *more, *told, *caveats(covariance, robust), *robust.notes, *on_exact(exact)),
         known=frozenset(lenses),
     )
 
 
+def _doubts(robust: RobustFit, front: Target, rig: Rig | None) -> tuple[NamedCovariance, Sequence[str]]:
+    """Return the covariance with what the standing rig and the board's or target's own shape leave open, and advice."""
+    covariance = required(robust) if rig is None else considered(robust, rig)
+    covariance = with_doubt_of(front.covariance, robust, covariance)
+    # a print's error of shape is told from moments that hang together by the board alone
+    if robust.observations.chained or rig is not None or not front.is_board:
+        return covariance, ()
+    shape = board_shape(robust.observations, robust.fit, covariance)
+    return shape.covariance, shape.advice
+
+
 def _fitted(
-    observations: Observations, start: Bundle, options: BoardOptions, progress: Progress | None
+    observations: Observations,
+    start: Bundle,
+    options: BoardOptions,
+    given: Mapping[str, float],
+    progress: Progress | None,
 ) -> tuple[RobustFit, list[str], list[tuple[str, str]]]:
     """Return the fit of what agrees, advice on the clocks, and (source, why) of moments that went for them."""
     times, known, held = observations.t_s, observations.known, observations.held
     lens = frozenset[str]() if known is None else frozenset(known.names) - held
     observations = replace(observations, t_s=None, known=None, held=held | lens)
-    observations, start, told, lost = _timed(observations, start, options, times, progress)
+    observations, start, told, lost = with_clocks(observations, start, options, times, given, progress)
     if known is not None:
         # what is known beforehand counts in units of the points' noise, which is asked with the lenses as given
         weight = observations.weight / fit_without_outliers(observations, start, options, progress).fit.scale
@@ -160,7 +186,7 @@ def extend_rig(
     rig: Rig,
     name: str,
     views: Mapping[str, Sequence[BoardView | None]],
-    board: Target,
+    board: Target | TwoSided,
     options: BoardOptions | None = None,
     *,
     lens: KnownLens | None = None,
@@ -197,9 +223,7 @@ def extend_rig(
     new = MountedCamera(name=name, camera=done.cameras[name], T_rig_camera=T)
     if own is not None:
         new = replace(own, camera=new.camera, T_rig_camera=T)
-    numbers = tuple(one for one in done.covariance.names if not one.endswith(f".{DELAY}"))
-    covariance = NamedCovariance(names=numbers, matrix=done.covariance.block(numbers))
-    return done, placed_beside(rig, standing, new, covariance)
+    return done, placed_beside(rig, standing, new, done.of_cameras)
 
 
 def _lens_doubt(rig: Rig, name: str) -> NamedCovariance | None:
@@ -213,7 +237,7 @@ def _lens_doubt(rig: Rig, name: str) -> NamedCovariance | None:
 
 def moments_of(
     views: Mapping[str, Sequence[BoardView | None]],
-    board: Target,
+    board: Target | TwoSided,
     options: BoardOptions,
     lenses: Mapping[str, KnownLens],
     times_s: Mapping[str, Sequence[float]] | None,
@@ -221,11 +245,13 @@ def moments_of(
     """Return what the cameras saw at each moment, and (source, why) of views with too little of the board."""
     names = tuple(views)
     require_lists(views, lenses, times_s)
-    require_views([one for each in views.values() for one in each if one is not None], board)
+    front, back = (board, None) if isinstance(board, Target) else board
+    if front.is_board:
+        require_views([one for each in views.values() for one in each if one is not None], front)
     kinds = tuple(lenses[name].camera.lens if name in lenses else options.lens for name in names)
     for kind in set(kinds):
-        require_points(board, kind)
-    observations = pack(list(views.values()), board, kinds, names)
+        require_points(front, kind)
+    observations = pack(list(views.values()), front, kinds, names, back)
     require_sizes(observations, lenses)
     count = (observations.weight > 0.0).sum(axis=2)
     few = (count > 0) & (count < LEAST_POINTS)
@@ -247,39 +273,8 @@ def moments_of(
             consequence="Nothing was calibrated",
             cure="Take ten to sixty, the board turned to all cameras",
         )
-    held, known = _beforehand(lenses)
+    held, known = beforehand(lenses)
     return replace(observations.take(kept), held=held, known=known), rejected
-
-
-def _on_exact(names: str) -> list[str]:
-    """Return what to know of lenses that are held: 0.1 % of a focal length moved a place by 3 of its deviations."""
-    if not names:
-        return []
-    return [
-        f"the lens of {names} is taken as exact: what it is off by is in no deviation; free it, or give its covariance"
-    ]
-
-
-def _beforehand(lenses: Mapping[str, KnownLens]) -> tuple[frozenset[str], Known | None]:
-    """Return which numbers of lenses known beforehand are held, and what is known of the others."""
-    held, names, means, blocks = set[str](), list[str](), list[float](), list[Array]()
-    for name, lens in lenses.items():
-        every = lens.camera.names
-        free = () if lens.covariance is None else tuple(one for one in every if one in lens.covariance.names)
-        held |= {f"{name}.{one}" for one in every if one not in free}
-        if free and lens.covariance is not None:
-            names += [f"{name}.{one}" for one in free]
-            means += [float(lens.camera.intrinsics[every.index(one)]) for one in free]
-            # px beside pure numbers: scaled before it is inverted
-            std = np.sqrt(np.diag(lens.covariance.block(free)))
-            blocks.append(np.linalg.inv(lens.covariance.block(free) / np.outer(std, std)) / np.outer(std, std))
-    if not names:
-        return frozenset(held), None
-    information, at = np.zeros((len(names), len(names))), 0
-    for block in blocks:
-        information[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return frozenset(held), Known(names=tuple(names), mean=np.array(means), information=information)
 
 
 def each_alone(
@@ -288,6 +283,7 @@ def each_alone(
     """Return T_camera_board (G, C, 2, 6) by the two tilts of each view, the likelier first, the lenses k (C, 10), and
     advice."""
     G, C = observations.n_views, observations.n_cameras
+    flat = not observations.X[:, 2].any()
     poses, k, advice = np.full((G, C, 2, 6), np.nan), np.zeros((C, len(INTRINSICS))), []
     for c, name in enumerate(observations.cameras):
         g = np.flatnonzero((observations.weight[:, c] > 0.0).any(axis=1))
@@ -298,7 +294,7 @@ def each_alone(
         part, of = observations.camera(c).take(g), f"the camera {name}"
         if name in lenses:
             camera = lenses[name].camera
-            found = poses_by_rays(part, camera)
+            found = poses_by_rays(part, camera) if flat else poses_of_lights(part, camera)
             if found is None:
                 raise Inconsistent(
                     f"points of the board in the images of {name} lie where the lens given for it sees nothing",
@@ -318,10 +314,15 @@ def each_alone(
     return poses, k, advice
 
 
+def _thinnest(X: Array) -> Array:
+    """Return the direction (3,) along which points (n, 3) reach least: a board's normal."""
+    return np.array([0.0, 0.0, 1.0]) if not X[:, 2].any() else np.asarray(np.linalg.svd(X - X.mean(axis=0))[2][2])
+
+
 def _two_tilts(part: Observations, k: Array, poses: Array, options: BoardOptions) -> Array:
     """Return T_camera_board (G, 2, 6) by the two tilts that fit each view, the better one first."""
     everything, found = frozenset(names_of(part)), []
-    for start in (poses, tilts_of(poses)):
+    for start in (poses, tilts_of(poses, _thinnest(part.X))):
         try:
             fit = adjust(part, Bundle(k=k[None], poses=start), everything, max_iterations=options.max_iterations)
         except NotConverged:
@@ -331,47 +332,3 @@ def _two_tilts(part: Observations, k: Array, poses: Array, options: BoardOptions
     both = np.stack([one for one, _ in found], axis=1)
     order = np.argsort(np.stack([cost for _, cost in found], axis=1), axis=1, kind="stable")
     return np.asarray(np.take_along_axis(both, order[:, :, None], axis=1))
-
-
-def _timed(
-    observations: Observations, start: Bundle, options: BoardOptions, times: Array | None, progress: Progress | None
-) -> tuple[Observations, Bundle, list[str], list[tuple[str, str]]]:
-    """Return observations with their times where the board's motion tells the delays, the state, advice, and (source,
-    why) of moments left out."""
-
-    def fitted(seen: Observations, state: Bundle) -> Fit:
-        most = options.max_iterations
-        return adjust(seen, state, fixed_names(options, seen), max_iterations=most, progress=progress)
-
-    C, lost = observations.n_cameras, list[tuple[str, str]]()
-    if times is None:
-        told = ["the delays of the clocks are held at zero: the images have no times; hold the board still for each"]
-        return observations, start, told, lost
-    still_fit = fitted(observations, start)
-    state = replace(bundle_of(still_fit, C), delays_s=np.zeros(C - 1))
-    timed = replace(observations, t_s=times)
-    # a moment of one camera tells nothing of another one's clock: it may stay without neighbours
-    lonely = alone(timed, state.delays_s) & ((observations.weight > 0.0).any(axis=2).sum(axis=1) > 1)
-    stay = np.flatnonzero(~lonely)
-    why = "no other moment is near enough in time to tell how the board moved"
-    if len(stay) >= LEAST_VIEWS:
-        try:
-            timed, state = timed.take(stay), start_at(state, stay)
-            fit = fitted(timed, state)
-            loose = {name for name, std in fit.std().items() if name in delays_of(timed.cameras) and std > LOOSE_S}
-            if loose:
-                timed = replace(timed, held=timed.held | loose)
-                fit = fitted(timed, state)
-            compared = fitted(observations.take(stay), start_at(bundle_of(still_fit, C), stay))
-            # both on the same points: by how much chi-square falls for as many delays
-            gain = 2.0 * (compared.cost - fit.cost) / fit.scale**2
-        except (DataRefused, Undetermined):
-            gain = 0.0
-        else:
-            asked = [name for name in delays_of(timed.cameras) if name not in timed.held]
-            if asked and gain > chdtri(len(asked), BY_CHANCE):
-                lost += [(named(observations, g), why) for g in np.flatnonzero(lonely).tolist()]
-                told = [f"{name} is held at zero: the board's motion does not tell it" for name in sorted(loose)]
-                return timed, bundle_of(fit, C), told, lost
-    told = ["the delays of the clocks are held at zero: the board's motion does not tell them"]
-    return observations, start, told, lost

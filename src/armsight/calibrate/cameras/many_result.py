@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras.bundle_adjustment import DELAY, poses_of_boards, residuals_px
+from armsight.calibrate.cameras.bundle_adjustment import BACK, DELAY, READOUT, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.calibrate import rms, view_rms
 from armsight.calibrate.cameras.many import ManySolved
 from armsight.calibrate.cameras.observations import Observations
@@ -20,7 +20,6 @@ from armsight.calibrate.cameras.result import FromBoards, left_out_words, std_by
 from armsight.fields import Doc
 from armsight.optics import Camera, Rig
 from armsight.optics.mounted import MountedCamera
-from armsight.records import NamedCovariance
 from armsight.records.output import Row, figure, output, with_std
 from armsight.records.result_parts import MEANING, RejectedFile, Verdict
 from armsight.shown import WRITTEN, Shown, Table, digits, rejected_lines
@@ -80,7 +79,20 @@ class CamerasCalibration(FromBoards):
         found = zip(self.used.cameras, self.solved.delays_s.tolist(), strict=True)
         return {name: late if f"{name}.{DELAY}" in std else None for name, late in found}
 
-    @figure("Standard deviations by name: NAME.fx_px ... NAME.k3, NAME.tx_m ... NAME.rz_rad, NAME.delay_s.")
+    @figure("How long each camera takes from its first row to its last, s; null where held at zero.")
+    def readout_s(self) -> dict[str, float | None]:
+        std = self.solved.covariance.std()
+        found = zip(self.used.cameras, self.solved.readouts_s.tolist(), strict=True)
+        return {name: took if took or f"{name}.{READOUT}" in std else None for name, took in found}
+
+    @figure("Of a board with two sides: the back's middle in axes of the front's, m.", optional=True)
+    def back_m(self) -> list[float] | None:
+        found = self.solved.state.back
+        return found[:3].tolist() if len(found) else None
+
+    @figure(
+        "Standard deviations by name: NAME.fx_px ... NAME.k3, NAME.tx_m ... NAME.rz_rad, NAME.delay_s, NAME.readout_s."
+    )
     def std(self) -> dict[str, float]:
         return std_by_key(self.solved.covariance)
 
@@ -119,7 +131,7 @@ class CamerasCalibration(FromBoards):
     @property
     def title(self) -> str:
         """What it is, in a few words."""
-        return f"Rig of {len(self.rig.names)} cameras from {self.n_used} moments of a board"
+        return f"Rig of {len(self.rig.names)} cameras from {self.n_used} moments"
 
     def rows(self) -> list[Row]:
         """Return places, focal lengths and delays with standard deviations, and how well they fit."""
@@ -131,29 +143,40 @@ class CamerasCalibration(FromBoards):
             late = self.delay_s[name]
             if late is not None:
                 rows.append((f"{name} late by", with_std(late, self.std.get(f"{name}.delay_s"), "ms", scale=1e3)))
+            took = self.readout_s[name]
+            if took is not None:
+                rows.append((f"{name} read-out", with_std(took, self.std.get(f"{name}.readout_s"), "ms", scale=1e3)))
         return [*rows, *self._fit_rows()]
 
     def summary(self) -> Iterator[Shown]:
         """Yield the cameras, how well they fit, the images left out, and what would make it surer."""
-        rows, timed = [], any(late is not None for late in self.delay_s.values())
+        clocks = {"late by, ms": ("delay_s", self.delay_s), "read-out": ("readout_s", self.readout_s)}
+        clocks = {head: (key, of) for head, (key, of) in clocks.items() if any(one is not None for one in of.values())}
+        rows = []
         for name in self.used.cameras:
-            late, doubt = self.delay_s[name], self.std.get(f"{name}.delay_s")
             place = [digits(at / MM, 5) for at in self.position_m[name]]
             spread = max((self.std.get(f"{name}.t{axis}_m", 0.0) for axis in "xyz"), default=0.0)
-            clock = (
-                "" if late is None else f"{digits(1e3 * late)} +- {digits(None if doubt is None else 1e3 * doubt, 2)}"
-            )
             lens = "stays" if name in self.fixed else "given" if name in self.solved.known else "found"
             seen = [str(self.n_views[name]), digits(self.camera_rms_px[name])]
-            rows.append(
-                [name, lens, *seen, *place, digits(spread / MM, 2) if spread else "", *([clock] if timed else [])]
-            )
-        head = ["camera", "lens", "views", "px RMS", "x, mm", "y", "z", "+-", *(["late by, ms"] if timed else [])]
+            times = [_time_ms(of[name], self.std.get(f"{name}.{key}")) for key, of in clocks.values()]
+            rows.append([name, lens, *seen, *place, digits(spread / MM, 2) if spread else "", *times])
+        head = ["camera", "lens", "views", "px RMS", "x, mm", "y", "z", "+-", *clocks]
         yield Table(f"Rig of {len(self.rig.names)}, {self.n_used} of {self.n_moments} moments", head, rows)
+        if self.back_m is not None:
+            doubt = max(self.std.get(f"{BACK}.t{axis}_m", 0.0) for axis in "xyz")
+            behind = ", ".join(digits(at / MM) for at in self.back_m)
+            yield f"The back's middle is at ({behind}) mm from the front's, +- {digits(doubt / MM, 2)} mm"
         yield f"Reprojection {digits(self.rms_px)} px RMS; {digits(self.holdout_rms_px)} px on left-out moments"
         yield from rejected_lines(self.rejected)
         yield WRITTEN
         yield from (f"- {text}" for text in self.advice)
+
+
+def _time_ms(found_s: float | None, std_s: float | None) -> str:
+    """Return a time in ms with its deviation; empty where it is held."""
+    if found_s is None:
+        return ""
+    return f"{digits(1e3 * found_s)} +- {digits(None if std_s is None else 1e3 * std_s, 2)}"
 
 
 def result_of(
@@ -181,6 +204,4 @@ def rig_of(done: ManySolved, rms_px: float) -> Rig:
         MountedCamera(name=name, camera=camera, T_rig_camera=T)
         for (name, camera), T in zip(done.cameras.items(), poses, strict=True)
     ]
-    names = tuple(one for one in done.covariance.names if not one.endswith(f".{DELAY}"))
-    covariance = NamedCovariance(names=names, matrix=done.covariance.block(names))
-    return Rig(cameras=mounted, covariance=covariance, rms_px=rms_px)
+    return Rig(cameras=mounted, covariance=done.of_cameras, rms_px=rms_px)

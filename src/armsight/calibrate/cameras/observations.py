@@ -38,7 +38,10 @@ class Observations:
     one_lens: both views are of one camera (a mirror rig's) and share its intrinsics. lenses: of each camera. cameras:
     their names. t_s (G, C): each image's time by its own camera's clock, NaN where there is none; None where the board
     stood still or nothing is known of its times. known: beforehand, of the lenses. held: names of parameters that are
-    held besides those that the options hold.
+    held besides those that the options hold. n_front: of a board with two sides, whose points are stacked, each side's
+    about its own middle (`middle` is the front's): how many are the front's; a view shows those of one side. None: one
+    side. line (G, C, n): in which part of its picture, -0.5 to 0.5 from the first row to the last, each point counts as
+    exposed, where cameras' read-outs are asked for.
     """
 
     X: Array
@@ -54,6 +57,20 @@ class Observations:
     t_s: Array | None = None
     known: Known | None = None
     held: frozenset[str] = frozenset()
+    n_front: int | None = None
+    line: Array | None = None
+
+    @property
+    def shows_back(self) -> NDArray[np.bool_]:
+        """Whether each view (G, C) shows the back of a board with two sides."""
+        return np.asarray(
+            (self.weight[:, :, len(self.X) if self.n_front is None else self.n_front :] > 0.0).any(axis=2)
+        )
+
+    @property
+    def chained(self) -> bool:
+        """Whether views have poses of their own, which follow from the boards' by their times or by the side shown."""
+        return self.t_s is not None or self.n_front is not None
 
     @property
     def n_views(self) -> int:
@@ -78,8 +95,9 @@ class Observations:
     def take(self, views: Sequence[int] | NDArray[np.intp]) -> Observations:
         """Return some of the views."""
         i = np.asarray(views, dtype=np.intp)
-        t_s = None if self.t_s is None else self.t_s[i]
-        return replace(self, uv=self.uv[i], weight=self.weight[i], sources=tuple(self.sources[k] for k in i), t_s=t_s)
+        t_s, line = (None if one is None else one[i] for one in (self.t_s, self.line))
+        sources = tuple(self.sources[k] for k in i)
+        return replace(self, uv=self.uv[i], weight=self.weight[i], sources=sources, t_s=t_s, line=line)
 
     def camera(self, c: int) -> Observations:
         """Return what camera c alone has seen."""
@@ -91,8 +109,10 @@ class Observations:
             lenses=(self.lenses[c],),
             cameras=(self.cameras[c],),
             t_s=None,
+            line=None,
             known=None,
             held=frozenset(),
+            n_front=None,  # a single camera's view has the pose of the side that it shows
             sources=tuple((names[c],) for names in self.sources),
         )
 
@@ -102,12 +122,16 @@ def pack(
     board: Target,
     lenses: tuple[LensKind, ...] = (LensKind.PINHOLE, LensKind.PINHOLE),
     cameras: tuple[str, ...] = SIDES,
+    back: Target | None = None,
 ) -> Observations:
     """Return the observations of C sequences of G views each (None where a camera saw nothing) of these lenses, names.
 
+    back: the print on the board's other side; its points are numbered after the front's.
+
     Raises Inconsistent for images of unequal size.
     """
-    n, G, C = len(board.names), len(views[0]), len(views)
+    n_front, G, C = len(board.names), len(views[0]), len(views)
+    n = n_front + (0 if back is None else len(back.names))
     uv, weight = np.zeros((G, C, n, 2)), np.zeros((G, C, n))
     for c, camera in enumerate(views):
         _same_size([view for view in camera if view is not None])
@@ -123,16 +147,18 @@ def pack(
             uv[g, c, view.index] = view.uv_px
             weight[g, c, view.index] = 1.0 / max(view.sigma_px, SIGMA_FLOOR_PX)
     middle = board.xyz_m.mean(axis=0)
+    sides = [one.xyz_m - one.xyz_m.mean(axis=0) for one in (board, back) if one is not None]
     return Observations(
-        X=board.xyz_m - middle,
+        X=np.concatenate(sides),
         middle=middle,
         uv=uv,
         weight=weight,
         sizes=tuple(next(((v.width, v.height) for v in camera if v is not None), (1, 1)) for camera in views),
         sources=tuple(tuple("" if v is None else v.source for v in moment) for moment in zip(*views, strict=True)),
-        radius_m=0.5 * board.diameter_m if board.diameter_m else 0.0,
+        radius_m=0.5 * board.diameter_m if board.diameter_m and board.is_board else 0.0,
         lenses=tuple(lenses[:C]),
         cameras=tuple(cameras[:C]),
+        n_front=None if back is None else n_front,
     )
 
 

@@ -29,6 +29,7 @@ UNITS = {
     **dict.fromkeys(("tx", "ty", "tz"), "m"),
     **dict.fromkeys(("rx", "ry", "rz"), "rad"),
     "delay": "s",
+    "readout": "s",
 }
 """Of the parameters by name; those of distortion have none."""
 

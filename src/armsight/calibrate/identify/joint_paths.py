@@ -53,11 +53,9 @@ def find_paths(seen: SweepResiduals, sigma: float | None) -> tuple[list[JointPat
     """Return every joint's path, and the readings with the noise found from all of them."""
     sweeps = seen.sweeps
     parts = [(j, rows) for j in range(sweeps.n) for rows in sweeps.sweeps(j)]
-    near: list[PathFit | None] = [None] * len(parts)
     if sigma is None:
         first = [_noise(seen.take(rows), sweeps.q[rows, j]) for j, rows in parts]
-        known = [value for value, _ in first if np.isfinite(value)]
-        near = [path for _, path in first]
+        known = [value for value in first if np.isfinite(value)]
         if not known:
             raise NotEnoughData(
                 "three readings of every joint leave nothing to find the noise by",
@@ -65,7 +63,7 @@ def find_paths(seen: SweepResiduals, sigma: float | None) -> tuple[list[JointPat
                 cure="Give the noise (sigma), or take more readings",
             )
         seen = seen.at(seen.sigma * max(float(np.median(known)), 1e-9))
-    each = [_one_path(seen, j, rows, start) for (j, rows), start in zip(parts, near, strict=True)]
+    each = [_one_path(seen, j, rows) for j, rows in parts]
     if sigma is None:  # once more with the noise of the shapes that were chosen
         total = sum(item.path.chi2 for item in each)
         dof = sum(item.path.dof for item in each)
@@ -95,8 +93,8 @@ def _judged(item: JointPath, factor: float, dof: int) -> JointPath:
     return replace(item, p_line=float(fdtrc(2, max(dof, 1), gained / 2.0)))
 
 
-def _noise(seen: SweepResiduals, order: Array) -> tuple[float, PathFit | None]:
-    """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals; the shape."""
+def _noise(seen: SweepResiduals, order: Array) -> float:
+    """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals."""
     loose = seen.at(LOOSE_PRIOR * seen.sigma if seen.rig is not None else LOOSE_PRIOR)
     starts = circle_starts(loose)
     bent = starts[0][0]
@@ -105,24 +103,23 @@ def _noise(seen: SweepResiduals, order: Array) -> tuple[float, PathFit | None]:
         try:
             path = fit_circle(loose, order, starts=starts, coarse=True)
         except NotConverged:
-            return float("nan"), None
+            return float("nan")
     if path.dof < 1:
-        return float("nan"), None
+        return float("nan")
     # a median, over that of chi-square: what gross readings leave alone
     spread = float(np.median((path.residual**2).sum(axis=1)) / chdtri(path.dof / len(path.residual), 0.5))
-    return float(np.sqrt(spread)) * loose.sigma / seen.sigma, path
+    return float(np.sqrt(spread)) * loose.sigma / seen.sigma
 
 
-def _one_path(seen: SweepResiduals, joint: int, rows: NDArray[np.intp], near: PathFit | None) -> JointPath:
-    """Return the path of one sweep, gross readings discarded; near: fitted to it before, without regard to them."""
+def _one_path(seen: SweepResiduals, joint: int, rows: NDArray[np.intp]) -> JointPath:
+    """Return the path of one sweep, gross readings discarded."""
     count = len(rows)
     out: list[tuple[int, str]] = []
     _check_moved(seen.take(rows), joint)
     for _ in range(4):
         part, order = seen.take(rows), seen.sweeps.q[rows, joint]
-        bent = near if near is not None and near.kind == "circle" else None
-        straight = fit_line(part, order, coarse=bent is not None)
-        path = fit_circle(part, order, bent) if straight.p < DECIDED else straight
+        straight = fit_line(part, order)
+        path = fit_circle(part, order) if straight.p < DECIDED else straight
         size = np.sqrt((path.residual**2).sum(axis=1))
         bad = size > GROSS
         if not bad.any() or len(rows) - bad.sum() < 3:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,11 +69,8 @@ class PathFit:
         return np.asarray(np.cross(self.direction, at_m - self.point_m) / self.radius_m)
 
 
-def fit_line(seen: SweepResiduals, order: Array, *, coarse: bool = False) -> PathFit:
-    """Return the line of greatest likelihood. order (N,): the commanded values, of which only the sense is used.
-
-    coarse: a tenth of the cost is enough, as where the path is plainly bent.
-    """
+def fit_line(seen: SweepResiduals, order: Array) -> PathFit:
+    """Return the line of greatest likelihood. order (N,): the commanded values, of which only the sense is used."""
     xyz = seen.sweeps.xyz_m
     middle = xyz.mean(axis=0)
     direction = np.linalg.svd(xyz - middle)[2][0]
@@ -93,7 +90,7 @@ def fit_line(seen: SweepResiduals, order: Array, *, coarse: bool = False) -> Pat
         local_guess=((xyz - middle) @ direction)[:, None],
         loss=_loss(seen),
     )
-    fit = solve(problem, COARSE if coarse else ROUGH)
+    fit = solve(problem, ROUGH)
     d, _ = tilt.direction(fit.shared[2:])
     point, t = middle + tilt.B[:, :2] @ fit.shared[:2], fit.local[:, 0]
     sense = _sense(t, order)
@@ -101,20 +98,14 @@ def fit_line(seen: SweepResiduals, order: Array, *, coarse: bool = False) -> Pat
 
 
 def fit_circle(
-    seen: SweepResiduals,
-    order: Array,
-    near: PathFit | None = None,
-    *,
-    starts: Sequence[Start] | None = None,
-    coarse: bool = False,
+    seen: SweepResiduals, order: Array, *, starts: Sequence[Start] | None = None, coarse: bool = False
 ) -> PathFit:
     """Return the circle of greatest likelihood; started from the plane fit and from normals swung about the chord.
 
-    near: a circle fitted before to nearly the same readings, tried first. starts: circle_starts, where they are there
-    already. coarse: a thousandth of the cost is enough.
+    starts: circle_starts, where they are there already. coarse: a thousandth of the cost is enough.
     """
     best: PathFit | None = None
-    for normal, centre, radius in _attempts(seen, near, starts):
+    for _, normal, centre, radius in circle_starts(seen) if starts is None else starts:
         found = _settled(seen, normal, centre, radius, order, coarse=coarse)
         if found is None:
             continue
@@ -125,16 +116,6 @@ def fit_circle(
     if best is None:
         raise NotConverged("no circle fits the readings", cure="Take readings over a longer arc")
     return best
-
-
-def _attempts(
-    seen: SweepResiduals, near: PathFit | None, starts: Sequence[Start] | None
-) -> Iterator[tuple[Array, Array, float]]:
-    """Yield from where a circle is fitted, worked out only as far as it is needed."""
-    if near is not None:
-        yield near.direction, near.point_m, near.radius_m
-    for start in circle_starts(seen) if starts is None else starts:
-        yield start[1:]
 
 
 def _settled(
@@ -234,8 +215,6 @@ def _circle_from(
 
 ROUGH = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=1e-3, step_tolerance=1e-4)
 """For a line far from fitting, where it does not matter how far, and for a centre that the noise leaves open."""
-COARSE = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=0.1, step_tolerance=1e-2)
-"""For a line that cannot be."""
 SETTINGS = Settings(max_iterations=100, allow_undetermined=True, cost_tolerance=1e-6, step_tolerance=1e-6)
 """For the circle: a short arc leaves its centre in a valley; a millionth of the cost is enough."""
 

@@ -226,7 +226,9 @@ class Space:
         out, kept = before.outside(), before.depths[self._walls : self._walls + len(self._kept)] > 0.0
         each = np.full((len(values), len(found)), -np.inf)
         n = self._walls + len(kept)
-        depths_each((T, J, *motion), self._constants, kept, each[:, :n])
+        there = each[:, :n].copy()  # contiguous, as it was compiled for: a strided part is another type to numba
+        depths_each((T, J, *motion), self._constants, kept, there)
+        each[:, :n] = there
         if self._gearing is not None:
             each[:, n:-1] = np.hstack([self.arm.lower - values, values - self.arm.upper])
         least = np.minimum.accumulate(np.vstack([before.depths, each[:-1]]))

@@ -39,9 +39,10 @@ ASK_S = 0.1
 
 HELLO, BEGIN, STATE, GOAL = (struct.Struct(f"<4s{rest}") for rest in ("I", "IHH", "IIIQIHBB", "IIIIHH"))
 STOP = 1
-SWITCH_ON, HOME, OFFSETS = 1, 2, 4
+SWITCH_ON, HOME, OFFSETS, READS = 1, 2, 4, 8
 SILENT_S = 0.075
 """Within the ten cycles of 8 ms after which a link has to be lost."""
+ONLY_READS = "this link only reads (reads_only)"
 TURNS = "the correction cannot follow the turns of LinuxCNC's program"
 FAR = 3.0
 """Goals farther than the way of so many cycles are given up, one before the bridge takes none of them."""
@@ -54,6 +55,7 @@ class LinuxcncSettings(UdpSettings):
     kinematics: the module that is expected there. switch_on, home: whether opening may end the e-stop and switch on,
     and home, which may move the arm. silent_s: silence after which the link is lost. motion: jogs of the joints, or
     offsets, which correct the flange's pose, also while LinuxCNC runs a program; largest_m, largest_rad: of these.
+    reads_only: nothing is moved, switched or homed, and it opens while others move the arm, too.
     """
 
     link: ClassVar[str] = "the LinuxCNC link"
@@ -67,6 +69,7 @@ class LinuxcncSettings(UdpSettings):
     kinematics: str = ""
     switch_on: bool = False
     home: bool = False
+    reads_only: bool = False
     motion: Literal["jogs", "offsets"] = "jogs"
     largest_m: Positive = 0.01
     largest_rad: Positive = 0.1
@@ -120,6 +123,11 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         return self._machine
 
     @property
+    def reads_only(self) -> bool:
+        """Whether it commands nothing, not even a stop."""
+        return self.settings.reads_only
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What is not as it should be there, and refuses nothing."""
         return () if self._machine is None else self._machine.notes()
@@ -138,6 +146,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
             self._samples = round(kept.cycle_s / machine.servo_s)
             self._goals.narrow(machine.limits())
             what = SWITCH_ON * kept.switch_on | HOME * kept.home | OFFSETS * self._offsets
+            what = READS if kept.reads_only else what
             link.sendto(BEGIN.pack(b"ASLB", self._token, self._samples, what), where)
             self._sender = self._where = where
             self._why_not = ""
@@ -217,9 +226,10 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         self._before_state: LinuxcncState | None = None
 
     def _may_begin(self, state: LinuxcncState) -> bool:
-        """Begin once LinuxCNC has done what was asked of it at the opening, and its joints rest."""
-        switched = self.settings.switch_on or self.settings.home
-        may = bool(state.flags & MAY) or (not switched and state.why_still != MOVING)
+        """Begin once LinuxCNC has done what was asked of it at the opening, and its joints rest; to read, at once."""
+        kept = self.settings
+        switched = kept.switch_on or kept.home
+        may = kept.reads_only or bool(state.flags & MAY) or (not switched and state.why_still != MOVING)
         self._why_not = "" if may else state.why_still
         if not may:
             self._say(b"ASLK")
@@ -227,7 +237,10 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
 
     def _unfit(self) -> tuple[str, str] | None:
         if self._why_not:
-            return f"{self._why_not}, and it stays so", "Look at LinuxCNC's screen for the reason"
+            cure = "Look at LinuxCNC's screen for the reason"
+            if self._why_not == MOVING:
+                cure += "; --robot-set reads_only=true reads an arm that moves, for verify --live"
+            return f"{self._why_not}, and it stays so", cure
         return super()._unfit()
 
     def _rebase(self, q: Array) -> None:
@@ -343,7 +356,7 @@ class LinuxcncRobot(UdpRobot[LinuxcncState]):
         return taken
 
     def _hear(self, state: LinuxcncState) -> None:
-        why = state.why_still or self._why_uncorrected(state)
+        why = ONLY_READS if self.reads_only else state.why_still or self._why_uncorrected(state)
         if why or self._held:
             self._halt(why, state.q)
 

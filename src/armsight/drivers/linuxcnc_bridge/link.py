@@ -15,7 +15,7 @@ from typing import Any
 
 from .feed import Feed
 from .ini import describe
-from .pins import MAY, OFFSETS, Pins, Switching
+from .pins import MAY, OFFSETS, READS, Pins, Switching
 
 LEAD = 16
 """Samples that wait for the streamer when the next goal comes: an answer that is so late is not noticed."""
@@ -56,10 +56,10 @@ BEGUN, LET_GO, STOPPED, NOT_TAKEN = range(4)
 
 
 class Client:
-    """The program that drives: where it is, its token, and what is under way."""
+    """The program that drives, or only reads: where it is, its token, and what is under way."""
 
-    def __init__(self, where: tuple[str, int], token: int, samples: int, now_s: float) -> None:
-        self.where, self.token, self.samples = where, token, samples
+    def __init__(self, where: tuple[str, int], token: int, samples: int, now_s: float, *, reads: bool = False) -> None:
+        self.where, self.token, self.samples, self.reads = where, token, samples, reads
         self.heard_s = self.answered_s = now_s
         self.number = self.taken = 0
 
@@ -108,7 +108,7 @@ class Bridge:
     def _look(self, flags: int, now_s: float) -> None:
         """Begin a session where motion is taken again, or where what was asked is not what came of it."""
         client = self._client
-        if client is None or not flags & MAY:
+        if client is None or client.reads or not flags & MAY:
             self._end(BEGUN)
         elif not self._may:
             self._feed.at = list(self._commanded)
@@ -202,7 +202,7 @@ class Bridge:
         may = not offsets or all(one["speed"] > 0.0 for one in self._machine["offsets"] or [{"speed": 0.0}])
         if self._client is None and 0 < samples <= 1000 and may:
             self._offsets, self._feed = offsets, Feed(self._machine, offsets=offsets)
-            self._client = Client(where, token, samples, now_s)
+            self._client = Client(where, token, samples, now_s, reads=bool(what & READS))
             self._switching = Switching(what, now_s)
             self._next_why, self._due = BEGUN, 0
 

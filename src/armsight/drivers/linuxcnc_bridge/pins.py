@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 MAY, ENABLED, HOMED, JOINT_MODE, E_STOP, AUTO, MDI = (1 << i for i in range(7))
-SWITCH_ON, HOME, OFFSETS = 1, 2, 4
+SWITCH_ON, HOME, OFFSETS, READS = 1, 2, 4, 8
 
 
 class Pins:

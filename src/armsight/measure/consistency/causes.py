@@ -35,7 +35,8 @@ class Cause:
     """One thing that may be wrong. V (q, k): error of all parameters by its k numbers, in units of width (k,).
 
     labels (k,): of the numbers. same: other directions (q, k) that leave the same residuals and move the poses in
-    another way. from_change: since some moment of the run, not from its beginning. unit: of the numbers, SI.
+    another way. from_change: since some moment of the run, not from its beginning. unit: of the numbers, SI. cameras:
+    whose fault it is, of a rig that is no pair.
     """
 
     key: str
@@ -47,6 +48,12 @@ class Cause:
     advice: str
     same: tuple[Array, ...] = ()
     from_change: bool = False
+    cameras: tuple[str, ...] = ()
+
+    @property
+    def of_two_kinds(self) -> bool:
+        """Whether its numbers are those of a turn and then those of a place."""
+        return self.key.startswith("moved")
 
     def scaled(self) -> Array:
         """Return V (q, k) for numbers in units of their width."""
@@ -65,7 +72,7 @@ def causes_of(setup: Setup, basis: Array) -> tuple[Cause, ...]:
     q = len(RIG_PARAMETERS) + basis.shape[2] + 1
     out = [
         _scale(setup, basis, q),
-        *_lights(setup, basis, q),
+        *lights(setup, basis, q, TARGET),
         _turned(setup, q),
         _displaced(setup, q),
         *_lenses(setup, q),
@@ -73,17 +80,22 @@ def causes_of(setup: Setup, basis: Array) -> tuple[Cause, ...]:
     if setup.rig.kind is RigKind.STEREO and not setup.overlaid:
         out += [_delay(q), _moved(setup, q)]
     static = [cause for cause in out if not cause.from_change]
-    lights = [cause for cause in static if cause.key.startswith("light")]
     rig = [cause for cause in static if cause.key in ("turned", "displaced", "focal", "distortion")]
+    return (*out, *more_than_one(static, rig, RECALIBRATE))
+
+
+def more_than_one(static: list[Cause], rig: list[Cause], recalibrate: str) -> list[Cause]:
+    """Return the causes that several lights, several things of the rig, or several of all are wrong."""
+    out, lights = [], [cause for cause in static if cause.key.startswith("light")]
     if lights:
-        out.append(_together("target", lights, "more than one light is not where the target's file says", REMEASURE))
-    out.append(_together("rig", rig, "the rig's calibration is wrong in more than one way", RECALIBRATE))
+        out.append(together("target", lights, "more than one light is not where the target's file says", REMEASURE))
+    out.append(together("rig", rig, "the rig's calibration is wrong in more than one way", recalibrate))
     words = "the target, the rig or both are wrong in more than one way"
-    out.append(_together("several", static, words, f"first {RECALIBRATE}, then {REMEASURE}"))
-    return tuple(out)
+    out.append(together("several", static, words, f"first {recalibrate}, then {REMEASURE}"))
+    return out
 
 
-def _together(key: str, parts: list[Cause], words: str, advice: str) -> Cause:
+def together(key: str, parts: list[Cause], words: str, advice: str) -> Cause:
     """Return the cause that any of these may hold at once."""
     return Cause(
         key=key,
@@ -103,30 +115,41 @@ def _zeros(q: int, k: int) -> Array:
 def _scale(setup: Setup, basis: Array, q: int) -> Cause:
     """Target against baseline: a larger target and a shorter baseline leave the same residuals."""
     target, baseline = _zeros(q, 1), _zeros(q, 1)
-    m, p = basis.shape[0], basis.shape[2]
-    larger, *_ = np.linalg.lstsq(basis.reshape(3 * m, p), setup.model.xyz_m.ravel(), rcond=None)
-    target[TARGET : TARGET + p, 0] = larger
+    target[TARGET:-1, 0] = larger_target(setup, basis)
     baseline[PLACE : PLACE + 3, 0] = -setup.packed.baseline
+    return scale(target, baseline, "baseline")
+
+
+def scale(target: Array, smaller: Array, against: str) -> Cause:
+    """Return the cause that the target is larger, by parameters (q, 1), against what is as much smaller then."""
     return Cause(
         key="scale",
         V=target,
         width=np.array([SCALE_WIDTH]),
-        labels=("target_against_baseline",),
+        labels=(f"target_against_{against}",),
         unit="1",
-        words="the target's scale against the baseline is off",
+        words=f"the target's scale against the {against} is off",
         advice=f"Check the target's measures with a calliper, or {REMEASURE}; if they hold, {RECALIBRATE}, with the "
         "board's true square size",
-        same=(baseline,),
+        same=(smaller,),
     )
 
 
-def _lights(setup: Setup, basis: Array, q: int) -> list[Cause]:
+def larger_target(setup: Setup, basis: Array) -> Array:
+    """Return the target's p parameters that make it larger, by its own size."""
+    m, p = basis.shape[0], basis.shape[2]
+    larger, *_ = np.linalg.lstsq(basis.reshape(3 * m, p), setup.model.xyz_m.ravel(), rcond=None)
+    return np.asarray(larger)
+
+
+def lights(setup: Setup, basis: Array, q: int, first: int) -> list[Cause]:
+    """Return the causes of each light beside its place, where the target's parameters, from `first` on, are these."""
     if basis.shape[2] < 3 * basis.shape[0] or len(setup.model) < 3:
         return []
     out = []
     for i, name in enumerate(setup.model.names):
         V = _zeros(q, 3)
-        V[TARGET + 3 * i : TARGET + 3 * i + 3] = np.eye(3)
+        V[first + 3 * i : first + 3 * i + 3] = np.eye(3)
         out.append(
             Cause(
                 key=f"light {name}",

@@ -15,9 +15,11 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.errors import Unseen
 from armsight.measure.consistency import kernels
-from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE, causes_of
-from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, Consistency, Finding, judge
+from armsight.measure.consistency.all_sights import refit_views, with_all_sights
+from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
+from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, judge, possible
 from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of
+from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.consistency.other_setups import what_fits
 from armsight.measure.motion.estimate import Filtered, Start
 from armsight.measure.motion.states import View
@@ -54,14 +56,17 @@ def finalise(pose: TargetPose, *, inconsistent: bool) -> TargetPose:
 
 
 class RunCheck:
-    """Sees every moment of a run in order; widens what comes once the residuals prove that rig or target are wrong."""
+    """Sees every moment of a run in order; widens what comes once the residuals prove that rig or target are wrong.
+
+    known: what was found when it was looked at last.
+    """
 
     def __init__(self, setup: Setup) -> None:
         self._evidence = Evidence.of(setup)
         self._refitted = self._refused = self._complete = 0
-        self._causes = causes_of(setup, self._evidence.basis)
+        self._causes = possible(self._evidence)
         self._next = float(WINDOW)
-        self._known: Consistency | None = None
+        self.known: Consistency | None = None
         self._kept: list[Measured] = []
 
     def add(self, measured: Measured) -> Measured:
@@ -70,22 +75,29 @@ class RunCheck:
         Noise above the claimed one multiplies the part of the covariance that the spots make; a fault of rig or
         target adds its expected effect on this pose to the part that repeats.
         """
-        if len(self._kept) < MOST_KEPT and min(len(measured.left_seen), len(measured.right_seen)) >= 3:
+        if len(self._kept) < MOST_KEPT and min(len(spots) for spots in measured.seen) >= 3:
             self._kept.append(measured)
         self._evidence.add(self._telling(measured))
         if self._evidence.frames >= self._next:
-            self._known = self._judge(changes=False)
+            self.known = self._judge(changes=False)
             self._next = NEXT_LOOK * self._evidence.frames
-        if self._known is None:
-            return measured
-        wider = self._widened(measured, self._known)
-        pose = finalise(wider.pose, inconsistent=self.inconsistent)
+        return measured if self.known is None else self.widened(measured, self.known)
+
+    def widened(self, measured: Measured, known: Consistency) -> Measured:
+        """Return one moment as what is known to be wrong leaves its pose."""
+        wider = self._widened(measured, known)
+        pose = finalise(wider.pose, inconsistent=known.verdict == "inconsistent")
         return wider if pose is wider.pose else replace(wider, pose=pose, cause=Unseen.INCONSISTENT)
+
+    @property
+    def looks_next(self) -> float:
+        """The number of frames from which it is looked at anew."""
+        return self._next
 
     @property
     def inconsistent(self) -> bool:
         """Whether the run was inconsistent when it was judged last."""
-        return self._known is not None and self._known.verdict == "inconsistent"
+        return self.known is not None and self.known.verdict == "inconsistent"
 
     def finish(self) -> Consistency:
         """Return the verdict over the whole run."""
@@ -96,7 +108,7 @@ class RunCheck:
         )  # with its size and deviation, which another lacks
         if self._complete and (found.verdict != "inconsistent" or told):
             return found
-        other = what_fits(self._evidence.setup, self._kept)
+        other = what_fits(self._evidence.setup, self._kept) if self._evidence.setup.rig.is_pair else None
         return found if other is None else replace(found, instead=other.words, remedy=other.cure)
 
     def _judge(self, *, changes: bool) -> Consistency:
@@ -105,11 +117,14 @@ class RunCheck:
 
     def _telling(self, measured: Measured) -> Measured:
         """Return the moment with all its lights, where it was refused or some were left out."""
+        setup, pair = self._evidence.setup, self._evidence.setup.rig.is_pair
         ok = measured.pose.status in (PoseStatus.OK, PoseStatus.DOUBTFUL)
         self._complete += ok
+        if ok and not pair:
+            return with_all_sights(setup, measured)
         if (ok and not measured.notes) or self._refitted >= MOST_REFITTED:
             return measured
-        found = refit(self._evidence.setup, measured)
+        found = refit(setup, measured) if pair else refit_views(setup, measured)
         if found is None:
             return measured
         self._refitted += 1
@@ -255,6 +270,9 @@ AXES = {f"about_{a}_rad": f"about its {a} axis" for a in "xyz"} | {f"{a}_m": f"a
 
 def sentence(found: Consistency) -> str:
     """Return what the check says in one or two sentences; empty where there is nothing to say."""
+    if found.left_out:
+        told = " ".join(one.told for one in found.left_out)
+        return f"{told} {sentence(replace(found, left_out=()))}".strip()
     if found.instead:
         return f"{found.instead}."
     if not found.findings and found.verdict == "inconsistent":
@@ -262,9 +280,9 @@ def sentence(found: Consistency) -> str:
     if not found.findings or found.verdict == "ok":
         return _noise(found)
     first, *others = found.findings[: found.equal]
-    text = f"{_what(first)}: {_consequence(found, first)}"
+    text = f"{what(first)}: {_consequence(found, first)}"
     if others:
-        text += f". The residuals agree as well with this: {'; or '.join(_what(other) for other in others)}"
+        text += f". The residuals agree as well with this: {'; or '.join(what(other) for other in others)}"
     if found.refused > 0.0:
         text += f". {100 * found.refused:.0f} % of the frames do not fit at all and gave no pose"
     return f"{text[0].upper()}{text[1:]}."
@@ -272,6 +290,9 @@ def sentence(found: Consistency) -> str:
 
 def advice(found: Consistency) -> str:
     """Return what to do about it; empty where there is nothing to do."""
+    if found.left_out:
+        told = " ".join(f"{one.cure}." for one in found.left_out)
+        return f"{told} {advice(replace(found, left_out=()))}".strip()
     if found.remedy:
         return f"{found.remedy}."
     if found.as_calibrated and found.noise_scale > VERY_NOISY and not found.findings:
@@ -285,22 +306,23 @@ def advice(found: Consistency) -> str:
             if found.verdict == "doubtful"
             else f"{RECALIBRATE[0].upper()}{RECALIBRATE[1:]}, then {REMEASURE}."
         )
-    advice: list[str] = []
-    for f in found.findings[: found.equal]:
-        advice += [f.cause.advice] if f.cause.advice not in advice else []
-    return ". Or: ".join(advice) + "."
+    cures = dict.fromkeys(f.cause.advice for f in found.findings[: found.equal])
+    return ". Or: ".join(cures) + "."
 
 
-def _what(f: Finding) -> str:
+def what(f: Finding) -> str:
     """Return the cause with its size: 'the target's scale against the baseline is off by 1.02 +- 0.03 %'."""
     if not (f.cause.unit and f.quotable):
         return f.cause.words
     factor, sign = SHOWN[f.unit]
-    if f.cause.key == "distortion":
+    if f.cause.key.startswith("distortion"):
         factor, sign = 1.0, " in k1"
-    value = f.size if f.cause.key in ONE_SIGNED else abs(f.size)
+    value = f.size if f.cause.key.split()[0] in ONE_SIGNED else abs(f.size)
     size = _figures(factor * value, factor * f.std, sign)
     size += f" {AXES[f.label]}" if f.label in AXES else ""
+    if f.cause.key.startswith("timing "):
+        later = "later" if f.size > 0.0 else "earlier"
+        return f"{f.cause.words}: {_figures(factor * abs(f.size), factor * f.std, sign)} {later}"
     if f.cause.key == "timing":
         later = "later" if f.size > 0.0 else "earlier"
         return (

@@ -9,26 +9,23 @@ parameter explains, so that cameras noisier than they say are no fault of the se
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import log, sqrt
 
 import numpy as np
 from scipy.special import fdtri
 
 from armsight.arrays import Array
-from armsight.measure.consistency.causes import TURNS, Cause, causes_of, parameter_widths
+from armsight.measure.consistency import cameras
+from armsight.measure.consistency.causes import Cause, causes_of, parameter_widths
 from armsight.measure.consistency.evidence import Block, Evidence
+from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.poses.setup import Setup
 from armsight.optics import RIG_PARAMETERS
 
 FALSE_ALARM = 1e-5
 """Chance at which the gain of one cause passes without a fault, the noise being known from the residuals alone."""
 
-QUOTABLE = 3.0
-"""Standard deviations from zero below which no number is told, nor a cause that has no other."""
-
-PLAIN = 5.0
-"""... and from which the length of a vector is told, else the number of it that stands out most."""
 
 LEAST_ODDS = log(100.0)
 """Evidence against a setup without fault below which nothing is said."""
@@ -45,6 +42,7 @@ DOUBTFUL = 0.5
 INCONSISTENT = 5.0
 """Effect on the poses, in claimed standard deviations, from which a run is doubtful, or inconsistent."""
 
+
 INCONSISTENT_M = 2e-4
 INCONSISTENT_RAD = 2e-3
 """... if it is also larger than this."""
@@ -58,9 +56,9 @@ claim in their worst direction."""
 VERY_NOISY = 3.0
 """... and from which it is no noise model's slip."""
 
-AS_CALIBRATED = 1.25
-"""Residuals of a board over those of the rig's calibration up to which they are the same: 1.00 on a calibration's own
-pictures (opencv_stereo), 1.07 and 1.14 where one half of them was calibrated with and the other measured."""
+
+SUSPECT = 12.0
+"""Gain of a camera's own causes, of up to six numbers, from which it may have moved beside another."""
 
 MOSTLY = 0.5
 """Share of refused frames from which the run as a whole is inconsistent."""
@@ -91,121 +89,6 @@ class Noise:
     dof: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Finding:
-    """A cause with the estimate (k,) of its numbers, their covariance (k, k), and what it does to the poses (RMS).
-
-    gain: fall of chi-square. evidence: ln odds against a setup without fault. since_s: of a change. second_moment
-    (q, q): of the parameters' error under this cause.
-    """
-
-    cause: Cause
-    estimate: Array
-    covariance: Array
-    gain: float
-    evidence: float
-    effect_m: float
-    effect_rad: float
-    significant: bool
-    second_moment: Array
-    since_s: float | None = None
-
-    @property
-    def size(self) -> float:
-        """The number that the finding rests on: itself, the length of a vector, or that of it which stands out most."""
-        return self._quoted[0]
-
-    @property
-    def std(self) -> float:
-        """Standard deviation of size."""
-        return self._quoted[1]
-
-    @property
-    def label(self) -> str:
-        """Which of the cause's numbers size is; empty for the only one, and for a vector's length."""
-        return self._quoted[2]
-
-    @property
-    def unit(self) -> str:
-        """SI unit of size."""
-        return self.cause.unit if self.cause.key != "moved" or self._quoted[3] < TURNS else "m"
-
-    @property
-    def quotable(self) -> bool:
-        """Whether size is told from zero."""
-        return abs(self.size) >= QUOTABLE * self.std
-
-    @property
-    def _quoted(self) -> tuple[float, float, str, int]:
-        """Return size, standard deviation, label and the first number's place."""
-        if len(self.estimate) == 1:
-            return float(self.estimate[0]), float(np.sqrt(self.covariance[0, 0])), "", 0
-        starts = (0, TURNS) if self.cause.key == "moved" else (0,)
-        lengths = [self._length(slice(a, b)) for a, b in zip(starts, (*starts[1:], None), strict=True)]
-        i = int(np.argmax([length / std for length, std in lengths]))
-        if lengths[i][0] >= PLAIN * lengths[i][1]:
-            return *lengths[i], "", starts[i]
-        deviations = np.sqrt(np.diag(self.covariance))
-        j = int(np.argmax(np.abs(self.estimate) / deviations))
-        return float(self.estimate[j]), float(deviations[j]), self.cause.labels[j], j
-
-    def _length(self, part: slice) -> tuple[float, float]:
-        along = self.estimate[part]
-        length = float(np.linalg.norm(along))
-        along = along / length if length > 0.0 else np.ones(len(along)) / sqrt(len(along))
-        return length, float(np.sqrt(along @ self.covariance[part, part] @ along))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Consistency:
-    """The verdict over a run: 'ok', 'doubtful', 'inconsistent', or 'unchecked' where there was nothing to judge by.
-
-    findings: significant causes, likeliest first; equal: how many of them explain the residuals equally well.
-    noise_scale: the residuals' noise over the claimed one (standard deviations). chi2_per_dof: of all residuals against
-    the claimed noise. claimed_m: RMS of the claimed standard deviation of a position (3-D). undetected: by cause, the
-    largest
-    effect (m, 3-D RMS) on the poses that the run could not have told. refused: share of the frames with enough lights
-    whose residuals cannot be noise, so that they gave no pose. residual_px: RMS of a board's points (2-D), beside that
-    which its rig was calibrated with; NaN of lights and where not known. instead, remedy: of a run that does not fit,
-    what is wrong with rig or target by the setup that does fit (other_setups.py), and what to change.
-    """
-
-    verdict: str
-    frames: int
-    refused: float = 0.0
-    chi2_per_dof: float = float("nan")
-    noise_scale: float = 1.0
-    noise_dof: float = 0.0
-    claimed_m: float = float("nan")
-    claimed_rad: float = float("nan")
-    findings: tuple[Finding, ...] = ()
-    equal: int = 0
-    undetected: dict[str, float] = field(default_factory=dict)
-    residual_px: float = float("nan")
-    calibration_px: float = float("nan")
-    instead: str = ""
-    remedy: str = ""
-
-    @property
-    def second_moment(self) -> Array | None:
-        """Expected square (q, q) of the parameters' error, over the significant causes by their odds; None if none."""
-        if not self.findings or self.verdict == "ok":
-            return None
-        odds = np.exp(np.array([f.evidence for f in self.findings]) - self.findings[0].evidence)
-        return np.asarray(sum(p * f.second_moment for p, f in zip(odds / odds.sum(), self.findings, strict=True)))
-
-    @property
-    def as_calibrated(self) -> bool:
-        """Whether a board fits no worse than in the rig's calibration: what is left is print, flatness or lens."""
-        return self.residual_px <= AS_CALIBRATED * self.calibration_px
-
-    @property
-    def noise_factor(self) -> float:
-        """Factor on the spots' variance: above 1 only where the residuals prove it."""
-        surely = 1.0 + 4.0 * sqrt(2.0 / max(self.noise_dof, 1.0))
-        return self.noise_scale**2 if self.noise_scale**2 > surely else 1.0
-
-
 def judge(
     evidence: Evidence, causes: tuple[Cause, ...] | None = None, refused: float = 0.0, *, changes: bool = True
 ) -> Consistency:
@@ -217,17 +100,15 @@ def judge(
     """
     if not evidence.blocks or not evidence.setup.target.model_known:
         return Consistency(verdict="unchecked", frames=evidence.frames, refused=refused)
-    causes = causes_of(evidence.setup, evidence.basis) if causes is None else causes
+    causes = possible(evidence) if causes is None else causes
     whole = _total(evidence.blocks, evidence.size)
     blocks = evidence.blocks if changes else [whole]
-    width = parameter_widths(evidence.size, scale_only=evidence.basis.shape[2] == 1)
+    width = _widths(evidence)
     scale2, noise_dof = noise_scale2(blocks, width)
     structured = max(whole.chi2 - scale2 * whole.dof, 0.0) / whole.dof
     scale2 += CURVED**2 * structured
     prior, noise = prior_root(evidence.setup, evidence.size), Noise(max(scale2, 1.0), noise_dof + PRIOR_DOF)
-    found = [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in causes if not cause.from_change]
-    if len(blocks) > 1:
-        found += [_changed(evidence, cause, whole, prior, noise) for cause in causes if cause.from_change]
+    found = _explained(evidence, causes, blocks, prior, noise)
     ranked = sorted(found, key=lambda f: -f.evidence)
     significant = [f for f in ranked if f.significant]
     if refused > MOSTLY and not significant:
@@ -250,6 +131,34 @@ def judge(
         calibration_px=calibration_px,
     )
     return replace(out, verdict="inconsistent" if refused > MOSTLY else _verdict(out))
+
+
+def _explained(
+    evidence: Evidence, causes: tuple[Cause, ...], blocks: list[Block], prior: Array, noise: Noise
+) -> list[Finding]:
+    """Return what the sums say of each cause; of two cameras at once only where each alone may have moved."""
+    whole = _total(blocks, evidence.size)
+    static = [cause for cause in causes if not cause.from_change]
+    found = [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in static if len(cause.cameras) < 2]
+    suspects = {f.cause.cameras[0] for f in found if f.cause.cameras and f.gain > SUSPECT}
+    both = [cause for cause in static if len(cause.cameras) > 1 and suspects.issuperset(cause.cameras)]
+    found += [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in both]
+    if len(blocks) > 1:
+        found += [_changed(evidence, cause, whole, prior, noise) for cause in causes if cause.from_change]
+    return found
+
+
+def possible(evidence: Evidence) -> tuple[Cause, ...]:
+    """Return all causes that may be told of a setup."""
+    of_these = causes_of if evidence.setup.rig.is_pair else cameras.causes_of_cameras
+    return of_these(evidence.setup, evidence.basis)
+
+
+def _widths(evidence: Evidence) -> Array:
+    scale_only, setup = evidence.basis.shape[2] == 1, evidence.setup
+    if setup.rig.is_pair:
+        return parameter_widths(evidence.size, scale_only=scale_only)
+    return cameras.widths(len(setup.rig.cameras), evidence.size, scale_only=scale_only)
 
 
 def _of_board(evidence: Evidence) -> tuple[float, float]:
@@ -278,7 +187,13 @@ def prior_root(setup: Setup, size: int) -> Array:
     """Return L (q, p) with L L' the covariance of the parameters that rig and target bring; p may be 0."""
     n, C = len(RIG_PARAMETERS), setup.covariance
     covariance = np.zeros((size, size))
-    if len(C) == size - 1:
+    if not setup.rig.is_pair:
+        v = len(setup.rig.cameras)
+        at, target = cameras.places(v), np.arange(cameras.pose_at(v, v), size - v)
+        at = np.append(at, target) if len(C) == len(at) + len(target) else at
+        C = C[: len(at), : len(at)]
+        covariance[np.ix_(at, at)] = C if len(C) else 0.0
+    elif len(C) == size - 1:
         covariance[:-1, :-1] = C
     elif len(C):
         covariance[:n, :n] = C[:n, :n]

@@ -12,9 +12,10 @@ from armsight.arrays import Array, Index
 from armsight.measure.consistency import kernels
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pose import stack_spots
-from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.setup import Setup, n_parameters
 from armsight.measure.poses.tracking import positions_of
-from armsight.optics import RIG_PARAMETERS
+from armsight.optics import PackedRig
+from armsight.records import frozen_array
 
 MOST_LIGHTS = 12
 """Lights up to which each one's place is a parameter; of larger targets and boards only the scale is."""
@@ -68,7 +69,8 @@ class Block:
 class Frame:
     """One frame with a complete pose: lights (n,) as rows of the model, their pixels and residuals, positions (m, 3).
 
-    claimed: what the pose's covariance says, trace of the position and of the rotation.
+    [light, view] are of the rig by which it is judged (rig_of). claimed: what the pose's covariance says, trace of the
+    position and of the rotation.
     """
 
     t_s: float
@@ -95,8 +97,9 @@ class FrameStatistics:
 
 @dataclass(slots=True, eq=False)
 class Evidence:
-    """The sums. basis (m, 3, p): how the lights' positions follow the target's p parameters; size q = 26 + p + 1.
+    """The sums. basis (m, 3, p): how the lights' positions follow the target's p parameters; size q: of all parameters.
 
+    rig: see rig_of.
     shift_m2, shift_rad2 (q, q): x' shift x is the sum over frames of the squared move of the position (rotation) that
     an error x of the parameters makes. claimed_m2, claimed_rad2: sums of the claimed variances.
     residual_px2: sum of the squared 2-D residuals, of which there are so many.
@@ -104,6 +107,7 @@ class Evidence:
 
     setup: Setup
     basis: Array
+    rig: PackedRig
     blocks: list[Block] = field(default_factory=list)
     shift_m2: Array = field(init=False)
     shift_rad2: Array = field(init=False)
@@ -126,12 +130,12 @@ class Evidence:
     @classmethod
     def of(cls, setup: Setup) -> Evidence:
         """Return the empty sums of a setup."""
-        return cls(setup, target_basis(setup))
+        return cls(setup, target_basis(setup), rig_of(setup))
 
     @property
     def size(self) -> int:
         """How many parameters there are."""
-        return len(RIG_PARAMETERS) + int(self.basis.shape[2]) + 1
+        return n_parameters(self.rig) + int(self.basis.shape[2]) + len(self.rig.k) - 1
 
     def add(self, measured: Measured) -> None:
         """Take one moment, in the order of time. A frame is counted when the next one has told how fast it moved."""
@@ -151,9 +155,8 @@ class Evidence:
         """Return chi-square, N (q, q), b (q,), S (6, q) and the covariance (6, 6) by the spots' noise of a frame."""
         N, b, S = np.empty((self.size, self.size)), np.empty(self.size), np.empty((6, self.size))
         C = np.empty((6, 6))
-        packed = self.setup.packed
         chi2 = kernels.frame_evidence(
-            packed.arrays,
+            self.rig.arrays,
             (self.setup.model.xyz_m[frame.lights], self.basis[frame.lights]),
             frame.T,
             frame.cov_px2,
@@ -178,13 +181,16 @@ class Evidence:
         if found is None:
             return
         chi2, N, b, S, _ = found
-        seen = FrameStatistics(frame.t_s, chi2, 4.0 * len(frame.lights) - 6.0, N, b, self._weight(frame))
+        dof = 2.0 * int(np.isfinite(frame.cov_px2[..., 0, 0]).sum()) - 6.0
+        if dof <= 0.0:
+            return
+        seen = FrameStatistics(frame.t_s, chi2, dof, N, b, self._weight(frame))
         self.shift_m2 += S[:3].T @ S[:3]
         self.shift_rad2 += S[3:].T @ S[3:]
         self.claimed_m2 += frame.claimed[0]
         self.claimed_rad2 += frame.claimed[1]
         self.residual_px2 += float((frame.residual_px**2).sum())
-        self.residuals += 2 * len(frame.lights)
+        self.residuals += int(0.5 * dof) + 3
         self.frames += 1
         self._window.append(seen)
         self._waiting += 1
@@ -218,10 +224,11 @@ class Evidence:
             anchor is None
             or len(anchor.lights) != len(frame.lights)
             or (anchor.lights != frame.lights).any()
-            or np.abs(anchor.uv_px - frame.uv_px).max() > STILL_PX
+            or not np.nanmax(np.abs(anchor.uv_px - frame.uv_px), initial=0.0) <= STILL_PX
         ):
             self._anchor, self._still = frame, 0
-        variance = float(np.einsum("nsii->", frame.cov_px2)) / (4.0 * len(frame.lights))
+        seen = np.isfinite(frame.cov_px2[..., :1, :1])
+        variance = float(np.einsum("nsii->", np.where(seen, frame.cov_px2, 0.0))) / (2.0 * int(seen.sum()))
         weight = 1.0 / (1.0 + self._still * BIAS_PX**2 / variance) ** 2
         self._still += 1
         return weight
@@ -236,6 +243,24 @@ class Evidence:
             self._per_block *= 2
         self.blocks.append(Block(t_s, np.zeros((self.size, self.size)), np.zeros(self.size)))
         return self.blocks[-1]
+
+
+def rig_of(setup: Setup) -> PackedRig:
+    """Return the rig by whose parameters a run is judged: a pair itself, the left camera held.
+
+    Of any other the poses of all cameras may be wrong, and none is held: a camera that sees nothing stands before them.
+    """
+    rig = setup.packed
+    if setup.rig.is_pair:
+        return rig
+    v = len(rig.k) + 1
+    return PackedRig(
+        k=frozen_array("k", rig.k[[0, *range(v - 1)]], (v, 12)),
+        R=frozen_array("R", rig.R[[0, *range(v - 1)]], (v, 3, 3)),
+        t=frozen_array("t", rig.t[[0, *range(v - 1)]], (v, 3)),
+        baseline=rig.baseline,
+        covariance=rig.covariance,
+    )
 
 
 def target_basis(setup: Setup) -> Array:
@@ -259,7 +284,7 @@ def frame_of(setup: Setup, measured: Measured) -> Frame | None:
     else:
         index_of = {name: i for i, name in enumerate(names)}
         lights = np.array([index_of[name] for name in measured.names])
-    uv, cov = stack_spots((measured.left, measured.right))
+    uv, cov, residual = _views(setup, measured)
     variances = np.diag(pose.covariance)
     return Frame(
         t_s=pose.t_s,
@@ -267,10 +292,25 @@ def frame_of(setup: Setup, measured: Measured) -> Frame | None:
         T=np.array(pose.T_parent_target),
         uv_px=uv,
         cov_px2=cov,
-        residual_px=np.array(pose.residual_px).reshape(-1, 2, 2),
+        residual_px=residual,
         positions_m=positions_of(setup, pose.T_parent_target),
         claimed=(float(variances[:3].sum()), float(variances[3:].sum())),
     )
+
+
+def _views(setup: Setup, measured: Measured) -> tuple[Array, Array, Array]:
+    """Return pixels, covariances and residuals [light, view] of the rig by which a moment is judged, see rig_of."""
+    residual_px = np.array(measured.pose.residual_px)
+    if setup.rig.is_pair:
+        return *stack_spots(measured.spots), residual_px.reshape(-1, 2, 2)
+    n, v = len(measured.names), len(measured.spots) + 1
+    shown = np.zeros((n, v), bool)
+    shown[:, 1:] = True if measured.sights is None else measured.sights
+    uv, cov, residual = np.full((n, v, 2), np.nan), np.full((n, v, 2, 2), np.inf), np.zeros((n, v, 2))
+    for s, spots in enumerate(measured.spots, start=1):
+        uv[shown[:, s], s], cov[shown[:, s], s] = spots.uv_px, spots.covariance_px2
+    residual[shown] = residual_px.reshape(-1, 2)
+    return uv, cov, residual
 
 
 def velocity_of(before: Frame | None, frame: Frame, after: Frame | None) -> Array:

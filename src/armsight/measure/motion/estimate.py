@@ -84,7 +84,7 @@ def smooth(
     t = np.array([view.t_s for view in views])
     if len(starts) == 0 or starts[0].view != 0 or np.any(np.diff(t) < 0.0):
         raise Inconsistent("views come in the order of time, and a track begins with the first of them")
-    rig, X = packed.arrays, np.ascontiguousarray(positions_m)
+    rig, X = packed.arrays, for_kernels(positions_m)
     seen, order = _columns(views, t, np.zeros(0))
     jerk = _strength(seen, rig, X, _begin(len(t), order, starts, t))
     rows, order = _columns(views, t, at_s)
@@ -210,7 +210,7 @@ class Filtered:
         """Return the filter of a motion of strength jerk (n,) over n views. See smooth."""
         t = np.array([view.t_s for view in views])
         rows, order = _columns(views, t, np.zeros(0))
-        run, none = cls.empty(rows, packed.arrays, np.ascontiguousarray(positions_m), jerk), np.zeros((len(t), N, 0))
+        run, none = cls.empty(rows, packed.arrays, for_kernels(positions_m), jerk), np.zeros((len(t), N, 0))
         lines = np.zeros((len(rows.tau), 0)), np.zeros(0)
         run.fill(_begin(len(t), order, starts, t), lines, (none, none), (np.zeros((0, 0)), np.zeros(0)))
         return run

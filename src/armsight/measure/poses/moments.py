@@ -5,16 +5,16 @@ Two cameras go their own way, `pipeline.measure_pair`. What other numbers of cam
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.errors import Unseen, UsageError
+from armsight.errors import Inconsistent, Unseen, UsageError
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
-from armsight.measure.poses.pipeline import NOT_OF_THE_RIG, check_size, measure_pair
+from armsight.measure.poses.pipeline import check_sizes, measure_pair
 from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import MOST_UNNAMED
@@ -23,9 +23,16 @@ from armsight.measure.poses.views import measure_views
 from armsight.measure.spots import find_candidates, track_spots
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
 
+IDLE_LOOKS, LOOK_AGAIN = 24, 30
+"""Moments, one after the other, in which a camera that took no part is searched as a whole; and then one of so many."""
 
-def measure_moment(setup: Setup, frames: Sequence[Frame | None], track: Track | None = None) -> Measured:
+
+def measure_moment(
+    setup: Setup, frames: Sequence[Frame | None], track: Track | None = None, whole: Collection[int] = ()
+) -> Measured:
     """Return the target's pose from the frames of one moment, None where a camera has none.
+
+    whole: views that are searched as a whole where the others are looked at in windows.
 
     A light counts that one camera shows, but for a rig of two: see measure_pair. Raises UsageError for a target that
     needs two cameras, where the frames are not one for each camera, and as measure_pair.
@@ -35,9 +42,7 @@ def measure_moment(setup: Setup, frames: Sequence[Frame | None], track: Track | 
     if not there:
         raise UsageError("a moment without any frame", consequence="It has no time", cure="Leave it out")
     t_s = float(np.mean([frame.t_s for frame in there]))
-    for name, frame in zip(setup.rig.names, frames, strict=True):
-        if frame is not None:
-            check_size(setup.rig, name, frame, NOT_OF_THE_RIG)
+    check_sizes(setup.rig, frames)
     if len(frames) == TWO:
         left, right = frames
         if left is None or right is None:
@@ -46,7 +51,7 @@ def measure_moment(setup: Setup, frames: Sequence[Frame | None], track: Track | 
         return measure_pair(setup, left, right, track)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
-    measured = _by_windows(setup, frames, t_s, track) if track is not None and track.complete else None
+    measured = _by_windows(setup, frames, t_s, track, whole) if track is not None and track.complete else None
     if measured is None:
         seen = [_spots(setup, s, frame) for s, frame in enumerate(frames)]
         measured = measure_views(setup, t_s, seen, track, frames)
@@ -77,7 +82,9 @@ def _spots(setup: Setup, s: int, frame: Frame | None) -> Spots:
     return found.measure(found.positions() if found.quiet else found.positions(MOST_UNNAMED))
 
 
-def _by_windows(setup: Setup, frames: Sequence[Frame | None], t_s: float, track: Track) -> Measured | None:
+def _by_windows(
+    setup: Setup, frames: Sequence[Frame | None], t_s: float, track: Track, whole: Collection[int]
+) -> Measured | None:
     """Return the pose from what is found in windows around the predicted spots; None where that is too little.
 
     Windows are where a light is expected inside a picture: what is not found there need not be, it may be hidden, and
@@ -86,7 +93,10 @@ def _by_windows(setup: Setup, frames: Sequence[Frame | None], t_s: float, track:
     n, v, packed = len(track.names), len(frames), setup.packed
     predicted, at = np.empty((n, 3)), np.empty((v, n, 2))
     kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, t_s - track.t_s, predicted, at)
-    seen = [_in_view(setup, s, frame, at[s], track.half_window_px) for s, frame in enumerate(frames)]
+    seen = [
+        _spots(setup, s, frame) if s in whole else _in_view(setup, s, frame, at[s], track.half_window_px)
+        for s, frame in enumerate(frames)
+    ]
     measured = measure_views(setup, t_s, seen, track, frames, in_windows=True)
     if measured.pose.status is not PoseStatus.OK or measured.track is None or measured.sights is None:
         return None
@@ -107,3 +117,50 @@ def _in_view(setup: Setup, s: int, frame: Frame | None, at: Array, half_px: int)
     if not inside.any():
         return Spots.none()
     return track_spots(frame.image, at[inside], half_px, setup.sides[s])[0]
+
+
+# A target followed over moments: each tells the next where to look, and what shows nothing is lost.
+
+
+class TargetTracker:
+    """Measures moment after moment. track: where the lights are looked for next; swapped: of the latest moment, where
+    the views of a pair look exchanged, which one moment cannot decide. without: cameras that are not looked at."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self.track: Track | None = None
+        self.swapped: Inconsistent | None = None
+        self.without: tuple[str, ...] = ()
+        self._idle = [0] * len(setup.rig.cameras)
+
+    def take(self, *frames: Frame | None) -> Measured:
+        """Return what is measured; a pose that is lost, with the reason, where a frame cannot be read or the views look
+        exchanged. Of other cameras than two a frame that cannot be read is a missing view. Raises Inconsistent where a
+        frame is not of the size of the rig's camera, UsageError as measure_moment."""
+        check_sizes(self._setup.rig, frames)
+        self.swapped = None
+        broken = [frame for frame in frames if frame is not None and frame.unreadable]
+        seen = [
+            None if frame is None or frame.unreadable or name in self.without else frame
+            for name, frame in zip(self._setup.rig.names, frames, strict=True)
+        ]
+        if broken and (len(frames) == TWO or not any(seen)):
+            measured = lost_frames(frames, f"{broken[0].source}: {broken[0].unreadable}", Unseen.UNREADABLE)
+        elif not any(seen):
+            measured = lost_frames(frames, "no camera has a picture", Unseen.UNREADABLE)
+        else:
+            whole = [s for s, n in enumerate(self._idle) if 0 < n <= IDLE_LOOKS or n % LOOK_AGAIN == LOOK_AGAIN - 1]
+            try:
+                measured = measure_moment(self._setup, seen, self.track, whole)
+            except Inconsistent as error:
+                self.swapped = error
+                measured = lost_frames(frames, error.cause, Unseen.SWAPPED)
+            self._idle = [0 if len(one) else n + 1 for one, n in zip(measured.spots, self._idle, strict=True)]
+        self.track = measured.track
+        return measured
+
+
+def lost_frames(frames: Sequence[Frame | None], why: str, cause: Unseen = Unseen.OTHER) -> Measured:
+    """Return the record of a moment that gave nothing."""
+    t_s = float(np.mean([frame.t_s for frame in frames if frame is not None]))
+    return lost_moment(t_s, (Spots.none(),) * len(frames), NotSeen(why, cause))

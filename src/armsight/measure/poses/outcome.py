@@ -89,6 +89,19 @@ class Measured:
         """All spots of a pair's right view."""
         return self.seen[1]
 
+    def names_in(self, s: int) -> tuple[str, ...]:
+        """Return the names of the lights that view s shows, in the order of its spots."""
+        if self.sights is None:
+            return self.names
+        return tuple(name for name, there in zip(self.names, self.sights[:, s].tolist(), strict=True) if there)
+
+    def residuals_px(self, s: int) -> Array:
+        """Return the residuals (n, 2) of view s, model minus measured, in the order of its spots."""
+        if self.sights is None:
+            return self.pose.residual_px.reshape(-1, len(self.spots), 2)[:, s]
+        views = np.nonzero(self.sights)[1]
+        return np.asarray(self.pose.residual_px.reshape(-1, 2)[views == s])
+
     @property
     def missed(self) -> NotSeen:
         """Why the pose is not whole."""

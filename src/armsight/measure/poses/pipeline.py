@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, nex
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
-from armsight.optics import RIG_PARAMETERS, SIDES, Camera, Rig, parallel_rig
+from armsight.optics import RIG_PARAMETERS, Camera, Rig, parallel_rig
 from armsight.records import (
     Frame,
     NamedCovariance,
@@ -51,7 +52,7 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     where left and right are swapped. What can happen to a good recording (a light hidden, a reflection, nobody
     there) raises nothing: the status and `why` of the pose say it.
     """
-    check_sizes(setup.rig, left, right)
+    check_sizes(setup.rig, (left, right))
     measured = _measure(setup, left, right, track)
     # a board is judged corner by corner: of real ones print and lens leave more than the corners' noise
     return measured if setup.target.is_board else doubted(measured)
@@ -218,10 +219,11 @@ def _warm_up_doubt(rig: Rig, xyz_m: Array) -> None:
     measure_spots(setup, 0.0, left, right)
 
 
-def check_sizes(rig: Rig, left: Frame, right: Frame, consequence: str = NOT_OF_THE_RIG) -> None:
-    """Raise Inconsistent, with the consequence, where a frame is not of the size of the rig's camera."""
-    for side, frame in zip(SIDES, (left, right), strict=True):
-        check_size(rig, side, frame, consequence)
+def check_sizes(rig: Rig, frames: Sequence[Frame | None], consequence: str = NOT_OF_THE_RIG) -> None:
+    """Raise Inconsistent, with the consequence, where a frame of a moment is not of the size of the rig's camera."""
+    for name, frame in zip(rig.names, frames, strict=True):
+        if frame is not None:
+            check_size(rig, name, frame, consequence)
 
 
 def check_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
@@ -280,38 +282,3 @@ def _in_windows(frame: Frame, expected: Array, half_window_px: int, settings: Sp
     if order == whole:
         return spots
     return spots.take(np.argsort(of)) if sorted(order) == whole else None
-
-
-# A target followed over pairs of frames: each pair tells the next where to look, and what shows nothing is lost.
-
-
-class TargetTracker:
-    """Measures pair after pair. track: where the lights are looked for next; swapped: of the latest pair, where its
-    views look exchanged, which one pair cannot decide."""
-
-    def __init__(self, setup: Setup) -> None:
-        self._setup = setup
-        self.track: Track | None = None
-        self.swapped: Inconsistent | None = None
-
-    def take(self, left: Frame, right: Frame) -> Measured:
-        """Return what is measured; a pose that is lost, with the reason, where a frame cannot be read or the views look
-        exchanged. Raises Inconsistent where a frame is not of the size of the rig's camera."""
-        check_sizes(self._setup.rig, left, right)
-        self.swapped = None
-        unreadable = [f"{frame.source}: {frame.unreadable}" for frame in (left, right) if frame.unreadable]
-        if unreadable:
-            measured = lost_pair((left, right), unreadable[0], Unseen.UNREADABLE)
-        else:
-            try:
-                measured = measure_pair(self._setup, left, right, self.track)
-            except Inconsistent as error:
-                self.swapped = error
-                measured = lost_pair((left, right), error.cause, Unseen.SWAPPED)
-        self.track = measured.track
-        return measured
-
-
-def lost_pair(pair: tuple[Frame, Frame], why: str, cause: Unseen = Unseen.OTHER) -> Measured:
-    """Return the record of a pair that gave nothing."""
-    return lost_moment(0.5 * (pair[0].t_s + pair[1].t_s), (Spots.none(),) * 2, NotSeen(why, cause))

@@ -128,7 +128,7 @@ class Setup:
     (0, 0) where the rig is as well. Both are taken as independent. sides: the settings of each camera, with the gain of
     its noise where the rig knows it, and with its own of masks, (h, w), in place of the settings' one.
     pace: how long a moment may take, and on how many cores. many: whether rigs of other cameras than left and right are
-    taken, which `measure_moment` and `measure_views` alone can use.
+    taken, as `measure_moment` and a run's check do.
     """
 
     rig: Rig
@@ -221,17 +221,35 @@ def rig_slack_px(rig: Rig) -> float:
 
     It is SHARED times the standard deviation of what two pixels of a point keep once the point is fitted to them.
     """
-    if rig.covariance is None:
+    if rig.covariance is None or len(rig.cameras) < 2:
         return SLACK_PX
+    point = _far_point(rig) if rig.is_pair else _shared_point(rig)
+    if not all(np.isfinite(uv).all() for uv in rig.project(point)):
+        return SLACK_PX
+    J = np.column_stack([_slope(_pixels(rig, point + h), _pixels(rig, point - h), POINT_STEP_M) for h in _steps(3)])
+    miss = np.linalg.svd(J)[0][:, 3:]  # (2 v, 2 v - 3): what no move of the point explains
+    names = tuple(name for name in rig.parameters if name in rig.covariance.names)
+    D = np.column_stack([_by_parameter(rig, name, point) for name in names])  # (2 v, p)
+    variance = miss.T @ D @ rig.covariance.block(names) @ D.T @ miss
+    if not rig.is_pair:  # of each pixel, in which a slack is counted
+        variance = np.diag(miss @ variance @ miss.T)
+    return max(SLACK_PX, SHARED * float(np.sqrt(variance.max())))
+
+
+def _far_point(rig: Rig) -> Array:
     axes = mean_axes(rig)
     middle = 0.5 * (np.asarray(rig.T_rig_left.translation) + np.asarray(rig.T_rig_right.translation))
-    point = middle + AWAY * rig.baseline_m * axes[:, 2]
-    J = np.column_stack([_slope(_pixels(rig, point + h), _pixels(rig, point - h), POINT_STEP_M) for h in _steps(3)])
-    miss = np.linalg.svd(J)[0][:, 3]  # (4,): what no move of the point explains
-    names = tuple(name for name in rig.parameters if name in rig.covariance.names)
-    D = np.column_stack([_by_parameter(rig, name, point) for name in names])  # (4, p)
-    variance = miss @ D @ rig.covariance.block(names) @ D.T @ miss
-    return max(SLACK_PX, SHARED * float(np.sqrt(variance)))
+    return np.asarray(middle + AWAY * rig.baseline_m * axes[:, 2])
+
+
+def _shared_point(rig: Rig) -> Array:
+    """Return the point nearest to all lines of sight through the pictures' middles."""
+    across = []
+    for one in rig.cameras:
+        z = np.asarray(one.T_rig_camera.rotation.as_matrix())[:, 2]
+        across.append(np.eye(3) - np.outer(z, z))
+    beside = [A @ np.asarray(one.T_rig_camera.translation) for A, one in zip(across, rig.cameras, strict=True)]
+    return np.asarray(np.linalg.lstsq(np.vstack(across), np.concatenate(beside), rcond=None)[0])
 
 
 def _steps(n: int) -> Array:
@@ -247,9 +265,9 @@ def _slope(plus: Array, minus: Array, step: float) -> Array:
 
 
 def _by_parameter(rig: Rig, name: str, point: Array) -> Array:
-    """Return d pixels (4,) of both views / d one of the rig's parameters."""
+    """Return d pixels (2 v,) of all views / d one of the rig's parameters."""
     i = rig.parameters.index(name)
-    size = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < 2 * len(INTRINSICS) else POSE_STEP
+    size = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < len(rig.cameras) * len(INTRINSICS) else POSE_STEP
     step = np.zeros(len(rig.parameters))
     step[i] = size
     return _slope(_pixels(moved_rig(rig, step), point), _pixels(moved_rig(rig, -step), point), size)

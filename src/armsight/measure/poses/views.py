@@ -18,6 +18,7 @@ import numpy as np
 from armsight.arrays import Array, Index
 from armsight.errors import Unseen
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE, RIVAL, match_known
+from armsight.measure.poses.kernels import completion
 from armsight.measure.poses.kernels import correspondence as likelihood
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import one_view as kernels
@@ -28,13 +29,13 @@ from armsight.measure.poses.outcome import Assignment, Measured, Track, doubted,
 from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
 from armsight.measure.poses.pose import PoseSolution, lost, no_points
 from armsight.measure.poses.setup import Setup, fit_limit
+from armsight.measure.poses.sights import Sights
 from armsight.measure.poses.solving import (
     Views,
     compare,
     named_spots,
     solve_views,
     take_spots,
-    views_of,
     why_hidden,
     widen,
 )
@@ -72,53 +73,6 @@ ELSEWHERE = 18.4
 
 _ROUNDS = 3
 MOVED = "the lights are not where the target's motion puts them; the next moment tells"
-
-
-class Sights(NamedTuple):
-    """The spots of all views, one view after the other: uv_px (c, 2), cov_px2 (c, 2, 2), radius_m (c,) as Views has it.
-
-    first (v + 1,): where a view's own begin. by_view: the same as they were found.
-    """
-
-    uv_px: Array
-    cov_px2: Array
-    radius_m: Array
-    first: Index
-    by_view: tuple[Spots, ...]
-
-    @classmethod
-    def of(cls, setup: Setup, seen: Sequence[Spots]) -> Sights:
-        """Put the spots of each view one after the other."""
-        each = [views_of(setup, (spots,), (s,)) for s, spots in enumerate(seen)]
-        uv, cov, radius = (np.concatenate([getattr(one, name)[:, 0] for one in each]) for name in Views._fields[:3])
-        return cls(uv, cov, radius, np.cumsum([0, *map(len, seen)]), tuple(seen))
-
-    def named(self, setup: Setup, rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
-        """Return the names and the spots of the lights that some view shows: rows (m, v) as Hypothesis has them."""
-        lights = np.flatnonzero((rows >= 0).any(axis=1))
-        rows = rows[lights]
-        at, none = rows + self.first[:-1], rows < 0
-        at[none] = 0
-        uv, cov, radius = self.uv_px[at], self.cov_px2[at], self.radius_m[at]
-        uv[none], cov[none], radius[none] = np.nan, np.inf, 0.0
-        start = np.array(start)
-        start.setflags(write=False)  # as UNKNOWN: one compilation serves both
-        return tuple(setup.model.names[i] for i in lights.tolist()), Views(uv, cov, radius, start)
-
-    def taken(self, rows: Index) -> tuple[Spots, ...]:
-        """Return each view's spots of lights in the order of rows (n, v), of size 0 where it shows none."""
-        out = []
-        for spots, at in zip(self.by_view, rows.T, strict=True):
-            none = at < 0
-            if not none.any():
-                out.append(take_spots(spots, at))
-                continue
-            shown = spots.take(np.maximum(at, 0)) if len(spots) else _NO_SPOT.take(np.zeros(len(at), np.intp))
-            out.append(replace(shown, size_px=np.where(none, 0.0, shown.size_px)))
-        return tuple(out)
-
-
-_NO_SPOT = Spots.of_centres(np.zeros((1, 2)), np.eye(2))
 
 
 class Hypothesis(NamedTuple):
@@ -304,7 +258,7 @@ def completed(setup: Setup, seen: Sights, way: Hypothesis) -> Hypothesis | None:
     rows, packed, own = way.rows.copy(), setup.packed, way.n
     X, spots, near = setup.model.xyz_m, (seen.uv_px, seen.cov_px2, seen.first), (setup.slack_px**2, PAIR_GATE)
     for _ in range(_ROUNDS):
-        if not kernels.complete(packed.arrays, X, way.T, way.C, packed.covariance, spots, near, rows):
+        if not completion.complete(packed.arrays, X, way.T, way.C, packed.covariance, spots, near, rows):
             break
         if (rows >= 0).sum() < FEWEST or (rows >= 0).any(axis=1).sum() < 3:
             return None

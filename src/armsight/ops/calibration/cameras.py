@@ -14,12 +14,14 @@ from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras.result import as_setting
 from armsight.calibrate.cameras.zoom import settings_of
-from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource, ImageReading, PairSource, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource, ImageReading, MomentSource, is_live
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
 from armsight.ops.calibration.board_pictures import BoardPictures
 from armsight.ops.calibration.camera_noise import find_noise, require_size
-from armsight.ops.sources.frames import open_pairs, open_source
+from armsight.ops.sources.cameras import open_rig
+from armsight.ops.sources.frames import open_source
+from armsight.optics import SIDES
 from armsight.records import BoardView, Frame, NoiseModel, NotSeen, Progress, Silent, Target
 from armsight.records.result_parts import RejectedFile
 from armsight.store.targets import board_text
@@ -27,7 +29,7 @@ from armsight.store.zoom import with_setting
 
 Moment = Frame | tuple[Frame, Frame]
 """An image of one camera, or those of two."""
-Moments = FrameSource | PairSource | Sequence[Moment]
+Moments = FrameSource | MomentSource | Sequence[Moment]
 
 
 class FoundBoards(NamedTuple):
@@ -60,7 +62,7 @@ def open_images(
             return open_source(first, colour=colour, settings=settings, reading=reading)
         return nullcontext(first)
     if isinstance(first, str) and isinstance(others[0], str):
-        return open_pairs(first, others[0], settings=settings, reading=reading)
+        return open_rig(SIDES, first, others[0], settings=settings, reading=reading)
     ready = [_in_memory(one, settings, reading) for one in images]
     if len(ready[0]) != len(ready[1]):
         raise Inconsistent(

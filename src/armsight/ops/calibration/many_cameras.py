@@ -7,25 +7,30 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
 
+from scipy.spatial.transform import RigidTransform
+
 from armsight.calibrate.cameras import BoardOptions, CamerasCalibration
 from armsight.calibrate.cameras.many import extend_rig, solve_cameras
 from armsight.calibrate.cameras.many_checks import KnownLens
 from armsight.calibrate.cameras.many_result import result_of
+from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.ops.calibration.board_images import Seen, count_again, in_parallel, require_counts, see_board
-from armsight.ops.calibration.board_pictures import BoardPictures
+from armsight.measure.settings import SpotSettings
+from armsight.ops.calibration.board_images import Keeper, Seen, in_parallel
+from armsight.ops.calibration.shown import Eye, Glimpse, look_again, require_lenses, require_shown, words_of
+from armsight.ops.sources.cameras import require_own_sources
 from armsight.ops.sources.frames import is_recording, open_source
 from armsight.optics import Rig
-from armsight.optics.mounted import MOST_CAMERAS, require_camera_name
+from armsight.optics.mounted import MOST_CAMERAS, MountedCamera, require_camera_name
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.store import CameraFile
 from armsight.store.bags import is_bag
-from armsight.store.targets import board_text
 
 
 class Reading(NamedTuple):
-    """How images are read: frames a second of numbered images of a film, every n-th, so many, on so many threads."""
+    """How images are read: frames a second of numbered images of a film, every n-th, so many, on so many threads; how a
+    board or lights are looked for in them."""
 
     fps: float | None
     every: int
@@ -34,6 +39,7 @@ class Reading(NamedTuple):
     bits: int | None
     strict: bool
     detector: str
+    settings: SpotSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,6 +100,14 @@ class Wanted:
         file = self.lenses[name]
         return KnownLens(camera=file.camera, covariance=None if self.hold_lenses else file.covariance)
 
+    @property
+    def cameras_known(self) -> dict[str, MountedCamera]:
+        """The cameras whose lens is known before, each in axes of its own."""
+        known = {} if self.rig is None else {name: self.rig.camera(name) for name in self.rig.names}
+        known |= {name: file.camera for name, file in self.lenses.items()}
+        back = RigidTransform.identity()
+        return {name: MountedCamera(name=name, camera=one, T_rig_camera=back) for name, one in known.items()}
+
 
 class SeenByAll(NamedTuple):
     """What each camera saw at each moment, None where nothing; its times, None where there are none; n: moments."""
@@ -119,38 +133,30 @@ def require_names(given: Mapping[str, object], known: Sequence[str] = ()) -> Non
             if n < 2
             else "Leave some away; further ones make a second rig",
         )
-    by_source: dict[str, str] = {}
-    for name, source in given.items():
-        if isinstance(source, str) and (other := by_source.setdefault(source, name)) != name:
-            raise UsageError(
-                f"{other} and {name} are two names for one source, {source}",
-                consequence="One camera would be placed twice",
-                cure=f"Give {name} its own images",
-            )
+    require_own_sources({name: source for name, source in given.items() if isinstance(source, str)})
 
 
 def see_all(
-    sources: Mapping[str, str | Sequence[Frame]],
-    board: Target,
-    reading: Reading,
-    pictures: BoardPictures,
-    progress: Progress | None,
+    wanted: Wanted, shown: Target | TwoSided, reading: Reading, pictures: Keeper, progress: Progress | None
 ) -> SeenByAll:
-    """Return the board in every camera's images, moment by moment.
+    """Return what is shown as every camera's images show it, moment by moment.
 
     Raises NotEnoughData, naming the camera, where none of its images shows it; Inconsistent for lists of different
-    length; UsageError for live cameras; Cancelled.
+    length; UsageError for live cameras, and for lights before lenses that are not known; Cancelled.
     """
     progress, views, times = progress or Silent(), dict[str, list[BoardView | None]](), dict[str, list[float]]()
+    sources, known = wanted.sources, wanted.cameras_known
+    require_lenses(tuple(sources), known, shown)
     for name, source in sources.items():
-        seen, times[name] = _see(name, source, board, reading, pictures, progress)
-        require_counts(seen, board, board_text(board))
+        eye = Eye(shown, reading.detector, pictures, known.get(name), reading.settings)
+        seen, times[name] = _see(name, source, eye, reading, progress)
+        require_shown(seen, shown)
         if seen and all(isinstance(one, NotSeen) for one in seen):
             why = next(one.why for one in seen if isinstance(one, NotSeen))
             raise NotEnoughData(
-                f"the board {board_text(board)} is in none of the {len(seen)} images of {name}; in the first: {why}",
+                f"the {eye.noun} {words_of(shown)} is in none of the {len(seen)} images of {name}; in the first: {why}",
                 consequence=f"Where {name} stands is open, and nothing was calibrated",
-                cure=f"{count_again(board)} of {name}; or leave that camera away",
+                cure=f"{look_again(shown, why)}; or leave the camera {name} away",
             )
         views[name] = [one if isinstance(one, BoardView) else None for one in seen]
     counts = {name: len(each) for name, each in views.items()}
@@ -172,12 +178,7 @@ def _has_times(source: str | Sequence[Frame], reading: Reading) -> bool:
 
 
 def _see(
-    name: str,
-    source: str | Sequence[Frame],
-    board: Target,
-    reading: Reading,
-    pictures: BoardPictures,
-    progress: Progress,
+    name: str, source: str | Sequence[Frame], eye: Eye, reading: Reading, progress: Progress
 ) -> tuple[list[Seen], list[float]]:
     """Return what one camera saw in each image, and the images' times."""
     if isinstance(source, str) and is_live(source):
@@ -187,31 +188,31 @@ def _see(
             cure="Record them first (armsight record, or a program of theirs), and give the films or folders",
         )
     stop = None if reading.limit is None else reading.limit * reading.every
-    seen, times = list[Seen](), list[float]()
+    seen, times = list[Seen | Glimpse](), list[float]()
 
-    def see(frame: Frame) -> tuple[float, Seen]:
-        return frame.t_s, see_board(frame, board, reading.detector, pictures)
+    def see(frame: Frame) -> tuple[float, Seen | Glimpse]:
+        return frame.t_s, eye.see(frame)
 
     def read(frames: Any) -> None:
         for t_s, one in in_parallel(see, islice(frames, 0, stop, reading.every), workers=reading.workers):
             seen.append(one)
             times.append(t_s)
-            progress.update(len(seen), 0, f"finding the board, {name}")
+            progress.update(len(seen), 0, f"finding the {eye.noun}, {name}")
             if progress.cancelled():
                 raise Cancelled(f"stopped after {len(seen)} images of {name}", consequence="Nothing was written")
 
     if not isinstance(source, str):
         read(source)
-        return seen, times
+        return eye.told(seen), times
     files = ImageReading(bits=reading.bits, strict=reading.strict)
     fps = None if is_video(source) or is_recording(source) or is_bag(source) else reading.fps
     with open_source(source, fps=fps, settings=AUTOMATIC, reading=files) as frames:
         read(frames)
-    return seen, times
+    return eye.told(seen), times
 
 
 def solved(
-    wanted: Wanted, seen: SeenByAll, board: Target, options: BoardOptions, progress: Progress | None
+    wanted: Wanted, seen: SeenByAll, shown: Target | TwoSided, options: BoardOptions, progress: Progress | None
 ) -> CamerasCalibration:
     """Return the rig that is wanted; raises as solve_cameras and extend_rig."""
     if progress is not None:
@@ -220,8 +221,8 @@ def solved(
     name, rig = wanted.new, wanted.rig
     times = seen.times_s
     if rig is None or name is None:
-        done = solve_cameras(seen.views, board, options, lenses=lenses, times_s=times, progress=progress)
+        done = solve_cameras(seen.views, shown, options, lenses=lenses, times_s=times, progress=progress)
         return result_of(done, seen.n)
     own = lenses.get(name)
-    done, whole = extend_rig(rig, name, seen.views, board, options, lens=own, times_s=times, progress=progress)
+    done, whole = extend_rig(rig, name, seen.views, shown, options, lens=own, times_s=times, progress=progress)
     return result_of(done, seen.n, whole, frozenset(rig.names) - {name})

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.tooltip import TipRecording
 from armsight.calibrate.tooltip_result import PivotCalibration
-from armsight.drivers import PairSource
+from armsight.drivers import MomentSource
 from armsight.errors import NotEnoughData
-from armsight.measure.poses.pipeline import Setup, TargetTracker
+from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.poses.pipeline import Setup
 from armsight.records import PoseStatus, Progress, TargetPose
 from armsight.records.output import extended
 
@@ -20,7 +21,7 @@ APART_RAD = 0.03
 """Turn since the last pose taken: poses closer than 2 degrees tell nearly the same twice."""
 
 
-def pivot(setup: Setup, pairs: PairSource, recording: TipRecording, progress: Progress) -> PivotCalibration:
+def pivot(setup: Setup, pairs: MomentSource, recording: TipRecording, progress: Progress) -> PivotCalibration:
     """Return the tip from frames while the tool pivots, as soon as it is known well enough.
 
     Stops where every coordinate's standard deviation is below the goal, at the end of the frames, or when cancelled.
@@ -28,7 +29,7 @@ def pivot(setup: Setup, pairs: PairSource, recording: TipRecording, progress: Pr
     """
     tracker = TargetTracker(setup)
     with pairs:
-        recording, taken = pivoted((tracker.take(left, right).pose for left, right in pairs), recording, progress)
+        recording, taken = pivoted((tracker.take(*moment).pose for moment in pairs), recording, progress)
     if recording.latest is None:
         raise NotEnoughData(
             f"the tip was not found from {len(taken)} poses: {recording.waiting}",

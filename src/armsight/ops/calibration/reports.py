@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
+from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.calibrate.mirrors.result import MirrorsOutput
 from armsight.ops.calibration.board_pictures import BoardPictures, camera_boards, many_boards, rig_boards
+from armsight.ops.calibration.shown import front_of, words_of
 from armsight.records import Target
 from armsight.report import calibration_report
 from armsight.store import write_text
@@ -28,9 +30,11 @@ def write_stereo_report(out: Path, done: StereoCalibration, board: Target, pictu
     write_text(out.with_suffix(".report.html"), page)
 
 
-def write_cameras_report(out: Path, done: CamerasCalibration, board: Target, pictures: BoardPictures) -> None:
+def write_cameras_report(
+    out: Path, done: CamerasCalibration, shown: Target | TwoSided, pictures: BoardPictures
+) -> None:
     """Write the report of the calibration of some cameras beside its file."""
-    page = calibration_report(done, board_text(board), many_boards(done, board, pictures))
+    page = calibration_report(done, words_of(shown), many_boards(done, front_of(shown), pictures))
     write_text(out.with_suffix(".report.html"), page)
 
 

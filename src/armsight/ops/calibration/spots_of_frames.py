@@ -12,7 +12,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.calibrate.light_target import LitFrame
 from armsight.clock import SystemClock
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, is_live, pairs_of
 from armsight.errors import Cancelled, UsageError
 from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.pairs import pair_spots
@@ -167,13 +167,13 @@ def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots, *, overla
 
 
 def lit_frames(
-    rig: Rig, pairs: PairSource, settings: SpotSettings, limit: int | None, progress: Progress
+    rig: Rig, pairs: MomentSource, settings: SpotSettings, limit: int | None, progress: Progress
 ) -> list[LitFrame]:
     """Return the lights in pairs of frames, those that stand still left out. Raises DataRefused, Cancelled."""
     packed, seen = PackedRig.of(rig), []
     total = min(limit or pairs.total, pairs.total) if pairs.total else limit or 0
-    for left, right in islice(pairs, limit):
-        check_sizes(rig, left, right, "The calibration says nothing about such frames; no target is given")
+    for left, right in islice(pairs_of(pairs), limit):
+        check_sizes(rig, (left, right), "The calibration says nothing about such frames; no target is given")
         overlaid = left is right
         at_left = find_spots(left.image, settings)
         at_right = at_left if overlaid else find_spots(right.image, settings)

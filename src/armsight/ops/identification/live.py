@@ -17,7 +17,7 @@ from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
 from armsight.defaults import SWEEP_READINGS
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Robot, RobotTraits, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, Robot, RobotTraits, pairs_of
 from armsight.errors import ArmsightError, Cancelled, DataRefused, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
@@ -26,12 +26,10 @@ from armsight.ops.identification.left_out import FirstJoints, consequence, first
 from armsight.ops.identification.solve import solve_sweeps
 from armsight.ops.identify import SweepReadings
 from armsight.ops.measurement.warm_up import prepare
-from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
-from armsight.ops.robot.opening import refuse_settings, robot_of
-from armsight.ops.simulation.following import followed_cell
-from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.frames import open_pairs
-from armsight.optics import Rig
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.sources.cameras import named_cameras
+from armsight.ops.verification.live import open_supervised
+from armsight.optics import SIDES, Rig
 from armsight.records import Progress, Silent, Target
 from armsight.store import World
 from armsight.store.arm_points import write_sweeps
@@ -99,7 +97,7 @@ def identify_live(
     progress: Progress | None = None,
     *,
     clock: Clock | None = None,
-    devices: tuple[Robot, PairSource] | None = None,
+    devices: tuple[Robot, MomentSource] | None = None,
 ) -> Identification | ProposedPlanOutput:
     """Probe, plan, sweep and identify; return the arm, or the plan where that alone is asked for.
 
@@ -115,7 +113,7 @@ def identify_live(
     setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, mask))
     prepare(progress)  # a controller that waits for compilers gives the link up
     with robot, pairs:
-        observer = StereoBeaconObserver(setup, iter(pairs), clock)
+        observer = StereoBeaconObserver(setup, pairs_of(pairs), clock)
         done = identify_observed(sweeps, known, person, robot, observer, clock, progress)
     first = beacon_note(target.names[0], len(target.names))
     if isinstance(done, ProposedPlanOutput):
@@ -232,28 +230,11 @@ def _probe_question(robot: Robot, limits: Array) -> str:
 
 def open_devices(
     link: RobotJob, sources: tuple[str | None, str | None], settings: CameraSettings, target: Target, clock: Clock
-) -> tuple[Robot, PairSource]:
-    """Return the robot and the pairs that are named; nothing is opened yet. Raises UsageError, DeviceNotFound."""
-    if link.follow is not None:
-        refuse_cameras(link.follow, left=sources[0], right=sources[1])
-        settings.require_none(f"the simulated cell {link.follow}")
-        robot = robot_of(link, clock)
-        return robot, followed_cell(link.follow, robot, clock).pairs
-    left, right = require_views(*sources)
-    if link.robot.startswith(SIM):
-        refuse_settings(link)
-        name = link.robot.removeprefix(SIM)
-        for view, text in zip(("left", "right"), (left, right), strict=True):
-            if text != f"camera:sim:{name}:{view}":
-                raise UsageError(
-                    f"{text} does not see the simulated robot {link.robot}", cure=f"Give camera:sim:{name}:{view}"
-                )
-        settings.require_none(f"the simulated robot {link.robot}")
-        cell = live_cell(name, clock)
-        return cell.robot, cell.pairs
-    if not (is_live(left) and is_live(right)):
-        raise UsageError("a robot that moves needs live cameras", cure="Give camera:NAME for --left and --right")
-    return robot_of(link, clock), open_pairs(left, right, colour=target.colour is not None, settings=settings)
+) -> tuple[Robot, MomentSource]:
+    """Return the robot and the cameras that are named; nothing is opened yet. Raises as open_supervised."""
+    given = named_cameras({}, *sources)
+    seen = open_supervised(link, SIDES, given, target, clock, None, play=False, camera_settings=settings)
+    return seen.robot, seen.pairs
 
 
 def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:

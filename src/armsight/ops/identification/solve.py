@@ -12,7 +12,7 @@ from armsight.arrays import Image
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.identify.result import LeftOutJoint, PlanOutput
 from armsight.calibrate.identify.table import placed_by
-from armsight.drivers import is_video
+from armsight.drivers import is_video, pairs_of
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm
 from armsight.measure.poses.beacon import without_standing
@@ -21,7 +21,7 @@ from armsight.measure.poses.pipeline import Setup, check_sizes
 from armsight.measure.spots import find_spots
 from armsight.ops.identification.beacon_observer import SeenBeacon, beacon_note, beacon_of, beacon_settings
 from armsight.ops.identification.left_out import consequence, first_joints, named
-from armsight.ops.sources.frames import open_pairs
+from armsight.ops.sources.cameras import open_rig
 from armsight.optics import Rig
 from armsight.records import Progress, Spots, Target
 from armsight.store import World
@@ -122,15 +122,15 @@ class BeaconFrames:
         setup = Setup(rig=rig, target=target, settings=beacon_settings(target, self.mask))
         wanted = set(frames.tolist())
         spots: list[tuple[int, Spots, Spots]] = []
-        with open_pairs(self.left, self.right, colour=target.colour is not None) as pairs:
-            for count, (left, right) in enumerate(pairs):
+        with open_rig(rig.names, self.left, self.right, colour=target.colour is not None) as pairs:
+            for count, (left, right) in enumerate(pairs_of(pairs)):
                 # by time a frame without partner leaves no pair, and the next one keeps its number
                 number = left.sequence if is_video(self.left) else count
                 if progress.cancelled():
                     raise Cancelled("the frames were not read to the end", consequence="Nothing was written")
                 progress.update(count + 1, max(wanted) + 1, "looking for the beacon")
                 if number in wanted:
-                    check_sizes(setup.rig, left, right)
+                    check_sizes(setup.rig, (left, right))
                     at_left, at_right = (find_spots(frame.image, setup.settings) for frame in (left, right))
                     spots.append((number, at_left, at_right))
         name, seen, notes = beacons(setup, spots)

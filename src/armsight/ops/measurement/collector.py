@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,15 +12,18 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.file_names import MEASURE, REPORT
+from armsight.measure.consistency.findings import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup
-from armsight.measure.results import MeasureResult
-from armsight.optics import SIDES, ZoomState
-from armsight.records import Frame, PoseStatus, TargetPose
+from armsight.measure.results import CameraPart, MeasureResult
+from armsight.ops.measurement.outputs import Outputs
+from armsight.optics import ZoomState
+from armsight.records import Frame, PoseStatus, Progress, TargetPose
 from armsight.report import (
     MeasureRun,
     Sample,
     measure_report,
 )
+from armsight.report.residuals import distance_rms
 from armsight.store import World, write_text
 from armsight.store.atomic import write_json
 
@@ -58,7 +62,9 @@ class Collector:
     def __init__(self, setup: Setup, world: World | None = None) -> None:
         self._setup, self._world = setup, world
         self._poses: list[TargetPose] = []
-        self._residuals: dict[str, list[Array]] = {side: [] for side in SIDES}
+        self._residuals: dict[str, list[Array]] = {name: [] for name in setup.rig.names}
+        self._pictures: Counter[str] = Counter()
+        self._showing: Counter[str] = Counter()
         self._n_residuals = 0
         self._every = 1
         self._samples: dict[str, tuple[Sample, ...]] = {}
@@ -68,20 +74,51 @@ class Collector:
         """The poses so far, one per pair."""
         return self._poses
 
-    def add(self, left: Frame, right: Frame, measured: Measured, pose: TargetPose) -> None:
-        """Take one pair, what was measured in it, and its pose in the parent frame."""
+    def add(self, frames: Sequence[Frame | None], measured: Measured, pose: TargetPose) -> None:
+        """Take the frames of a moment, what was measured in them, and its pose in the parent frame."""
         number = len(self._poses)
+        self._add(number, measured, pose)
+        for name, frame in zip(self._setup.rig.names, frames, strict=True):
+            self._pictures[name] += frame is not None
+        self._keep_sample(number, frames, measured, pose)
+
+    def again(self, moments: Iterable[Measured], outputs: Outputs) -> None:
+        """Take all moments as they are solved anew, and write them: the images shown stay."""
+        self._poses.clear()
+        self._showing.clear()
+        self._every, self._n_residuals = 1, 0
+        for rows in self._residuals.values():
+            rows.clear()
+        for number, measured in enumerate(moments):
+            self._add(number, measured, outputs.add(measured))
+
+    def by_camera(self, consistency: Consistency) -> dict[str, CameraPart]:
+        """Return what each camera had of the run."""
+        why = {name: one.words for one in consistency.left_out for name in one.names}
+        return {
+            name: CameraPart(
+                n_frames=self._pictures[name],
+                n_used=self._showing[name],
+                rms_px=distance_rms([part[:, 1:] for part in rows]) if rows else None,
+                left_out=why.get(name),
+            )
+            for name, rows in self._residuals.items()
+        }
+
+    def _add(self, number: int, measured: Measured, pose: TargetPose) -> None:
         self._poses.append(pose)
         if number % self._every == 0:
-            self._keep_residuals(number, pose)
-        self._keep_sample(number, (left, right), measured, pose)
+            self._keep_residuals(number, measured)
+        for name, spots in zip(self._setup.rig.names, measured.spots, strict=True):
+            self._showing[name] += len(spots) > 0
 
     def truth(self, about: About) -> Sequence[RigidTransform] | None:
         """Return the true poses of the pairs so far, where they are known."""
         return None if about.truth is None else about.truth[: len(self._poses)]
 
-    def write(self, folder: Path, summary: MeasureResult, about: About) -> None:
-        """Write the report of the pairs so far, and their figures."""
+    def write(self, folder: Path, summary: MeasureResult, about: About, progress: Progress) -> None:
+        """Write the report of the moments so far, and their figures."""
+        progress.update(0, 0, "writing the report")
         run = MeasureRun(
             poses=self._poses,
             rig=self._setup.rig,
@@ -100,42 +137,43 @@ class Collector:
             recordings=about.recordings,
             assumptions=about.assumptions,
             consistency=summary.consistency,
+            by_camera=summary.by_camera or {},
             verdict=summary.verdict_,
         )
         write_text(folder / REPORT, measure_report(run))
         write_json(folder / MEASURE, summary.to_dict())
 
-    def _keep_residuals(self, number: int, pose: TargetPose) -> None:
-        vectors = pose.residual_px.reshape(-1, len(SIDES), 2)  # (n, side, u v), model minus measured
-        if not len(vectors):
-            return
-        for i, side in enumerate(SIDES):
-            self._residuals[side].append(np.column_stack([np.full(len(vectors), float(number)), -vectors[:, i]]))
-        self._n_residuals += len(vectors)
+    def _keep_residuals(self, number: int, measured: Measured) -> None:
+        most = 0
+        for s, rows in enumerate(self._residuals.values()):
+            vectors = measured.residuals_px(s)
+            if len(vectors):
+                rows.append(np.column_stack([np.full(len(vectors), float(number)), -vectors]))
+            most = max(most, len(vectors))
+        self._n_residuals += most
         if self._n_residuals > MAX_RESIDUALS:
             self._every *= 2
             for side, rows in self._residuals.items():
                 self._residuals[side] = rows[::2]
-            self._n_residuals = sum(len(rows) for rows in self._residuals[SIDES[0]])
+            self._n_residuals = max(sum(len(part) for part in rows) for rows in self._residuals.values())
 
-    def _keep_sample(self, number: int, pair: tuple[Frame, Frame], measured: Measured, pose: TargetPose) -> None:
-        """Keep the first good pair, and the first of each kind of trouble up to MAX_PROBLEMS."""
+    def _keep_sample(self, number: int, frames: Sequence[Frame | None], measured: Measured, pose: TargetPose) -> None:
+        """Keep the first good moment, and the first of each kind of trouble up to MAX_PROBLEMS."""
         kind = "" if pose.status is PoseStatus.OK else pose.status.value
         if kind in self._samples or (kind and len(self._samples.keys() - {""}) >= MAX_PROBLEMS):
             return
-        sides = zip(
-            SIDES, pair, (measured.left, measured.right), (measured.left_seen, measured.right_seen), strict=True
-        )
+        views = enumerate(zip(self._setup.rig.names, frames, measured.spots, measured.seen, strict=True))
         self._samples[kind] = tuple(
             Sample(
                 frame=number,
                 side=side,
                 image=frame.image,
-                names=measured.names,
+                names=measured.names_in(s),
                 spots=spots,
                 seen=seen,
                 source=frame.source,
                 why=pose.why,
             )
-            for side, frame, spots, seen in sides
+            for s, (side, frame, spots, seen) in views
+            if frame is not None
         )

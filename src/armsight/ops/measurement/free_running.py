@@ -14,7 +14,8 @@ from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, Usag
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
 from armsight.measure.consistency.check import DOUBT, MovingCheck, check_motion, finalise
-from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_RAD, Consistency
+from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_RAD
+from armsight.measure.consistency.findings import Consistency
 from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower, systematic_covariance
 from armsight.measure.motion.estimate import Start, smooth
 from armsight.measure.motion.residuals import MotionResiduals, fitting_stretches, motion_residuals, without_outliers

@@ -22,7 +22,7 @@ from armsight.errors import Unseen
 from armsight.file_names import POINTS, POSES, SPOTS, TUM
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.check import advice, finalise, sentence
-from armsight.measure.consistency.diagnosis import Consistency, Finding
+from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import (
     Candidates,
@@ -63,17 +63,33 @@ class Outputs:
     is exact here: its own uncertainty is common to all poses and not part of theirs. moving: poses have velocities.
     """
 
-    def __init__(self, folder: Path | None, *, world: World | None = None, moving: bool = False) -> None:
-        self._folder, self._world, self._moving = folder, world, moving
+    def __init__(
+        self, folder: Path | None, *, world: World | None = None, moving: bool = False, names: Sequence[str] = SIDES
+    ) -> None:
+        self._folder, self._world, self._moving, self._names = folder, world, moving, tuple(names)
         self._stack = ExitStack()
+        self._ms = array("d")
+        self._candidates: Counter[str] = Counter()
+        self._clear()
+
+    def _clear(self) -> None:
         self._counts: Counter[PoseStatus] = Counter()
         self._reasons: Counter[str] = Counter()  # sentences, for people
         self._kinds: Counter[Unseen] = Counter()
         self._squares_px2 = 0.0
         self._residuals = 0
-        self._ms = array("d")
-        self._candidates: Counter[str] = Counter()
         self._std = array("d")  # per full pose: six totals, six of what repeats
+
+    def again(self) -> Self:
+        """Begin anew, files and figures, for the same frames solved in another way; their times and spots stay."""
+        self._clear()
+        self._candidates.clear()
+        return self
+
+    @property
+    def units(self) -> str:
+        """What the frames of one moment are called."""
+        return "pairs" if self._names == SIDES else "moments"
 
     def __enter__(self) -> Self:
         if self._folder is None:
@@ -118,8 +134,8 @@ class Outputs:
         """Take one frame's result; return its pose in the parent frame."""
         pose = moved_to(measured.pose, self._world)
         self.row(pose, measured.points, measured.cause)
-        for side, spots in zip(SIDES, (measured.left, measured.right), strict=True):
-            self.spots(pose.t_s, side, measured.names, spots)
+        for s, (name, spots) in enumerate(zip(self._names, measured.spots, strict=True)):
+            self.spots(pose.t_s, name, measured.names_in(s), spots)
         if pose.status.size == 6 and pose.covariance is not None:
             repeats = np.zeros((6, 6)) if pose.systematic_covariance is None else pose.systematic_covariance
             variances = np.concatenate([np.diag(pose.covariance), np.diag(repeats).clip(min=0.0)])
@@ -232,14 +248,17 @@ def _medians(std: Array) -> PoseDeviations | None:
 
 
 def candidates_of(measured: Measured) -> dict[str, int]:
-    """Return how many bright things were seen in both images, how many were fitted, and how many are the target's."""
-    one = measured.left_seen is measured.right_seen
-    views = (measured.left_seen,) if one else (measured.left_seen, measured.right_seen)
+    """Return how many bright things were seen in all images, how many were fitted, and how many are the target's."""
+    views = (
+        measured.seen[:1]
+        if len(measured.seen) == len(SIDES) and measured.seen[0] is measured.seen[-1]
+        else measured.seen
+    )
     fitted = sum(len(spots) for spots in views)
     return {
         "n_seen": fitted + sum(len(spots.rejected) for spots in views),
         "n_fitted": fitted,
-        "n_matched": len(measured.left) + len(measured.right),
+        "n_matched": sum(len(spots) for spots in measured.spots),
     }
 
 
@@ -289,13 +308,14 @@ def made_with(rig: Rig, target: Target) -> MadeWith:
     A comment, a covariance or another name of the file changes nothing; a camera calibrated anew does.
     """
     cameras: list[ArrayLike] = []
-    for side in SIDES:
+    for side in rig.names:
         camera = rig.camera(side)
         plate = [] if camera.plate is None else [camera.plate.thickness_m, camera.plate.index]
         cameras += [[camera.width, camera.height, *plate], camera.intrinsics, rig.T_rig_camera(side).as_matrix()]
-    lenses = [str(rig.camera(side).lens) for side in SIDES]
+    names = [] if rig.is_pair else rig.names
+    lenses = [str(one.camera.lens) for one in rig.cameras]
     return MadeWith(
-        rig=_fingerprint([str(rig.kind), *lenses], cameras),
+        rig=_fingerprint([str(rig.kind), *names, *lenses], cameras),
         target=_fingerprint([str(target.kind), str(target.model_known), *target.names], [target.xyz_m]),
     )
 

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
-from armsight.drivers import (
-    PairSource,
-    ordered_map,
-)
+from armsight.drivers import MomentSource, moments_of, ordered_map, pairs_of
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck, advice, sentence
-from armsight.measure.consistency.diagnosis import Consistency
-from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
+from armsight.measure.consistency.findings import Consistency
+from armsight.measure.consistency.run_of_cameras import CamerasCheck
+from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import MeasureResult, ZoomAt, grounds_of
 from armsight.ops.measurement.collector import About, Collector, Zoomed
 from armsight.ops.measurement.outputs import Outputs
@@ -32,7 +34,9 @@ from armsight.records import Frame, PoseStatus, Progress, Target
 from armsight.records.checks import wide_rig
 from armsight.store import World, parse_board, read_target, read_zoom_rig
 
-Pair = tuple[Frame, Frame]
+T = TypeVar("T")
+Frames = Sequence[Frame | None]
+"""Those of one moment, by camera; of a pair both are there."""
 
 SWAPPED_ENOUGH = 3
 """Pairs at the start of a run that look exchanged before it is refused: one may do so by a reflection."""
@@ -42,9 +46,9 @@ MEASURING = "measuring"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Step:
-    """One pair, what was measured, the milliseconds it took; swapped: why left and right look exchanged."""
+    """One moment, what was measured, the milliseconds it took; swapped: why left and right look exchanged."""
 
-    pair: Pair
+    frames: Frames
     measured: Measured
     ms: float
     swapped: Inconsistent | None = None
@@ -57,7 +61,7 @@ def target_of(named: Path) -> Target:
 
 def run(
     setup: Setup,
-    pairs: PairSource,
+    pairs: MomentSource,
     out: Path | None,
     *,
     progress: Progress,
@@ -65,22 +69,24 @@ def run(
     limit: int | None = None,
     about: About | None = None,
 ) -> MeasureResult:
-    """Measure the pairs of a source not yet open, into the folder out where there is one: MEASURED.
+    """Measure the pairs, or moments of other cameras, of a source not yet open, into the folder out where there is one.
 
     What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
     DataRefused or DeviceFailed, Cancelled.
     """
     about = about or About()
-    report, check, outputs = Collector(setup, world), RunCheck(setup), Outputs(out, world=world)
+    pair, report = setup.rig.is_pair, Collector(setup, world)
+    check = RunCheck(setup) if pair else CamerasCheck(setup)
+    outputs, tracker = Outputs(out, world=world, names=setup.rig.names), TargetTracker(setup)
+    alone = about.stills or setup.target.is_board
     with pairs:
-        prepare(progress)
-        steps = _steps(setup, pairs, limit, progress, alone=about.stills or setup.target.is_board)
+        prepare(progress, views=not pair)
+        steps = _steps(setup, pairs, limit, progress, None if alone else tracker)
         with outputs:
-            failure = _taken(steps, check, outputs, report)
+            failure = _taken(steps, check, outputs, report, tracker)
     if outputs.n_frames == 0 and failure is not None:
         raise failure
-    consistency = check.finish()
-    outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
+    consistency = _judged(check, outputs, report)
     failure = failure or _nothing_seen(outputs, consistency, setup)
     done = outputs.summary(
         setup,
@@ -91,23 +97,40 @@ def run(
         error=str(failure) if failure else None,
         assumed_fps=about.assumed_fps,
         zoom=zooms_of(about.zoomed),
+        by_camera=None if pair else report.by_camera(consistency),
     )
     if out is not None:
-        progress.update(0, 0, "writing the report")
-        report.write(out, done, about)
+        report.write(out, done, about, progress)
     if failure is not None:
         raise failure if out is None else _with_path(failure, outputs, out)
     return done
 
 
-def _taken(steps: Iterable[Step], check: RunCheck, outputs: Outputs, report: Collector) -> ArmsightError | None:
-    """Check, write and keep each step; return what ended them early."""
+def _judged(check: RunCheck | CamerasCheck, outputs: Outputs, report: Collector) -> Consistency:
+    """Return the verdict over the whole run, and give its status, and what is left out, to all that is written."""
+    consistency = check.finish()
+    if isinstance(check, CamerasCheck) and check.without:
+        with outputs.again():
+            report.again(check.again(), outputs)
+    outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
+    return consistency
+
+
+def _taken(
+    steps: Iterable[Step], check: RunCheck | CamerasCheck, outputs: Outputs, report: Collector, tracker: TargetTracker
+) -> ArmsightError | None:
+    """Check, write and keep each step, and tell a camera that is wrong; return what ended them early."""
     try:
         for step in steps:
             start_s = time.perf_counter()
             measured = check.add(step.measured)
+            if isinstance(check, CamerasCheck):
+                for left_out in check.left_out[check.n_told :]:
+                    warnings.warn(f"{left_out.told} {left_out.cure}", stacklevel=2)
+                check.n_told = len(check.left_out)
+                tracker.without, tracker.track = check.without, measured.track
             pose = outputs.add(measured)
-            report.add(*step.pair, measured, pose)
+            report.add(step.frames, measured, pose)
             outputs.took(step.ms + (time.perf_counter() - start_s) * 1e3)
     except ArmsightError as error:
         return error
@@ -115,14 +138,18 @@ def _taken(steps: Iterable[Step], check: RunCheck, outputs: Outputs, report: Col
 
 
 def _steps(
-    setup: Setup, pairs: PairSource, limit: int | None, progress: Progress, *, alone: bool
+    setup: Setup, pairs: MomentSource, limit: int | None, progress: Progress, tracker: TargetTracker | None
 ) -> Generator[Step, None, None]:
-    """Yield each pair measured, in order. Raises Cancelled, and Inconsistent for swapped or wrongly sized views."""
+    """Yield each moment measured, in order, by the tracker, or each by itself without one.
+
+    Raises Cancelled, and Inconsistent for swapped or wrongly sized views.
+    """
     total = _total(pairs.total, limit)
-    measure_all = _singly if alone else _tracked
+    measure_all = _singly(setup) if tracker is None else partial(map, partial(_one, tracker))
     done = seen = 0
     swapped: list[Inconsistent] = []
-    with closing(_generator(pairs)) as source, closing(measure_all(setup, islice(source, limit))) as steps:
+    moments = pairs_of(pairs) if setup.rig.is_pair else moments_of(pairs)
+    with closing(moments) as source, closing(_generator(measure_all(islice(source, limit)))) as steps:
         for step in steps:
             yield step
             done += 1
@@ -132,27 +159,25 @@ def _steps(
                 raise swapped[0]
             progress.update(done, total, MEASURING)
             if progress.cancelled():
-                raise Cancelled(f"stopped after {done} pairs")
+                raise Cancelled(f"stopped after {done} {units(setup)}")
     if not seen and swapped:
         raise swapped[0]
 
 
-def _tracked(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
-    """Measure one pair after the other: each tells the next where to look, so that few are searched as a whole."""
-    tracker = TargetTracker(setup)
-    for pair in pairs:
-        yield _one(tracker, pair)
+def _singly(setup: Setup) -> Callable[[Iterable[Frames]], Iterable[Step]]:
+    """Measure moments in threads, each by itself: a board, or single shots, which tell nothing of each other."""
+    return partial(ordered_map, lambda frames: _one(TargetTracker(setup), frames))
 
 
-def _singly(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
-    """Measure pairs in threads, each by itself: a board, or single shots, which tell nothing of each other."""
-    return ordered_map(lambda pair: _one(TargetTracker(setup), pair), pairs)
+def units(setup: Setup) -> str:
+    """Return what the moments of these cameras are called."""
+    return "pairs" if setup.rig.is_pair else "moments"
 
 
-def _one(tracker: TargetTracker, pair: Pair) -> Step:
+def _one(tracker: TargetTracker, frames: Frames) -> Step:
     start_s = time.perf_counter()
-    measured = tracker.take(*pair)
-    return Step(pair=pair, measured=measured, ms=(time.perf_counter() - start_s) * 1e3, swapped=tracker.swapped)
+    measured = tracker.take(*frames)
+    return Step(frames=frames, measured=measured, ms=(time.perf_counter() - start_s) * 1e3, swapped=tracker.swapped)
 
 
 LIGHTS_ON = (
@@ -172,24 +197,25 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency, setup: Setup) -> N
             consequence="There is no pair, so no pose",
             cure="Give frames of both cameras",
         )
-    first = outputs.commonest
-    if consistency.refused > 0.0 or consistency.instead:
+    first, all_of = outputs.commonest, f"{outputs.n_frames} {units(setup)}"
+    wide = wide_rig(setup.rig.baseline_m) if setup.rig.is_pair else ""
+    if consistency.refused > 0.0 or consistency.instead or consistency.left_out:
         return NotEnoughData(
-            f"the target is seen in the {outputs.n_frames} pairs and fits in none of them. {sentence(consistency)}",
+            f"the target is seen in the {all_of} and fits in none of them. {sentence(consistency)}",
             consequence="There is no pose",
             cure=advice(consistency),
         )
     return NotEnoughData(
-        f"the target was found in none of the {outputs.n_frames} pairs" + (f"; most often: {first}" if first else ""),
+        f"the target was found in none of the {all_of}" + (f"; most often: {first}" if first else ""),
         consequence="There is no pose",
-        cure=f"{wide_rig(setup.rig.baseline_m)} Look at the report, which shows what was seen: "
+        cure=f"{wide} Look at the report, which shows what was seen: "
         f"{WHOLE_BOARD if setup.target.is_board else LIGHTS_ON}".strip(),
     )
 
 
 def _with_path(failure: ArmsightError, outputs: Outputs, out: Path) -> ArmsightError:
     """Add to an error what was measured until it came, and where it is."""
-    kept = f"What was measured until then ({outputs.n_seen} poses of {outputs.n_frames} pairs) is in {out}"
+    kept = f"What was measured until then ({outputs.n_seen} poses of {outputs.n_frames} {outputs.units}) is in {out}"
     failure.consequence = ". ".join(part.rstrip(".") for part in (failure.consequence, kept) if part)
     return failure
 
@@ -199,8 +225,8 @@ def _total(total: int | None, limit: int | None) -> int:
     return min((n for n in (total, limit) if n is not None), default=0)
 
 
-def _generator(pairs: PairSource) -> Generator[Pair, None, None]:
-    yield from pairs
+def _generator(all_of: Iterable[T]) -> Generator[T, None, None]:
+    yield from all_of
 
 
 def about_pairs(
@@ -214,21 +240,21 @@ def about_pairs(
 ) -> About:
     """Return what a report says beside the measurement of pairs of frames, which are called by this name."""
     timed = [("time of the frames", times.source)] if times.source and not stills else []
-    zero_ns = origin_ns(frames.left or frames.image)
+    zero_ns = origin_ns(next(iter(frames.named), None))
     if zero_ns is not None:
         timed.append(("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}"))
     return About(
         facts=[("frames", name), *facts, *_zoom_facts(zoomed), *timed],
         assumed_fps=None if stills else times.assumed_fps,
         stills=stills,
-        recordings=recordings_in(frames.left, frames.right, frames.image),
+        recordings=recordings_in(*frames.named),
         zoomed=zoomed,
     )
 
 
 def zoomed_rig(path: Path, zoom: tuple[float | None, float | None]) -> tuple[Rig, Zoomed]:
     """Return the rig in a file at these zooms. Raises as store.read_rig."""
-    found = at_zoom(read_zoom_rig(path).require_pair(str(path)), zoom)
+    found = at_zoom(read_zoom_rig(path), zoom)
     states = zip(found.rig.names, found.states, strict=True)
     return found.rig, {side: state for side, state in states if state is not None}
 

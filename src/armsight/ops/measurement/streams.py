@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -18,14 +18,15 @@ from armsight.drivers import (
     MAX_SKEW_S,
     CameraSettings,
     ImageReading,
+    MomentSource,
     PairSettings,
-    PairSource,
     by_side,
     is_live,
 )
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.begin import AnyFrame, SpotFrame
-from armsight.ops.sources.frames import camera_source, complex_pairs, is_recording, open_pairs, open_source
+from armsight.ops.sources.cameras import open_cameras, open_rig
+from armsight.ops.sources.frames import camera_source, complex_pairs, is_recording, open_source
 from armsight.optics import SIDES, Camera, Rig, RigKind
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
 from armsight.store import read_spot_track
@@ -54,11 +55,13 @@ TIMINGS = ("auto", "pairs", "free")
 class FrameSources:
     """The frames to measure, as they are named: left and right, images of both views, or tables of spots.
 
+    cameras: of a rig that is no pair, by name.
     times: table of their times. fps: of folders. limit: how many. settings: asked of live cameras, or of each.
     """
 
     left: str | None = None
     right: str | None = None
+    cameras: Mapping[str, str] = field(default_factory=dict)
     image: str | None = None
     left_spots: Path | None = None
     right_spots: Path | None = None
@@ -69,12 +72,50 @@ class FrameSources:
     settings: PairSettings = AUTOMATIC
     reading: ImageReading = AS_THEY_ARE
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """All sources of images."""
+        return tuple(text for text in (self.left, self.right, self.image, *self.cameras.values()) if text is not None)
+
+    def of_rig(self, rig: Rig, times_s: list[float] | None, *, colour: bool) -> tuple[MomentSource, bool]:
+        """Return the pairs of a pair of cameras, else the moments; see pairs."""
+        if rig.is_pair:
+            return self.pairs(rig, times_s, colour=colour)
+        return self.moments(times_s, colour=colour), False
+
+    def moments(self, times_s: list[float] | None, *, colour: bool) -> MomentSource:
+        """Return the moments of a rig that is no pair. Raises UsageError for what only pairs have."""
+        pairs_only = (self.image, self.left_spots, self.right_spots)
+        if any(one is not None for one in pairs_only):
+            raise UsageError(
+                "--image, --left-spots and --right-spots are for rigs of the cameras left and right",
+                cure="Give each camera's frames: --camera NAME=SRC",
+            )
+        if not isinstance(self.settings, CameraSettings):
+            raise UsageError("--zoom-left and --zoom-right are for rigs of left and right", cure="Leave them away")
+        return open_cameras(
+            self.cameras,
+            colour=colour,
+            fps=self.fps,
+            times_s=times_s,
+            max_skew_s=MAX_SKEW_S if self.max_skew_s is None else self.max_skew_s,
+            settings=dict.fromkeys(self.cameras, self.settings),
+            reading=self.reading,
+        )
+
     def run_free(
         self, rig: Rig, timing: str, *, stills: bool, rate_hz: float | None = None, at: Path | None = None
     ) -> bool:
         """Tell whether each view is to be taken at its own time. Raises UsageError where that cannot be."""
         if timing not in TIMINGS:
             raise UsageError(f"--timing {timing}", cure=f"Give one of {', '.join(TIMINGS)}")
+        if not rig.is_pair:
+            if timing == "free" or rate_hz is not None or at is not None:
+                raise UsageError(
+                    "--timing free, --rate and --at are for rigs of the cameras left and right",
+                    cure="Leave them away; let cameras that move against each other be triggered together",
+                )
+            return False
         tables = self.left_spots is not None or self.right_spots is not None
         one_exposure = self.image is not None or rig.kind is RigKind.MIRROR
         apart = not (one_exposure or stills or self.times is not None)
@@ -99,7 +140,7 @@ class FrameSources:
             raise UsageError("--bits is for frames in pairs, and these cameras run free", cure="Give --timing pairs")
         return free
 
-    def pairs(self, rig: Rig, times_s: list[float] | None, *, colour: bool) -> tuple[PairSource, bool]:
+    def pairs(self, rig: Rig, times_s: list[float] | None, *, colour: bool) -> tuple[MomentSource, bool]:
         """Return the source of pairs, and whether both views are in one image, one upon the other."""
         if self.image is not None:
             if self.left is not None or self.right is not None:
@@ -112,12 +153,12 @@ class FrameSources:
                 f"left and right are both {self.left}, and the rig has mirrors: both of its views are in one image",
                 cure=f"Give --image {self.left} in place of --left and --right",
             )
-        alone = (self.left or self.right) if self.left is None or self.right is None else None
-        if self.left is self.right is None or (alone is not None and not is_recording(alone)):
+        if self.left is self.right is None:
             raise UsageError(
                 "there are no frames to measure", cure="Give --left and --right, one recording as --left, or --image"
             )
-        pairs = open_pairs(
+        pairs = open_rig(
+            rig.names,
             self.left,
             self.right,
             colour=colour,

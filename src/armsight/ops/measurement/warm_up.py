@@ -26,8 +26,10 @@ LAST_COMPILED = ("locate.locate_near", "tracking.predict_views", "levels.step_po
 """Kernels that a tracked pair needs last, in each of the parts of the measurement."""
 
 
-def prepare(progress: Progress, *, cell: str = "") -> None:
+def prepare(progress: Progress, *, cell: str = "", views: bool = False) -> None:
     """Make sure that no frame waits for the compiler; with a cell's name, nor does its first frame.
+
+    views: for a rig that is no pair.
 
     Where nothing is compiled yet, a second process compiles the matching, the pose and the cell's renderer while
     this one compiles the search for spots: the compiler holds the interpreter's lock, so threads would not help.
@@ -35,6 +37,8 @@ def prepare(progress: Progress, *, cell: str = "") -> None:
     if compiled():
         progress.update(0, 0, READY)
         warm_up()
+        if views:
+            compile_views()
         return
     progress.update(0, 0, FIRST_TIME)
     code = f"from armsight.ops.measurement.warm_up import compile_beside; compile_beside({cell!r})"

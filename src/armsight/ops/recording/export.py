@@ -8,11 +8,13 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
-from armsight.drivers import ordered_map
+from armsight.drivers import RecordedMoments, by_name, ordered_map
 from armsight.errors import BadFile, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import RIG, TARGET
 from armsight.ops.simulation.cells import write_png
+from armsight.ops.sources.frames import RecordedFrames
+from armsight.optics import SIDES
 from armsight.records import Frame, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.shown import Shown
@@ -94,7 +96,6 @@ def _folder(recording: Recording, out: Path, progress: Progress) -> dict[str, in
         if name in recording.attachments:
             write_bytes(out / name, recording.attachment(name))
             done[name] = 1
-    times: dict[str, list[float]] = {}
     for camera in recording.cameras:
         if not FOLDER.fullmatch(camera):
             raise BadFile(
@@ -102,8 +103,8 @@ def _folder(recording: Recording, out: Path, progress: Progress) -> dict[str, in
                 consequence="Its frames would be written elsewhere; nothing is",
                 cure="Give the topic another name, and record it anew",
             )
-        times[camera] = _frames(recording, camera, out / camera, progress)
-        done[camera] = len(times[camera])
+    times = _images(recording, out, progress)
+    done |= {camera: len(stamps) for camera, stamps in times.items()}
     first = next(iter(times.values()), [])
     for i, (camera, stamps) in enumerate(times.items()):
         if i and stamps == first:
@@ -127,24 +128,41 @@ def _folder(recording: Recording, out: Path, progress: Progress) -> dict[str, in
     return done
 
 
-def _frames(recording: Recording, camera: str, folder: Path, progress: Progress) -> list[float]:
-    """Write a camera's frames, numbered by their place; return their times."""
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    total = recording.count(f"/{camera}/image")
+def _images(recording: Recording, out: Path, progress: Progress) -> dict[str, list[float]]:
+    """Write the frames by camera, numbered by their place; return their times.
 
-    def write(item: tuple[int, Frame]) -> float:
-        path = folder / f"{item[0]:06d}.png"
-        write_png(path, item[1])
-        return item[1].t_s
+    Of three cameras and more by their moment: a view that is missing leaves its number out, so that they fit together.
+    """
+    for camera in recording.cameras:
+        with disk_errors(out / camera):
+            (out / camera).mkdir(parents=True, exist_ok=True)
+    total = sum(recording.count(f"/{camera}/image") for camera in recording.cameras)
 
-    stamps: list[float] = []
-    for t_s in ordered_map(write, enumerate(recording.frames(camera))):
-        stamps.append(t_s)
-        progress.update(len(stamps), total, camera)
+    def write(item: tuple[str, int, Frame]) -> tuple[str, float]:
+        camera, number, frame = item
+        write_png(out / camera / f"{number:06d}.png", frame)
+        return camera, frame.t_s
+
+    stamps: dict[str, list[float]] = {camera: [] for camera in recording.cameras}
+    for n, (camera, t_s) in enumerate(ordered_map(write, _numbered(recording)), start=1):
+        stamps[camera].append(t_s)
+        progress.update(n, total, camera)
         if progress.cancelled():
-            raise Cancelled(f"stopped after {len(stamps)} frames", consequence=f"They are in {folder}")
+            raise Cancelled(f"stopped after {n} frames", consequence=f"They are in {out}")
     return stamps
+
+
+def _numbered(recording: Recording) -> Iterator[tuple[str, int, Frame]]:
+    """Yield the frames with their camera and number."""
+    names = recording.cameras
+    if len(names) <= len(SIDES):
+        for name in names:
+            yield from ((name, number, frame) for number, frame in enumerate(recording.frames(name)))
+        return
+    sources = [RecordedFrames(str(recording.path), name, colour=None) for name in names]
+    with RecordedMoments(*sources, names=names, fewest=1) as moments:
+        for number, moment in enumerate(moments):
+            yield from ((name, number, frame) for name, frame in by_name(names, moment).items())
 
 
 def _poses(recording: Recording, path: Path) -> int:

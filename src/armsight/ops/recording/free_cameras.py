@@ -1,4 +1,4 @@
-"""Two cameras, each by itself with its own times, into one recording; a process of its own, beside a robot's loop."""
+"""Cameras, each by itself with its own times, into one recording; a process of its own, beside a robot's loop."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import multiprocessing
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -14,15 +14,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Self
 
-from armsight._files import real_path
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import AUTOMATIC, FrameSource, PairSettings, by_side, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource
 from armsight.drivers.live import SILENCE_S
-from armsight.errors import ArmsightError, Cancelled, DeviceFailed, DeviceLost, UsageError
+from armsight.errors import ArmsightError, Cancelled, DeviceFailed, DeviceLost
 from armsight.fields import Doc
 from armsight.ops.recording.recorder import Recorder
+from armsight.ops.sources.cameras import require_watching
 from armsight.ops.sources.frames import camera_source
-from armsight.optics import SIDES
 from armsight.priority import give_way
 from armsight.records.output import Output, output
 from armsight.store.recording import ImageFormat, RecordingWriter
@@ -34,14 +33,13 @@ TAIL_S = 0.5
 BEGIN_S, END_S = 60.0, 10.0
 """Longest wait for the first frames, and for what waits to be written."""
 TICK_S = 0.05
-VIDEO = "/dev/video"
 
 
 @output
 class CameraRecorded(Output):
     """One camera's share of a recording."""
 
-    camera: Annotated[str, Doc("left or right, as it is named in the recording.")]
+    camera: Annotated[str, Doc("Its name in the recording, such as left.")]
     n_frames: Annotated[int, Doc("Frames recorded.")]
     n_dropped: Annotated[int, Doc("Frames that found no room: the disk or the processor is too slow.")]
     duration_s: Annotated[float, Doc("From its first frame to its last, s.")]
@@ -49,39 +47,18 @@ class CameraRecorded(Output):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreeJob:
-    """Two live cameras and the .mcap for their frames. Raises UsageError for what cannot be recorded so."""
+    """Live cameras by name and the .mcap for their frames. Raises UsageError for what cannot be recorded so."""
 
-    left: str
-    right: str
+    cameras: Mapping[str, str]
     out: Path
-    settings: PairSettings = AUTOMATIC
+    settings: CameraSettings = AUTOMATIC
 
     def __post_init__(self) -> None:
-        for text in (self.left, self.right):
-            if not is_live(text) or text.startswith("camera:sim:"):
-                raise UsageError(
-                    f"{text} does not see the arm now",
-                    consequence="Nothing is moved",
-                    cure="Give live cameras, such as --left camera:0 --right camera:2",
-                )
-        if _device(self.left) == _device(self.right):
-            raise UsageError(
-                f"{self.left} and {self.right} are one camera",
-                consequence="Nothing is moved",
-                cure="Give each side its own camera",
-            )
-
-
-def _device(text: str) -> str:
-    """Return a camera's text with OpenCV's numbers as the files they stand for, links followed."""
-    name = text.removeprefix("camera:").removeprefix("opencv:")
-    if name.isdecimal():
-        name = f"{VIDEO}{int(name)}"
-    return str(real_path(Path(name))) if name.startswith("/") else name
+        require_watching(self.cameras.values(), "the arm")
 
 
 class FreeCameras:
-    """Both cameras while it is open: `with FreeCameras(job) as cameras`. It opens once both have sent a frame.
+    """The cameras while it is open: `with FreeCameras(job) as cameras`. It opens once all have sent a frame.
 
     failed: why they are no longer recorded, None while they are; it costs nothing to ask. recorded: of each camera,
     once it is closed.
@@ -167,7 +144,7 @@ def _work(job: FreeJob, messages: Connection, orders: Connection) -> None:
 def record_free(
     job: FreeJob, begun: Callable[[], None], ended: Callable[[], bool], clock: Clock
 ) -> tuple[CameraRecorded, ...]:
-    """Record both cameras until ended, and TAIL_S more; begun is called once both have sent a frame.
+    """Record the cameras until ended, and TAIL_S more; begun is called once all have sent a frame.
 
     ended waits for a moment before it says no. Stamps are the machine's monotonic time, where a camera has none of its
     own. Raises DeviceFailed where a camera or the disk fails, or a camera is silent; what was recorded until then is
@@ -231,7 +208,7 @@ class _Feed:
                 if self._ending:
                     return
                 self.heard_s = self._clock.now_s()
-                if not self._recorder.put(frame, None, camera=self._side):
+                if not self._recorder.put({self._side: frame}):
                     self._n_dropped += 1
                     continue
                 self._first_s = self._first_s if self.n_frames else frame.t_s
@@ -246,16 +223,17 @@ class _Feed:
 
 @contextmanager
 def _opened(job: FreeJob, clock: Clock) -> Iterator[tuple[_Feed, ...]]:
-    """Give both cameras while they are read into the recording; no file is made before both are open."""
+    """Give the cameras while they are read into the recording; no file is made before all are open."""
     with ExitStack() as stack:
-        given = tuple(zip(SIDES, (job.left, job.right), by_side(job.settings), strict=True))
         sources = [
-            stack.enter_context(camera_source(text, side, origin_s=0.0, settings=asked)) for side, text, asked in given
+            stack.enter_context(camera_source(text, name, origin_s=0.0, settings=job.settings))
+            for name, text in job.cameras.items()
         ]
         writer = RecordingWriter(job.out, origin_ns=time.time_ns() - round(1e9 * clock.now_s()))
         recorder = stack.enter_context(Recorder(writer, ImageFormat.PNG, live=True))
         feeds = tuple(
-            _Feed(side, text, source, recorder, clock) for (side, text, _), source in zip(given, sources, strict=True)
+            _Feed(name, text, source, recorder, clock)
+            for (name, text), source in zip(job.cameras.items(), sources, strict=True)
         )
         for feed in feeds:
             feed.start()

@@ -3,34 +3,46 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 from armsight._files import real_path
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import AUTOMATIC, MAX_SKEW_S, CameraSettings, PairSource, Skew, is_live
+from armsight.drivers import (
+    AUTOMATIC,
+    MAX_SKEW_S,
+    CameraSettings,
+    MomentSource,
+    Views,
+    by_name,
+    is_live,
+    moments_of,
+    news_of,
+)
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import RIG, TARGET
 from armsight.measure.poses.pipeline import check_sizes
 from armsight.ops.recording.recorder import Recorder
 from armsight.ops.simulation.cells import CellPairs, load_cell, write_cell_files
-from armsight.ops.sources.frames import is_recording, open_pairs, recording_path
-from armsight.optics import Rig
+from armsight.ops.sources.cameras import cameras_of, is_whole_recording, open_cameras
+from armsight.ops.sources.frames import is_recording, recording_path
+from armsight.optics import SIDES, Rig
 from armsight.records import Frame, Progress, Silent
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store import read_rig, read_target
 from armsight.store.atomic import disk_errors
-from armsight.store.recording import ImageFormat, RecordingWriter, Repaired, repair
+from armsight.store.recording import ImageFormat, Recording, RecordingWriter, Repaired, repair
 
 CELL_FRAMES = 300
-"""Pairs of a simulated cell where no limit is given: five seconds at 60 a second."""
+"""Moments of a simulated cell where no limit is given: five seconds at 60 a second."""
 
 
 @output
@@ -39,6 +51,9 @@ class RecordedSkew(Output):
 
     mean: Annotated[float, Doc("Mean, s.")]
     largest: Annotated[float, Doc("Largest, s.")]
+
+
+Named: TypeAlias = dict[str, int] | None
 
 
 @output
@@ -54,13 +69,18 @@ class RecordOutput(Output):
     pairs_per_s: Annotated[float | None, Doc("Pairs a second.", unit="1/s")]
     size_bytes: Annotated[int, Doc("Size of the file, bytes.")]
     skew_s: Annotated[RecordedSkew | None, Doc("Time between the frames of live pairs; null of other sources.")]
+    n_frames: Annotated[Named, Doc("Frames recorded of each camera; left out of a pair's, which are n_pairs.")] = None
+    lost: Annotated[dict[str, str] | None, Doc("Cameras that were lost on the way, and why.")] = None
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
         lost = f", {self.n_dropped} dropped because the disk or the processor is too slow" if self.n_dropped else ""
         lost += f", {self.n_missed} missed by the cameras" if self.n_missed else ""
         size = f"{self.size_bytes / 1e6:.1f} MB as {self.format}"
-        yield f"{self.n_pairs} pairs in {self.duration_s:.1f} s{lost}; {size} in {self.file}"
+        what = "pairs" if self.n_frames is None else "moments"
+        each = "" if self.n_frames is None else f" ({', '.join(f'{k} {n}' for k, n in self.n_frames.items())})"
+        yield f"{self.n_pairs} {what}{each} in {self.duration_s:.1f} s{lost}; {size} in {self.file}"
+        yield from (f"lost: {name}, {why}" for name, why in (self.lost or {}).items())
 
 
 def image_format(text: str) -> ImageFormat:
@@ -74,11 +94,10 @@ def image_format(text: str) -> ImageFormat:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordJob:
-    """What to record: left and right, or a simulated cell; rig and target go into the recording. limit: pairs."""
+    """What to record: cameras by name, or a simulated cell; rig and target go into the recording. limit: moments."""
 
     out: Path
-    left: str | None = None
-    right: str | None = None
+    cameras: Mapping[str, str] = field(default_factory=dict)
     cell: str | None = None
     seed: int = 0
     rig: Path | None = None
@@ -94,19 +113,21 @@ class RecordJob:
 
 
 def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordOutput:
-    """Record pairs until the source ends, the limit is reached or the person stops, which is no error here.
+    """Record moments until the source ends, the limit is reached or the person stops, which is no error here.
 
     Raises UsageError, DataRefused and DeviceFailed; what was recorded until then is readable.
     """
     _check(job)
     with _files(job) as (files, rig):
-        pairs, live = _source(job)
-        return record_pairs(job, pairs, live=live, files=files, rig=rig, progress=progress, clock=clock)
+        moments, live = _source(job, rig)
+        names = getattr(moments, "names", SIDES)
+        return record_moments(job, moments, names, live=live, files=files, rig=rig, progress=progress, clock=clock)
 
 
-def record_pairs(
+def record_moments(
     job: RecordJob,
-    pairs: PairSource,
+    moments: MomentSource,
+    names: Sequence[str] = SIDES,
     *,
     live: bool,
     files: Mapping[str, Path] | None = None,
@@ -114,15 +135,17 @@ def record_pairs(
     progress: Progress | None = None,
     clock: Clock | None = None,
 ) -> RecordOutput:
-    """Record the pairs of a source not yet open; live: what finds no room is dropped. See record."""
-    tally = Tally()
-    with pairs, closing(_generator(pairs)) as source:
+    """Record the moments of a source not yet open; live: what finds no room is dropped. See record."""
+    tally = Tally(names)
+    with moments, closing(moments_of(moments)) as source:
         first = next(source, None)
         if first is None:
-            raise NotEnoughData(f"{pairs.name} gave no pair", consequence="Nothing was recorded")
-        if rig is not None and not any(frame.unreadable for frame in first):
-            check_sizes(rig, *first, "The rig would stand in the recording as that of its frames; nothing was recorded")
-        start_s = first[0].t_s
+            raise NotEnoughData(f"{moments.name} gave no pair", consequence="Nothing was recorded")
+        if rig is not None:
+            readable = [None if frame is None or frame.unreadable else frame for frame in first]
+            why = "The rig would stand in the recording as that of its frames; nothing was recorded"
+            check_sizes(rig, readable, why)
+        start_s = next(frame.t_s for frame in first if frame is not None)
         origin_ns = time.time_ns() - (round(start_s * 1e9) if live else 0)
         writer = RecordingWriter(job.out, origin_ns=origin_ns, overwrite=job.overwrite)
         recorder = Recorder(writer, job.kind, live=live)
@@ -130,16 +153,18 @@ def record_pairs(
             with writer:
                 _attach(writer, files or {}, rig, start_s)
                 with recorder:
-                    _pump(job, chain([first], source), recorder, tally, progress or Silent(), clock or SystemClock())
+                    lost, told = partial(news_of, moments), progress or Silent()
+                    _pump(job, chain([first], source), lost, recorder, tally, told, clock or SystemClock())
         except ArmsightError as error:
             kept = f"What was recorded until then is in {job.out}"
             error.consequence = ". ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
             raise
-    return _output(job, recorder, tally, pairs.skew, live=live)
+    return _output(job, recorder, tally, moments, live=live)
 
 
-def _output(job: RecordJob, recorder: Recorder, tally: Tally, skew: Skew | None, *, live: bool) -> RecordOutput:
+def _output(job: RecordJob, recorder: Recorder, tally: Tally, source: MomentSource, *, live: bool) -> RecordOutput:
     """Return what was recorded: what found no room, and what the cameras lost or had no partner, is counted apart."""
+    skew = source.skew
     duration_s = tally.last_s - tally.first_s
     return RecordOutput(
         file=str(job.out),
@@ -151,6 +176,8 @@ def _output(job: RecordJob, recorder: Recorder, tally: Tally, skew: Skew | None,
         pairs_per_s=(recorder.written - 1) / duration_s if duration_s > 0.0 else None,
         size_bytes=job.out.stat().st_size,
         skew_s=RecordedSkew(mean=skew.mean_s, largest=skew.largest_s) if skew else None,
+        n_frames=None if tuple(tally.names) == SIDES else tally.n_frames,
+        lost=getattr(source, "lost", None) or None,
     )
 
 
@@ -161,47 +188,56 @@ def _attach(writer: RecordingWriter, files: Mapping[str, Path], rig: Rig | None,
         writer.rig(start_s, rig)
 
 
-@dataclass(slots=True)
 class Tally:
-    """What went through: n pairs, missed frames by the gaps in the left camera's numbers, first and last time."""
+    """What went through: n moments, frames of each camera by name, first and last time; missed frames by the gaps in
+    the numbers of the first camera that is there."""
 
-    n: int = 0
-    missed: int = 0
-    first_s: float = 0.0
-    last_s: float = 0.0
-    last_number: int = 0
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = names
+        self.n = self.missed = 0
+        self.n_frames = dict.fromkeys(names, 0)
+        self.first_s = self.last_s = 0.0
+        self._last: tuple[str, int] | None = None
 
-    def add(self, left: Frame) -> None:
-        """Count a pair by its left frame."""
+    def add(self, frames: Mapping[str, Frame]) -> None:
+        """Count a moment; its time and number are those of its first frame."""
+        name, first = next(iter(frames.items()))
         if self.n == 0:
-            self.first_s = left.t_s
-        else:
-            self.missed += max(0, left.sequence - self.last_number - 1)
-        self.last_s, self.last_number = left.t_s, left.sequence
+            self.first_s = first.t_s
+        elif self._last is not None and self._last[0] == name:
+            self.missed += max(0, first.sequence - self._last[1] - 1)
+        self.last_s, self._last = first.t_s, (name, first.sequence)
+        for each in frames:
+            self.n_frames[each] += 1
         self.n += 1
 
 
 def _pump(
     job: RecordJob,
-    source: Iterable[tuple[Frame, Frame]],
+    source: Iterable[Views],
+    lost: Callable[[list[str]], list[str]],
     recorder: Recorder,
     tally: Tally,
     progress: Progress,
     clock: Clock,
 ) -> None:
+    told: list[str] = []
     end_s = clock.now_s() + job.seconds_s if job.seconds_s is not None else float("inf")
-    for left, right in source:
-        recorder.put(left, right)
-        tally.add(left)
-        note = f"{recorder.dropped} dropped" if recorder.dropped else ""
-        progress.update(tally.n, job.limit or 0, note)
+    for moment in source:
+        frames = by_name(tally.names, moment)
+        recorder.put(frames)
+        tally.add(frames)
+        for message in lost(told):
+            recorder.add(partial(RecordingWriter.event, t_s=tally.last_s, message=message, level="warning"))
+        notes = [f"{recorder.dropped} dropped"] if recorder.dropped else []
+        progress.update(tally.n, job.limit or 0, ", ".join([*notes, *(f"{name} is lost" for name in told)]))
         if tally.n == job.limit or clock.now_s() >= end_s or progress.cancelled():
             return
 
 
 def _check(job: RecordJob) -> None:
     """Raise UsageError for sources that contradict each other, and for a result that no reader would take."""
-    if job.cell is not None and (job.left is not None or job.right is not None):
+    if job.cell is not None and job.cameras:
         raise UsageError("--cell goes with neither --left nor --right", cure="Give the one or the others")
     if job.out.suffix.lower() != ".mcap":
         raise UsageError(
@@ -211,24 +247,33 @@ def _check(job: RecordJob) -> None:
         )
 
 
-def _source(job: RecordJob) -> tuple[PairSource, bool]:
+def _source(job: RecordJob, rig: Rig | None) -> tuple[MomentSource, bool]:
     if job.cell is not None:
         n = job.limit or CELL_FRAMES
         return CellPairs(load_cell(job.cell, seed=job.seed, frames=n), n), False
-    sources = [text for text in (job.left, job.right) if text is not None]
+    sources = list(job.cameras.values())
     if not sources:
         raise UsageError("there is nothing to record", cure="Give --left and --right, or --cell")
+    if rig is not None:
+        cameras = cameras_of(rig.names, job.cameras)
+    elif len(sources) == 1 and is_whole_recording(sources[0]):
+        with Recording(recording_path(sources[0])) as recording:
+            cameras = dict.fromkeys(recording.cameras, sources[0])
+    else:
+        cameras = dict(job.cameras)
     if any(is_recording(text) and real_path(recording_path(text)) == real_path(job.out) for text in sources):
         raise UsageError(f"{job.out} is both source and result", cure="Choose another name for the result")
-    pairs = open_pairs(
-        job.left,
-        job.right,
+    if len(cameras) == 1 and cameras.keys() <= set(SIDES):
+        cameras = cameras_of(SIDES, cameras)
+    moments = open_cameras(
+        cameras,
         colour=job.colour,
         fps=job.fps,
         max_skew_s=MAX_SKEW_S if job.max_skew_s is None else job.max_skew_s,
         settings=job.camera_settings,
+        tell=lambda _: None,  # told by who records: in the progress, the file and the result
     )
-    return pairs, is_live(sources[0])
+    return moments, is_live(sources[0])
 
 
 @contextmanager
@@ -243,11 +288,7 @@ def _files(job: RecordJob) -> Iterator[tuple[dict[str, Path], Rig | None]]:
         files = {name: path for name, path in ((RIG, rig_path), (TARGET, target_path)) if path is not None}
         if target_path is not None:
             read_target(target_path)
-        yield files, read_rig(rig_path) if rig_path is not None else None
-
-
-def _generator(pairs: PairSource) -> Generator[tuple[Frame, Frame], None, None]:
-    yield from pairs
+        yield files, read_rig(rig_path, any_cameras=True) if rig_path is not None else None
 
 
 def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> Repaired:

@@ -1,11 +1,11 @@
-"""Pairs of frames from a camera's thread to the disk: compressed in threads, written in order, memory bounded."""
+"""Moments of frames from a camera's thread to the disk: compressed in threads, written in order, memory bounded."""
 
 from __future__ import annotations
 
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Self
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import cores
 from armsight.errors import ArmsightError
+from armsight.optics import SIDES
 from armsight.records import Frame
 from armsight.store.atomic import disk_errors
 from armsight.store.recording import Encoded, ImageFormat, RecordingWriter, encode
@@ -42,20 +43,19 @@ takes as long as the disk likes."""
 
 @dataclass(frozen=True, slots=True)
 class _Waiting:
-    """A pair of frames, or what else is to be written."""
+    """The frames of a moment by camera, or what else is to be written."""
 
-    pair: tuple[Frame, Frame | None] | None
-    encoded: tuple[Future[Encoded | None], ...] | None
+    frames: Mapping[str, Frame]
+    encoded: Mapping[str, Future[Encoded | None]]
     size: int
     write: Callable[[RecordingWriter], None] | None = None
-    camera: str = ""
 
 
 class Recorder:
-    """Takes pairs in one thread, writes them in another; as a context manager it ends with everything written.
+    """Takes moments in one thread, writes them in another; as a context manager it ends with everything written.
 
-    live: a pair that finds no room, or would have to wait too long, is dropped and counted; else put() waits for room.
-    Closes the writer.
+    live: a moment that finds no room, or would have to wait too long, is dropped and counted; else put() waits for
+    room. Closes the writer.
     """
 
     def __init__(
@@ -89,22 +89,20 @@ class Recorder:
 
     @property
     def written(self) -> int:
-        """Pairs in the file or its chunk being filled."""
+        """Moments in the file or its chunk being filled."""
         return self._written
 
     @property
     def dropped(self) -> int:
-        """Pairs for which there was no room or no time."""
+        """Moments for which there was no room or no time."""
         return self._dropped
 
-    def put(self, left: Frame, right: Frame | None, *, camera: str = "image") -> bool:
-        """Hand over a pair; False where it was dropped. Raises what writing has met: DeviceFailed, Inconsistent.
+    def put(self, frames: Mapping[str, Frame]) -> bool:
+        """Hand over a moment; False where it was dropped. Raises what writing has met: DeviceFailed, Inconsistent.
 
-        right: None where the left one holds both views, or is of a camera by itself; it is then written as `camera`.
-        Any thread may call this, one for each camera.
+        frames: by camera, one for each that has one. Any thread may call this, one for each camera.
         """
-        frames = [left] if right is None else [left, right]
-        size = sum(frame.image.nbytes for frame in frames)
+        size = sum(frame.image.nbytes for frame in frames.values())
         with self._room:
             while self._failure is None and self._full(size):
                 if self._live:
@@ -113,10 +111,10 @@ class Recorder:
                 self._room.wait()
             if self._failure is not None:
                 raise self._failure
-            encoded = None
+            encoded = {}
             if self._kind is not ImageFormat.RAW:
-                encoded = tuple(self._pool.submit(encode, frame.image, self._kind) for frame in frames)
-            self._waiting.append(_Waiting((left, right), encoded, size, camera=camera))
+                encoded = {name: self._pool.submit(encode, one.image, self._kind) for name, one in frames.items()}
+            self._waiting.append(_Waiting(frames, encoded, size))
             self._bytes += size
             self._room.notify_all()
         return True
@@ -126,7 +124,7 @@ class Recorder:
         with self._room:
             if self._failure is not None:
                 raise self._failure
-            self._waiting.append(_Waiting(None, None, 0, write))
+            self._waiting.append(_Waiting({}, {}, 0, write))
             self._room.notify_all()
 
     def close(self) -> None:
@@ -158,7 +156,7 @@ class Recorder:
                 raise
 
     def _full(self, size: int) -> bool:
-        n = sum(item.pair is not None for item in self._waiting)
+        n = sum(bool(item.frames) for item in self._waiting)
         if not n:
             return False
         return self._bytes + size > QUEUE_BYTES or (n * self._pace_s > QUEUE_S if self._live else n >= QUEUE_PAIRS)
@@ -177,7 +175,7 @@ class Recorder:
                     continue
                 begun_s = self._clock.now_s()
                 self._one(item)
-                if item.pair is not None:
+                if item.frames:
                     took_s = min(self._clock.now_s() - begun_s, PACE_LIMIT_S)
                     self._pace_s += PACE_WEIGHT * (took_s - self._pace_s)
                 with self._room:
@@ -192,20 +190,16 @@ class Recorder:
     def _one(self, item: _Waiting) -> None:
         if item.write is not None:
             item.write(self._writer)
-        if item.pair is None:
+        if not item.frames:
             return
-        left, right = item.pair
-        encoded = [one.result() for one in item.encoded] if item.encoded else [None, None]
-        if right is None:
-            self._writer.frame(item.camera, left, encoded[0])
-        else:
-            self._writer.pair(left, right, (encoded[0], encoded[1]))
+        self._writer.moment(item.frames, {name: one.result() for name, one in item.encoded.items()})
         self._written += 1
         if self._dropped > self._told:
             news = self._dropped - self._told
             self._told += news
-            self._event_s = max(self._event_s, left.t_s)  # of two cameras by themselves one may be a little behind
-            what = "frames" if right is None else "pairs"
+            t_s = next(iter(item.frames.values())).t_s
+            self._event_s = max(self._event_s, t_s)  # of two cameras by themselves one may be a little behind
+            what = "frames" if len(item.frames) == 1 else "pairs" if tuple(item.frames) == SIDES else "moments"
             why = f"{news} {what} dropped before this: the disk or the processor is too slow"
             self._writer.event(self._event_s, why, level="warning")
 
@@ -247,12 +241,12 @@ class LiveRecording:
             self._notify(RecordingState(failure=str(error)))
         self.notify()
 
-    def put(self, left: Frame, right: Frame | None) -> None:
-        """Take a pair where a file is open; a disk that fails ends it."""
+    def put(self, frames: Mapping[str, Frame]) -> None:
+        """Take a moment where a file is open; a disk that fails ends it."""
         if self._open is None:
             return
         try:
-            self._open[1].put(left, right)
+            self._open[1].put(frames)
         except ArmsightError as error:
             self.end(str(error))
 

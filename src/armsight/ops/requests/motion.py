@@ -105,15 +105,14 @@ def refuse_cameras(follow: str, **given: object) -> None:
         )
 
 
-def require_views(left: str | None, right: str | None) -> tuple[str, str]:
-    """Return both cameras. Raises UsageError where one is not named."""
-    if left is None or right is None:
+def require_named(cameras: Mapping[str, str]) -> None:
+    """Raise UsageError where no camera is named."""
+    if not cameras:
         raise UsageError(
             "which cameras see the robot is not said",
             consequence="Nothing is opened",
             cure="Give --left and --right, or --follow SCENARIO for simulated ones",
         )
-    return left, right
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -13,13 +13,15 @@ from armsight.arrays import Array
 from armsight.control.guard import Guard
 from armsight.control.guard.space import Space
 from armsight.control.play.path_source import JointMotionSource
-from armsight.drivers import AUTOMATIC, PairSettings, Robot
+from armsight.drivers import AUTOMATIC, CameraSettings, Robot
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import FRAMES, MOTION, MOTION_RECORDING, READINGS
 from armsight.ops.recording.free_cameras import CameraRecorded, FreeCameras, FreeJob
 from armsight.ops.robot.opening import standing
 from armsight.ops.robot.robot_run import CycleTally, RobotRun, RunOutput
+from armsight.ops.sources.cameras import cameras_of
+from armsight.optics import SIDES
 from armsight.records import Motion
 from armsight.records.output import extended, output
 from armsight.shown import Shown
@@ -68,23 +70,17 @@ class RunMotionOutput(RunOutput):
         write_json(folder / MOTION, self.to_dict())
 
 
-def recorded_cameras(
-    left: str | None, right: str | None, settings: PairSettings | None, out: Path | None
-) -> FreeJob | None:
+def recorded_cameras(cameras: Mapping[str, str], settings: CameraSettings | None, out: Path | None) -> FreeJob | None:
     """Return what the cameras are to record into a folder, None where none are given. Raises UsageError."""
-    if left is None and right is None:
+    if not cameras:
         if settings not in (None, AUTOMATIC):
             raise UsageError("settings of cameras are given, and no cameras", cure="Give --left and --right too")
         return None
-    if left is None or right is None:
-        raise UsageError(
-            f"{'--left' if left is None else '--right'} is missing",
-            consequence="Nothing is moved: a cell is calibrated from both cameras",
-            cure="Give both cameras, or none of them",
-        )
+    if len(cameras) == 1:
+        cameras = cameras_of(SIDES, cameras)  # a cell is calibrated from two and more
     if out is None:
         raise UsageError("cameras are to be recorded, and no folder is given", cure="Give one (-o)")
-    return FreeJob(left=left, right=right, out=out / FRAMES, settings=settings or AUTOMATIC)
+    return FreeJob(cameras=cameras, out=out / FRAMES, settings=settings or AUTOMATIC)
 
 
 class _Unseen:

@@ -9,10 +9,9 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Protocol
 
 import numpy as np
 
@@ -21,16 +20,18 @@ from armsight.control.servo import ServoSource
 from armsight.control.servo.law import CameraDelay
 from armsight.control.status import QueueSink
 from armsight.defaults import HAND_SPEED_M_S
-from armsight.drivers import CameraSettings, PairSource, is_live
+from armsight.drivers import MomentSource, Views, moments_of, news_of
 from armsight.errors import ArmsightError, BadFile, DeviceFailed, NotEnoughData, UsageError
 from armsight.kinematics import Arm
-from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker, lost_pair
+from armsight.measure.poses.moments import TargetTracker, lost_frames
+from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.settings import SpotSettings
 from armsight.ops.requests.motion import LATENCY_S, RobotJob, refuse_cameras
 from armsight.ops.robot.opening import ClockedRobot, clocked_robot, refuse_settings
-from armsight.ops.simulation.following import followed_cell
+from armsight.ops.servo.cameras import CameraNames
+from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.frames import complex_pairs, open_pairs, open_source
+from armsight.ops.sources.cameras import require_watching
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import Rig, RigKind
 from armsight.records import Frame, PoseStatus, Target, TargetPose
@@ -102,7 +103,7 @@ class ServoDevices(ClockedRobot):
     simulated cell, which moves only as far as the loop waits; None: real time.
     """
 
-    pairs: PairSource
+    pairs: MomentSource
     overlaid: bool = False
     latency_s: float = LATENCY_S
     origin_s: Callable[[], float] | None = None
@@ -134,7 +135,7 @@ class Beside(Protocol):
 
 
 class Vision:
-    """Measures pair after pair, and gives the poses to a source once there is one."""
+    """Measures moment after moment, and gives the poses to a source once there is one."""
 
     def __init__(self, setup: Setup, devices: ServoDevices, sink: QueueSink) -> None:
         self.source: ServoSource | None = None
@@ -148,16 +149,19 @@ class Vision:
         self._clock: Clock = devices.clock
         self._sink = sink
         self._tracker = TargetTracker(setup)
-        self._last: tuple[Frame, Frame] | None = None
-        self._shown: tuple[deque[int], deque[int]] = (deque(maxlen=SHOWN), deque(maxlen=SHOWN))
+        self._last: Views = (None,) * len(setup.rig.names)
+        self._shown: tuple[deque[int], ...] = tuple(deque(maxlen=SHOWN) for _ in setup.rig.names)
         self._noisy = False
+        self._lost: list[str] = []
         self._ahead_s = math.inf  # the clock's time at the cameras' zero
 
-    def take(self, pair: tuple[Frame, Frame]) -> None:
-        """Measure a pair and tell the source. Raises Inconsistent for frames that are not of the rig's size."""
+    def take(self, moment: Views) -> None:
+        """Measure a moment and tell the source. Raises Inconsistent for frames that are not of the rig's size."""
         begun_s = time.perf_counter()
-        measured = self._measured(pair)
-        pose, zero_s = measured.pose, self._zero_s(pair)
+        for message in news_of(self._devices.pairs, self._lost):
+            self._sink.event(self._clock.now_s(), message, "warning", "cameras")
+        measured = self._measured(moment)
+        pose, zero_s = measured.pose, self._zero_s(moment)
         exposed_s, now_s = pose.t_s + zero_s, self._clock.now_s()
         self.delay.add(exposed_s, now_s)
         if self.source is not None:
@@ -169,36 +173,39 @@ class Vision:
         self.newest = pose
         self._sink.pose(replace(pose, t_s=exposed_s))
 
-    def _zero_s(self, pair: tuple[Frame, Frame]) -> float:
+    def _zero_s(self, moment: Views) -> float:
         """Return the clock's time at the cameras' zero: told, or by the frame that came soonest after its exposure."""
         if self._devices.origin_s is not None:
             return self._devices.origin_s()
-        newest_s = max(frame.t_s for frame in pair)
+        newest_s = max(frame.t_s for frame in moment if frame is not None)
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._devices.latency_s)
         return self._ahead_s
 
-    def _stands(self, pair: tuple[Frame, Frame]) -> bool:
+    def _stands(self, moment: Views) -> bool:
         """Tell whether a camera sends one of its last pictures again. A sensor's noise never repeats; rendered pictures
         may."""
-        last, self._last = self._last, pair
-        if last is None or any(a.image.shape != b.image.shape for a, b in zip(last, pair, strict=True)):
+        last, self._last = self._last, moment
+        both = [(a, b) for a, b in zip(last, moment, strict=True) if a is not None and b is not None]
+        if not both or any(a.image.shape != b.image.shape for a, b in both):
             return False
-        changed = [float(np.mean(a.image[::8, ::8] != b.image[::8, ::8])) for a, b in zip(last, pair, strict=True)]
+        changed = [float(np.mean(a.image[::8, ::8] != b.image[::8, ::8])) for a, b in both]
         self._noisy = self._noisy or min(changed) > NOISY_SHARE
-        marks = [zlib.crc32(frame.image[::8, ::8].tobytes()) for frame in pair]
-        again = [mark in shown for mark, shown in zip(marks, self._shown, strict=True)]
-        for mark, shown in zip(marks, self._shown, strict=True):
-            shown.append(mark)
-        return self._noisy and any(again)
+        again = False
+        for frame, shown in zip(moment, self._shown, strict=True):
+            if frame is not None:
+                mark = zlib.crc32(frame.image[::8, ::8].tobytes())
+                again = again or mark in shown
+                shown.append(mark)
+        return self._noisy and again
 
-    def _measured(self, pair: tuple[Frame, Frame]) -> Measured:
-        if self._stands(pair):
-            return lost_pair(pair, "a camera sends one of its last pictures again")
-        return self._tracker.take(*pair)
+    def _measured(self, moment: Views) -> Measured:
+        if self._stands(moment):
+            return lost_frames(moment, "a camera sends one of its last pictures again")
+        return self._tracker.take(*moment)
 
 
 class VisionThread:
-    """Takes the pairs of open cameras in a thread of its own. Leaving it ends the thread.
+    """Takes the moments of open cameras in a thread of its own. Leaving it ends the thread.
 
     A failure ends it too: the source then gets no more poses, the guard holds, and `failed` says why.
     """
@@ -220,9 +227,9 @@ class VisionThread:
 
     def _run(self) -> None:
         try:
-            with closing(cast(Any, iter(self._devices.pairs))) as pairs:
-                for pair in pairs:
-                    self._vision.take(pair)
+            with closing(moments_of(self._devices.pairs)) as moments:
+                for moment in moments:
+                    self._vision.take(moment)
                     if self._end.is_set():
                         return
             self.failed = DeviceFailed("the cameras ended", consequence="The target is not seen", cure="Check them")
@@ -288,35 +295,6 @@ def placed_cameras(handeye: Path) -> HandEyeFile:
 SIM = "sim:"
 
 
-@dataclass(frozen=True, slots=True)
-class CameraNames:
-    """Cameras as people name them, or files of them: left and right, or the one image of a mirror rig.
-
-    exposure_s: None: as they choose it. latency_s: see ServoDevices.
-    """
-
-    left: str | None
-    right: str | None
-    image: str | None
-    exposure_s: float | None
-    latency_s: float = LATENCY_S
-
-    def pairs(self, rig: Rig, target: Target, clock: Clock | None = None) -> tuple[PairSource, bool] | None:
-        """Return their pairs, not yet open, and whether one image holds both views; None where they are not said."""
-        colour, settings = target.colour is not None, CameraSettings(exposure_s=self.exposure_s)
-        if self.image is not None and self.left is self.right is None:
-            return complex_pairs(partial(open_source, self.image, colour=colour, settings=settings, clock=clock), rig)
-        if self.image is not None or self.left is None or self.right is None:
-            return None
-        return open_pairs(self.left, self.right, colour=colour, settings=settings), False
-
-    def require_live(self) -> None:
-        """Raise UsageError for what does not see the target now."""
-        for text in (self.image, self.left, self.right):
-            if text is not None and (not is_live(text) or text.startswith("camera:sim:")):
-                raise UsageError(f"{text} does not see the target now", cure="Give camera:NAME")
-
-
 def open_servo(
     job: RobotJob,
     rig: Rig,
@@ -341,21 +319,21 @@ def open_servo(
     if hand is not None:
         raise UsageError(f"--hand leads a simulated target, and {job.robot} is no simulated robot", cure="Leave it out")
     robot = clocked_robot(job, arm)
-    cameras.require_live()
-    pairs = cameras.pairs(rig, target, robot.clock)
-    if pairs is None:
+    require_watching(cameras.named().values(), "the target")
+    moments = cameras.moments(rig, target, robot.clock)
+    if moments is None:
         raise UsageError(
             "which cameras see the target is not said", cure="Give --left and --right, or --image for a mirror rig"
         )
-    both, overlaid = pairs
+    pairs, overlaid = moments
     return ServoDevices(
-        robot=robot.robot, clock=robot.clock, pairs=both, overlaid=overlaid, latency_s=cameras.latency_s
+        robot=robot.robot, clock=robot.clock, pairs=pairs, overlaid=overlaid, latency_s=cameras.latency_s
     )
 
 
 def _simulated(robot: str, cameras: CameraNames, hand: str | None, hand_speed_m_s: float) -> ServoDevices:
     """Return a simulated cell, whose time moves with the loop."""
-    given = [name for name, value in asdict(cameras).items() if value is not None and name != "latency_s"]
+    given = [*cameras.named(), *(["exposure_s"] if cameras.exposure_s is not None else [])]
     if given:
         raise UsageError(
             f"the simulated cell {robot} has its own cameras, and {', '.join(given)} is given", cure="Leave it out"
@@ -376,9 +354,9 @@ def _following(
     job: RobotJob, cell: str, arm: Arm | None, cameras: CameraNames, hand: str | None, hand_speed_m_s: float
 ) -> ServoDevices:
     """Return a robot with the simulated cameras that watch it, or that it carries, in real time."""
-    refuse_cameras(cell, left=cameras.left, right=cameras.right, image=cameras.image, exposure=cameras.exposure_s)
+    refuse_cameras(cell, **cameras.named(), exposure=cameras.exposure_s)
     robot = clocked_robot(job, arm)
-    seen = followed_cell(cell, robot.robot, robot.clock, hand=hand, speed_m_s=hand_speed_m_s)
+    seen = watching_cell(cell, robot.robot, robot.clock, hand=hand, speed_m_s=hand_speed_m_s)
     return ServoDevices(
         robot=robot.robot,
         pairs=seen.pairs,

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from armsight import drivers
+from armsight._files import real_path
 from armsight.drivers import (
     AS_THEY_ARE,
     AUTOMATIC,
+    CAMERA,
     MAX_SKEW_S,
     CameraSettings,
     FrameSource,
     ImageReading,
     Moments,
+    PairSettings,
     RecordedMoments,
     VideoFile,
     frame_period_s,
@@ -20,10 +27,11 @@ from armsight.drivers import (
     is_video,
 )
 from armsight.errors import UsageError
-from armsight.ops.sources.bags import BagFrames
-from armsight.ops.sources.frames import RecordedFrames, is_recording, require_as_recorded
+from armsight.ops.sources.frames import camera_source, is_recording, require_as_recorded
 from armsight.optics import MOST_CAMERAS, SIDES, require_camera_name
 from armsight.store.bags import is_bag
+
+VIDEO = "/dev/video"
 
 KINDS = (is_recording, is_bag, is_live, bool)
 """What tells sources apart whose times are of different clocks; the last is of files."""
@@ -51,20 +59,57 @@ def named_cameras(cameras: Mapping[str, str], left: str | None = None, right: st
             consequence="Nothing was opened",
             cure=f"A rig has one to {MOST_CAMERAS}: leave those away that see least",
         )
-    of: dict[str, str] = {}
-    for name, text in given.items():
-        if text in of and not (is_recording(text) and text.lower().endswith(".mcap")):
-            raise UsageError(
-                f"{of[text]} and {name} are both {text}",
-                consequence="The same image twice has no depth",
-                cure="Give each camera's own source",
-            )
-        of[text] = name
+    require_own_sources(given)
     return given
 
 
+def require_own_sources(given: Mapping[str, str]) -> None:
+    """Raise UsageError for one source by two names, but a recording, which has one for each."""
+    of: dict[str, str] = {}
+    for name, text in given.items():
+        same = of.setdefault(_device(text), name)
+        if same != name and not is_whole_recording(text):
+            both = text if given[same] == text else f"{text}, as {given[same]} is"
+            raise UsageError(
+                f"{same} and {name} are both {both}",
+                consequence="The same image twice has no depth",
+                cure="Give each camera's own source; where a command has --image, one that holds both views goes there",
+            )
+
+
+def require_watching(sources: Iterable[str], what: str) -> None:
+    """Raise UsageError for sources that are no live cameras: they do not see what moves."""
+    for text in sources:
+        if not is_live(text) or text.startswith(f"{CAMERA}sim:"):
+            raise UsageError(
+                f"{text} does not see {what} now",
+                consequence="Nothing is moved",
+                cure="Give live cameras, such as --left camera:0 --right camera:2",
+            )
+
+
+def _device(text: str) -> str:
+    """Return a source's text; of a live camera with OpenCV's number as the file it stands for, links followed."""
+    if not is_live(text):
+        return text
+    name = text.removeprefix(CAMERA).removeprefix("opencv:")
+    if name.isdecimal():
+        name = f"{VIDEO}{int(name)}"
+    return str(real_path(Path(name))) if name.startswith("/") else text
+
+
+def is_whole_recording(text: str) -> bool:
+    """Tell whether a source's text names a recording without one of its cameras."""
+    return is_recording(text) and text.lower().endswith(".mcap")
+
+
 def cameras_of(names: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
-    """Return the sources in the order of a rig's cameras. Raises UsageError for others than it has."""
+    """Return the sources in the order of a rig's cameras; one recording alone is of them all.
+
+    Raises UsageError for others than the rig has, and where one is missing.
+    """
+    if len(given) == 1 and is_whole_recording(alone := next(iter(given.values()))):
+        return dict.fromkeys(names, alone)
     unknown = [name for name in given if name not in names]
     if unknown:
         raise UsageError(
@@ -77,9 +122,13 @@ def cameras_of(names: Sequence[str], given: Mapping[str, str]) -> dict[str, str]
         raise UsageError(
             f"no frames are given of the rig's {'camera' if len(missing) == 1 else 'cameras'} {', '.join(missing)}",
             consequence="Nothing was opened",
-            cure=f"Add {' '.join(f'--camera {name}=SRC' for name in missing)}",
+            cure=f"Add {' '.join(map(_flag, missing))}; or give one recording that has all",
         )
     return {name: given[name] for name in names}
+
+
+def _flag(name: str) -> str:
+    return f"--{name} SRC" if name in SIDES else f"--camera {name}=SRC"
 
 
 def _kind_of(texts: Sequence[str]) -> Callable[[str], bool]:
@@ -95,6 +144,17 @@ def _kind_of(texts: Sequence[str]) -> Callable[[str], bool]:
     return kinds[0]
 
 
+def open_rig(
+    names: Sequence[str],
+    left: str | None = None,
+    right: str | None = None,
+    cameras: Mapping[str, str] = MappingProxyType({}),
+    **more: Any,
+) -> Moments:
+    """Return the moments of a rig's cameras, as named_cameras, cameras_of and open_cameras have them."""
+    return open_cameras(cameras_of(names, named_cameras(cameras, left, right)), **more)
+
+
 def open_cameras(
     cameras: Mapping[str, str],
     *,
@@ -102,14 +162,19 @@ def open_cameras(
     fps: float | None = None,
     times_s: Sequence[float] | None = None,
     max_skew_s: float = MAX_SKEW_S,
-    settings: Mapping[str, CameraSettings] | None = None,
+    settings: PairSettings | Mapping[str, CameraSettings] = AUTOMATIC,
     reading: ImageReading = AS_THEY_ARE,
+    tell: Callable[[str], None] = warnings.warn,
 ) -> Moments:
     """Return the moments of cameras' sources, in their order; nothing is opened yet.
 
     Recordings, bags and videos that bring their times are put together by these, folders by position, live cameras by
-    their stamps. A recording that names no camera gives each its own. Raises UsageError for sources of unlike kinds.
+    their stamps. A recording that names no camera gives each its own. settings: of all live cameras, in their order, or
+    by name. Raises UsageError for sources of unlike kinds.
     """
+    if not isinstance(settings, Mapping):
+        each = settings if isinstance(settings, tuple) else (settings,) * len(cameras)
+        settings = dict(zip(cameras, each, strict=True))
     texts, names = list(cameras.values()), tuple(cameras)
     first, kind = texts[0], _kind_of(texts)
     videos = fps is None and times_s is None and len(texts) > 1 and all(map(is_video, texts))
@@ -120,18 +185,18 @@ def open_cameras(
             fps=fps,
             times_s=times_s,
             max_skew_s=max_skew_s,
-            settings=settings or {},
+            settings=settings,
             reading=reading,
+            tell=tell,
         )
     for name, text in cameras.items():
         reading.require_none(text)
-        require_as_recorded(text, fps, times_s, (settings or {}).get(name, AUTOMATIC))
+        require_as_recorded(text, fps, times_s, settings.get(name, AUTOMATIC))
     sources: list[FrameSource]
     if videos:
         max_skew_s = min(max_skew_s, *(0.5 * frame_period_s(text) for text in texts))
         sources = [VideoFile(text, colour=colour) for text in texts]
-    elif kind is is_bag:
-        sources = [BagFrames(text, colour=colour, origin_of=None if text == first else first) for text in texts]
     else:
-        sources = [RecordedFrames(text, name, colour=colour) for name, text in cameras.items()]
-    return RecordedMoments(*sources, names=names, max_skew_s=max_skew_s, end_together=videos)
+        zero = {text: None if text == first else first for text in texts}
+        sources = [camera_source(text, name, colour=colour, origin_of=zero[text]) for name, text in cameras.items()]
+    return RecordedMoments(*sources, names=names, max_skew_s=max_skew_s, end_together=videos, tell=tell)

@@ -1,8 +1,7 @@
 """Recordings and bags as sources of frames, beside folders, videos and cameras.
 
-A source's text may be REC.mcap, or REC.mcap:CAMERA for one of its cameras. As left the recording's left camera is
-meant, as right its right one; one recording for both views, or for one of them alone, gives its pairs. Or it is
-bag:FILE:/topic for a topic of a ROS bag.
+A source's text may be REC.mcap, or REC.mcap:CAMERA for one of its cameras. As a camera's source the recording's camera
+of this name is meant; one recording alone gives all cameras. Or it is bag:FILE:/topic for a topic of a ROS bag.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self, cast
+from typing import Self
 
 import cv2
 import numpy as np
@@ -24,18 +23,11 @@ from armsight.drivers import (
     AS_THEY_ARE,
     AUTOMATIC,
     FPS,
-    MAX_SKEW_S,
     CameraSettings,
     FrameSource,
     ImageReading,
+    Moments,
     OneImage,
-    PairSettings,
-    PairSource,
-    RecordedMoments,
-    VideoFile,
-    by_side,
-    frame_period_s,
-    is_video,
     list_images,
 )
 from armsight.errors import Inconsistent, UsageError
@@ -71,11 +63,11 @@ def recording_path(text: str) -> Path:
 class RecordedFrames:
     """The frames of one camera of a recording, with the times and numbers they were recorded with.
 
-    camera: which one where the text does not say it; None: the only one. Opening raises BadFile, and Inconsistent
-    where it is open which camera is meant.
+    camera: which one where the text does not say it; None: the only one. colour: None leaves it as it is. Opening
+    raises BadFile, and Inconsistent where it is open which camera is meant.
     """
 
-    def __init__(self, text: str, camera: str | None = None, *, colour: bool = False) -> None:
+    def __init__(self, text: str, camera: str | None = None, *, colour: bool | None = False) -> None:
         self.name = text
         match = SOURCE.fullmatch(text)
         self._camera = (match[2] if match else None) or camera
@@ -170,68 +162,15 @@ def camera_source(
     return open_source(text, colour=colour, fps=fps, origin_s=origin_s, settings=settings)
 
 
-def open_pairs(
-    left: str | None,
-    right: str | None,
-    *,
-    colour: bool = False,
-    fps: float | None = None,
-    times_s: Sequence[float] | None = None,
-    max_skew_s: float = MAX_SKEW_S,
-    settings: PairSettings = AUTOMATIC,
-    reading: ImageReading = AS_THEY_ARE,
-) -> PairSource:
-    """Return the pairs of two sources as drivers.open_pairs does, or of one recording. Raises UsageError."""
-    recorded = [text for text in (left, right) if text is not None and is_recording(text)]
-    bags = [text for text in (left, right) if text is not None and is_bag(text)]
-    for text in (*recorded, *bags, *((left,) if left is not None and is_video(left) else ())):
-        reading.require_none(text)
-    if recorded and (left is None or right is None or len(recorded) == 2):
-        require_as_recorded(recorded[0], fps, times_s, settings)
-        ends = RecordedFrames(recorded[0], "left", colour=colour), RecordedFrames(recorded[-1], "right", colour=colour)
-        return cast(PairSource, RecordedMoments(*ends, max_skew_s=max_skew_s))
-    if left is None or right is None:
-        raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
-    if recorded or len(bags) == 1:
-        kind = "a recording" if recorded else "of a bag"
-        raise UsageError(f"{left} and {right} cannot be paired: one is {kind}, the other is not")
-    if bags and left != right:
-        require_as_recorded(left, fps, times_s, settings)
-        sides = BagFrames(left, colour=colour), BagFrames(right, colour=colour, origin_of=left)
-        return cast(PairSource, RecordedMoments(*sides, max_skew_s=max_skew_s))
-    if fps is None and times_s is None and is_video(left) and is_video(right) and left != right:
-        return _video_pairs(left, right, colour, max_skew_s, settings)
-    return drivers.open_pairs(
-        left,
-        right,
-        colour=colour,
-        fps=fps,
-        times_s=times_s,
-        max_skew_s=max_skew_s,
-        settings=settings,
-        reading=reading,
-    )
-
-
-def _video_pairs(left: str, right: str, colour: bool, max_skew_s: float, settings: PairSettings) -> PairSource:
-    """Return the pairs of two videos, matched by their stamps. Raises UsageError for settings of live cameras."""
-    for asked in by_side(settings):
-        asked.require_none(left)
-    skew_s = min(max_skew_s, 0.5 * min(frame_period_s(left), frame_period_s(right)))
-    sides = (VideoFile(left, colour=colour), VideoFile(right, colour=colour))
-    return cast(PairSource, RecordedMoments(*sides, max_skew_s=skew_s, end_together=True))
-
-
-def require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:
-    """Raise UsageError where times are given for a recording or a bag, or settings for the cameras in it."""
-    for asked in by_side(settings):
-        asked.require_none(text)
+def require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, asked: CameraSettings) -> None:
+    """Raise UsageError where times are given for a recording or a bag, or settings for a camera in it."""
+    asked.require_none(text)
     if fps is not None or times_s is not None:
         raise UsageError(f"{text} brings its own times", cure="Leave --times and --fps away")
 
 
-def _converted(frame: Frame, colour: bool) -> Frame:
-    if (frame.image.ndim == 3) == colour:
+def _converted(frame: Frame, colour: bool | None) -> Frame:
+    if colour is None or (frame.image.ndim == 3) == colour:
         return frame
     code = cv2.COLOR_GRAY2BGR if colour else cv2.COLOR_BGR2GRAY
     return Frame(
@@ -243,27 +182,22 @@ def _converted(frame: Frame, colour: bool) -> Frame:
     )
 
 
-def overlaid(images: FrameSource) -> PairSource:
-    """Return the pairs in images that hold both views one upon the other."""
-    return cast(PairSource, OneImage(images))
-
-
-def complex_pairs(open_images: Callable[[], FrameSource], rig: Rig) -> tuple[PairSource, bool]:
+def complex_pairs(open_images: Callable[[], FrameSource], rig: Rig) -> tuple[Moments, bool]:
     """Return the pairs in complex images, not yet open, and whether both views lie one upon the other in them.
 
     With a mirror rig they always do. With two cameras the first image's size tells: that of one camera, or that of both
     side by side. Raises Inconsistent for any other size.
     """
     if rig.kind is RigKind.MIRROR:
-        return overlaid(open_images()), True
+        return OneImage(open_images()), True
     left, right = ((camera.width, camera.height) for camera in (rig.left, rig.right))
     with open_images() as frames:
         first = next(iter(frames), None)
     if first is not None and left == right == (first.width, first.height):
-        return overlaid(open_images()), True
+        return OneImage(open_images()), True
     if first is not None:
         _require_both(first, left, right)
-    return cast(PairSource, OneImage(open_images(), left, right)), False
+    return OneImage(open_images(), left, right), False
 
 
 def _require_both(frame: Frame, left: tuple[int, int], right: tuple[int, int]) -> None:

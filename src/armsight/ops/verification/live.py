@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
 
 from armsight.clock import Clock
-from armsight.drivers import CameraSettings, is_live
+from armsight.drivers import CameraSettings, Robot, RobotTraits, moments_of
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
-from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_views
+from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_named
 from armsight.ops.requests.plant import Publishing
 from armsight.ops.robot.opening import refuse_settings, robot_of
-from armsight.ops.simulation.following import followed_cell
+from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.frames import open_pairs
+from armsight.ops.sources.cameras import cameras_of, open_cameras, require_watching
 from armsight.ops.verification.supervising import Supervised, Supervision
-from armsight.optics import SIDES
-from armsight.records import Frame, Progress, Target
+from armsight.records import Progress, Target
 from armsight.store.rigs import World
 from armsight.units import DEG
 from armsight.verify.live import LiveLog, VerifyLiveOutput
@@ -61,16 +60,12 @@ def supervise_until_ended(
 
 
 def _take_pairs(run: Supervision, ended: Callable[[], bool]) -> None:
-    with closing(_generator(run)) as pairs:
-        for pair in pairs:
-            run.take(pair)
+    with closing(moments_of(run.devices.pairs)) as moments:
+        for moment in moments:
+            run.take(moment)
             if ended():
                 return
     raise DeviceFailed("the cameras ended", consequence="Nobody watches the arm any more", cure="Check them")
-
-
-def _generator(run: Supervision) -> Generator[tuple[Frame, Frame], None, None]:
-    yield from run.devices.pairs
 
 
 def _nothing_compared(log: LiveLog) -> NotEnoughData | None:
@@ -113,6 +108,16 @@ def check_arm(arm: Arm, devices: Supervised) -> None:
         )
 
 
+def check_stop(robot: Robot, *, asked: bool) -> None:
+    """Raise UsageError where a stop is asked of a robot whose link only reads."""
+    if asked and RobotTraits.of(robot).reads_only:
+        raise UsageError(
+            f"{robot.name} is only read (reads_only), and cannot be stopped by it",
+            consequence="Nothing is supervised",
+            cure="Leave --stop-mm, --stop-deg and --stop-blind out; warnings stay",
+        )
+
+
 def doubts(
     limits: Limits, arm: Arm, world: World, latency_s: tuple[float, float] | None, failure: Exception | None
 ) -> Sequence[str]:
@@ -139,43 +144,44 @@ SIM = "sim:"
 
 def open_supervised(
     link: RobotJob,
-    views: tuple[str | None, str | None],
+    names: Sequence[str],
+    given: Mapping[str, str],
     target: Target,
     clock: Clock,
-    arm: Arm,
+    arm: Arm | None,
     *,
     play: bool,
     camera_settings: CameraSettings,
 ) -> Supervised:
-    """Return the robot and the cameras of both views; nothing is opened yet. play: a simulated robot goes by itself.
+    """Return the robot and the cameras given by a rig's names; nothing is opened yet. play: a simulated robot goes by
+    itself.
 
     Raises UsageError, DeviceNotFound, BadFile.
     """
     if play and not link.robot.startswith(SIM):
         raise UsageError(f"--play is of simulated robots, and {link.robot} is none", cure="Leave --play away")
     if link.follow is not None:
-        refuse_cameras(link.follow, left=views[0], right=views[1])
+        refuse_cameras(link.follow, **given)
         camera_settings.require_none(f"the simulated cell {link.follow}")
         robot = robot_of(link, clock, arm)
-        cell = followed_cell(link.follow, robot, clock)
+        cell = watching_cell(link.follow, robot, clock)
         return Supervised(robot=robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))
-    left, right = require_views(*views)
+    require_named(given)
+    cameras = cameras_of(names, given)
     if link.robot.startswith(SIM):
         refuse_settings(link)
-        return _simulated(link.robot, (left, right), clock, play, camera_settings)
-    for text in (left, right):
-        if not is_live(text) or text.startswith("camera:sim:"):
-            raise UsageError(f"{text} does not see {link.robot} now", cure="Give camera:NAME for --left and --right")
+        return _simulated(link.robot, cameras, clock, play, camera_settings)
+    require_watching(cameras.values(), link.robot)
     robot = robot_of(link, clock, arm)
-    pairs = open_pairs(left, right, colour=target.colour is not None, settings=camera_settings)
+    pairs = open_cameras(cameras, colour=target.colour is not None, settings=camera_settings)
     return Supervised(robot=robot, pairs=pairs)
 
 
 def _simulated(
-    robot: str, views: tuple[str, str], clock: Clock, play: bool, camera_settings: CameraSettings
+    robot: str, cameras: Mapping[str, str], clock: Clock, play: bool, camera_settings: CameraSettings
 ) -> Supervised:
     name = robot.removeprefix(SIM)
-    for side, text in zip(SIDES, views, strict=True):
+    for side, text in cameras.items():
         if text != f"camera:sim:{name}:{side}":
             raise UsageError(f"{text} does not see the simulated robot {robot}", cure=f"Give camera:sim:{name}:{side}")
     camera_settings.require_none(f"the simulated robot {robot}")

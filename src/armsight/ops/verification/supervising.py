@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,9 +17,10 @@ import numpy as np
 from armsight.clock import Clock
 from armsight.control.session.service import TokenBucket
 from armsight.defaults import BLIND_S
-from armsight.drivers import PairSource, Robot
+from armsight.drivers import MomentSource, Robot, Views, by_name, news_of
 from armsight.errors import DeviceFailed, StaleData
-from armsight.measure.poses.pipeline import Measured, Setup, TargetTracker
+from armsight.measure.poses.moments import TargetTracker
+from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.ops.recording.recorder import Recorder
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
@@ -48,7 +49,7 @@ class Supervised:
     """
 
     robot: Robot
-    pairs: PairSource
+    pairs: MomentSource
     origin_s: Callable[[], float] | None = None
     on_step: Callable[[Callable[[], None]], None] | None = None
 
@@ -151,6 +152,7 @@ class Supervision:
         self._stopped_s: float | None = None
         self.seen: Seen | None = None
         """The newest pair, for the plant's systems."""
+        self._lost: list[str] = []
         self._notes: deque[tuple[str, str]] = deque(maxlen=NOTES)
         self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, WARNINGS_PER_S, clock.now_s()), 0
 
@@ -168,12 +170,15 @@ class Supervision:
         else:
             stack.enter_context(self._reader)
 
-    def take(self, pair: tuple[Frame, Frame]) -> None:
+    def take(self, moment: Views) -> None:
         """Measure, compare, judge, and only then write and tell."""
         begun_s = time.perf_counter()
-        newest_s = max(pair[0].t_s, pair[1].t_s)
+        for message in news_of(self.devices.pairs, self._lost):
+            self.note("warning", message)
+        frames = by_name(self._rig.names, moment)
+        newest_s = max(frame.t_s for frame in frames.values())
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._latency_s)
-        measured = self._tracker.take(*pair)
+        measured = self._tracker.take(*moment)
         pose = measured.pose
         zero_s = self._ahead_s if self.devices.origin_s is None else self.devices.origin_s()
         compared, lost = self._compared(pose, pose.t_s + zero_s)
@@ -182,10 +187,10 @@ class Supervision:
             self._stopped_s = pose.t_s
         raised = alarm or self._sight(pose.t_s, compared is not None, lost)
         ms = (time.perf_counter() - begun_s) * 1e3
-        self.judge.log.add(pair[0].sequence, pose, compared, self.judge.level, lost, ms)
+        self.judge.log.add(next(iter(frames.values())).sequence, pose, compared, self.judge.level, lost, ms)
         self.judge.show(pose, compared, lost, raised, at_s=self._monotonic_s(pose.t_s + zero_s), blind=self._blind)
         self.seen = self.judge.seen
-        self._record(pair, measured, raised, zero_s)
+        self._record(frames, measured, raised, zero_s)
         self.show(pose, compared, self.judge.level, lost)
 
     def ended(self, seconds_s: float | None, pairs: int | None) -> bool:
@@ -219,12 +224,12 @@ class Supervision:
         self._blind = True
         return Alarm(level=Level.GOOD, t_s=t_s, why=f"blind: nothing compared for {dark_s:.2f} s; {lost}")
 
-    def _record(self, pair: tuple[Frame, Frame], measured: Measured, raised: Alarm | None, zero_s: float) -> None:
+    def _record(self, frames: Mapping[str, Frame], measured: Measured, raised: Alarm | None, zero_s: float) -> None:
         recorder = self._recorder
         if recorder is None:
             return
         if self._frames:
-            recorder.put(*pair)
+            recorder.put(frames)
         pose = measured.pose
         readings = self._reader.take()
         notes = [self._notes.popleft() for _ in range(len(self._notes))]

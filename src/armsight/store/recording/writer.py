@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from armsight._version import __version__
 from armsight.clock import Clock
 from armsight.geometry import xyz_quat
-from armsight.optics import SIDES, LensKind, Rig
+from armsight.optics import LensKind, Rig
 from armsight.records import Frame, JointReading, Points, Spots, TargetPose
 from armsight.store.atomic import json_text
 from armsight.store.recording import schemas
@@ -86,16 +86,18 @@ class RecordingWriter:
         """Bytes given to the system."""
         return self._file.size
 
-    def pair(self, left: Frame, right: Frame, encoded: tuple[Encoded | None, Encoded | None] = (None, None)) -> None:
-        """Add both views of one moment, always in one chunk: neither is ever there without the other."""
-        for side, frame, data in zip(SIDES, (left, right), encoded, strict=True):
-            self._frame(side, frame, data)
+    def moment(self, frames: Mapping[str, Frame], encoded: Mapping[str, Encoded | None] = MappingProxyType({})) -> None:
+        """Add the views of one moment by camera, always in one chunk: none is ever there without the others.
+
+        encoded: the same images compressed, else they are kept raw.
+        """
+        for camera, frame in frames.items():
+            self._frame(camera, frame, encoded.get(camera))
         self.tick()
 
     def frame(self, camera: str, frame: Frame, encoded: Encoded | None = None) -> None:
-        """Add a frame of 'left', 'right' or another camera; encoded: the same image compressed, else it is kept raw."""
-        self._frame(camera, frame, encoded)
-        self.tick()
+        """Add a frame of one camera by itself."""
+        self.moment({camera: frame}, {camera: encoded})
 
     def _frame(self, camera: str, frame: Frame, encoded: Encoded | None) -> None:
         t_ns = self._ns(frame.t_s)
@@ -165,8 +167,8 @@ class RecordingWriter:
         self.tick()
 
     def rig(self, t_s: float, rig: Rig) -> None:
-        """Add both cameras' calibration and places in Foxglove's forms, for viewers; attach rig.yaml for ourselves."""
-        for side in SIDES:
+        """Add the cameras' calibration and places in Foxglove's forms, for viewers; attach rig.yaml for ourselves."""
+        for side in rig.names:
             camera = rig.camera(side)
             fx, fy, cx, cy, skew = camera.intrinsics[:5].tolist()
             k = [fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]

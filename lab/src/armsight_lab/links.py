@@ -104,7 +104,7 @@ class Links:
             for k in range(standing, len(self.parts)):
                 walled[:, w, k] = self._at(wall, a[:, k], b[:, k])
         i, j = self.pairs[:, 0], self.pairs[:, 1]
-        return walled, _apart(a[:, i], b[:, i], a[:, j], b[:, j]) < 2.0 * self.radius_m
+        return walled, apart(a[:, i], b[:, i], a[:, j], b[:, j]) < 2.0 * self.radius_m
 
     def _at(self, wall: Wall, a: Array, b: Array) -> Mask:
         """Return where the straight part from a to b (m, 3) is nearer to a wall than its thickness."""
@@ -145,7 +145,7 @@ def _from_box(a: Array, b: Array, lower: Array, upper: Array) -> Array:
     return np.asarray(np.linalg.norm(p - np.clip(p, lower, upper), axis=1))
 
 
-def _apart(a: Array, b: Array, c: Array, d: Array) -> Array:
+def apart(a: Array, b: Array, c: Array, d: Array) -> Array:
     """Return the distance (...) of the straight parts from a to b and from c to d (..., 3) (Ericson 2005, 5.1.9)."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv = (u * u).sum(-1), (v * v).sum(-1), (u * v).sum(-1)

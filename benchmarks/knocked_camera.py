@@ -1,0 +1,173 @@
+"""Which camera was knocked: how often the right one is named, and how often a good rig raises an alarm.
+
+The world (tests/truth/camera_ring.py) projects by itself: six lights at 1.3 m, 0.05 px, a fifth of the sights hidden.
+Every run's rig file is drawn from the covariance of a calibration, lenses too: 60 boards that two cameras or more see,
+and 20 that fill each one's picture, 0.05 px a corner. Then one camera is turned about its own centre, or shifted, in a
+direction drawn. A knocked run goes from its spots, with two reflections, through the naming; it counts as right where
+the first camera that is left out is that one. Good runs, and those of a knock half way, are of spots named as they
+are, which is quicker; --search names those of good runs too.
+
+    python benchmarks/knocked_camera.py                     # 1,000 good runs and 2 x 200 knocks for 3, 4 and 8 cameras
+    python benchmarks/knocked_camera.py --good 100 --knocks 20 --views 4
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.stats import beta
+
+from armsight.measure.consistency.run_of_cameras import CamerasCheck
+from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.pose import no_points, solve_pose
+from armsight.measure.poses.setup import Setup, rig_slack_px
+from armsight.measure.poses.sights import Sights
+from armsight.measure.poses.solving import named_spots
+from armsight.measure.poses.views import measure_views
+from armsight.optics import Rig, moved_rig
+from armsight.records import NamedCovariance, spot_target
+from bench import machine, table
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from tests.truth import camera_ring as world
+from tests.truth import ring_of_cameras as boards
+from tests.truth import test_views as scene
+
+LETTERS = "ABCDEF"
+CORNER_PX = 0.05
+MOMENTS = 60
+
+
+@cache
+def calibrated(views: int, seed: int = 1) -> tuple[Rig, np.ndarray]:
+    """Return the true rig of so many cameras and the covariance of a calibration, in the order of Rig.parameters."""
+    rng, ring = np.random.default_rng(seed), world.ring(views)
+    k = np.tile([world.FOCAL, world.FOCAL, *world.CENTRE, 0.0, world.K1, 0.0, 0.0, 0.0, 0.0], (views, 1))
+    T = np.tile(np.eye(4), (views, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = ring.R, ring.t
+    T = np.linalg.inv(T)
+    poses, seen = [], []
+    while len(poses) < 60 + 20 * views:
+        near = len(poses) >= 60
+        of = (len(poses) - 60) // 20 if near else rng.integers(views)
+        own = boards.moved(np.eye(4), np.r_[0, 0, 0, rng.uniform(-0.5, 0.5, 3)])
+        middle = [*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.4, 0.6)] if near else [*rng.uniform(-0.5, 0.5, 2), 1.2]
+        own[:3, 3] = middle - own[:3, :3] @ boards.BOARD.xyz_m.mean(axis=0)
+        pose = T[of] @ own
+        here = [s == of for s in range(views)] if near else boards.visible(k, T, pose)
+        if sum(here) >= (1 if near else 2):
+            poses.append(pose)
+            seen.append(here)
+    full = boards.Ring(k=k, T=T, boards=np.array(poses), seen=np.array(seen)).bound(CORNER_PX)
+    return scene.setup_of(ring).rig, full
+
+
+def drawn(views: int, rng: np.random.Generator) -> Setup:
+    """Return the setup of a rig file as a calibration may have left it, with its covariance."""
+    rig, C = calibrated(views)
+    covariance = NamedCovariance(names=rig.parameters, matrix=C)
+    told = moved_rig(Rig(cameras=rig.cameras, covariance=covariance), rng.multivariate_normal(np.zeros(len(C)), C))
+    lights = spot_target({name: tuple(x) for name, x in zip(LETTERS, world.LIGHTS.tolist(), strict=True)})
+    found = Rig(cameras=told.cameras, covariance=covariance)
+    return Setup(found, lights, slack_px=rig_slack_px(found), many=True)
+
+
+def knocked(ring: world.Ring, k: int, rng: np.random.Generator, turn_deg: float, shift_mm: float) -> world.Ring:
+    """Return the world with one camera turned about its own centre and shifted, each in a direction drawn."""
+    way, axis = (one / np.linalg.norm(one) for one in rng.normal(size=(2, 3)))
+    turn = cv2.Rodrigues(np.radians(turn_deg) * axis)[0]
+    R, t = ring.R.copy(), ring.t.copy()
+    R[k], t[k] = turn @ R[k], turn @ t[k] + 1e-3 * shift_mm * way
+    return world.Ring(R, t)
+
+
+def by_search(setup: Setup, true: world.Ring, t_s: float, rng: np.random.Generator) -> Measured:
+    """Return a moment as it is measured from spots."""
+    seen = world.look(true, world.LIGHTS, world.pose(rng), rng, hidden=0.2, reflections=2)
+    return measure_views(setup, t_s, [scene.spots(uv) for uv in seen.uv])
+
+
+def by_name(setup: Setup, true: world.Ring, t_s: float, rng: np.random.Generator) -> Measured:
+    """Return a moment whose spots are named as they are."""
+    T = world.pose(rng)
+    seen = world.look(true, world.LIGHTS, T, rng, hidden=0.2)
+    order = [np.argsort(light) for light in seen.light]
+    spots = tuple(scene.spots(uv[at]) for uv, at in zip(seen.uv, order, strict=True))
+    rows = np.full((len(LETTERS), len(spots)), -1, np.intp)
+    for s, (light, at) in enumerate(zip(seen.light, order, strict=True)):
+        rows[light[at], s] = np.arange(len(at))
+    names, views = Sights.of(setup, spots).named(setup, rows, T)
+    solved = solve_pose(setup.packed, t_s, named_spots(setup, names, views), limit=np.inf, start=views.start)
+    sights = rows[(rows >= 0).any(axis=1)] >= 0
+    return Measured(pose=solved.pose, points=no_points(), spots=spots, names=names, seen=spots, sights=sights)
+
+
+def first_named(
+    views: int, seed: int, knock: tuple[float, float] | None, *, search: bool, half_way: bool = False
+) -> tuple[int, list[str], int]:
+    """Return which camera was knocked, the first that were left out, and after how many moments that was."""
+    rng = np.random.default_rng(seed)
+    setup, true, k = drawn(views, rng), world.ring(views), seed % views
+    before = true
+    if knock is not None:
+        true = knocked(true, k, rng, *knock)
+    check, moment = CamerasCheck(setup), by_search if search else by_name
+    for i in range(MOMENTS):
+        check.add(moment(setup, before if half_way and i < MOMENTS // 2 else true, 0.5 * i, rng))
+        if check.left_out:
+            return k, list(check.left_out[0].names), i + 1
+    found = check.finish()
+    named = list(check.left_out[0].names) if check.left_out else []
+    return k, named if named or found.verdict == "ok" else [found.verdict], MOMENTS
+
+
+def row(
+    views: int, what: str, knock: tuple[float, float] | None, runs: int, *, search: bool, half_way: bool = False
+) -> list[object]:
+    """Return one row of the table."""
+    done = [first_named(views, 1000 * views + i, knock, search=search, half_way=half_way) for i in range(runs)]
+    told = [one for one in done if one[1]]
+    right = sum(named == [f"c{k}"] for k, named, _ in told)
+    wrong = len(told) - right if knock else len(told)
+    most = 100.0 * float(beta.ppf(0.95, wrong + 1, runs - wrong)) if wrong < runs else 100.0
+    after = float(np.median([n for _, _, n in told])) if told else ""
+    share: object = 100.0 * right / runs if knock else ""
+    out = [views, what, runs, share, wrong, most, after]
+    print(*out, sep=" | ", flush=True)  # each as it comes: a thousand runs of eight cameras take an hour
+    return out
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--good", type=int, default=1000)
+    parser.add_argument("--knocks", type=int, default=200)
+    parser.add_argument("--views", type=int, nargs="+", default=[3, 4, 8])
+    parser.add_argument("--search", action="store_true")
+    args = parser.parse_args()
+    print(machine())
+    head = ["cameras", "what happened", "runs", "right camera, %", "wrong or alarm", "at most, % (95 %)", "moments"]
+    rows = []
+    for views in args.views:
+        deviations = np.sqrt(np.diag(calibrated(views)[1]))[10 * views :].reshape(-1, 6)
+        place, turn = 1e3 * deviations[:, :3].max(), np.degrees(deviations[:, 3:].max())
+        print(
+            f"{views} cameras: places of the calibration to {place:.3f} mm and {turn:.4f} degrees or better", flush=True
+        )
+        for what, knock in (("turned by 0.1 degrees", (0.1, 0.0)), ("shifted by 0.5 mm", (0.0, 0.5))):
+            if args.knocks:
+                rows.append(row(views, what, knock, args.knocks, search=True))
+                rows.append(row(views, f"{what}, half way", knock, args.knocks, search=False, half_way=True))
+        if args.good:
+            rows.append(row(views, "nothing", None, args.good, search=args.search))
+    table("Knocked cameras", head, rows)
+
+
+if __name__ == "__main__":
+    main()
