@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,11 @@ from armsight.calibrate.timing.fit import (
 from armsight.calibrate.timing.left_out import left_out_rms, onlookers
 from armsight.calibrate.timing.naming import lights_named, named_by_motion
 from armsight.calibrate.timing.result import CameraClock, CamerasTiming, TimingResult, time_names
+from armsight.calibrate.timing.rig_doubt import RigDoubt
 from armsight.calibrate.timing.stamps import SteadyStamps, camera_clock
 from armsight.calibrate.timing.tree import Tied, tied_cameras
 from armsight.calibrate.timing.views import Views, common_lights, views_of
+from armsight.calibrate.timing.widening import rig_pull, widened
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData
 from armsight.fitting import Fit, Prior
 from armsight.optics import SIDES, Rig, RigKind
@@ -43,6 +45,8 @@ MAX_RESIDUAL = 5.0
 """The same over what a table says of its spots, where that is more."""
 FIRST_SPACING = 3.0
 """Periods, while the delay is known to some hundredths of a second only."""
+MAX_RIG_OFF = 5.0
+"""Over what the rig says of itself: a camera was moved, or is another one's recording."""
 ROUNDS_OF_SCALES = 3
 """Of variance components, where there are more than two: they hang on each other."""
 DISTANCE_STD_M = 1e-3
@@ -51,12 +55,17 @@ DISTANCE_STD_M = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Solved:
-    """The fit of time_names, its model, and by camera the RMS residual in px and that of views left out (NaN: none)."""
+    """The fit of time_names, its model, and by camera the RMS residual in px and that of views left out (NaN: none).
+
+    rig_off: deviations of the rig by which it is off; wider: by how much the times' deviations are.
+    """
 
     fit: Fit
     model: PathModel
     rms_px: Array
     left_out_px: Array
+    wider: Array
+    rig_off: float = 1.0
 
 
 def calibrate_timing(
@@ -146,7 +155,14 @@ def _clocks_of(
     found, covariance = _clocks(some, solved, own)
     n_frames = sum(map(len, tied.tracks))
     lights = solved.model.views.names
-    return CamerasTiming(given=rig, clocks=found, covariance=covariance, n_frames=n_frames, lights=lights)
+    return CamerasTiming(
+        given=rig,
+        clocks=found,
+        covariance=covariance,
+        n_frames=n_frames,
+        lights=lights,
+        rig_off=solved.rig_off,
+    )
 
 
 def _require_recordings(names: Sequence[str], tracks: Sequence[SpotTrack]) -> None:
@@ -168,7 +184,8 @@ def _fitted(
     positions_m: Mapping[str, Array],
 ) -> _Solved:
     """Return the fit from coarse delays (V,). Raises Inconsistent, NotEnoughData."""
-    views = views_of(rig, tracks, clocks, common_lights(*tracks))
+    doubt = RigDoubt.of(rig) if len(tracks) > 2 else RigDoubt.none(2)
+    views = views_of(rig, tracks, clocks, common_lights(*tracks), doubt)
     views = _in_common(views, rig.names, delay_s)
     V = range(len(rig.names))
     mid_s = np.array([0.0, *(float(np.mean(views.stamp_s[views.side == s])) for s in V[1:])])
@@ -222,14 +239,14 @@ def _solve(
     positions_m: Mapping[str, Array],
 ) -> _Solved:
     """Return the fit: first on a coarse grid, then on that which explains the views best, without outliers."""
-    V = len(names)
-    x = np.zeros(3 * V - 2 + len(views.pairs))
+    V, p = len(names), len(views.pairs)
+    x = np.zeros(3 * V - 2 + p + views.doubt.size)
     x[: 2 * V - 2 : 2] = coarse_s[1:]
     spacing = FIRST_SPACING * period_s
     depth = np.ones(len(views))
     for _ in range(2):
         depth = depths(build(views, spacing, mid_s, x, depth), x, names)
-    x[3 * V - 2 :] = distances_along(build(views, spacing, mid_s, x, depth))
+    x[3 * V - 2 :][:p] = distances_along(build(views, spacing, mid_s, x, depth))
     total, given = np.ones(V), np.array([float(np.median(views.std_px[views.side == s])) for s in range(V)])
     priors = _priors(views, names, coarse_s, period_s, positions_m)
     for final in (False, True):
@@ -245,8 +262,35 @@ def _solve(
             views, depth = views.take(kept), depth[kept]
             spacing, _ = best_spacing(views, period_s, mid_s, x, depth)
             depth = depths(build(views, spacing, mid_s, x, depth), x, names)
-    left_out = left_out_rms(model, fit, priors) if V > 2 else np.full(V, np.nan)
-    return _Solved(fit=fit, model=model, rms_px=total * fit.scale * given, left_out_px=total * left_out * given)
+    rms = total * fit.scale * given
+    if V == 2:
+        return _Solved(fit=fit, model=model, rms_px=rms, left_out_px=np.full(V, np.nan), wider=np.ones(len(x)))
+    model, fit, off = _with_rig(model, fit, priors, names)
+    left_out = total * left_out_rms(model, fit, priors) * given
+    return _Solved(fit=fit, model=model, rms_px=rms, left_out_px=left_out, wider=widened(model, fit), rig_off=off)
+
+
+def _with_rig(
+    model: PathModel, fit: Fit, priors: dict[str, Prior], names: tuple[str, ...]
+) -> tuple[PathModel, Fit, float]:
+    """Return model and fit of a rig that is known as well as the lights tell, and how far it is off what it says.
+
+    Raises Inconsistent where it is further off than any calibration is by chance.
+    """
+    off, pull = rig_pull(model, fit, widened(model, fit))
+    if off > MAX_RIG_OFF:
+        raise Inconsistent(
+            f"the paths of the lights pull the rig's cameras {off:.0f} standard deviations off, most "
+            f"{names[int(np.argmax(pull))]}: they do not fit all views",
+            consequence="No timing is given",
+            cure="Check that each is the recording of its own camera; else calibrate the rig anew as it stands now",
+        )
+    if off > 1.0:
+        doubt, x = model.views.doubt, fit.shared.copy()
+        model = replace(model, views=replace(model.views, doubt=doubt.times(off)))
+        x[len(x) - doubt.size :] /= off
+        fit = solve_model(model, x, priors)
+    return model, fit, off
 
 
 def _kept(model: PathModel, x: Array) -> NDArray[np.bool_]:
@@ -270,7 +314,7 @@ def _priors(
         mean = float(np.linalg.norm(known[1] - known[0])) if len(known) == 2 else DISTANCE_M
         sigma = DISTANCE_STD_M if len(known) == 2 else DISTANCE_M
         priors[f"distance_{a}_{b}_m"] = Prior(mean=mean, sigma=sigma)
-    return priors
+    return priors | {f"rig_{k}": Prior(mean=0.0, sigma=1.0) for k in range(views.doubt.size)}
 
 
 def _clocks(
@@ -280,7 +324,7 @@ def _clocks(
     x, model, V = solved.fit.shared, solved.model, len(clocks)
     names = time_names(rig.names)
     C = solved.fit.covariance.block(names) if solved.fit.covariance is not None else np.zeros((len(names),) * 2)
-    C, move = C.copy(), np.eye(len(names))
+    C, move = C * np.outer(solved.wider[: len(names)], solved.wider[: len(names)]), np.eye(len(names))
     at = [slice(2 * s - 2, 2 * s) for s in range(1, V)]
     first = [clocks[0].moved(model.mid_s[s] + x[2 * s - 2]) for s in range(1, V)]
     for s, block in enumerate(at):
@@ -311,6 +355,7 @@ def _clocks(
             middle_s=mid,
             std_middle_s=float(doubt.clock_std_s([mid])[0]) if doubt else 0.0,
             common_s=float(stamps.max() - stamps.min()),
+            wider=float(solved.wider[2 * s - 2]) if s else 1.0,
             residual_px=float(solved.rms_px[s]),
             left_out_px=float(solved.left_out_px[s]) if np.isfinite(solved.left_out_px[s]) else None,
         )

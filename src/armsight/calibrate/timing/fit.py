@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -48,8 +48,9 @@ class PathFit:
 class PathModel:
     """Views on a grid. mid_s (V,): each camera's stamp at which its delay is taken. depth (m,): of each view, nearly.
 
-    x (3 V - 2 + p,): of every camera but the first delay_s and drift_ppm, of every one readout_s, then the lights'
-    distances. c (size,): paths that are near, about which rigid distances are taken as linear.
+    x (3 V - 2 + p + k,): of every camera but the first delay_s and drift_ppm, of every one readout_s, then the lights'
+    distances, and how far the rig is off in its deviations. c (size,): paths that are near, about which rigid distances
+    are taken as linear.
     """
 
     views: Views
@@ -85,16 +86,17 @@ class PathModel:
         J[rows, n - len(self.mid_s) + v.side] = v.line
         return v.stamp_s + J @ x[:n], J
 
-    def seen(self, t_s: Array, derivative: int = 0) -> Rows:
+    def seen(self, t_s: Array, x: Array, derivative: int = 0) -> Rows:
         """Return the equations (2 m,) of all views, or their derivatives by time."""
         first, weight = self.grid.basis(t_s, derivative)
         columns = self._columns(first, self.views.light)  # (m, 18)
-        A = self.views.A / self.depth[:, None, None]
+        A, b = self.views.equations(x[self.n_times + len(self.views.pairs) :])
+        A = A / self.depth[:, None, None]
         values = np.einsum("mj,mrk->mrjk", weight, A).reshape(-1, ORDER * 3)
         return Rows(
             columns=np.repeat(columns, 2, axis=0),
             values=values,
-            right=(self.views.b / self.depth[:, None]).ravel(),
+            right=(b / self.depth[:, None]).ravel(),
         )
 
     def smooth(self) -> Rows:
@@ -127,6 +129,12 @@ class PathModel:
             right=np.repeat(distances, len(first)) / RIGID_M,
         )
 
+    def points(self, t_s: Array, c: Array) -> Array:
+        """Return where the light of each view was (m, 3) on paths c."""
+        first, weight = self.grid.basis(t_s)
+        at = c[self._columns(first, self.views.light)].reshape(-1, ORDER, 3)
+        return np.asarray(np.einsum("mj,mjk->mk", weight, at))
+
     def _columns(self, first: NDArray[np.intp], light: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the unknowns (m, 18) of the lights' coordinates from their first coefficients on."""
         start = ((first[:, None] + np.arange(ORDER)) * self.n_lights + light[:, None]) * 3  # (m, 6)
@@ -135,7 +143,7 @@ class PathModel:
     def fit_paths(self, x: Array) -> PathFit:
         """Return the paths for x."""
         t, _ = self.times_s(x)
-        fixed = (self.seen(t), self.smooth())
+        fixed = (self.seen(t, x), self.smooth())
         c, width = self.c, ORDER * self.n_lights * 3 - 1
         parts: tuple[Rows, ...] = fixed
         if not len(self.views.pairs):
@@ -143,7 +151,7 @@ class PathModel:
             c = band.solution()
         else:
             for _ in range(RIGID_ROUNDS):
-                parts = (*fixed, self.rigid(c, x[self.n_times :]))
+                parts = (*fixed, self.rigid(c, x[self.n_times :][: len(self.views.pairs)]))
                 band = Band(parts, self.size, width)
                 c = band.solution()
         residuals = tuple(times(rows, c[:, None])[:, 0] - rows.right for rows in parts)
@@ -153,19 +161,24 @@ class PathModel:
         """Return residuals and derivatives by x, both with the paths eliminated (variable projection)."""
         del local
         n_seen, p, n = 2 * len(self.views), len(self.views.pairs), self.n_times
+        k = self.views.doubt.size
         t, Jt = self.times_s(x)
         if not self.grid.inside(t):
             nothing = np.full((1, n_seen), np.nan)
-            return Evaluation(residuals=nothing, shared=np.zeros((1, n_seen, n + p)), local=np.zeros((1, n_seen, 0)))
+            return Evaluation(
+                residuals=nothing, shared=np.zeros((1, n_seen, n + p + k)), local=np.zeros((1, n_seen, 0))
+            )
         paths = self.fit_paths(x)
         # a view of another moment is of another point of the path: the residual moves with the path's speed
-        speed = times(self.seen(t, 1), paths.c[:, None])  # (2 m, 1)
-        J = [np.zeros((len(r), n + p)) for r in paths.residuals]
+        speed = times(self.seen(t, x, 1), paths.c[:, None])  # (2 m, 1)
+        J = [np.zeros((len(r), n + p + k)) for r in paths.residuals]
         J[0][:, :n] = speed * np.repeat(Jt, 2, axis=0)
+        if k:
+            J[0][:, n + p :] = (self.views.by_doubt(self.points(t, paths.c)) / self.depth[:, None, None]).reshape(-1, k)
         if p:
             cells = self.grid.n_cells
-            for k in range(p):
-                J[2][k * cells : (k + 1) * cells, n + k] = -1.0 / RIGID_M
+            for i in range(p):
+                J[2][i * cells : (i + 1) * cells, n + i] = -1.0 / RIGID_M
         # Variable projection (Golub, Pereyra 1973): of each derivative only what the paths' coefficients cannot make is
         # left. The term by the residuals is dropped (Kaufman 1975), which leaves the minimum where it is
         pull = paths.band.solve(transposed_times(paths.parts, J, self.size))
@@ -204,19 +217,20 @@ class PathModel:
         none = [np.zeros((len(rows.right), V * PROBES)) for rows in paths.parts[1:]]
         made = times(paths.parts[0], paths.band.solve(transposed_times(paths.parts, [each, *none], self.size)))
         told = (each * made).sum(axis=0).reshape(V, PROBES).mean(axis=1)
-        return np.bincount(side, minlength=V) - told
+        return np.asarray(np.bincount(side, minlength=V) - told, dtype=np.float64)
 
 
 def build(views: Views, spacing_s: float, mid_s: Array, x: Array, depth: Array) -> PathModel:
     """Return the model on a grid of this spacing, about paths without rigid distances at x."""
     v = views
-    plain = Views(**{**{name: getattr(v, name) for name in v.__slots__}, "pairs": v.pairs[:0]})
+    p, n = len(v.pairs), 3 * len(mid_s) - 2
+    plain = replace(v, pairs=v.pairs[:0])
     clock = np.concatenate([[0.0, 0.0], x[: 2 * len(mid_s) - 2]])
     ends = v.stamp_s + (clock[2 * v.side] + PPM * clock[2 * v.side + 1] * (v.stamp_s - mid_s[v.side]))
     grid = Grid.over(float(ends.min()) - MARGIN_S, float(ends.max()) + MARGIN_S, spacing_s)
     empty = np.zeros(grid.n_coefficients * len(v.names) * 3)
     model = PathModel(views=plain, grid=grid, mid_s=mid_s, depth=depth, c=empty)
-    c = model.fit_paths(x).c
+    c = model.fit_paths(np.delete(x, slice(n, n + p))).c
     return PathModel(views=v, grid=grid, mid_s=mid_s, depth=depth, c=c)
 
 
@@ -225,8 +239,7 @@ def depths(model: PathModel, x: Array, names: tuple[str, ...]) -> Array:
 
     Raises Inconsistent where they lie behind.
     """
-    first, weight = model.grid.basis(model.times_s(x)[0])
-    X = np.einsum("mj,mjk->mk", weight, model.c[model._columns(first, model.views.light)].reshape(-1, ORDER, 3))
+    X = model.points(model.times_s(x)[0], model.c)
     depth = np.einsum("mk,mk->m", model.views.depth_row, X) + model.views.depth_off
     middle = float(np.median(depth))
     if not middle > 0.0:

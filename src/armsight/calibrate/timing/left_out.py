@@ -52,7 +52,7 @@ def left_out_rms(model: PathModel, fit: Fit, priors: dict[str, Prior]) -> Array:
         at = np.zeros(len(v), bool)
         at[judged] = True
         part = PathModel(views=v.take(at), grid=others.grid, mid_s=model.mid_s, depth=model.depth[at], c=others.c)
-        rows = part.seen(part.times_s(found)[0])
+        rows = part.seen(part.times_s(found)[0], found)
         r = times(rows, others.fit_paths(found).c[:, None])[:, 0] - rows.right
         np.add.at(squares, np.repeat(part.views.side, 2), r**2)
         np.add.at(n, np.repeat(part.views.side, 2), 1.0)
