@@ -98,11 +98,12 @@ class InMemory:
 class ServoPair:
     """A driver and its twin."""
 
-    def __init__(self, kind: str, *, sag: float = 0.0, **more: Any) -> None:
+    def __init__(self, kind: str, *, sag: float = 0.0, weighed: bool = False, **more: Any) -> None:
         bus, robot = KINDS[kind]
         self.kind, self.clock = kind, OwnClock(100.0)
         self.arm, self.home = small_arm(), twin_home(small_arm())
-        self.twin = bus(arm=self.arm, drive=bus_drive(self.arm), home=self.home, clock=self.clock, sag=sag)
+        drive = bus_drive(self.arm)
+        self.twin = bus(arm=self.arm, drive=drive, home=self.home, clock=self.clock, sag=sag, weighed=weighed)
         self.robot = robot("line", settings=more, clock=self.clock)
         self.port = InMemory(self.twin)
         self.robot._open_port = lambda: self.port

@@ -106,7 +106,7 @@ def test_pairs_of_nearest_frames_would_be_far_off() -> None:
 def test_without_both_cameras_nothing_begins_and_it_is_said_why() -> None:
     follower = Follower(setup=Setup(RIG, TARGET))
     assert follower.add(frame(0.0, 0, 0), 0) is None
-    assert "both cameras" in follower.why
+    assert "two cameras" in follower.why
     empty = replace(frame(0.0, 1, 0), image=np.full((HEIGHT, WIDTH), 12, np.uint8))
     assert follower.add(empty, 1) is None
     assert follower.why != "" and follower.views == []

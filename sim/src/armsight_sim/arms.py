@@ -78,19 +78,25 @@ class Servo:
         self._queue.clear()
         self._goal = self._q[-1].copy()
 
+    def hold(self, held: ArrayLike) -> None:
+        """Take torque from joints or give it back, held (n,): without weight they stay where they are."""
+
     def advance(self, t_s: float) -> None:
         """Let the joints move until t_s is covered."""
-        decay = math.exp(-self._dt_s / self.drive.lag_s) if self.drive.lag_s > 0.0 else 0.0
-        longest = self.drive.max_speed * self._dt_s
         while t_s - self.t_s > HAIR * self._dt_s:  # rounding of long sums must not make two steps of one
             while self._queue and self._queue[0][0] <= self.t_s + 1e-9:
                 self._goal = self._queue.popleft()[1]
-            rest = self._goal - self._q[-1]
-            self._q.append(self._q[-1] + np.clip((1.0 - decay) * rest, -longest, longest))
+            self._q.append(self._moved())
         if self._keep is not None and len(self._q) > 2 * self._keep:
             forgotten = len(self._q) - self._keep
             self._start_s += forgotten * self._dt_s
             del self._q[:forgotten]
+
+    def _moved(self) -> Array:
+        """Return where the joints (n,) are one step after the last one known."""
+        share = 1.0 - (math.exp(-self._dt_s / self.drive.lag_s) if self.drive.lag_s > 0.0 else 0.0)
+        longest = self.drive.max_speed * self._dt_s
+        return np.asarray(self._q[-1] + np.clip(share * (self._goal - self._q[-1]), -longest, longest))
 
     def at(self, t_s: ArrayLike) -> Array:
         """Return the true joint values (m, n) at times (m,) up to the moment known; before the start they rest."""
@@ -124,7 +130,8 @@ LARGEST_STEP = 0.3
 class SimJoint:
     """One joint and the link behind it, standard Denavit-Hartenberg; prismatic: along z instead of turning about it.
 
-    lower, upper, max_speed: of the joint value, in rad or m and per s.
+    lower, upper, max_speed: of the joint value, in rad or m and per s. mass_kg, com_m: of the link, its centre of mass
+    in the frame behind the joint; 0 where it is not known.
     """
 
     name: str
@@ -136,6 +143,8 @@ class SimJoint:
     lower: float = -math.inf
     upper: float = math.inf
     max_speed: float = math.inf
+    mass_kg: float = 0.0
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def matrix(self, q: float) -> Array:
         """Return Rz(theta) Tz(d) Tx(a) Rx(alpha) (4, 4): the frame behind the joint in the one before it."""

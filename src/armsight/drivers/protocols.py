@@ -201,7 +201,8 @@ class RobotTraits:
     arm_mapping: returns the arm that its controller computes with, as arm.yaml has it. true_joints: returns where its
     joints (n,) really were at a time of the clock, as only a simulated robot knows. listen: has a function told of each
     reading: when it was sent, on the clock, and its joints (n,). reading_step: of its encoders, in rad or m, where that
-    is more than a reading's noise: readings are whole steps. joint_range: lower and upper (n,) ends beyond which its
+    is more than a reading's noise: readings are whole steps. hangs_rad: by so much may its joints rest off their goals
+    under load. joint_range: lower and upper (n,) ends beyond which its
     link takes it nowhere, in rad or m. reads_only: its link commands nothing, not even a stop.
     """
 
@@ -211,6 +212,7 @@ class RobotTraits:
     true_joints: Callable[[float], NDArray[np.float64]] | None = None
     listen: Callable[[Callable[[float, NDArray[np.float64]], object]], None] | None = None
     reading_step: float = 0.0
+    hangs_rad: float = 0.0
     joint_range: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     reads_only: bool = False
 

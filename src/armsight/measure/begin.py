@@ -1,11 +1,11 @@
-"""How a track of a moving target begins: in frames of both cameras that are nearly, or made to be, of one moment.
+"""How a track of a moving target begins: in frames of cameras that are nearly, or made to be, of one moment.
 
 They are made so by spots of one camera at a time between two of its frames: they go on in straight lines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -15,9 +15,11 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent
 from armsight.measure.motion.states import View
 from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.moments import measure_moment
 from armsight.measure.poses.outcome import Measured
-from armsight.measure.poses.pipeline import measure_pair
+from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.views import measure_views
 from armsight.records import CameraTiming, Frame, PoseStatus, Spots
 
 SLACKS_PX = (1.0, 3.0)
@@ -53,66 +55,70 @@ class Beginning:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Beginner:
-    """Takes frames until the target is found in them. why: why it is not.
-
-    timing: of the left and the right camera.
-    """
+    """Takes frames until the target is found in them. why: why it is not. timing: of each camera."""
 
     setup: Setup
-    timing: tuple[CameraTiming, CameraTiming]
-    why: str = "no frame of both cameras yet"
-    _latest: list[AnyFrame | None] = field(default_factory=lambda: [None, None])
-    _seen: list[tuple[float, Spots] | None] = field(default_factory=lambda: [None, None])
+    timing: tuple[CameraTiming, ...]
+    why: str = "no frames of two cameras yet"
+    _latest: list[AnyFrame | None] = field(default_factory=list)
+    _seen: list[tuple[float, Spots] | None] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._latest, self._seen = [None] * len(self.timing), [None] * len(self.timing)
 
     def add(self, frame: AnyFrame, side: int) -> Beginning | None:
-        """Bring in a frame of the left (0) or right (1) camera; return what begins with it."""
-        self._latest[side] = frame
-        left, right = self._latest
-        if left is None or right is None:
+        """Bring in a frame of a camera (side, in the rig's order); return what begins with it."""
+        self._latest[side], t_s = frame, self._time(frame, side)
+        frames = [
+            one if one is not None and abs(self._time(one, k) - t_s) <= APART_S else None
+            for k, one in enumerate(self._latest)
+        ]
+        if sum(one is not None for one in frames) < min(2, len(frames)):
             return None
-        times = tuple(float(self.timing[k].rig_time(one.t_s)) for k, one in enumerate((left, right)))
-        if abs(times[0] - times[1]) > APART_S:
-            return None
-        measured = _measured(self.setup, left, right)
-        seen = (measured.left_seen, measured.right_seen)
+        measured = _measured(self.setup, frames)
+        seen = measured.seen
         for slack_px in SLACKS_PX:
             if measured.pose.status is PoseStatus.OK:
                 break
-            measured = _measured(replace(self.setup, slack_px=slack_px), left, right)
+            measured = _measured(replace(self.setup, slack_px=slack_px), frames)
         if measured.pose.status is PoseStatus.OK:
-            spots = (measured.left, measured.right)
-            pair = [self._view(spots[k], measured.names, k, one) for k, one in enumerate((left, right))]
-            pair.sort(key=lambda view: view.t_s)
-            return _beginning(tuple(pair), measured)
+            views = [self._view(measured, k, one) for k, one in enumerate(frames) if one is not None]
+            return _beginning(tuple(sorted((v for v in views if len(v.lights)), key=lambda v: v.t_s)), measured)
         self.why = measured.pose.why
-        earlier, self._seen[side] = self._seen[side], (times[side], seen[side])
-        return self._between(earlier, times, seen, side)
+        earlier, self._seen[side] = self._seen[side], (t_s, seen[side])
+        return None if earlier is None else self._between(earlier, frames, seen, side)
+
+    def _time(self, frame: AnyFrame, side: int) -> float:
+        return float(self.timing[side].rig_time(frame.t_s))
 
     def _between(
-        self, earlier: tuple[float, Spots] | None, times: tuple[float, ...], seen: tuple[Spots, Spots], side: int
+        self, earlier: tuple[float, Spots], frames: Sequence[AnyFrame | None], seen: Sequence[Spots], side: int
     ) -> Beginning | None:
-        """Look for the target at the other camera's frame, between this camera's last two."""
-        other = self._latest[1 - side]
-        if earlier is None or other is None:
-            return None
-        t_s, before = earlier
-        if not (t_s < times[1 - side] < times[side] <= t_s + APART_S):
-            return None
+        """Look for the target at another camera's frame, between this camera's last two."""
+        before_s, before = earlier
+        now_s = self._time(frames[side], side)  # type: ignore[arg-type]  # it has just come
         setup = replace(self.setup, slack_px=BETWEEN_SLACK_PX)
-        for spots in spots_between(before, seen[side], (times[1 - side] - t_s) / (times[side] - t_s)):
-            both = (spots, seen[1]) if side == 0 else (seen[0], spots)
-            measured = measure_spots(setup, times[1 - side], *both)
-            if measured.pose.status is PoseStatus.OK:
-                found = (measured.left, measured.right)[1 - side]
-                return _beginning((self._view(found, measured.names, 1 - side, other),), measured)
+        for k, other in enumerate(frames):
+            if k == side or other is None or not before_s < self._time(other, k) < now_s <= before_s + APART_S:
+                continue
+            at_s = self._time(other, k)
+            for spots in spots_between(before, seen[side], (at_s - before_s) / (now_s - before_s)):
+                views = {side: spots, k: seen[k]}
+                measured = _of_spots(setup, at_s, [views.get(s, Spots.none()) for s in range(len(frames))])
+                if measured.pose.status is PoseStatus.OK:
+                    return _beginning((self._view(measured, k, other),), measured)
         return None
 
-    def _view(self, spots: Spots, names: tuple[str, ...], side: int, frame: AnyFrame) -> View:
-        lights = np.array([self.setup.model.names.index(name) for name in names], dtype=np.intp)
+    def _view(self, measured: Measured, side: int, frame: AnyFrame) -> View:
+        """Return what a camera shows of what was measured."""
+        spots, shown = measured.spots[side], np.ones(len(measured.names), bool)
+        if measured.sights is not None:
+            shown = measured.sights[:, side]
+        names = [name for name, is_shown in zip(measured.names, shown.tolist(), strict=True) if is_shown]
         return View(
-            t_s=float(self.timing[side].rig_time(frame.t_s)),
+            t_s=self._time(frame, side),
             side=side,
-            lights=lights,
+            lights=np.array([self.setup.model.names.index(name) for name in names], dtype=np.intp),
             uv_px=spots.uv_px,
             cov_px2=spots.covariance_px2,
             tau_s=self.timing[side].line_time(spots.uv_px[:, 1], frame.height),
@@ -125,13 +131,20 @@ def _beginning(views: tuple[View, ...], measured: Measured) -> Beginning:
     )
 
 
-def _measured(setup: Setup, left: AnyFrame, right: AnyFrame) -> Measured:
-    """Return the target's pose in two frames as if they were of one moment."""
-    if isinstance(left, Frame) and isinstance(right, Frame):
-        return measure_pair(setup, left, right)
-    if isinstance(left, SpotFrame) and isinstance(right, SpotFrame):
-        return measure_spots(setup, 0.5 * (left.t_s + right.t_s), left.spots, right.spots)
-    raise Inconsistent("one camera gives images and the other one spots", cure="Give both alike")
+def _measured(setup: Setup, frames: Sequence[AnyFrame | None]) -> Measured:
+    """Return the target's pose in frames as if they were of one moment."""
+    there = [frame for frame in frames if frame is not None]
+    if all(isinstance(frame, Frame) for frame in there):
+        return measure_moment(setup, frames)  # type: ignore[arg-type]
+    if any(isinstance(frame, Frame) for frame in there):
+        raise Inconsistent("one camera gives images and another one spots", cure="Give all alike")
+    t_s = sum(frame.t_s for frame in there) / len(there)
+    seen = [frame.spots if isinstance(frame, SpotFrame) else Spots.none() for frame in frames]
+    return _of_spots(setup, t_s, seen)
+
+
+def _of_spots(setup: Setup, t_s: float, seen: Sequence[Spots]) -> Measured:
+    return measure_spots(setup, t_s, seen[0], seen[1]) if len(seen) == TWO else measure_views(setup, t_s, seen)
 
 
 MAX_SPOTS = 16

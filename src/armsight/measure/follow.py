@@ -1,4 +1,4 @@
-"""Frames of two cameras that no wire joins -> named views of a target: each frame by itself, at its own time.
+"""Frames of cameras that no wire joins -> named views of a target: each frame by itself, at its own time.
 
 And what repeats from pose to pose: the uncertainty of rig and target, carried to a moving target's pose.
 """
@@ -59,15 +59,15 @@ class Expected:
 class Follower:
     """Takes frames in the order of the rig's time and names their spots; keeps views and starts for smoothing.
 
-    timing: of the left and the right camera. views, starts: what was found so far. unfit: frames of each camera in
-    which lights were near where the target was expected, and did not fit its motion.
+    timing: of each camera; where none is given all expose at once. views, starts: what was found so far. unfit: frames
+    of each camera in which lights were near where the target was expected, and did not fit its motion.
     """
 
     setup: Setup
-    timing: tuple[CameraTiming, CameraTiming] = (AT_ONCE, AT_ONCE)
+    timing: tuple[CameraTiming, ...] = ()
     views: list[View] = field(default_factory=list)
     starts: list[Start] = field(default_factory=list)
-    unfit: list[int] = field(default_factory=lambda: [0, 0])
+    unfit: list[int] = field(default_factory=list)
     _filter: MotionFilter | None = None
     _beginner: Beginner | None = None
     _waiting: deque[tuple[AnyFrame, int]] = field(default_factory=lambda: deque(maxlen=WAITING_FRAMES))
@@ -75,6 +75,10 @@ class Follower:
     _missed: int = 0
     _near: bool = False
     _complete_s: float = -np.inf
+
+    def __post_init__(self) -> None:
+        v = len(self.setup.packed.k)
+        self.timing, self.unfit = self.timing or (AT_ONCE,) * v, [0] * v
 
     @property
     def why(self) -> str:
@@ -86,7 +90,7 @@ class Follower:
         return float(self.timing[side].rig_time(frame.t_s))
 
     def add(self, frame: AnyFrame, side: int) -> MotionState | None:
-        """Return the state after a frame of the left (0) or right (1) camera; None while nothing is sure of it."""
+        """Return the state after a frame of a camera (side, in the rig's order); None while nothing is sure of it."""
         t_s = self.time_of(frame, side)
         if self._filter is not None and t_s - self._filter.seen_s > MAX_GAP_S:
             self._lose("the target was out of sight")
@@ -124,10 +128,14 @@ class Follower:
             stretch = self.views[start.view : end]
             while stretch and len(stretch[-1].lights) < 3:  # nothing holds how the target turned from there on
                 stretch.pop()
-            if len(stretch) >= FEWEST_VIEWS and {view.side for view in stretch} == {0, 1}:
+            if len(stretch) >= FEWEST_VIEWS and self._of_enough(stretch):
                 starts.append(replace(start, view=len(views)))
                 views += stretch
         return views, starts
+
+    def _of_enough(self, views: Sequence[View]) -> bool:
+        """Tell whether views are of two cameras, or of the rig's only one."""
+        return len({view.side for view in views}) >= min(2, len(self.timing))
 
     def _begin(self, frame: AnyFrame, side: int) -> MotionState | None:
         """Look for the target; a track that begins also goes back through the frames in which it was not yet found."""
@@ -162,7 +170,7 @@ class Follower:
 
     def _before(self, found: Beginning, last_s: float) -> Beginning | None:
         """Return what is seen of the target before a beginning: time runs backwards, and the target is followed."""
-        back = Follower(setup=self.setup, timing=(_reversed(self.timing[0]), _reversed(self.timing[1])))
+        back = Follower(setup=self.setup, timing=tuple(map(_reversed, self.timing)))
         back._filter = back._filter_from(replace(found, views=tuple(_mirrored(view) for view in found.views[::-1])))
         back._complete_s = -found.views[0].t_s
         earliest, whole = None, 0
@@ -173,12 +181,16 @@ class Follower:
             state = back.add(replace(frame, t_s=-frame.t_s), side)
             if back._filter is None:
                 break
-            if len(back.views) > n and _firm(back.views[-2:]):
+            if len(back.views) > n and self._firm(back.views[-2:]):
                 earliest, whole = state, len(back.views)
         if earliest is None:
             return None
         views = tuple(_mirrored(view) for view in back.views[:whole][::-1])
         return Beginning(views=views, T=earliest.T_rig_target, covariance=earliest.covariance)
+
+    def _firm(self, views: Sequence[View]) -> bool:
+        """Tell whether views are of two cameras and show three lights each: a smoother may begin with them."""
+        return self._of_enough(views) and all(len(view.lights) >= 3 for view in views)
 
     def _find(self, follows: MotionFilter, frame: AnyFrame, side: int, t_s: float) -> View | None:
         """Return the target's spots in a frame: where it is expected, or where a knock would have put it."""
@@ -236,11 +248,6 @@ def _most_chi2(dof: int) -> float:
     return float(chi2_isf(VIEW_CHANCE, dof))
 
 
-def _firm(views: Sequence[View]) -> bool:
-    """Tell whether views are of both cameras and show three lights each: a smoother may begin with them."""
-    return {view.side for view in views} == {0, 1} and all(len(view.lights) >= 3 for view in views)
-
-
 def _reversed(timing: CameraTiming) -> CameraTiming:
     """Return the timing of a camera whose stamps count backwards."""
     return replace(timing, delay_s=-timing.delay_s, readout_s=-timing.readout_s)
@@ -251,22 +258,21 @@ def _mirrored(view: View) -> View:
     return replace(view, t_s=-view.t_s, tau_s=-view.tau_s)
 
 
-SIDES = 2
-
-
 def systematic_covariance(setup: Setup, state: MotionState) -> Array | None:
     """Return the covariance (6, 6) that rig and target leave in a pose; None where both are exact.
 
-    All lights count as seen in both views, all spots as equally good.
+    All lights count as seen in all views that have them before them, all spots as equally good.
     """
     if not setup.covariance.size:
         return None
     slopes = _slopes(setup, state)
-    if slopes is None:
+    seeing = slopes.any(axis=(1, 2, 3))
+    if not seeing.any():
         return None
     C = np.linalg.inv(np.einsum("sica,sicb->ab", slopes, slopes))
     X, packed = setup.model.xyz_m, setup.packed
-    unit, out = np.tile(np.eye(2), (len(X), SIDES, 1, 1)), np.zeros((6, 6))
+    unit, out = np.tile(np.eye(2), (len(X), len(slopes), 1, 1)), np.zeros((6, 6))
+    unit[:, ~seeing] = np.inf
     rig_covariance.carry_to_pose(
         packed.arrays,
         unit,
@@ -274,17 +280,18 @@ def systematic_covariance(setup: Setup, state: MotionState) -> Array | None:
         state.T_rig_target,
         setup.covariance,
         C,
-        np.zeros((len(X), SIDES, 2)),
+        np.zeros((len(X), len(slopes), 2)),
         out,
     )
     return out if out.any() else None
 
 
-def _slopes(setup: Setup, state: MotionState) -> Array | None:
-    """Return d pixel / d pose [side, light, 2, 6]; None where a light is behind a camera."""
+def _slopes(setup: Setup, state: MotionState) -> Array:
+    """Return d pixel / d pose [view, light, 2, 6]; 0 of a camera that has a light behind it."""
     packed, X = setup.packed, setup.model.xyz_m
-    H, uv = np.zeros((SIDES, 2 * len(X), kernels.N)), np.empty((len(X), 2))
-    for side in range(SIDES):
+    v = len(packed.k)
+    H, uv = np.zeros((v, 2 * len(X), kernels.N)), np.empty((len(X), 2))
+    for side in range(v):
         if not observe_all(state.x, packed.camera(side), X, np.zeros(len(X)), uv, H[side]):
-            return None
-    return H.reshape(SIDES, len(X), 2, kernels.N)[..., :6]
+            H[side] = 0.0
+    return H.reshape(v, len(X), 2, kernels.N)[..., :6]

@@ -92,22 +92,35 @@ class ConsistencyOutput(Output):
 
 
 @output
-class FreeRunning(Output):
-    """How a moving target was measured by cameras that no wire joins."""
+class CameraClock(Output):
+    """When one of the cameras that no wire joins exposed, by the first one's clock."""
 
-    delay_s: Annotated[float, Doc("t_left = t_right + delay_s + 1e-6 drift_ppm t_right, s.")]
-    drift_ppm: Annotated[float, Doc("How much faster the left camera's clock runs, parts in a million.")]
-    readout_s: Annotated[BothSeconds, Doc("From the first line's exposure to the last one's.")]
+    delay_s: Annotated[float, Doc("t_first = t + delay_s + 1e-6 drift_ppm t, s.")]
+    drift_ppm: Annotated[float, Doc("How much faster the first camera's clock runs, parts in a million.")]
+    readout_s: Annotated[float, Doc("From the first line's exposure to the last one's.")]
     delay_change_s: Annotated[float, Doc("By how much this recording itself moved the calibrated delay.")]
     delay_std_s: Annotated[float | None, Doc("Standard deviation of the delay in the middle of the recording.")]
-    n_views: Annotated[BothCounts, Doc("Frames in which lights of the target were found.")]
+    n_views: Annotated[int, Doc("Frames in which lights of the target were found.")]
+
+
+@output
+class FreeRunning(Output):
+    """How a moving target was measured by cameras that no wire joins. What is of left and right is null of others."""
+
+    delay_s: Annotated[float | None, Doc("t_left = t_right + delay_s + 1e-6 drift_ppm t_right, s.")]
+    drift_ppm: Annotated[float | None, Doc("How much faster the left camera's clock runs, parts in a million.")]
+    readout_s: Annotated[BothSeconds | None, Doc("From the first line's exposure to the last one's.")]
+    delay_change_s: Annotated[float | None, Doc("By how much this recording itself moved the calibrated delay.")]
+    delay_std_s: Annotated[float | None, Doc("Standard deviation of the delay in the middle of the recording.")]
+    n_views: Annotated[BothCounts | None, Doc("Frames in which lights of the target were found.")]
+    by_camera: Annotated[dict[str, CameraClock] | None, Doc("Of a rig that is no pair: each camera's clock.")] = None
     n_starts: Annotated[int, Doc("How often the target was found anew.")]
     chi2_per_dof: Annotated[float | None, Doc("Chi-square of the spots about the motion, per degree of freedom.")]
     note: Annotated[str | None, Doc("Why the poses are to be doubted.")] = None
     speed_m_s: Annotated[float | None, Doc("RMS of the target's speed, m/s.")]
     nearest_pairs_m: Annotated[
         float | None,
-        Doc("RMS of how far the target moves between a left frame and the right frame nearest in time, m."),
+        Doc("RMS of how far the target moves between a frame of the first camera and the others' nearest in time, m."),
     ]
 
 
@@ -235,12 +248,21 @@ def _rows(done: MeasureResult) -> list[list[str]]:
         ]
     if free is not None:
         moved_m = free.nearest_pairs_m
+        if free.n_views is not None:
+            rows.append(["views, left and right", f"{free.n_views.left} and {free.n_views.right}"])
+        for name, clock in list((free.by_camera or {}).items())[1:]:
+            rows.append(
+                [f"camera {name} late by, ms", f"{digits(clock.delay_s / MS)} +- {digits(_ms(clock.delay_std_s))}"]
+            )
         rows += [
-            ["views, left and right", f"{free.n_views.left} and {free.n_views.right}"],
             ["speed, mm/s RMS", digits(None if free.speed_m_s is None else free.speed_m_s / MM)],
             ["motion between nearest frames, mm RMS", digits(None if moved_m is None else moved_m / MM)],
         ]
     return rows
+
+
+def _ms(time_s: float | None) -> float | None:
+    return None if time_s is None else time_s / MS
 
 
 REASONS = {

@@ -200,6 +200,8 @@ def twin_arm(mapping: Mapping[str, Any] | None) -> SimArm:
                 lower=_or(row.get("lower"), -math.inf),
                 upper=_or(row.get("upper"), math.inf),
                 max_speed=_or(row.get("max_speed"), MAX_SPEED),
+                mass_kg=_or(row.get("mass_kg"), 0.0),
+                com_m=row.get("com_m") or (0.0, 0.0, 0.0),
                 **lengths,
             )
         )

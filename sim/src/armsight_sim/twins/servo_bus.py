@@ -26,6 +26,8 @@ from armsight_sim.arms import Drive, Servo, SimArm
 
 TURN = 4096
 MIDDLE = 2048
+KEEP = 4000
+"""Steps of the past that motors remember."""
 SPEEDS = {termios.B1000000: 1_000_000, termios.B500000: 500_000, termios.B57600: 57_600, termios.B115200: 115_200}
 
 
@@ -74,20 +76,29 @@ class ServoBus:
     torque_at: ClassVar[int]
 
     def __init__(
-        self, *, arm: SimArm, drive: Drive, home: ArrayLike, clock: Clock, baud: int = 1_000_000, sag: float = 0.0
+        self,
+        *,
+        arm: SimArm,
+        drive: Drive,
+        home: ArrayLike,
+        clock: Clock,
+        baud: int = 1_000_000,
+        sag: float = 0.0,
+        weighed: bool = False,
     ) -> None:
-        """sag: how far each joint hangs below its goal, rad."""
+        """sag: how far each joint hangs below its goal, rad. weighed: MuJoCo moves the motors under the arm's weight,
+        from a start where they hold it; else they go to their goals less the sag."""
         self.arm, self.baud = arm, baud
         self.servos = [OneServo(i + 1) for i in range(arm.n)]
         self.messages: list[str] = []
         self.wrong_answers = 0
         self.told: list[tuple[int, ...]] = []
         self._twins: list[OneServo] = []
-        self._clock, self._drive, self._sag = clock, drive, sag
+        self._clock, self._drive, self._sag, self._weighed = clock, drive, sag, weighed
         self._faults: set[BusFault] = set()
         self._planted: deque[tuple[BusFault, int, np.random.Generator]] = deque()
         self._late: list[tuple[int, bytes]] = []
-        self._motors = Servo(drive, np.asarray(home, dtype=float), clock.now_s(), keep=4000)
+        self._motors = self._motors_at(home, clock.now_s())
         self._data = b""
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
@@ -99,6 +110,7 @@ class ServoBus:
         for servo, q in zip(self.servos, self.q, strict=True):
             self._factory(servo)
             self._tell_goal(servo, self._step(q))
+            servo.table[self.torque_at] = weighed
 
     @property
     def q(self) -> Array:
@@ -123,13 +135,21 @@ class ServoBus:
     def push(self, by: ArrayLike) -> None:
         """Move the arm by (n,) in rad as a hand does, and let it be held there where it is held."""
         q = self.q + np.asarray(by, dtype=float)
-        self._motors = Servo(self._drive, q, self._motors.t_s, keep=4000)
+        self._motors = self._motors_at(q, self._motors.t_s)
         for servo, value in zip(self.servos, q, strict=True):
             self._tell_goal(servo, self._step(value))
+
+    def _motors_at(self, q: ArrayLike, t_s: float) -> Servo:
+        if not self._weighed:
+            return Servo(self._drive, q, t_s, keep=KEEP)
+        from armsight_sim.twins.servo_physics import WeighedServo
+
+        return WeighedServo(self.arm, self._drive, q, t_s, keep=KEEP)
 
     def restart(self, servo: OneServo) -> None:
         """Take a servo's supply away for a moment: its torque is off then, and its own clock begins anew."""
         servo.table[self.torque_at] = 0
+        self._hold()
 
     def double(self, id: int) -> None:
         """Let another servo of the same id hang on the line, at another place."""
@@ -247,7 +267,11 @@ class ServoBus:
                 goals[i] = now[i]
         if servo is self.servos[-1] or at == self.torque_at:
             self.told.append(tuple(self._goal(one) for one in self.servos))
+        self._hold()
         self._motors.command(self._motors.t_s, goals)
+
+    def _hold(self) -> None:
+        self._motors.hold([bool(one.table[self.torque_at]) for one in self.servos])
 
     def _step(self, q: float) -> int:
         return MIDDLE + round(q * TURN / math.tau)

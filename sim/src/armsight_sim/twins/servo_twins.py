@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from typing import Any, ClassVar
 
 from armsight.clock import Clock
@@ -185,7 +186,15 @@ class BusTwin(SerialTwin[ServoBus]):
 
     def _begin(self) -> ServoBus:
         arm = self._arm
-        return self.bus(arm=arm, drive=bus_drive(arm), home=twin_home(arm), clock=self._clock, sag=SAG_RAD)
+        weighed = find_spec("mujoco") is not None
+        return self.bus(
+            arm=arm,
+            drive=bus_drive(arm),
+            home=twin_home(arm),
+            clock=self._clock,
+            sag=0.0 if weighed else SAG_RAD,
+            weighed=weighed,
+        )
 
     def run(self, on: Callable[[], bool]) -> None:
         """Answer as long as on() holds."""
@@ -194,7 +203,7 @@ class BusTwin(SerialTwin[ServoBus]):
 
 
 SAG_RAD = 0.01
-"""A servo with the gain that LeRobot sets hangs by half a degree under an arm's weight."""
+"""A servo with the gain that LeRobot sets hangs by half a degree under an arm's weight; without MuJoCo each does."""
 
 
 def bus_drive(arm: SimArm) -> Drive:

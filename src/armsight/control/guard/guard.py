@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from armsight.arrays import Array
@@ -18,6 +20,7 @@ from armsight.control.setpoints import (
     ToolPose,
     ToolTwist,
 )
+from armsight.drivers import Robot, RobotTraits
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.records import JointReading
@@ -53,6 +56,12 @@ class Guard:
         self._stop_sent = False
         self._resting = self._waited = 0
         self._outside = ""
+
+    @classmethod
+    def of(cls, robot: Robot, arm: Arm, limits: Limits) -> Guard:
+        """Return the guard of a robot: one whose joints hang below their goals may be so far off more."""
+        hangs = RobotTraits.of(robot).hangs_rad
+        return cls(arm, replace(limits, following=limits.following + hangs), robot.cycle_s)
 
     @property
     def q_sent(self) -> Array:

@@ -268,7 +268,7 @@ def run_loop(
     sink = RecordSink(channels.records)
     try:
         with robot:
-            guard = Guard(arm, limits, robot.cycle_s)
+            guard = Guard.of(robot, arm, limits)
             source = OrderSource(channels, clock, parent, limits.enable_age_s)
             counted = CountedClock(clock, channels.lateness)
             loop = ControlLoop(robot, guard, source, counted, enabled=source.enabled, sink=sink)

@@ -74,7 +74,8 @@ def causes_of_cameras(setup: Setup, basis: Array) -> tuple[Cause, ...]:
     q = pose_at(v, v) + basis.shape[2] + v
     moved = [_moved(setup, q, k) for k in range(v)] if v > AGREEING else []
     own = [cause for k in range(v) for cause in _of_camera(setup, q, k, alone=v == 1)]
-    static = [_scale(setup, basis, q), *lights(setup, basis, q, pose_at(v, v)), *own]
+    size = [_scale(setup, basis, q)] if v > 1 else []  # one camera does not tell a larger target from a farther one
+    static = [*size, *lights(setup, basis, q, pose_at(v, v)), *own]
     changed = [_since(cause) for cause in moved]
     both = []
     if v >= 2 * AGREEING:

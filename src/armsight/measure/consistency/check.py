@@ -18,7 +18,7 @@ from armsight.measure.consistency import kernels
 from armsight.measure.consistency.all_sights import refit_views, with_all_sights
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
 from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, judge, possible
-from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of
+from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of, rig_of
 from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.consistency.other_setups import what_fits
 from armsight.measure.motion.estimate import Filtered, Start
@@ -204,16 +204,18 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     evidence = Evidence.of(setup)
     n, q = len(views), evidence.size
     t, block = np.array([view.t_s for view in views]), (np.arange(n) * BLOCKS) // n
-    run = Filtered.of(setup.packed, setup.model.xyz_m, views, starts, jerk)
+    run, judged = Filtered.of(setup.packed, setup.model.xyz_m, views, starts, jerk), rig_of(setup)
+    seen_s, side, first = run.rows.views
+    side = side + len(judged.k) - len(setup.packed.k)  # before the cameras of other rigs than pairs stands one more
     dp, ds = (np.zeros((n, run.Cs.shape[1], q)) for _ in range(2))
     weight = _weights(views)
     for start in starts:
         weight[start.view : start.view + SETTLED_VIEWS] = 0.0
     information, score, chi2 = np.zeros((BLOCKS, q, q)), np.zeros((BLOCKS, q)), np.zeros(BLOCKS)
     kernels.run_evidence(
-        run.rows.views,
+        (seen_s, side, first),
         run.rows.spots,
-        setup.packed.arrays,
+        judged.arrays,
         (run.positions_m, np.ascontiguousarray(evidence.basis)),
         (weight, block),
         *run.states(ds, dp),
@@ -238,10 +240,9 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
 
 def _weights(views: Sequence[View]) -> Array:
     """Return what one more look at lights that stand still is worth (n,), as of pairs."""
-    out, still = np.ones(len(views)), [0, 0]
-    anchor: list[View | None] = [None, None]
+    out, still, anchor = np.ones(len(views)), dict[int, int](), dict[int, View]()
     for k, view in enumerate(views):
-        s, last = view.side, anchor[view.side]
+        s, last = view.side, anchor.get(view.side)
         if (
             last is None
             or len(last.lights) != len(view.lights)

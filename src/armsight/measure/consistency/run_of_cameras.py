@@ -113,12 +113,9 @@ class CamerasCheck:
             found = checks.mistaken(k)
             if found is not None:
                 return found
-        accused = () if known is None else known.accused
-        if accused and known is not None:
-            words = what(known.findings[0])
-            told = LeftOut(names=accused, words=capital(words), cure=known.findings[0].cause.advice)
-            if self._enough_without(told):
-                return told
+        told = None if known is None else accused_in(known)
+        if told is not None and self._enough_without(told):
+            return told
         for k in idle if ended or len(self._moments) >= LONG else ():
             found = checks.elsewhere(k)
             if found is not None:
@@ -162,3 +159,11 @@ class CamerasCheck:
         if track is not None and not 0.0 < one.pose.t_s - track.t_s <= MAX_GAP_S:
             track = None
         return measure_views(self._setup, one.pose.t_s, seen, track)
+
+
+def accused_in(known: Consistency) -> LeftOut | None:
+    """Return the cameras that a verdict names, to go on without them; None where it names none."""
+    if not known.accused:
+        return None
+    first = known.findings[0]
+    return LeftOut(names=known.accused, words=capital(what(first)), cure=first.cause.advice)

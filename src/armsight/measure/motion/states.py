@@ -24,8 +24,8 @@ BEGIN_ACCELERATION_M_S2, BEGIN_ANGULAR_ACCELERATION_RAD_S2 = 10.0, 40.0
 class View:
     """The named spots of one frame of one camera.
 
-    t_s: the rig's time of the frame (middle line). side: 0 left, 1 right. lights (n,): rows of the target's positions;
-    uv_px (n, 2), cov_px2 (n, 2, 2); tau_s (n,): each spot's line after the middle one.
+    t_s: the rig's time of the frame (middle line). side: the camera, in the rig's order. lights (n,): rows of the
+    target's positions; uv_px (n, 2), cov_px2 (n, 2, 2); tau_s (n,): each spot's line after the middle one.
     """
 
     t_s: float
@@ -119,60 +119,64 @@ def state_of(t_s: float, T: Array, covariance: Array) -> tuple[Array, Array]:
 
 # What the views of one recording tell of its cameras' timing, beyond what was calibrated before.
 
-UNKNOWNS = ("right.delay_s", "right.drift_ppm", "left.readout_s", "right.readout_s")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TimingPrior:
-    """What is known of the cameras' timing before a recording is looked at.
+    """What is known of the timing of v cameras before a recording is looked at, as 3 v - 2 unknowns: delay (s) and
+    drift (ppm) of each camera but the first, then the read-out (s) of each.
 
-    mid_s: the rig's time at which the delay is meant. covariance (4, 4): of UNKNOWNS. readout_s: of the left and the
-    right camera.
+    mid_s: the rig's time at which the delays are meant. covariance (3 v - 2, 3 v - 2). readout_s: of each camera.
     """
 
     mid_s: float
     covariance: Array
-    readout_s: tuple[float, float]
+    readout_s: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        freeze(self, covariance=(4, 4))
+        q = 3 * len(self.readout_s) - 2
+        freeze(self, covariance=(q, q))
 
     @classmethod
     def of(cls, timing: Sequence[CameraTiming], mid_s: float, stamps: Sequence[Array]) -> TimingPrior:
         """Return what the cameras' files say at mid_s, with what this recording's stamps leave open of their clocks.
 
-        stamps: covariance (2, 2) of the offset (s) at mid_s and the rate (ppm) of the left and the right clock.
+        stamps: covariance (2, 2) of the offset (s) at mid_s and the rate (ppm) of each camera's clock.
         """
-        left, right = timing
-        C = np.zeros((4, 4))
-        names = tuple(name for name in CLOCK if name in right.names)
-        if right.covariance is not None and names:
-            at = np.ix_(*[[CLOCK.index(name) for name in names]] * 2)
-            C[:2, :2][at] = right.covariance.block(names)
-        move = np.array([[1.0, PPM * mid_s], [0.0, 1.0]])
-        C[:2, :2] = move @ C[:2, :2] @ move.T + sum(stamps)
-        for k, one in enumerate((left, right)):
-            C[2 + k, 2 + k] = one.std.get("readout_s", 0.0) ** 2
-        return cls(mid_s=mid_s, covariance=C, readout_s=(left.readout_s, right.readout_s))
+        q = 3 * len(timing) - 2
+        C, move = np.zeros((q, q)), np.array([[1.0, PPM * mid_s], [0.0, 1.0]])
+        for k, one in enumerate(timing):
+            C[q - len(timing) + k, q - len(timing) + k] = one.std.get("readout_s", 0.0) ** 2
+            names = tuple(name for name in CLOCK if name in one.names)
+            if k == 0:
+                continue
+            own = np.zeros((2, 2))
+            if one.covariance is not None and names:
+                own[np.ix_(*[[CLOCK.index(name) for name in names]] * 2)] = one.covariance.block(names)
+            at = slice(2 * k - 2, 2 * k)
+            C[at, at] = move @ own @ move.T + stamps[k]
+        for k, n in np.ndindex(len(timing) - 1, len(timing) - 1):  # all count from the first camera's clock
+            C[2 * k : 2 * k + 2, 2 * n : 2 * n + 2] += stamps[0]
+        return cls(mid_s=mid_s, covariance=C, readout_s=tuple(one.readout_s for one in timing))
 
     def lines(self, views: Sequence[View]) -> Array:
-        """Return how much later each spot of the views is for each of UNKNOWNS (m, 4)."""
-        parts = [np.zeros((0, 4))]
+        """Return how much later each spot of the views is for each of the unknowns (m, 3 v - 2)."""
+        v = len(self.readout_s)
+        parts = [np.zeros((0, 3 * v - 2))]
         for view in views:
-            part = np.zeros((len(view.lights), 4))
+            part = np.zeros((len(view.lights), 3 * v - 2))
             readout_s = self.readout_s[view.side]
             if view.side:
-                part[:, 0] = 1.0
-                part[:, 1] = PPM * (view.t_s - self.mid_s)
+                part[:, 2 * view.side - 2] = 1.0
+                part[:, 2 * view.side - 1] = PPM * (view.t_s - self.mid_s)
             if readout_s:
-                part[:, 2 + view.side] = view.tau_s / readout_s
+                part[:, 2 * v - 2 + view.side] = view.tau_s / readout_s
             parts.append(part)
         return np.concatenate(parts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TimingEstimate:
-    """What a recording's views make of its timing: change (4,) of UNKNOWNS, its covariance (4, 4).
+    """What a recording's views make of its timing: change (q,) of TimingPrior's unknowns, its covariance (q, q).
 
     prior: what was known before.
     """
@@ -182,7 +186,8 @@ class TimingEstimate:
     covariance: Array
 
     def __post_init__(self) -> None:
-        freeze(self, change=(4,), covariance=(4, 4))
+        q = len(self.prior.covariance)
+        freeze(self, change=(q,), covariance=(q, q))
 
     @property
     def mahalanobis2(self) -> float:
@@ -204,10 +209,10 @@ class TimingEstimate:
 
 
 def estimate_timing(prior: TimingPrior, L: Array, g: Array, change: Array) -> TimingEstimate:
-    """Return the estimate from the innovations' equations L (4, 4), g (4,), taken as linear about a change (4,)."""
+    """Return the estimate from the innovations' equations L (q, q), g (q,), taken as linear about a change (q,)."""
     scale = np.sqrt(np.maximum(np.diag(prior.covariance), 1e-300))
     values, axes = np.linalg.eigh(prior.covariance / np.outer(scale, scale))
     root = scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))  # what is exact stays so
-    half = np.linalg.solve(np.linalg.cholesky(np.eye(4) + root.T @ L @ root), root.T)
+    half = np.linalg.solve(np.linalg.cholesky(np.eye(len(L)) + root.T @ L @ root), root.T)
     C = half.T @ half
     return TimingEstimate(prior=prior, change=C @ (g + L @ change), covariance=C)

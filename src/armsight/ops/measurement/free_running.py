@@ -1,8 +1,10 @@
-"""Frames or spots of two cameras that no wire joins -> poses of a moving target at any times, smoothed."""
+"""Frames or spots of cameras that no wire joins -> poses of a moving target at any times, smoothed."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from heapq import merge
 
@@ -13,17 +15,18 @@ from armsight.arrays import Array
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
+from armsight.measure.consistency.cameras import AGREEING, again
 from armsight.measure.consistency.check import DOUBT, MovingCheck, check_motion, finalise
 from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_RAD
-from armsight.measure.consistency.findings import Consistency
+from armsight.measure.consistency.findings import Consistency, LeftOut
+from armsight.measure.consistency.run_of_cameras import accused_in
 from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower, systematic_covariance
 from armsight.measure.motion.estimate import Start, smooth
 from armsight.measure.motion.residuals import MotionResiduals, fitting_stretches, motion_residuals, without_outliers
 from armsight.measure.motion.states import MotionState, TimingEstimate, TimingPrior, View
 from armsight.measure.poses.setup import Setup
-from armsight.measure.results import FreeRunning
+from armsight.measure.results import CameraClock, FreeRunning
 from armsight.ops.measurement.streams import Stream, timing_of
-from armsight.optics import SIDES
 from armsight.records import CameraTiming, PoseStatus, Progress, TargetPose
 from armsight.records.camera import PPM
 from armsight.records.result_parts import BothCounts, BothSeconds
@@ -48,6 +51,7 @@ OTHER_TIMING = (
     "the delay between the cameras is no longer what was calibrated, and the poses may be off by more than they claim; "
     "calibrate the timing anew: this recording's own differs"
 )
+CLOCK_FIRST = "Calibrate its timing anew with `armsight calibrate timing`; where it does not fit then, it was knocked"
 TIMING_CHANCE = 1e-5
 """Chance below which what a recording says of its timing is not what was calibrated."""
 SURPRISING = 0.01
@@ -74,7 +78,7 @@ class MovingPose:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreeRun:
-    """Poses at the times asked for, the views they come from, their residuals per side (m, 3): view, u, v in px."""
+    """Poses at the times asked for, the views they come from, their residuals by camera (m, 3): view, u, v in px."""
 
     poses: Sequence[MovingPose]
     views: Sequence[View]
@@ -84,23 +88,90 @@ class FreeRun:
 
 
 def measure_free_running(
-    setup: Setup, streams: tuple[Stream, Stream], at_s: Array | None, rate_hz: float | None, progress: Progress
+    setup: Setup, streams: Sequence[Stream], at_s: Array | None, rate_hz: float | None, progress: Progress
 ) -> FreeRun:
-    """Return poses at at_s (k,) in the rig's time, at a steady rate, or (both None) at the times of the left frames.
+    """Return poses at at_s (k,) in the rig's time, at a steady rate, or (both None) at the times of the first camera's
+    frames.
 
-    Raises UsageError for a target that has no three known lights, NotEnoughData where it was never found, Inconsistent
-    where the spots fit no motion of it, Cancelled.
+    A camera of three and more that the others' views accuse is left out. Raises UsageError for a target that has no
+    three known lights, NotEnoughData where it was never found, Inconsistent where the spots fit no motion of it,
+    Cancelled.
     """
     if setup.target.is_board or not setup.target.model_known or len(setup.model) < 3:
         raise UsageError(
             "free-running cameras need a target of three or more lights of known positions",
             cure="Measure the target first (armsight calibrate target), or use --timing pairs",
         )
+    names, left_out = setup.rig.names, list[LeftOut]()
+    while True:
+        kept = _without(names, left_out, streams)
+        try:
+            done = _measured(setup, kept, at_s, rate_hz, progress)
+            wrong = None if setup.rig.is_pair else accused_in(done.consistency)
+        except Inconsistent:
+            wrong = _misfit(setup, streams, left_out, progress)
+            if wrong is None:
+                raise
+        if wrong is None or not _enough_without(names, [*left_out, wrong]):
+            break
+        left_out.append(wrong)
+        warnings.warn(f"{wrong.told} {wrong.cure}", stacklevel=2)
+    return replace(done, consistency=replace(done.consistency, left_out=tuple(left_out))) if left_out else done
+
+
+def _measured(
+    setup: Setup, streams: Sequence[Stream], at_s: Array | None, rate_hz: float | None, progress: Progress
+) -> FreeRun:
+    """See measure_free_running."""
     timing = timing_of(setup.rig)
     times = [timing[side].rig_time(stream.t_s) for side, stream in enumerate(streams)]
     views, starts = _that_fit(setup, *_follow(setup, streams, times, progress))
     if at_s is None:
-        at_s = times[0] if rate_hz is None else np.arange(times[0][0], times[0][-1] + 0.5 / rate_hz, 1.0 / rate_hz)
+        first = next(one for one in times if len(one))
+        at_s = first if rate_hz is None else np.arange(first[0], first[-1] + 0.5 / rate_hz, 1.0 / rate_hz)
+    return _smoothed(setup, streams, times, at_s, views, starts)
+
+
+def _misfit(setup: Setup, streams: Sequence[Stream], left_out: Sequence[LeftOut], progress: Progress) -> LeftOut | None:
+    """Return the one camera without which all the others' views fit a motion; None where that is not one alone."""
+    names, found = setup.rig.names, list[LeftOut]()
+    for name, stream in zip(names, _without(names, left_out, streams), strict=True):
+        wrong = LeftOut(
+            names=(name,),
+            words=f"The views of the camera {name} fit no motion that the others see",
+            cure=f"{CLOCK_FIRST}. {again(name)}",
+        )
+        if not len(stream.t_s):
+            continue
+        if not _enough_without(names, [*left_out, wrong]):
+            return None
+        with suppress(Inconsistent, NotEnoughData):
+            _measured(setup, _without(names, [*left_out, wrong], streams), None, None, progress)
+            found.append(wrong)
+    return found[0] if len(found) == 1 else None
+
+
+def _enough_without(names: Sequence[str], left_out: Sequence[LeftOut]) -> bool:
+    """Whether enough cameras are left to tell which are right."""
+    return len(names) - len({name for one in left_out for name in one.names}) >= AGREEING
+
+
+def _without(names: Sequence[str], left_out: Sequence[LeftOut], streams: Sequence[Stream]) -> list[Stream]:
+    """Return the streams, without frames of the cameras that are left out."""
+    out = {name for one in left_out for name in one.names}
+    return [stream.first(0) if name in out else stream for name, stream in zip(names, streams, strict=True)]
+
+
+def _smoothed(
+    setup: Setup,
+    streams: Sequence[Stream],
+    times: Sequence[Array],
+    at_s: Array,
+    views: Sequence[View],
+    starts: Sequence[Start],
+) -> FreeRun:
+    """Return the poses at at_s (k,) by all views, which fit one motion, and what these say of rig and target."""
+    timing = timing_of(setup.rig)
     seen_s = np.array([view.t_s for view in views])
     all_s, rows = np.unique(np.concatenate([at_s, seen_s]), return_inverse=True)
     smoothed = smooth(setup.packed, setup.model.xyz_m, views, starts, all_s, _prior(timing, streams, times))
@@ -118,7 +189,7 @@ def measure_free_running(
         setup=setup,
         wider=max(chi2 or 1.0, 1.0),
         timing=smoothed.timing,
-        left_clock=streams[0].clock_covariance,
+        first_clock=streams[0].clock_covariance,
         check=check,
         seen_s=seen_s,
         doubted=check.verdict.verdict == "inconsistent" or _contradicts(smoothed.timing, asked),
@@ -126,14 +197,15 @@ def measure_free_running(
     poses = [
         made.pose(float(t), state, _names(setup, views, seen_s, float(t))) for t, state in zip(at_s, asked, strict=True)
     ]
-    figures = _figures(timing, smoothed.timing, views, len(starts), chi2, asked, times)
-    return FreeRun(poses=poses, views=views, residuals=_by_side(found), figures=figures, consistency=check.verdict)
+    figures = _figures(setup, smoothed.timing, views, len(starts), chi2, asked, times)
+    residuals = _by_camera(setup.rig.names, found)
+    return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures, consistency=check.verdict)
 
 
-def _by_side(found: MotionResiduals) -> dict[str, Array]:
+def _by_camera(names: Sequence[str], found: MotionResiduals) -> dict[str, Array]:
     return {
         name: np.column_stack([found.view[found.side == side], found.residual_px[found.side == side]])
-        for side, name in enumerate(SIDES)
+        for side, name in enumerate(names)
     }
 
 
@@ -187,12 +259,13 @@ def _follow(
             consequence="There is no pose",
             cure="Begin with the target at rest, before a background that is darker than its lights",
         )
-    for side, name in enumerate(SIDES):
-        seen = follower.unfit[side] + _of_side(views, side)
-        if follower.unfit[side] > max(FEW_UNFIT, MOST_UNFIT * seen):
+    for side, name in enumerate(setup.rig.names):
+        unfit, seen = follower.unfit[side], follower.unfit[side] + _of_side(views, side)
+        if unfit > max(FEW_UNFIT, MOST_UNFIT * seen):
+            others = "other one sees" if setup.rig.is_pair else "others see"
             raise _out_of_step(
-                f"{follower.unfit[side]} of the {seen} frames of the {name} camera show lights that do not fit the "
-                "motion that the other one sees"
+                f"{unfit} of the {seen} frames of the {name} camera show lights that do not fit the motion that the "
+                f"{others}"
             )
     return views, starts
 
@@ -226,7 +299,8 @@ def _timed(stream: Stream, t_s: Array, side: int) -> Iterator[tuple[float, int, 
 
 def _prior(timing: Sequence[CameraTiming], streams: Sequence[Stream], times: Sequence[Array]) -> TimingPrior:
     """Return what is known of the timing in the middle of what both cameras saw."""
-    mid_s = 0.5 * (max(t[0] for t in times) + min(t[-1] for t in times))
+    seen = [t for t in times if len(t)]
+    mid_s = 0.5 * (max(t[0] for t in seen) + min(t[-1] for t in seen))
     return TimingPrior.of(timing, mid_s, [stream.clock_covariance(mid_s) for stream in streams])
 
 
@@ -235,13 +309,13 @@ class _PoseBuilder:
     """Turns states into poses: their uncertainty widened by what the spots do not fit the motion, and with what rig,
     target and timing leave open, and may have wrong by the check of the views, which are of seen_s.
 
-    left_clock: covariance of the clock that the poses' times are of. doubted: the run does not fit its claims.
+    first_clock: covariance of the clock that the poses' times are of. doubted: the run does not fit its claims.
     """
 
     setup: Setup
     wider: float
     timing: TimingEstimate | None
-    left_clock: Callable[[float], Array]
+    first_clock: Callable[[float], Array]
     check: MovingCheck
     seen_s: Array
     doubted: bool
@@ -285,7 +359,7 @@ class _PoseBuilder:
     def _systematic(self, state: MotionState) -> Array:
         """Return the covariance (6, 6) of what repeats from pose to pose."""
         v = state.velocity
-        out = float(self.left_clock(state.t_s)[0, 0]) * np.outer(v, v)
+        out = float(self.first_clock(state.t_s)[0, 0]) * np.outer(v, v)
         if self.timing is not None:
             D = state.by_timing[:6]
             excess = self.timing.mahalanobis2 / float(chi2_isf(SURPRISING, len(self.timing.change)))
@@ -299,18 +373,18 @@ class _PoseBuilder:
 
 
 def _names(setup: Setup, views: Sequence[View], seen_s: Array, t_s: float) -> tuple[str, ...]:
-    """Return the lights seen in the view of each side nearest in time."""
-    k = int(np.searchsorted(seen_s, t_s))
+    """Return the lights seen in the view of each camera nearest in time."""
+    k, v = int(np.searchsorted(seen_s, t_s)), len(setup.rig.cameras)
     lights: set[int] = set()
-    for side in range(2):
-        near = [v for v in views[max(k - 4, 0) : k + 4] if v.side == side]
+    for side in range(v):
+        near = [one for one in views[max(k - 2 * v, 0) : k + 2 * v] if one.side == side]
         if near:
-            lights |= set(min(near, key=lambda v: abs(v.t_s - t_s)).lights.tolist())
+            lights |= set(min(near, key=lambda one: abs(one.t_s - t_s)).lights.tolist())
     return tuple(name for i, name in enumerate(setup.model.names) if i in lights)
 
 
 def _figures(
-    cameras: Sequence[CameraTiming],
+    setup: Setup,
     timing: TimingEstimate | None,
     views: Sequence[View],
     n_starts: int,
@@ -318,28 +392,50 @@ def _figures(
     states: Sequence[MotionState | None],
     times: Sequence[Array],
 ) -> FreeRunning:
-    left, right = cameras
     speed = [float(np.linalg.norm(state.velocity[:3])) for state in states if state is not None]
     rms = float(np.sqrt(np.mean(np.square(speed)))) if speed else None
+    clocks = dict(zip(setup.rig.names, _clocks(timing_of(setup.rig), timing, views), strict=True))
     note = DOUBTFUL if chi2 is not None and chi2 > DOUBTFUL_CHI2 else None
-    change, std_s, mid_s = np.zeros(4), None, 0.0
-    if timing is not None:
-        change, std_s, mid_s = timing.change, float(np.sqrt(timing.covariance[0, 0])), timing.prior.mid_s
-        if note is None and _contradicts(timing, states):
-            note = f"{OTHER_TIMING} by {change[0] / MS:+.2f} ms"
+    if note is None and _contradicts(timing, states):
+        late = max(clocks.values(), key=lambda one: abs(one.delay_change_s) / (one.delay_std_s or np.inf))
+        note = f"{OTHER_TIMING} by {late.delay_change_s / MS:+.2f} ms"
+    pair = clocks if setup.rig.is_pair else {}
+    second = pair.get("right")
+    first, *others = [one for one in times if len(one)]
+    apart = np.concatenate([np.empty(0), *(_nearest(first, other) for other in others)])
     return FreeRunning(
-        delay_s=float(right.delay_s + change[0] - PPM * change[1] * mid_s),
-        drift_ppm=float(right.drift_ppm + change[1]),
-        readout_s=BothSeconds(left=float(left.readout_s + change[2]), right=float(right.readout_s + change[3])),
-        delay_change_s=float(change[0]),
-        delay_std_s=std_s,
-        n_views=BothCounts(left=_of_side(views, 0), right=_of_side(views, 1)),
+        delay_s=second.delay_s if second else None,
+        drift_ppm=second.drift_ppm if second else None,
+        readout_s=BothSeconds(**{name: one.readout_s for name, one in pair.items()}) if pair else None,
+        delay_change_s=second.delay_change_s if second else None,
+        delay_std_s=second.delay_std_s if second else None,
+        n_views=BothCounts(**{name: one.n_views for name, one in pair.items()}) if pair else None,
+        by_camera=None if pair else clocks,
         n_starts=n_starts,
         note=note,
         chi2_per_dof=chi2,
         speed_m_s=rms,
-        nearest_pairs_m=None if rms is None else rms * float(np.sqrt(np.mean(_nearest(*times) ** 2))),
+        nearest_pairs_m=rms * float(np.sqrt(np.mean(apart**2))) if rms is not None and len(apart) else None,
     )
+
+
+def _clocks(
+    cameras: Sequence[CameraTiming], timing: TimingEstimate | None, views: Sequence[View]
+) -> Iterator[CameraClock]:
+    """Yield what each camera's clock is by its file and by this recording's views."""
+    v = len(cameras)
+    change, mid_s = (np.zeros(3 * v - 2), 0.0) if timing is None else (timing.change, timing.prior.mid_s)
+    for k, one in enumerate(cameras):
+        late, drift = change[2 * k - 2 : 2 * k].tolist() if k else (0.0, 0.0)
+        known = timing is not None and k > 0
+        yield CameraClock(
+            delay_s=one.delay_s + late - PPM * drift * mid_s,
+            drift_ppm=one.drift_ppm + drift,
+            readout_s=one.readout_s + float(change[2 * v - 2 + k]),
+            delay_change_s=late,
+            delay_std_s=float(np.sqrt(timing.covariance[2 * k - 2, 2 * k - 2])) if known and timing else None,
+            n_views=_of_side(views, k),
+        )
 
 
 def _contradicts(timing: TimingEstimate | None, states: Sequence[MotionState | None]) -> bool:

@@ -85,23 +85,26 @@ class FrameSources:
 
     def moments(self, times_s: list[float] | None, *, colour: bool) -> MomentSource:
         """Return the moments of a rig that is no pair. Raises UsageError for what only pairs have."""
-        pairs_only = (self.image, self.left_spots, self.right_spots)
-        if any(one is not None for one in pairs_only):
-            raise UsageError(
-                "--image, --left-spots and --right-spots are for rigs of the cameras left and right",
-                cure="Give each camera's frames: --camera NAME=SRC",
-            )
-        if not isinstance(self.settings, CameraSettings):
-            raise UsageError("--zoom-left and --zoom-right are for rigs of left and right", cure="Leave them away")
+        self._require_cameras()
         return open_cameras(
             self.cameras,
             colour=colour,
             fps=self.fps,
             times_s=times_s,
             max_skew_s=MAX_SKEW_S if self.max_skew_s is None else self.max_skew_s,
-            settings=dict.fromkeys(self.cameras, self.settings),
+            settings=dict.fromkeys(self.cameras, one_setting(self.settings)),
             reading=self.reading,
         )
+
+    def _require_cameras(self) -> None:
+        """Raise UsageError for what only pairs have."""
+        pairs_only = (self.image, self.left_spots, self.right_spots)
+        if any(one is not None for one in pairs_only):
+            raise UsageError(
+                "--image, --left-spots and --right-spots are for rigs of the cameras left and right",
+                cure="Give each camera's frames: --camera NAME=SRC",
+            )
+        one_setting(self.settings)
 
     def run_free(
         self, rig: Rig, timing: str, *, stills: bool, rate_hz: float | None = None, at: Path | None = None
@@ -109,13 +112,6 @@ class FrameSources:
         """Tell whether each view is to be taken at its own time. Raises UsageError where that cannot be."""
         if timing not in TIMINGS:
             raise UsageError(f"--timing {timing}", cure=f"Give one of {', '.join(TIMINGS)}")
-        if not rig.is_pair:
-            if timing == "free" or rate_hz is not None or at is not None:
-                raise UsageError(
-                    "--timing free, --rate and --at are for rigs of the cameras left and right",
-                    cure="Leave them away; let cameras that move against each other be triggered together",
-                )
-            return False
         tables = self.left_spots is not None or self.right_spots is not None
         one_exposure = self.image is not None or rig.kind is RigKind.MIRROR
         apart = not (one_exposure or stills or self.times is not None)
@@ -170,15 +166,26 @@ class FrameSources:
         )
         return pairs, False
 
-    def streams(self, rig: Rig, *, colour: bool) -> tuple[Stream, Stream]:
-        """Return both cameras' frames, each with its own times. Raises UsageError also for settings of no camera."""
+    def streams(self, rig: Rig, *, colour: bool) -> tuple[Stream, ...]:
+        """Return each camera's frames with its own times. Raises UsageError also for settings of no camera."""
         sources, tables = (self.left, self.right), (self.left_spots, self.right_spots)
-        named = [text for text in sources if text is not None]
-        if not any(is_live(text) for text in named):
+        if not rig.is_pair:
+            self._require_cameras()
+        if not any(map(is_live, self.named)):
             for asked in by_side(self.settings):
-                asked.require_none(named[0] if named else "a table of spots")
-        left, right = streams_of(rig, sources, tables, colour=colour, fps=self.fps)
-        return (left, right) if self.limit is None else (left.first(self.limit), right.first(self.limit))
+                asked.require_none(self.named[0] if self.named else "a table of spots")
+        if rig.is_pair:
+            streams = streams_of(rig, sources, tables, colour=colour, fps=self.fps)
+        else:
+            streams = streams_of_cameras(self.cameras, colour=colour, fps=self.fps)
+        return tuple(one if self.limit is None else one.first(self.limit) for one in streams)
+
+
+def one_setting(settings: PairSettings) -> CameraSettings:
+    """Return what is asked of each camera alike. Raises UsageError for the zooms of a pair."""
+    if not isinstance(settings, CameraSettings):
+        raise UsageError("--zoom-left and --zoom-right are for rigs of left and right", cure="Leave them away")
+    return settings
 
 
 def _settings_of_one(settings: PairSettings, image: str) -> CameraSettings:
@@ -194,12 +201,12 @@ def _settings_of_one(settings: PairSettings, image: str) -> CameraSettings:
 
 def streams_of(
     rig: Rig, sources: Sequence[str | None], tables: Sequence[Path | None], *, colour: bool, fps: float | None
-) -> tuple[Stream, Stream]:
+) -> tuple[Stream, ...]:
     """Return both cameras' frames, from sources as on the command line, or from tables of spots. Raises UsageError."""
     left, right = sources
     if all(tables) and not any(sources):
         read = [_table(path, rig.camera(side)) for path, side in zip(tables, SIDES, strict=True) if path is not None]
-        return read[0], read[1]
+        return tuple(read)
     if any(tables) or (left is None and right is None):
         raise UsageError(
             "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
@@ -207,17 +214,20 @@ def streams_of(
     alone = left or right or ""
     if (left is None or right is None) and not is_recording(alone):
         raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
-    texts = (left or alone, right or alone)
-    live = [text for text in texts if is_live(text)]
+    return streams_of_cameras({"left": left or alone, "right": right or alone}, colour=colour, fps=fps)
+
+
+def streams_of_cameras(cameras: Mapping[str, str], *, colour: bool, fps: float | None) -> tuple[Stream, ...]:
+    """Return the frames of cameras' sources, in their order. Raises UsageError for live ones."""
+    live = [text for text in cameras.values() if is_live(text)]
     if live:
+        record = "--left ... --right ..." if tuple(cameras) == SIDES else "--camera NAME=... for each"
         raise UsageError(
             f"{live[0]} is a live camera, and views of free-running cameras are put together afterwards",
-            cure="Record first: armsight record --left ... --right ... -o wave.mcap, and give --left wave.mcap",
+            cure=f"Record first: armsight record {record} -o wave.mcap, and give --left wave.mcap",
         )
-    read = [
-        _images(text, side, colour=colour, fps=fps, origin_of=texts[0]) for text, side in zip(texts, SIDES, strict=True)
-    ]
-    return read[0], read[1]
+    first = next(iter(cameras.values()))
+    return tuple(_images(text, name, colour=colour, fps=fps, origin_of=first) for name, text in cameras.items())
 
 
 def runs_free(rig: Rig) -> bool:
@@ -225,10 +235,9 @@ def runs_free(rig: Rig) -> bool:
     return any(one.rolling or one.delay_s != 0.0 or one.drift_ppm != 0.0 for one in timing_of(rig))
 
 
-def timing_of(rig: Rig) -> tuple[CameraTiming, CameraTiming]:
-    """Return the timing of the left and the right camera; one of which nothing is known exposes at once."""
-    left, right = rig.timing
-    return left or AT_ONCE, right or AT_ONCE
+def timing_of(rig: Rig) -> tuple[CameraTiming, ...]:
+    """Return the timing of each camera; one of which nothing is known exposes at once."""
+    return tuple(one or AT_ONCE for one in rig.timing)
 
 
 def require_timing(rig: Rig) -> None:

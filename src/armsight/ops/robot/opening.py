@@ -218,7 +218,7 @@ def guard_for(robot: Robot, arm: Arm | None = None, limits: Path | None = None, 
         )
     with _of_file(limits):
         check_fit(known, kept)  # before a share of a speed in degrees looks like one in radians
-        return Guard(known, kept.slowed(share), robot.cycle_s)
+        return Guard.of(robot, known, kept.slowed(share))
 
 
 @contextlib.contextmanager
