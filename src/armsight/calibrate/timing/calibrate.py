@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # loads its linalg where it is used
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
@@ -47,8 +48,10 @@ FIRST_SPACING = 3.0
 """Periods, while the delay is known to some hundredths of a second only."""
 MAX_RIG_OFF = 5.0
 """Over what the rig says of itself: a camera was moved, or is another one's recording."""
-ROUNDS_OF_SCALES = 3
-"""Of variance components, where there are more than two: they hang on each other."""
+ROUNDS_OF_SCALES, SETTLED = 20, 0.01
+"""Of variance components, where there are more than two: they hang on each other, and on how far the rig is off."""
+RIG = "rig_"
+"""Names of the directions in which the rig may be off begin with it."""
 DISTANCE_STD_M = 1e-3
 """Of a target's distances as its file has them: they are found anew, so this only keeps them from running away."""
 
@@ -249,25 +252,37 @@ def _solve(
     x[3 * V - 2 :][:p] = distances_along(build(views, spacing, mid_s, x, depth))
     total, given = np.ones(V), np.array([float(np.median(views.std_px[views.side == s])) for s in range(V)])
     priors = _priors(views, names, coarse_s, period_s, positions_m)
-    for final in (False, True):
-        for _ in range(ROUNDS_OF_SCALES if V > 2 else 1):
-            model = build(views, spacing, mid_s, x, depth)
-            scale = model.side_scales(model.fit_paths(x))
+    last = 1 if V == 2 else 2
+    for stage in range(last + 1):
+        # what the rig is off makes single cameras look worse than they are, before it is found
+        for _ in range(ROUNDS_OF_SCALES if stage else 1):
+            scale = build(views, spacing, mid_s, x, depth).side_scales(x, alike=V > 2 and not stage)
             views, total = views.scaled(scale), total * scale
-        model = build(views, spacing, mid_s, x, depth)
-        fit = solve_model(model, x, priors)
+            if V == 2 or np.abs(scale - 1.0).max() < SETTLED:
+                break
+        model, fit = _solved_with_rig(build(views, spacing, mid_s, x, depth), x, priors)
         x = fit.shared.copy()
-        if not final:
+        if stage < last:
             kept = _kept(model, x)
             views, depth = views.take(kept), depth[kept]
             spacing, _ = best_spacing(views, period_s, mid_s, x, depth)
             depth = depths(build(views, spacing, mid_s, x, depth), x, names)
-    rms = total * fit.scale * given
+    rms = total * fit.scale * np.sqrt(model.together) * given
     if V == 2:
         return _Solved(fit=fit, model=model, rms_px=rms, left_out_px=np.full(V, np.nan), wider=np.ones(len(x)))
     model, fit, off = _with_rig(model, fit, priors, names)
     left_out = total * left_out_rms(model, fit, priors) * given
     return _Solved(fit=fit, model=model, rms_px=rms, left_out_px=left_out, wider=widened(model, fit), rig_off=off)
+
+
+def _solved_with_rig(model: PathModel, x: Array, priors: dict[str, Prior]) -> tuple[PathModel, Fit]:
+    """Return model and fit; where a rig may be off, spots tell of it as many times as they are independent."""
+    rig = [name for name in priors if name.startswith(RIG)]
+    fit = solve_model(model, x, priors, rig)
+    if not rig:
+        return model, fit
+    model = replace(model, together=float(np.mean(widened(model, fit)[: model.n_times] ** 2)))
+    return model, solve_model(model, fit.shared, priors)
 
 
 def _with_rig(
@@ -314,7 +329,7 @@ def _priors(
         mean = float(np.linalg.norm(known[1] - known[0])) if len(known) == 2 else DISTANCE_M
         sigma = DISTANCE_STD_M if len(known) == 2 else DISTANCE_M
         priors[f"distance_{a}_{b}_m"] = Prior(mean=mean, sigma=sigma)
-    return priors | {f"rig_{k}": Prior(mean=0.0, sigma=1.0) for k in range(views.doubt.size)}
+    return priors | {f"{RIG}{k}": Prior(mean=0.0, sigma=1.0) for k in range(views.doubt.size)}
 
 
 def _clocks(
@@ -323,8 +338,9 @@ def _clocks(
     """Return the clocks at their stamps 0, and their covariance with what the stamps' jitter leaves open of all."""
     x, model, V = solved.fit.shared, solved.model, len(clocks)
     names = time_names(rig.names)
-    C = solved.fit.covariance.block(names) if solved.fit.covariance is not None else np.zeros((len(names),) * 2)
-    C, move = C * np.outer(solved.wider[: len(names)], solved.wider[: len(names)]), np.eye(len(names))
+    C, move, wider = np.zeros((len(names),) * 2), np.eye(len(names)), solved.wider[: len(names)]
+    if solved.fit.covariance is not None:
+        C = solved.fit.covariance.block(names) * np.outer(wider, wider)
     at = [slice(2 * s - 2, 2 * s) for s in range(1, V)]
     first = [clocks[0].moved(model.mid_s[s] + x[2 * s - 2]) for s in range(1, V)]
     for s, block in enumerate(at):
@@ -335,9 +351,7 @@ def _clocks(
         # the delay at stamp 0 from that in the middle, where it hardly hangs on the drift: d0 = d - 1e-6 drift mid
         move[2 * s, 2 * s + 1] = -1e-6 * model.mid_s[s + 1]
     C = move @ C @ move.T
-    full = np.zeros((len(names) + V,) * 2)
-    full[: len(names), : len(names)] = C
-    full[len(names) :, len(names) :] = np.diag([clock.jitter_std_s**2 for clock in clocks])
+    full = scipy.linalg.block_diag(C, np.diag([clock.jitter_std_s**2 for clock in clocks]))
     covariance = NamedCovariance(names=(*names, *(f"{name}.jitter_s" for name in rig.names)), matrix=full)
     found = {}
     for s, (name, clock) in enumerate(zip(rig.names, clocks, strict=True)):
@@ -355,7 +369,7 @@ def _clocks(
             middle_s=mid,
             std_middle_s=float(doubt.clock_std_s([mid])[0]) if doubt else 0.0,
             common_s=float(stamps.max() - stamps.min()),
-            wider=float(solved.wider[2 * s - 2]) if s else 1.0,
+            wider=float(wider[2 * s - 2]) if s else 1.0,
             residual_px=float(solved.rms_px[s]),
             left_out_px=float(solved.left_out_px[s]) if np.isfinite(solved.left_out_px[s]) else None,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -50,7 +50,7 @@ class PathModel:
 
     x (3 V - 2 + p + k,): of every camera but the first delay_s and drift_ppm, of every one readout_s, then the lights'
     distances, and how far the rig is off in its deviations. c (size,): paths that are near, about which rigid distances
-    are taken as linear.
+    are taken as linear. together: of so many spots, whose errors hang together, one is new.
     """
 
     views: Views
@@ -58,6 +58,7 @@ class PathModel:
     mid_s: Array
     depth: Array
     c: Array
+    together: float = 1.0
 
     @property
     def n_times(self) -> int:
@@ -183,10 +184,10 @@ class PathModel:
         # left. The term by the residuals is dropped (Kaufman 1975), which leaves the minimum where it is
         pull = paths.band.solve(transposed_times(paths.parts, J, self.size))
         J = [own - times(rows, pull) for own, rows in zip(J, paths.parts, strict=True)]
-        shared = np.concatenate(J)[None]
-        return Evaluation(
-            residuals=np.concatenate(paths.residuals)[None], shared=shared, local=np.zeros((1, shared.shape[1], 0))
-        )
+        shared, residuals = np.concatenate(J)[None], np.concatenate(paths.residuals)[None]
+        if self.together != 1.0:
+            shared, residuals = shared / np.sqrt(self.together), residuals / np.sqrt(self.together)
+        return Evaluation(residuals=residuals, shared=shared, local=np.zeros((1, shared.shape[1], 0)))
 
     @property
     def dof(self) -> int:
@@ -197,12 +198,15 @@ class PathModel:
         """Return the standard deviation of the whitened residuals."""
         return float(np.sqrt(paths.residuals[0] @ paths.residuals[0] / max(self.dof, 1)))
 
-    def side_scales(self, paths: PathFit) -> Array:
-        """Return the same (V,) for the views of each camera alone.
+    def side_scales(self, x: Array, *, alike: bool = False) -> Array:
+        """Return the same (V,) for the views of each camera alone; alike: one for all.
 
         Of more than two cameras each has its own degrees of freedom (variance components, Foerstner 1979): paths follow
         the one that sees best and most often, whose residuals would else be taken for too small.
         """
+        paths = self.fit_paths(x)
+        if alike:
+            return np.full(len(self.mid_s), self.scale(paths))
         r = (paths.residuals[0] ** 2).reshape(-1, 2).sum(axis=1)
         if len(self.mid_s) > 2:
             return np.asarray(np.sqrt(np.bincount(self.views.side, r) / np.maximum(self._free_equations(paths), 1.0)))
@@ -257,10 +261,18 @@ def distances_along(model: PathModel) -> Array:
     return np.array([np.median(np.linalg.norm(c[:, b] - c[:, a], axis=1)) for a, b in model.views.pairs])
 
 
-def solve_model(model: PathModel, guess: Array, priors: dict[str, Prior]) -> Fit:
-    """Return the fit of x from a guess. priors: of every number of x, in its order."""
-    problem = Problem(names=tuple(priors), guess=guess, evaluate=model.evaluate, n_residuals=model.dof, priors=priors)
-    return solve(problem, Settings(estimate_noise=True, cost_tolerance=1e-8, step_tolerance=1e-6))
+def solve_model(model: PathModel, guess: Array, priors: dict[str, Prior], held: Collection[str] = ()) -> Fit:
+    """Return the fit of x from a guess. priors: of every number of x, in its order. held: names that stay."""
+    problem = Problem(
+        names=tuple(priors),
+        guess=guess,
+        evaluate=model.evaluate,
+        n_residuals=model.dof,
+        priors=priors,
+        fixed=frozenset(held),
+    )
+    own = model.together == 1.0
+    return solve(problem, Settings(estimate_noise=own, cost_tolerance=1e-8, step_tolerance=1e-6))
 
 
 def best_spacing(views: Views, period_s: float, mid_s: Array, x: Array, depth: Array) -> tuple[float, float]:

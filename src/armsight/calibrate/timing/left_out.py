@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,6 +48,7 @@ def left_out_rms(model: PathModel, fit: Fit, priors: dict[str, Prior]) -> Array:
     for k in range(V):
         rest = turn != k
         others = build(v.take(rest), model.grid.spacing_s, model.mid_s, x, model.depth[rest])
+        others = replace(others, together=model.together)
         found = solve_model(others, x, priors).shared
         judged = np.flatnonzero(~rest & seen)
         judged = judged[[others.grid.inside(t[i : i + 1]) for i in judged]]

@@ -132,7 +132,7 @@ class _Timing(Output, Saveable):
             side = max(odd, key=odd.__getitem__)
             out.append(
                 f"views of {side} that were left out are foretold to {odd[side]:.2g} px beside {residual[side]:.2g}: "
-                "rig.yaml, or what cameras take for a light's middle, is less exact than the spots; calibrate the rig anew"
+                "rig.yaml, or what it takes for a light's middle, is less exact than the spots; calibrate the rig anew"
             )
         if self.std_middle_s > GOOD_DELAY_S:
             late = max(each, key=lambda name: each[name].std_middle_s)
@@ -186,8 +186,8 @@ class CamerasTiming(_Timing):
     def _of_rig(self) -> Iterator[str]:
         if self.rig_off > 1.0:
             yield (
-                f"the lights pull the cameras {self.rig_off:.1f} standard deviations of rig.yaml off, by which all that "
-                "is claimed is wider: calibrate the rig anew as it stands now"
+                f"the lights pull the cameras {self.rig_off:.1f} standard deviations of rig.yaml off, which widens all "
+                "that is claimed: calibrate the rig anew as it stands now"
             )
 
     def summary(self) -> Iterator[Shown]:

@@ -132,6 +132,7 @@ def _equations(rig: Rig, s: int, uv: Array, cov: Array, std: Array) -> dict[str,
     W = whitener(J @ cov @ J.transpose(0, 2, 1))  # (m, 2, 2)
     A, b = _on_ray(camera, T, uv)
     moves = np.zeros((len(uv), 2, 4, len(std)))
+    # by one deviation of each number, over which a lens is straight enough
     for i in np.flatnonzero(std):
         step = std[i] * np.eye(len(std))[i]
         ends = [np.concatenate(_on_ray(*moved_camera(camera, T, way * step), uv), axis=2) for way in (1.0, -1.0)]

@@ -14,12 +14,12 @@ BLOCKS, BLOCK_S = 25, 1.0
 a second or two."""
 CHANCE = 1e-3
 """Blocks scatter more than single spots tell, and rigs are further off, by chance this often."""
-FELT = 0.05
+FELT = 0.5
 """Share of its variance by which the lights must tell something of a direction of the rig to be asked about it."""
 
 
 def widened(model: PathModel, fit: Fit) -> Array:
-    """Return by how much (len(x),) the standard deviations of the fit are wider, found from blocks of time.
+    """Return by how much (n,) the standard deviations of the fit's n free numbers are wider, by blocks of time.
 
     Each block's own part in a number is independent of the other blocks' however its residuals hang together (the
     sandwich of Huber 1967, by clusters: Liang, Zeger 1986). 1 where blocks scatter as single spots tell.
@@ -27,15 +27,17 @@ def widened(model: PathModel, fit: Fit) -> Array:
     m = 2 * len(model.views)
     if fit.covariance is None:
         return np.ones(len(fit.shared))
+    free = [fit.names.index(name) for name in fit.covariance.names]
+    noise = fit.scale**2 if model.together == 1.0 else 1.0
     evaluation = model.evaluate(fit.shared, np.zeros((1, 0)))
-    J, r = evaluation.shared[0, :m], evaluation.residuals[0, :m]
-    gain = (J @ fit.covariance.matrix) / fit.scale**2  # (2 m, n): how each number follows each residual
+    J, r = evaluation.shared[0, :m, free].T, evaluation.residuals[0, :m]
+    gain = (J @ fit.covariance.matrix) / noise  # (2 m, n): how each number follows each residual
     t = np.repeat(model.times_s(fit.shared)[0], 2)
     long = max(BLOCK_S, np.ptp(t) / BLOCKS)
     block = np.floor((t - t.min()) / long).astype(np.intp)
     own, told = (np.zeros((block.max() + 1, gain.shape[1])) for _ in range(2))
     np.add.at(own, block, gain * r[:, None])
-    np.add.at(told, block, gain**2 * fit.scale**2)
+    np.add.at(told, block, gain**2 * noise)
     total = np.maximum(told.sum(axis=0), 1e-300)
     count = total**2 / np.maximum((told**2).sum(axis=0), 1e-300)  # of blocks that count as much as the best
     ratio = (own**2).sum(axis=0) / total
