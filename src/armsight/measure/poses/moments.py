@@ -13,6 +13,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, Unseen, UsageError
 from armsight.measure.poses.kernels import tracking as kernels
+from armsight.measure.poses.one_time import apart, at_one_time, rig_times
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
 from armsight.measure.poses.pipeline import check_sizes, measure_pair
 from armsight.measure.poses.pose import TWO
@@ -41,21 +42,41 @@ def measure_moment(
     there = [frame for frame in frames if frame is not None]
     if not there:
         raise UsageError("a moment without any frame", consequence="It has no time", cure="Leave it out")
-    t_s = float(np.mean([frame.t_s for frame in there]))
     check_sizes(setup.rig, frames)
     if len(frames) == TWO:
         left, right = frames
         if left is None or right is None:
             why = "one of the two cameras has no picture"
-            return lost_moment(t_s, (Spots.none(),) * TWO, NotSeen(why, Unseen.UNREADABLE), track)
+            return lost_moment(there[0].t_s, (Spots.none(),) * TWO, NotSeen(why, Unseen.UNREADABLE), track)
         return measure_pair(setup, left, right, track)
+    t_s, late_s = rig_times(setup, frames)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
-    measured = _by_windows(setup, frames, t_s, track, whole) if track is not None and track.complete else None
+    measured = None
+    if track is not None and track.complete:
+        measured = _by_windows(setup, frames, (t_s, late_s), track, whole)
     if measured is None:
         seen = [_spots(setup, s, frame) for s, frame in enumerate(frames)]
-        measured = measure_views(setup, t_s, seen, track, frames)
+        measured = _of_spots(setup, frames, seen, (t_s, late_s), track)
     return measured
+
+
+def _of_spots(
+    setup: Setup,
+    frames: Sequence[Frame | None],
+    seen: list[Spots],
+    when: tuple[float, Array],
+    track: Track | None,
+    *,
+    in_windows: bool = False,
+) -> Measured:
+    """Return the pose from spots of views, of one time or brought there; when: as rig_times."""
+    t_s, late_s = when
+    motion = None if track is None else track.motion
+    if motion is None or not apart(setup, late_s):
+        return measure_views(setup, t_s, seen, track, frames, in_windows=in_windows)
+    # outlines lie where their own frames have them: they are not looked at
+    return measure_views(setup, t_s, at_one_time(setup, seen, late_s, motion.at(t_s)), track, in_windows=in_windows)
 
 
 def require_views(setup: Setup, n: int) -> None:
@@ -83,30 +104,40 @@ def _spots(setup: Setup, s: int, frame: Frame | None) -> Spots:
 
 
 def _by_windows(
-    setup: Setup, frames: Sequence[Frame | None], t_s: float, track: Track, whole: Collection[int]
+    setup: Setup, frames: Sequence[Frame | None], when: tuple[float, Array], track: Track, whole: Collection[int]
 ) -> Measured | None:
     """Return the pose from what is found in windows around the predicted spots; None where that is too little.
 
     Windows are where a light is expected inside a picture: what is not found there need not be, it may be hidden, and
     what is found may be another light's. So the spots are named as those of whole pictures are.
     """
-    n, v, packed = len(track.names), len(frames), setup.packed
-    predicted, at = np.empty((n, 3)), np.empty((v, n, 2))
-    kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, t_s - track.t_s, predicted, at)
+    n, v, (t_s, late_s) = len(track.names), len(frames), when
+    at = np.empty((v, n, 2))
+    for s, late in enumerate(late_s.tolist()):
+        at[s] = _predicted(setup, track, t_s - track.t_s + late)[s]
     seen = [
         _spots(setup, s, frame) if s in whole else _in_view(setup, s, frame, at[s], track.half_window_px)
         for s, frame in enumerate(frames)
     ]
-    measured = measure_views(setup, t_s, seen, track, frames, in_windows=True)
+    measured = _of_spots(setup, frames, seen, when, track, in_windows=True)
     if measured.pose.status is not PoseStatus.OK or measured.track is None or measured.sights is None:
         return None
     lights, innovation = np.array([track.names.index(name) for name in measured.names]), 0.0
+    at = _predicted(setup, track, t_s - track.t_s)
     for s, spots in enumerate(measured.spots):
         if len(spots):
             there = np.ascontiguousarray(at[s][lights[measured.sights[:, s]]])
             innovation = max(innovation, kernels.largest_innovation(spots.uv_px, there))
     window = half_window_px(measured.spots, innovation)
     return replace(measured, tracked=True, track=replace(measured.track, half_window_px=window))
+
+
+def _predicted(setup: Setup, track: Track, after_s: float) -> Array:
+    """Return where the lights of a track are expected (v, n, 2) some time after it."""
+    n = len(track.names)
+    predicted, at = np.empty((n, 3)), np.empty((len(setup.packed.k), n, 2))
+    kernels.predict_views(setup.packed.arrays, track.xyz_m, track.velocity_m_s, after_s, predicted, at)
+    return at
 
 
 def _in_view(setup: Setup, s: int, frame: Frame | None, at: Array, half_px: int) -> Spots:
