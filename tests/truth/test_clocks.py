@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tests.truth.camera_ring import CENTRE, FOCAL, K1, SIZE, Ring, ring
 
 from armsight.calibrate.timing import CamerasTiming, calibrate_clocks
-from armsight.errors import DataRefused, Inconsistent, NotEnoughData
+from armsight.errors import DataRefused, Degenerate, Inconsistent, NotEnoughData
 from armsight.optics import Camera, MountedCamera, Rig
 from armsight.records import NamedCovariance, SpotTrack
 from refusals import refuses
@@ -42,6 +42,7 @@ class Wave:
     lost: float = 0.02
     hidden: tuple[int, ...] = ()  # cameras that see no light
     alone: tuple[int, ...] = ()  # cameras that see it while no other does
+    still: bool = False
 
 
 def waved(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
@@ -107,8 +108,8 @@ def rig_of(made: Ring) -> Rig:
 def recorded(wave: Wave, seed: int) -> tuple[Rig, dict[str, SpotTrack]]:
     """The rig and what each camera saw."""
     rng, made = np.random.default_rng(seed), ring(wave.views)
-    way = waved(rng)
-    rig = rig_of(made)
+    f, phase, a = waved(rng)
+    way, rig = (f, phase, 0.0 * a if wave.still else a), rig_of(made)
     return rig, {name: seen(wave, made, way, c, rng) for c, name in enumerate(rig.names)}
 
 
@@ -224,6 +225,14 @@ def test_a_rig_that_is_off_as_it_says_costs_what_it_must(views: int) -> None:
     assert (s[: views - 1] < 1.08 * least).all() and (s[: views - 1] > 0.92 * least).all()
 
 
+def test_a_rig_that_is_off_and_does_not_say_so_widens_the_claim() -> None:
+    wave = Wave(seconds=10.0, jitter_s=1e-4)
+    found, least = doubted(wave, 101, known=False)
+    e, s = off(wave, found)
+    assert (np.abs(e) < 4.0 * s).all() and found.verdict_.level == "care"
+    assert (s[:2] > 2.0 * least).all() and all(one.wider > 2.0 for one in list(found.clocks.values())[1:])
+
+
 def test_a_rig_that_is_further_off_than_it_says_is_told_or_refused() -> None:
     wave = Wave(seconds=10.0, jitter_s=1e-4)
     found, _ = doubted(wave, 101, 3.0)
@@ -265,6 +274,11 @@ def test_a_camera_that_shares_no_sight_is_named_and_the_others_are_kept(wave: Wa
     e, s = off(wave, kept)
     assert np.abs(e[0]) < 1e-3 and (np.abs(e) < 4.5 * s).all()
     assert [one is None for one in kept.rig.timing] == [False, True, False]
+
+
+def test_a_light_that_stands_still_is_refused() -> None:
+    with refuses(Degenerate, ("hardly moves", "Wave it")):
+        calibrate_clocks(*recorded(Wave(still=True, seconds=6.0), 3))
 
 
 def test_a_camera_without_a_rate_is_named_and_the_others_are_kept() -> None:

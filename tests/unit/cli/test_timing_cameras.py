@@ -37,7 +37,7 @@ def test_tables_of_three_cameras_give_a_rig_with_their_timing(armsight: Run, wav
     assert done.code == 0, done.text
     late = done.json["cameras"]["c1"]
     assert abs(late["delay_s"] + 1e-6 * late["drift_ppm"] * late["middle_s"] + 0.12 - 6e-5 * late["middle_s"]) < 3e-4
-    first, second, third = read_rig(out).timing
+    first, second, third = read_rig(out, any_cameras=True).timing
     assert first.delay_s == 0.0 and first.names == ("readout_s", "jitter_s")
     assert (second.delay_s, second.drift_ppm) == (late["delay_s"], late["drift_ppm"])
     assert third.std["drift_ppm"] == pytest.approx(done.json["std"]["c2.drift_ppm"])
@@ -56,4 +56,4 @@ def test_a_camera_that_sees_no_light_is_told_and_the_others_are_written(
     few.write_text("\n".join((waved / "c2.csv").read_text().splitlines()[:41]) + "\n")
     done = armsight(*rig, "--spots", f"c2={few}")
     assert done.code == 3 and "c2" in done.json["error"]["cause"]
-    assert [one is None for one in read_rig(out).timing] == [False, False, True]
+    assert [one is None for one in read_rig(out, any_cameras=True).timing] == [False, False, True]

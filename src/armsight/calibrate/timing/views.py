@@ -17,6 +17,7 @@ from armsight.fitting.groups import whitener
 from armsight.optics import Camera, Rig
 from armsight.records import SpotTrack
 
+STEP = 0.01
 STEP_PX = 0.5
 """For the derivative of a ray by its pixel: a lens bends over hundreds of pixels."""
 
@@ -106,7 +107,7 @@ def views_of(
         parts.setdefault("std_px", []).append(spread)
         parts.setdefault("line", []).append(track.uv_px[kept, 1] / (rig.camera(side).height - 1) - 0.5)
     columns = {key: np.concatenate(values) for key, values in parts.items()}
-    seen = np.asarray(np.isfinite(columns["A"]).all(axis=(1, 2)))
+    seen = np.isfinite(columns["A"]).all(axis=(1, 2)) & np.isfinite(columns["moves"]).all(axis=(1, 2, 3))
     return Views(
         side=columns["side"].astype(np.intp),
         light=columns["light"].astype(np.intp),
@@ -132,11 +133,11 @@ def _equations(rig: Rig, s: int, uv: Array, cov: Array, std: Array) -> dict[str,
     W = whitener(J @ cov @ J.transpose(0, 2, 1))  # (m, 2, 2)
     A, b = _on_ray(camera, T, uv)
     moves = np.zeros((len(uv), 2, 4, len(std)))
-    # by one deviation of each number, over which a lens is straight enough
+    # a hundredth of its deviation: where numbers hang together a lens would fold that is off in one of them alone
     for i in np.flatnonzero(std):
-        step = std[i] * np.eye(len(std))[i]
+        step = STEP * std[i] * np.eye(len(std))[i]
         ends = [np.concatenate(_on_ray(*moved_camera(camera, T, way * step), uv), axis=2) for way in (1.0, -1.0)]
-        moves[..., i] = W @ (ends[0] - ends[1]) / 2.0
+        moves[..., i] = W @ (ends[0] - ends[1]) / (2.0 * STEP)
     R, t = T.inv().rotation.as_matrix(), np.asarray(T.inv().translation)
     known = {"A": W @ A, "b": (W @ b)[:, :, 0], "moves": moves}
     return known | {"depth_row": np.tile(R[2], (len(uv), 1)), "depth_off": np.full(len(uv), t[2])}
