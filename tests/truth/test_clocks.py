@@ -304,7 +304,7 @@ def test_a_camera_that_was_moved_or_given_twice_is_refused() -> None:
     rig, tracks = recorded(Wave(views=4), 5)
     one = rig.cameras[2]
     turned = RigidTransform.from_components(
-        one.T_rig_camera.translation, one.T_rig_camera.rotation * Rotation.from_euler("x", 0.02)
+        one.T_rig_camera.translation, one.T_rig_camera.rotation * Rotation.from_euler("x", 0.008)
     )
     cameras = (*rig.cameras[:2], replace(one, T_rig_camera=turned), rig.cameras[3])
     with refuses(Inconsistent, ("do not fit", "c2")):
