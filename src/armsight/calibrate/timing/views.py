@@ -107,7 +107,7 @@ def views_of(
         parts.setdefault("std_px", []).append(spread)
         parts.setdefault("line", []).append(track.uv_px[kept, 1] / (rig.camera(side).height - 1) - 0.5)
     columns = {key: np.concatenate(values) for key, values in parts.items()}
-    seen = np.isfinite(columns["A"]).all(axis=(1, 2)) & np.isfinite(columns["moves"]).all(axis=(1, 2, 3))
+    seen = np.asarray(np.isfinite(columns["A"]).all(axis=(1, 2)) & np.isfinite(columns["moves"]).all(axis=(1, 2, 3)))
     return Views(
         side=columns["side"].astype(np.intp),
         light=columns["light"].astype(np.intp),
