@@ -37,7 +37,7 @@ from armsight.units import MS
 LENSES = {(3, "mate10"): "mate10_1", (4, "mate10"): "mate10_2", (3, "sonyG"): "sonyG_1", (4, "sonyG"): "sonyG_2"}
 UNSTEADY = ("mate7", "mate10")
 """Phones that film at a rate of their own choice, as the data's authors say; their frame numbers are no clock."""
-TRACK_HZ, SIGMA_PX, LEAST_SEEN, BLOCK_S, LOSS_PX = 5.0, 0.5, 400, 10.0, 2.0
+TRACK_HZ, SIGMA_PX, LEAST_SEEN, BLOCK_S, LOSS_PX = 5.0, 0.5, 400, 10.0, 1.0
 POSE, LENS, N = slice(0, 6), slice(9, 18), 18
 PRIOR = np.array([300.0, np.nan, 0.02, 0.02, 30.0, 30.0, 0.02, 0.05, 2e-3, 2e-3, 0.05])
 """Of rate (ppm), read-out (half a frame), focal lengths (shares), centre (px), k1, k2, p1, p2 and k3."""
@@ -140,7 +140,7 @@ def residuals(one: Filmed, track: CubicSpline, at: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.projectPoints(X, one.x[:3], one.x[3:6], K, distortion)[0][:, 0] - one.uv[at])
 
 
-def fit_to_track(one: Filmed, track: CubicSpline, n: int = 2500) -> None:
+def fit_to_track(one: Filmed, track: CubicSpline, n: int = 6000) -> None:
     """Fit pose, lens and line of time to the track."""
     prior, half = PRIOR.copy(), 0.5 / one.fps
     mean = np.array([0.0, half, *np.zeros(9)])
@@ -280,7 +280,12 @@ def flight(folder: Path, number: int, *, doubted: bool) -> list[list[float]]:
     tracks = [seen(*each) for each in zip(cameras, plus, strict=True)]
     names, cpu = [one.name for one in cameras], time.process_time()
     rig = rig_of(cameras, names)
-    found = calibrate_clocks(rig if doubted else replace(rig, covariance=None), dict(zip(names, tracks, strict=True)))
+    every_track = dict(zip(names, tracks, strict=True))
+    try:
+        found = calibrate_clocks(rig if doubted else replace(rig, covariance=None), every_track)
+    except DataRefused as error:
+        print(f"Flight {number} is refused: {error}")
+        return []
     cpu = time.process_time() - cpu
     lines = []
     for k in range(1, len(cameras)):

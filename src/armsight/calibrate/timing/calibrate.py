@@ -14,6 +14,7 @@ from armsight.calibrate.timing.coarse import MIN_COMMON_S, coarse_delay
 from armsight.calibrate.timing.fit import (
     DISTANCE_M,
     DRIFT_PPM,
+    PPM,
     PathModel,
     best_spacing,
     build,
@@ -204,7 +205,9 @@ def _require_fit(solved: _Solved, names: Sequence[str], coarse_s: Array, period_
     moved = np.abs(solved.fit.shared[: 2 * n - 2 : 2] - coarse_s[1:])
     given = np.array([np.median(v.std_px[v.side == s]) for s in range(n)])
     most = np.maximum(MAX_RESIDUAL_PX, MAX_RESIDUAL * given)
-    if moved.max() > COARSE_PERIODS * period_s or (solved.rms_px > most).any():
+    # over minutes clocks drift apart by more than a frame, and a coarse delay is that of some part of them
+    far = COARSE_PERIODS * period_s + (0.0 if n == 2 else 0.5 * PPM * DRIFT_PPM * float(np.ptp(v.stamp_s)))
+    if moved.max() > far or (solved.rms_px > most).any():
         pair = tuple(names) == SIDES
         worst = names[1 + int(np.argmax(moved))], names[int(np.argmax(solved.rms_px / most))]
         of, by = ("", "") if pair else (f", most in {worst[1]}", f" of {worst[0]}")
