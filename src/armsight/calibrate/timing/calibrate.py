@@ -303,6 +303,7 @@ def _with_rig(
             consequence="No timing is given",
             cure="Check that each is the recording of its own camera; else calibrate the rig anew as it stands now",
         )
+    # the same directions, each with more room: what was found of them counts from there
     if off > 1.0:
         doubt, x = model.views.doubt, fit.shared.copy()
         model = replace(model, views=replace(model.views, doubt=doubt.times(off)))
@@ -341,16 +342,15 @@ def _clocks(
     """Return the clocks at their stamps 0, and their covariance with what the stamps' jitter leaves open of all."""
     x, model, V = solved.fit.shared, solved.model, len(clocks)
     names = time_names(rig.names)
-    C, move, wider = np.zeros((len(names),) * 2), np.eye(len(names)), solved.wider[: len(names)]
-    if solved.fit.covariance is not None:
-        C = solved.fit.covariance.block(names) * np.outer(wider, wider)
+    own, move, wider = solved.fit.covariance, np.eye(len(names)), solved.wider[: len(names)]
+    C = np.outer(wider, wider) * (0.0 if own is None else own.block(names))
     at = [slice(2 * s - 2, 2 * s) for s in range(1, V)]
     first = [clocks[0].moved(model.mid_s[s] + x[2 * s - 2]) for s in range(1, V)]
     for s, block in enumerate(at):
         for other, theirs in enumerate(at):
             shared = first[s] @ clocks[0].covariance @ first[other].T
-            own = clocks[s + 1].clock_covariance(model.mid_s[s + 1])
-            C[block, theirs] += shared + own if s == other else shared
+            stamps_own = clocks[s + 1].clock_covariance(model.mid_s[s + 1])
+            C[block, theirs] += shared + stamps_own if s == other else shared
         # the delay at stamp 0 from that in the middle, where it hardly hangs on the drift: d0 = d - 1e-6 drift mid
         move[2 * s, 2 * s + 1] = -1e-6 * model.mid_s[s + 1]
     C = move @ C @ move.T

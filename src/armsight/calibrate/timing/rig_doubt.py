@@ -49,6 +49,7 @@ class RigDoubt:
         place = N_LENS * V + np.arange(len(PLACE) * (V - 1)).reshape(V - 1, len(PLACE))
         std = np.sqrt(C.diagonal())
         free = np.flatnonzero(std)
+        # of correlations: px, m and rad would put rounding of one above doubt of another
         values, axes = np.linalg.eigh(C[np.ix_(free, free)] / np.outer(std[free], std[free]))
         kept = values > EXACT * values[-1]
         L = np.zeros((len(std), int(kept.sum())))

@@ -61,6 +61,7 @@ def tied_cameras(
         edges = [edge for edge in edges if edge[1:] not in tried]
         if not edges:
             break
+        # the edge with most sights first: a maximal spanning tree, grown from the first camera (Prim 1957)
         _, a, b = min(edges)
         tried.add((a, b))
         try:
@@ -108,6 +109,7 @@ def _named_like(
     if a not in known:
         return {a: one, b: other}
     before = dict(zip(_spots(known[a]), known[a].names, strict=True))
+    # spots of the first camera that both namings know say which of their names are one light's
     votes = np.zeros((count, count))
     for spot, name in zip(_spots(one), one.names, strict=True):
         if spot in before:

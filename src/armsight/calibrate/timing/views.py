@@ -66,6 +66,7 @@ class Views:
 
     def by_doubt(self, X: Array) -> Array:
         """Return the derivatives (m, 2, k) of A X - b by the rig's doubt, for points X (m, 3)."""
+        # camera by camera: the directions of all cameras at once would be V times the memory
         own = np.einsum("mrji,mj->mri", self.moves, np.column_stack([X, -np.ones(len(X))]))
         out = np.empty((len(self), 2, self.doubt.size))
         for s, root in enumerate(self.doubt.root):

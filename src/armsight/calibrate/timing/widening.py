@@ -38,6 +38,7 @@ def widened(model: PathModel, fit: Fit) -> Array:
     own, told = (np.zeros((block.max() + 1, gain.shape[1])) for _ in range(2))
     np.add.at(own, block, gain * r[:, None])
     np.add.at(told, block, gain**2 * noise)
+    # under independent spots a block's square has the variance told; chi2 of as many blocks as count
     total = np.maximum(told.sum(axis=0), 1e-300)
     count = total**2 / np.maximum((told**2).sum(axis=0), 1e-300)  # of blocks that count as much as the best
     ratio = (own**2).sum(axis=0) / total
