@@ -87,6 +87,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "armsight_lab/history/series.py:Found": "of many runs by number what an entry has of one",
         "app/operator/identify_run.py:Entry": "of a web page, always with a deviation's place in its text",
         "ops/path/picks.py:PickedPointOutput": "in the path's frame; the match itself is in the rig's",
+        "calibrate/timing/result.py:CameraClock": "of each camera by name what a pair's result has of two",
         "calibrate/identify/result.py:JointStd": "an arm's entries have the same names everywhere",
         "app/live/views.py:Counts": "what a page counts and what a recorder does go on apart",
         "verify/iso9283/figure.py:IsoFigure": "a figure of the standard, whose file holds no symbol",

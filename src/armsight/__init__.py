@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from armsight.calibrate.handeye import HandEyeResult as HandEyeResult
     from armsight.calibrate.identify import Identification as Identification
     from armsight.calibrate.light_target import TargetResult as TargetResult
+    from armsight.calibrate.timing import CamerasTiming as CamerasTiming
     from armsight.calibrate.timing import TimingResult as TimingResult
     from armsight.calibrate.tooltip_result import ToolTipResult as ToolTipResult
     from armsight.control.guard import Limits as Limits

@@ -18,7 +18,9 @@ from armsight.ops.kinds import (
     AnyRigLike,
     BoardLike,
     BothViews,
+    CamerasLike,
     Left,
+    NamedSpotsLike,
     Right,
     RigLike,
     SpotsLike,
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from armsight.calibrate.camera_noise.photon_transfer import NoiseResult
     from armsight.calibrate.cameras import BoardOptions, CamerasCalibration
     from armsight.calibrate.light_target import TargetResult
-    from armsight.calibrate.timing import TimingResult
+    from armsight.calibrate.timing import CamerasTiming, TimingResult
     from armsight.records import Progress
 
 __all__ = ["calibrate_cameras", "calibrate_noise", "calibrate_target", "calibrate_timing"]
@@ -220,18 +222,23 @@ def calibrate_target(
     "calibrate timing",
     working="calibrating",
     in_place="rig",
-    examples=("--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml -o rig-timed.yaml",),
+    examples=(
+        "--left camera:0 --right camera:1 --rig rig.yaml --target target.yaml -o rig-timed.yaml",
+        "--camera left=camera:0 --camera right=camera:1 --camera top=camera:2 --rig rig.yaml -o rig-timed.yaml",
+    ),
     judged=True,
     writes="write_rig_of",
 )
 def calibrate_timing(
-    rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
+    rig: Annotated[AnyRigLike, Doc("rig.yaml of the cameras, from `armsight calibrate stereo` or `cameras`.")],
     target: Annotated[TargetLike, Doc("target.yaml of the lights, where they are named in tables.")] = None,
     left: Left = None,
     right: Annotated[Right, Doc("Right frames, each with its camera's stamp."), FRAMES, Flag(metavar="SRC")] = None,
     *,
+    cameras: CamerasLike = None,
     left_spots: Annotated[SpotsLike, Doc(f"Instead of frames: {SPOTS}."), Flag(metavar="CSV")] = None,
     right_spots: Annotated[SpotsLike, Doc("The same of the right camera."), Flag(metavar="CSV")] = None,
+    spots: Annotated[NamedSpotsLike, Doc("The same of a camera by its name in rig.yaml; repeated.")] = None,
     fps: Fps = None,
     frames: Limit = None,
     threshold: Threshold = None,
@@ -239,15 +246,18 @@ def calibrate_timing(
     camera_settings: Cameras | None = None,
     out: Annotated[Path | None, Doc("rig.yaml to write, with the timing."), Flag("-o --out", needed=True)] = None,
     progress: Progress | None = None,
-) -> TimingResult:
-    """Find delay, drift, read-outs and jitter of two free-running cameras from lights waved before them for 10-20 s.
+) -> TimingResult | CamerasTiming:
+    """Find delay, drift, read-outs and jitter of free-running cameras from lights waved before them for 10-20 s.
 
     Parameters
     ----------
     rig, target, left, right
         As `measure` takes them.
-    left_spots, right_spots
-        Instead of frames: columns t_s, u_px, v_px of each camera.
+    cameras
+        Instead: frames by the cameras' names, {'left': ..., 'top': ...}, of rigs of up to eight. Each is timed against
+        the rig's first one, by one fit to what all see.
+    left_spots, right_spots, spots
+        Instead of frames: columns t_s, u_px, v_px of each camera; spots: by the cameras' names.
     fps
         Frames a second, where none brings its time.
     frames
@@ -258,11 +268,13 @@ def calibrate_timing(
     Raises
     ------
     NotEnoughData, Inconsistent
-        The wave does not tell the timing.
+        The wave does not tell the timing. Where some cameras never see the light with others, those that do are
+        written all the same.
     """
-    from armsight.calibrate.timing import calibrate_timing
+    from armsight.calibrate.timing import calibrate_clocks, calibrate_timing
     from armsight.drivers import AUTOMATIC
     from armsight.ops.calibration.spots_of_frames import SpotSearch, seen_tracks
+    from armsight.ops.sources.cameras import named_cameras
     from armsight.records import Silent
 
     search = SpotSearch(
@@ -270,13 +282,19 @@ def calibrate_timing(
         inverted=inverted,
         fps=fps,
         limit=frames,
-        origin_of=left,
         settings=camera_settings or AUTOMATIC,
     )
-    tracks = seen_tracks((left, right), (left_spots, right_spots), rig, search, progress or Silent())
+    texts, tables = ({"left": left, "right": right}, {"left": left_spots, "right": right_spots})
+    sources = {name: text for name, text in texts.items() if text is not None}
+    if cameras:
+        sources = named_cameras(cameras, left, right)
+    told = {name: table for name, table in tables.items() if table is not None} | dict(spots or {})
+    tracks = seen_tracks(rig, sources, told, search, progress or Silent())
     known = target is not None and target.model_known
     positions = dict(zip(target.names, target.xyz_m, strict=True)) if known else None
-    return calibrate_timing(rig, *tracks, positions)
+    if rig.is_pair:
+        return calibrate_timing(rig, tracks["left"], tracks["right"], positions)
+    return calibrate_clocks(rig, tracks, positions)
 
 
 @action("calibrate camera", working="calibrating")

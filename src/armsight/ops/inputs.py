@@ -273,6 +273,11 @@ def spots(name: str, value: Any, given: Given, undo: ExitStack) -> SpotTrack:
     return read_spot_track(undo.enter_context(Folder()).file(name, value))
 
 
+def named_spots(name: str, value: Any, given: Given, undo: ExitStack) -> dict[str, SpotTrack]:
+    """Return spots by the cameras' names, of NAME=CSV texts or of a mapping. Raises UsageError, BadFile."""
+    return {camera: spots(f"{camera} spots", one, given, undo) for camera, one in by_name(name, value).items()}
+
+
 def table(name: str, value: Any, given: Given, undo: ExitStack) -> Path:
     """Return the file of a table; of columns, or of (t_s, T), one that goes again. Raises UsageError, Inconsistent."""
     return undo.enter_context(Folder()).file(name, value)

@@ -104,4 +104,8 @@ CamerasLike: TypeAlias = Annotated[
     Flag("--camera", metavar="NAME=SRC", read=cameras_of, repeated=True),
 ]
 """Frames by camera: {"left": ..., "top": ...}, each as Left takes them."""
+NamedSpotsLike: TypeAlias = Annotated[
+    Any, Input(f"{READERS}:named_spots", kind=list[str]), Flag("--spots", metavar="NAME=CSV", repeated=True)
+]
+"""Spots by camera: {"left": ..., "top": ...}, each as SpotsLike."""
 BothViews: TypeAlias = Annotated[Any, Doc("Frames with both views in one image."), FRAMES, Flag(metavar="SRC")]

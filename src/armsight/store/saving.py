@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from armsight.calibrate.cameras.zoom import ZoomRigResult
     from armsight.calibrate.cell import CellResult
     from armsight.calibrate.light_target import TargetResult
-    from armsight.calibrate.timing import TimingResult
+    from armsight.calibrate.timing import CamerasTiming, TimingResult
     from armsight.calibrate.tooltip_result import PivotCalibration
     from armsight.verify.iso9283.plan import VerifyPlanOutput
     from armsight.verify.live import VerifyLiveOutput
@@ -154,7 +154,7 @@ def write_calibrated_camera(path: Path, result: CameraCalibration, *, inputs: Se
 
 def write_rig_of(
     path: Path,
-    result: StereoCalibration | CamerasCalibration | TimingResult | ZoomRigResult,
+    result: StereoCalibration | CamerasCalibration | TimingResult | CamerasTiming | ZoomRigResult,
     *,
     inputs: Sequence[Path] = (),
 ) -> None:

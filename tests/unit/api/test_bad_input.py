@@ -812,7 +812,7 @@ TABLE["identify_arm"][1].update(
 MADE_BY_US = (
     *("Identification", "ArmResult", "CameraResult", "HandEyeResult", "PoseEstimate", "PoseTrack", "RigResult"),
     *("RobotWorldResult", "ToolTipResult", "MeasureResult", "VerifyResult", "JoinResult", "TargetResult"),
-    *("TimingResult", "CellResult", "NoiseResult", "ZoomRigResult", "TeachResult"),
+    *("TimingResult", "CamerasTiming", "CellResult", "NoiseResult", "ZoomRigResult", "TeachResult"),
     "SimulatedFrame",
     *("RobotConnection", "RobotDriver", "RemoteState", "Simulation", "PoseStatus", "Inverse", "JointPath", "World"),
     *("RobotState", "BatchResult"),
@@ -829,7 +829,7 @@ CHECKED_WHERE_USED = (
 SAVED_ALIKE = tuple(
     f"{name}.{how}"
     for name in MADE_BY_US
-    if name.endswith(("Result", "Identification", "Estimate"))
+    if name.endswith(("Result", "Identification", "Estimate", "Timing"))
     for how in ("save", "write")
 )
 """Results that take long to make; their `save` is one line, to the same writers."""

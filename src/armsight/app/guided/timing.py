@@ -73,8 +73,8 @@ class TimingStep:
         sides = f"{text}:left", f"{text}:right"
         done = calibrate_timing(self.rig, self.target, *sides, out=self.out, progress=progress)
         rows = (
-            ("delay", f"{1e3 * done.delay_s:.2f} ms"),
+            ("delay", f"{1e3 * done.clocks['right'].delay_s:.2f} ms"),
             ("± in the middle", f"{1e3 * done.std_middle_s:.3f} ms (1 σ)"),
-            ("drift", f"{done.drift_ppm:.1f} ppm"),
+            ("drift", f"{done.clocks['right'].drift_ppm:.1f} ppm"),
         )
         return StepResult(verdict=done.verdict_, rows=rows, file=self.out)

@@ -1,6 +1,6 @@
-"""Delay, drift, read-outs and jitter of two free-running cameras, from lights waved before them."""
+"""Delays, drifts, read-outs and jitter of free-running cameras, from lights waved before them."""
 
-from armsight.calibrate.timing.calibrate import calibrate_timing
-from armsight.calibrate.timing.result import TimingResult
+from armsight.calibrate.timing.calibrate import calibrate_clocks, calibrate_timing
+from armsight.calibrate.timing.result import CamerasTiming, TimingResult
 
-__all__ = ["TimingResult", "calibrate_timing"]
+__all__ = ["CamerasTiming", "TimingResult", "calibrate_clocks", "calibrate_timing"]

@@ -1,4 +1,4 @@
-"""The delay between two cameras to some hundredths of a second: where the views agree with the epipolar lines."""
+"""Delays between cameras to some hundredths of a second: where two views agree with the epipolar lines."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
-from armsight.optics import SIDES, Rig
+from armsight.optics import Rig
 from armsight.records import SpotTrack
 
 MAX_DELAY_S = 30.0
@@ -17,7 +17,7 @@ FEWEST_SPOTS = 30
 MIN_COMMON_S = 4.0
 """Of motion seen by both cameras."""
 RATE_HZ = 20.0
-"""Left frames used, at most."""
+"""Frames of the first camera used, at most."""
 MAX_GAP = 2.6
 """Periods across which a path is bridged by a straight line."""
 LEAST_MOTION_PX = 3.0
@@ -42,8 +42,9 @@ class Coarse:
 
 
 def coarse_delay(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[Array, Array], name: str) -> Coarse:
-    """Return the delay that turns the right camera's times into the left one's, from the light of this name.
+    """Return the delay that turns the second camera's times into the first one's, from the light of this name.
 
+    rig: of these two cameras.
     times_s: of the frames of each camera. Raises NotEnoughData, Inconsistent where no delay up to MAX_DELAY_S brings
     the views together, Degenerate where the light hardly moves, Ambiguous where several delays fit.
     """
@@ -51,20 +52,21 @@ def coarse_delay(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[A
     t = [time[track.frame[i]] for track, time, i in zip(tracks, times_s, rows, strict=True)]
     if min(len(each) for each in t) < FEWEST_SPOTS:
         raise NotEnoughData(
-            f"the light was seen in {len(t[0])} left and {len(t[1])} right frames",
+            f"the light was seen in {len(t[0])} {rig.names[0]} and {len(t[1])} {rig.names[1]} frames",
             consequence="No timing is given",
             cure="Wave the target for 10 to 20 s where both cameras see it, before a dark ground (lights that stand "
             "still are left out); set --threshold where lights are not found",
         )
-    d = [_directions(rig, side, track.uv_px[i]) for side, track, i in zip(SIDES, tracks, rows, strict=True)]
+    d = [_directions(rig, side, track.uv_px[i]) for side, track, i in zip(rig.names, tracks, rows, strict=True)]
     thin = max(1, round(len(t[0]) / max(float(np.ptp(t[0])) * RATE_HZ, 1.0)))
-    # the epipolar plane of each left ray: at the right delay the other camera's ray of the same light lies in it
-    normal = np.cross(rig.T_rig_right.translation - rig.T_rig_left.translation, d[0][::thin])
+    # the epipolar plane of each of its rays: at the right delay the other camera's ray of the same light lies in it
+    first, second = (one.T_rig_camera.translation for one in rig.cameras)
+    normal = np.cross(second - first, d[0][::thin])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     delays = np.arange(-MAX_DELAY_S, MAX_DELAY_S + STEP_S, STEP_S)
-    focal = float(np.mean([camera.intrinsics[:2].mean() for camera in (rig.left, rig.right)]))
+    focal = float(np.mean([camera.intrinsics[:2].mean() for camera in (one.camera for one in rig.cameras)]))
     rms = focal * _distances(t[0][::thin], normal, t[1], d[1], delays)
-    return _chosen(delays, rms)
+    return _chosen(delays, rms, rig.names, t)
 
 
 def _directions(rig: Rig, side: str, uv_px: Array) -> Array:
@@ -94,14 +96,15 @@ def _distances(t: Array, normal: Array, t_other: Array, d: Array, delays: Array)
     return out
 
 
-def _chosen(delays: Array, rms: Array) -> Coarse:
+def _chosen(delays: Array, rms: Array, names: tuple[str, ...], t: list[Array]) -> Coarse:
     from scipy.signal import argrelmin  # imported here: it takes longer than most commands need to begin
 
     tried = np.isfinite(rms)
     if not tried.any():
         raise Inconsistent(
             f"the two recordings have less than {MIN_COMMON_S:g} s in common, whatever the delay up to "
-            f"{MAX_DELAY_S:g} s",
+            f"{MAX_DELAY_S:g} s: the stamps of {names[1]} begin {abs(t[1][0] - t[0][0]):.1f} s "
+            f"{'after' if t[1][0] > t[0][0] else 'before'} those of {names[0]}",
             consequence="Nothing ties the two clocks; no timing is given",
             cure="Record both cameras at the same time, with stamps that are at most half a minute apart",
         )
@@ -119,8 +122,8 @@ def _chosen(delays: Array, rms: Array) -> Coarse:
         raise Inconsistent(
             f"no delay up to {MAX_DELAY_S:g} s makes the two views agree: {least:.1f} px remain at best",
             consequence="No timing is given",
-            cure="Check that both recordings are of the same time and the same light, that left and right are not "
-            "swapped, and that rig.yaml is of these cameras",
+            cure=f"Check that both recordings are of the same time and the same light, that {names[0]} and {names[1]} "
+            "are not swapped, and that rig.yaml is of these cameras",
         )
     low = argrelmin(filled, order=3, mode="clip")[0]
     rivals = low[(np.abs(delays[low] - delays[best]) > APART_S) & (filled[low] < RIVAL * least + RIVAL_FLOOR_PX)]

@@ -1,9 +1,9 @@
-"""Delay, drift and read-outs by least squares, with the paths of the lights, quintic splines, eliminated."""
+"""Delays, drifts and read-outs by least squares, with the paths of the lights, quintic splines, eliminated."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -18,7 +18,6 @@ from armsight.fitting import Evaluation, Fit, Prior, Problem, Settings, solve
 from armsight.fitting.kernels import add_rows, add_transposed_times, rows_times
 
 PPM = 1e-6
-TIMES = ("delay_s", "drift_ppm", "left.readout_s", "right.readout_s")
 JERK_M_S3 = 3e3
 """Standard deviation of the jerk that ties a path together where no camera sees it: a hand waves with 10 to 500."""
 RIGID_M = 1e-5
@@ -29,6 +28,8 @@ DISTANCE_M = 0.3
 RIGID_ROUNDS = 2
 SPACINGS = (4.0, 3.0, 2.5, 2.0, 1.5, 1.2, 1.0)
 """Grids tried, in periods of the slower camera."""
+PROBES = 8
+"""Random vectors for a trace: known to a hundredth with a thousand views."""
 MARGIN_S = 0.1
 """By which the grid reaches beyond the time that both cameras saw."""
 
@@ -45,16 +46,24 @@ class PathFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PathModel:
-    """Views on a grid. mid_s: the right stamp at which the delay is taken. depth (m,): of each view, nearly.
+    """Views on a grid. mid_s (V,): each camera's stamp at which its delay is taken. depth (m,): of each view, nearly.
 
-    c (size,): paths that are near, about which rigid distances are taken as linear.
+    x (3 V - 2 + p + k,): of every camera but the first delay_s and drift_ppm, of every one readout_s, then the lights'
+    distances, and how far the rig is off in its deviations. c (size,): paths that are near, about which rigid distances
+    are taken as linear. together: of so many spots, whose errors hang together, one is new.
     """
 
     views: Views
     grid: Grid
-    mid_s: float
+    mid_s: Array
     depth: Array
     c: Array
+    together: float = 1.0
+
+    @property
+    def n_times(self) -> int:
+        """How many numbers of x are times."""
+        return 3 * len(self.mid_s) - 2
 
     @property
     def size(self) -> int:
@@ -67,28 +76,28 @@ class PathModel:
         return len(self.views.names)
 
     def times_s(self, x: Array) -> tuple[Array, Array]:
-        """Return when each view was exposed (m,) by the left clock, and its derivatives (m, 4) by TIMES."""
-        v = self.views
-        right = v.side == 1
-        # a line was exposed at stamp + readout line, of the right camera + delay + drift (stamp - mid): linear, as J
-        # says
-        J = np.zeros((len(v), 4))
-        J[right, 0] = 1.0
-        J[right, 1] = PPM * (v.stamp_s[right] - self.mid_s)
-        J[~right, 2] = v.line[~right]
-        J[right, 3] = v.line[right]
-        return v.stamp_s + J @ x[:4], J
+        """Return when each view was exposed (m,) by the first camera's clock, and its derivatives (m, 3 V - 2)."""
+        v, n = self.views, self.n_times
+        # a line was exposed at stamp + readout line, but for the first camera + delay + drift (stamp - mid): linear, as
+        # J says
+        J = np.zeros((len(v), n))
+        rows, others = np.arange(len(v)), np.flatnonzero(v.side)
+        J[others, 2 * v.side[others] - 2] = 1.0
+        J[others, 2 * v.side[others] - 1] = PPM * (v.stamp_s[others] - self.mid_s[v.side[others]])
+        J[rows, n - len(self.mid_s) + v.side] = v.line
+        return v.stamp_s + J @ x[:n], J
 
-    def seen(self, t_s: Array, derivative: int = 0) -> Rows:
+    def seen(self, t_s: Array, x: Array, derivative: int = 0) -> Rows:
         """Return the equations (2 m,) of all views, or their derivatives by time."""
         first, weight = self.grid.basis(t_s, derivative)
         columns = self._columns(first, self.views.light)  # (m, 18)
-        A = self.views.A / self.depth[:, None, None]
+        A, b = self.views.equations(x[self.n_times + len(self.views.pairs) :])
+        A = A / self.depth[:, None, None]
         values = np.einsum("mj,mrk->mrjk", weight, A).reshape(-1, ORDER * 3)
         return Rows(
             columns=np.repeat(columns, 2, axis=0),
             values=values,
-            right=(self.views.b / self.depth[:, None]).ravel(),
+            right=(b / self.depth[:, None]).ravel(),
         )
 
     def smooth(self) -> Rows:
@@ -121,15 +130,21 @@ class PathModel:
             right=np.repeat(distances, len(first)) / RIGID_M,
         )
 
+    def points(self, t_s: Array, c: Array) -> Array:
+        """Return where the light of each view was (m, 3) on paths c."""
+        first, weight = self.grid.basis(t_s)
+        at = c[self._columns(first, self.views.light)].reshape(-1, ORDER, 3)
+        return np.asarray(np.einsum("mj,mjk->mk", weight, at))
+
     def _columns(self, first: NDArray[np.intp], light: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the unknowns (m, 18) of the lights' coordinates from their first coefficients on."""
         start = ((first[:, None] + np.arange(ORDER)) * self.n_lights + light[:, None]) * 3  # (m, 6)
         return np.asarray((start[:, :, None] + np.arange(3)).reshape(len(first), -1))
 
     def fit_paths(self, x: Array) -> PathFit:
-        """Return the paths for times and distances x (4 + p,)."""
+        """Return the paths for x."""
         t, _ = self.times_s(x)
-        fixed = (self.seen(t), self.smooth())
+        fixed = (self.seen(t, x), self.smooth())
         c, width = self.c, ORDER * self.n_lights * 3 - 1
         parts: tuple[Rows, ...] = fixed
         if not len(self.views.pairs):
@@ -137,37 +152,42 @@ class PathModel:
             c = band.solution()
         else:
             for _ in range(RIGID_ROUNDS):
-                parts = (*fixed, self.rigid(c, x[4:]))
+                parts = (*fixed, self.rigid(c, x[self.n_times :][: len(self.views.pairs)]))
                 band = Band(parts, self.size, width)
                 c = band.solution()
         residuals = tuple(times(rows, c[:, None])[:, 0] - rows.right for rows in parts)
         return PathFit(c=c, band=band, parts=parts, residuals=residuals)
 
     def evaluate(self, x: Array, local: Array) -> Evaluation:
-        """Return residuals and derivatives by x (4 + p,), both with the paths eliminated (variable projection)."""
+        """Return residuals and derivatives by x, both with the paths eliminated (variable projection)."""
         del local
-        n_seen, p = 2 * len(self.views), len(self.views.pairs)
+        n_seen, p, n = 2 * len(self.views), len(self.views.pairs), self.n_times
+        k = self.views.doubt.size
         t, Jt = self.times_s(x)
         if not self.grid.inside(t):
             nothing = np.full((1, n_seen), np.nan)
-            return Evaluation(residuals=nothing, shared=np.zeros((1, n_seen, 4 + p)), local=np.zeros((1, n_seen, 0)))
+            return Evaluation(
+                residuals=nothing, shared=np.zeros((1, n_seen, n + p + k)), local=np.zeros((1, n_seen, 0))
+            )
         paths = self.fit_paths(x)
         # a view of another moment is of another point of the path: the residual moves with the path's speed
-        speed = times(self.seen(t, 1), paths.c[:, None])  # (2 m, 1)
-        J = [np.zeros((len(r), 4 + p)) for r in paths.residuals]
-        J[0][:, :4] = speed * np.repeat(Jt, 2, axis=0)
+        speed = times(self.seen(t, x, 1), paths.c[:, None])  # (2 m, 1)
+        J = [np.zeros((len(r), n + p + k)) for r in paths.residuals]
+        J[0][:, :n] = speed * np.repeat(Jt, 2, axis=0)
+        if k:
+            J[0][:, n + p :] = (self.views.by_doubt(self.points(t, paths.c)) / self.depth[:, None, None]).reshape(-1, k)
         if p:
             cells = self.grid.n_cells
-            for k in range(p):
-                J[2][k * cells : (k + 1) * cells, 4 + k] = -1.0 / RIGID_M
+            for i in range(p):
+                J[2][i * cells : (i + 1) * cells, n + i] = -1.0 / RIGID_M
         # Variable projection (Golub, Pereyra 1973): of each derivative only what the paths' coefficients cannot make is
         # left. The term by the residuals is dropped (Kaufman 1975), which leaves the minimum where it is
         pull = paths.band.solve(transposed_times(paths.parts, J, self.size))
         J = [own - times(rows, pull) for own, rows in zip(J, paths.parts, strict=True)]
-        shared = np.concatenate(J)[None]
-        return Evaluation(
-            residuals=np.concatenate(paths.residuals)[None], shared=shared, local=np.zeros((1, shared.shape[1], 0))
-        )
+        shared, residuals = np.concatenate(J)[None], np.concatenate(paths.residuals)[None]
+        if self.together != 1.0:
+            shared, residuals = shared / np.sqrt(self.together), residuals / np.sqrt(self.together)
+        return Evaluation(residuals=residuals, shared=shared, local=np.zeros((1, shared.shape[1], 0)))
 
     @property
     def dof(self) -> int:
@@ -178,37 +198,59 @@ class PathModel:
         """Return the standard deviation of the whitened residuals."""
         return float(np.sqrt(paths.residuals[0] @ paths.residuals[0] / max(self.dof, 1)))
 
-    def side_scales(self, paths: PathFit) -> tuple[float, float]:
-        """Return the same for the left and the right views alone."""
+    def side_scales(self, x: Array, *, alike: bool = False) -> Array:
+        """Return the same (V,) for the views of each camera alone; alike: one for all.
+
+        Of more than two cameras each has its own degrees of freedom (variance components, Foerstner 1979): paths follow
+        the one that sees best and most often, whose residuals would else be taken for too small.
+        """
+        paths = self.fit_paths(x)
+        if alike:
+            return np.full(len(self.mid_s), self.scale(paths))
         r = (paths.residuals[0] ** 2).reshape(-1, 2).sum(axis=1)
+        if len(self.mid_s) > 2:
+            return np.asarray(np.sqrt(np.bincount(self.views.side, r) / np.maximum(self._free_equations(paths), 1.0)))
         share = 2.0 * len(self.views) / max(self.dof, 1)
-        left, right = (float(np.sqrt(share * r[self.views.side == s].mean() / 2.0)) for s in (0, 1))
-        return left, right
+        return np.array([np.sqrt(share * r[self.views.side == s].mean() / 2.0) for s in range(len(self.mid_s))])
+
+    def _free_equations(self, paths: PathFit) -> Array:
+        """Return the equations of each camera (V,) less what they tell of the paths: a trace, by random signs."""
+        side, V = np.repeat(self.views.side, 2), len(self.mid_s)
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(side), PROBES))
+        each = np.concatenate([signs * (side == s)[:, None] for s in range(V)], axis=1)
+        none = [np.zeros((len(rows.right), V * PROBES)) for rows in paths.parts[1:]]
+        made = times(paths.parts[0], paths.band.solve(transposed_times(paths.parts, [each, *none], self.size)))
+        told = (each * made).sum(axis=0).reshape(V, PROBES).mean(axis=1)
+        return np.asarray(np.bincount(side, minlength=V) - told, dtype=np.float64)
 
 
-def build(views: Views, spacing_s: float, mid_s: float, x: Array, depth: Array) -> PathModel:
-    """Return the model on a grid of this spacing, about paths without rigid distances at x (4 + p,)."""
+def build(views: Views, spacing_s: float, mid_s: Array, x: Array, depth: Array) -> PathModel:
+    """Return the model on a grid of this spacing, about paths without rigid distances at x."""
     v = views
-    plain = Views(**{**{name: getattr(v, name) for name in v.__slots__}, "pairs": v.pairs[:0]})
-    ends = v.stamp_s + np.where(v.side == 1, x[0] + PPM * x[1] * (v.stamp_s - mid_s), 0.0)
+    p, n = len(v.pairs), 3 * len(mid_s) - 2
+    plain = replace(v, pairs=v.pairs[:0])
+    clock = np.concatenate([[0.0, 0.0], x[: 2 * len(mid_s) - 2]])
+    ends = v.stamp_s + (clock[2 * v.side] + PPM * clock[2 * v.side + 1] * (v.stamp_s - mid_s[v.side]))
     grid = Grid.over(float(ends.min()) - MARGIN_S, float(ends.max()) + MARGIN_S, spacing_s)
     empty = np.zeros(grid.n_coefficients * len(v.names) * 3)
     model = PathModel(views=plain, grid=grid, mid_s=mid_s, depth=depth, c=empty)
-    c = model.fit_paths(x[:4]).c
+    c = model.fit_paths(np.delete(x, slice(n, n + p))).c
     return PathModel(views=v, grid=grid, mid_s=mid_s, depth=depth, c=c)
 
 
-def depths(model: PathModel, x: Array) -> Array:
-    """Return the depth (m,) of each view along the model's paths. Raises Inconsistent where they lie behind."""
-    first, weight = model.grid.basis(model.times_s(x)[0])
-    X = np.einsum("mj,mjk->mk", weight, model.c[model._columns(first, model.views.light)].reshape(-1, ORDER, 3))
+def depths(model: PathModel, x: Array, names: tuple[str, ...]) -> Array:
+    """Return the depth (m,) of each view along the model's paths. names: of the cameras.
+
+    Raises Inconsistent where they lie behind.
+    """
+    X = model.points(model.times_s(x)[0], model.c)
     depth = np.einsum("mk,mk->m", model.views.depth_row, X) + model.views.depth_off
     middle = float(np.median(depth))
     if not middle > 0.0:
         raise Inconsistent(
             "the lights seem to lie behind the cameras",
             consequence="No timing is given",
-            cure="Check that left and right are not swapped, and that rig.yaml is of these cameras",
+            cure=f"Check that {' and '.join(names)} are not swapped, and that rig.yaml is of these cameras",
         )
     return np.asarray(np.clip(depth, 0.2 * middle, 5.0 * middle))
 
@@ -219,14 +261,21 @@ def distances_along(model: PathModel) -> Array:
     return np.array([np.median(np.linalg.norm(c[:, b] - c[:, a], axis=1)) for a, b in model.views.pairs])
 
 
-def solve_model(model: PathModel, guess: Array, priors: dict[str, Prior]) -> Fit:
-    """Return the fit of TIMES and of the lights' distances from a guess (4 + p,)."""
-    names = (*TIMES, *(f"distance_{a}_{b}_m" for a, b in model.views.pairs))
-    problem = Problem(names=names, guess=guess, evaluate=model.evaluate, n_residuals=model.dof, priors=priors)
-    return solve(problem, Settings(estimate_noise=True, cost_tolerance=1e-8, step_tolerance=1e-6))
+def solve_model(model: PathModel, guess: Array, priors: dict[str, Prior], held: Collection[str] = ()) -> Fit:
+    """Return the fit of x from a guess. priors: of every number of x, in its order. held: names that stay."""
+    problem = Problem(
+        names=tuple(priors),
+        guess=guess,
+        evaluate=model.evaluate,
+        n_residuals=model.dof,
+        priors=priors,
+        fixed=frozenset(held),
+    )
+    own = model.together == 1.0
+    return solve(problem, Settings(estimate_noise=own, cost_tolerance=1e-8, step_tolerance=1e-6))
 
 
-def best_spacing(views: Views, period_s: float, mid_s: float, x: Array, depth: Array) -> tuple[float, float]:
+def best_spacing(views: Views, period_s: float, mid_s: Array, x: Array, depth: Array) -> tuple[float, float]:
     """Return the grid's spacing in s with the least generalised cross-validation error, and the residuals' scale."""
     least, chosen, scale = np.inf, SPACINGS[-1] * period_s, 1.0
     for factor in SPACINGS:

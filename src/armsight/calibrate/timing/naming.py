@@ -1,4 +1,4 @@
-"""Which spot is which light, in both cameras, where several lights have no names.
+"""Which spot is which light, in two cameras, where several lights have no names.
 
 In each camera spots are followed from frame to frame; a stretch ends where two ways to go on are nearly as short. The
 delay comes from the lights' mean, which needs no names. Stretches of both cameras that overlap are then tied together
@@ -7,6 +7,7 @@ by their distance from the epipolar lines over all that time.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -21,6 +22,8 @@ from armsight.optics.triangulate import epipolar_distance
 from armsight.records import SpotTrack
 
 MEAN = "mean"
+LIGHT = "light"
+"""Name of the only light, where nobody named it."""
 MOST_LIGHTS = 6
 CLEAR = 3.0
 """The second shortest way on must be this many times as long as the shortest, or the stretch ends."""
@@ -64,19 +67,43 @@ def named_by_motion(
     return _renamed(tracks[0], stretches[0], names[0]), _renamed(tracks[1], stretches[1], names[1])
 
 
-def only_light(track: SpotTrack, name: str) -> SpotTrack:
-    """Return the spots of frames that hold but one, with this name."""
+def lights_named(
+    names: Sequence[str], tracks: Sequence[SpotTrack], n_lights: int | None
+) -> tuple[list[SpotTrack], int]:
+    """Return tracks whose lights have names, as given or of the only light, and 1; of several lights that nobody named
+    the tracks as they are, and how many lights there are.
+
+    names: of the cameras. Raises NotEnoughData where some cameras' spots have names and others' have not.
+    """
+    named = [any(track.names) for track in tracks]
+    if all(named):
+        return list(tracks), 1
+    if any(named):
+        if len({name for track in tracks for name in track.names} - {""}) > 1:
+            raise NotEnoughData(
+                f"the {names[named.index(False)]} camera's spots have no names, the other "
+                f"{'one' if len(names) == 2 else 'cameras'}'s have",
+                consequence="Nobody can say which spot is which light",
+                cure="Name the lights in both tables, or in none",
+            )
+        tracks = [track.renamed("") for track in tracks]
+    count = 1 if all(track.alone for track in tracks) else n_lights or usual_count(tracks)
+    return [only_light(track) for track in tracks] if count == 1 else list(tracks), count
+
+
+def only_light(track: SpotTrack) -> SpotTrack:
+    """Return the spots of frames that hold but one, with a name."""
     rows = _complete_frames(track, 1)[:, 0]
     return SpotTrack(
         t_s=track.t_s,
         frame=track.frame[rows],
-        names=(name,) * len(rows),
+        names=(LIGHT,) * len(rows),
         uv_px=track.uv_px[rows],
         covariance_px2=track.covariance_px2[rows],
     )
 
 
-def usual_count(tracks: tuple[SpotTrack, SpotTrack]) -> int:
+def usual_count(tracks: Sequence[SpotTrack]) -> int:
     """Return how many spots most frames hold that hold any."""
     counts = np.concatenate([np.bincount(track.frame, minlength=len(track)) for track in tracks])
     return int(np.argmax(np.bincount(counts[counts > 0]))) if counts.any() else 0

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 
 from armsight.fields import Doc
-from armsight.optics import Rig
+from armsight.optics import SIDES, Rig
 from armsight.records import CameraTiming, NamedCovariance
 from armsight.records.by_value import Saveable
 from armsight.records.camera import CLOCK
@@ -28,98 +28,135 @@ UNEVEN, UNEVEN_PX = 4.0, 0.2
 leave 0.33 px beside 0.04."""
 
 
+def time_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of what is fitted of cameras: delay and drift of all but the first, of which left and right
+    need not say whose they are, and the read-outs."""
+    whose = {name: "" if names == SIDES else f"{name}." for name in names}
+    return (*(f"{whose[name]}{key}" for name in names[1:] for key in CLOCK), *(f"{name}.readout_s" for name in names))
+
+
+FORETOLD = 2.0
+"""What a path through the other cameras' views leaves of one camera's, over its own residuals: 1.0 to 1.3 of an exact
+rig."""
+
+
 @output
-class TimingResult(Output, Saveable):
-    """armsight calibrate timing.
-
-    t_left = t_right + delay_s + 1e-6 drift_ppm t_right. given: the rig that was calibrated. covariance: of the names
-    that std has.
-    """
-
-    given: Rig
+class CameraClock(Output):
+    """When a camera of a rig exposes, by the clock of the rig's first one."""
 
     delay_s: Annotated[
-        float, Doc("t_left = t_right + delay_s + 1e-6 drift_ppm t_right turns the right stamps into left ones, s.")
+        float, Doc("t_first = t + delay_s + 1e-6 drift_ppm t turns its stamps t into the first camera's, s.")
     ]
-    drift_ppm: Annotated[float, Doc("How much faster the left camera's clock runs, parts in a million.")]
-    readout_s: Annotated[BothSeconds, Doc("From the first line's exposure to the last one's; 0: global shutter.")]
-    jitter_s: Annotated[BothSeconds, Doc("Standard deviation of a single stamp about the camera's steady clock.")]
-    period_s: Annotated[BothSeconds, Doc("From frame to frame, by the camera's own stamps.")]
+    drift_ppm: Annotated[float, Doc("How much faster the first camera's clock runs, parts in a million.")]
+    readout_s: Annotated[float, Doc("From the first line's exposure to the last one's; 0: global shutter.")]
+    jitter_s: Annotated[float, Doc("Standard deviation of a single stamp about the camera's steady clock.")]
+    period_s: Annotated[float, Doc("From frame to frame, by the camera's own stamps.")]
+    lost: Annotated[int, Doc("Frames missing, recognised from the spacing of the stamps.")]
+    middle_s: Annotated[float, Doc("Its stamp in the middle of the recording, where the delay is known best, s.")]
+    std_middle_s: Annotated[float, Doc("Standard deviation of t_first there, s.")]
+    common_s: Annotated[float, Doc("From its first view of a light that another camera saw too to its last one, s.")]
+    wider: Annotated[
+        float, Doc("By how much std_middle_s is wider because residuals hang together over time; 1: they do not.")
+    ]
+    residual_px: Annotated[float, Doc("RMS residual of a spot's coordinate.")]
+    left_out_px: Annotated[
+        float | None,
+        Doc("The same of stretches of its views left out of the fit by turns, while two others looked on."),
+    ]
+
+
+@output
+class _Timing(Output, Saveable):
+    """given: the rig that was calibrated. clocks: of each camera, in its order. covariance: of the names in std."""
+
+    given: Rig
+    clocks: Mapping[str, CameraClock]
     covariance: NamedCovariance
-    n_frames: Annotated[int, Doc("Frames of both cameras together.")]
-    lost: Annotated[BothCounts, Doc("Frames missing, recognised from the spacing of the stamps.")]
-    middle_s: Annotated[float, Doc("Right stamp in the middle of the recording, where the delay is known best, s.")]
-    common_s: Annotated[float, Doc("How long both cameras saw the lights, s.")]
-    residual_px: Annotated[BothPixels, Doc("RMS residual of a spot's coordinate.")]
-    lights: Annotated[tuple[str, ...], Doc("Lights used.")]
-
-    @figure(
-        "Standard deviations by name: delay_s, drift_ppm, left.readout_s, right.readout_s, left.jitter_s, "
-        "right.jitter_s."
-    )
-    def std(self) -> dict[str, float]:
-        return self.covariance.std()
-
-    @figure("Standard deviation of t_left there, s.")
-    def std_middle_s(self) -> float:
-        return float(self.cameras()[1].clock_std_s([self.middle_s])[0])
 
     @property
     def rig(self) -> Rig:
-        """The rig with its cameras' timing; exposures that it knew of are kept."""
-        left, right = (
-            found if before is None else replace(found, exposure_s=before.exposure_s)
-            for found, before in zip(self.cameras(), self.given.timing, strict=True)
+        """The rig with its cameras' timing; exposures that it knew of are kept, and cameras of which nothing is
+        known."""
+        found = dict(zip(self.clocks, self.cameras(), strict=True))
+        return self.given.with_each(
+            timing=[
+                one.timing
+                if one.name not in found
+                else found[one.name]
+                if one.timing is None
+                else replace(found[one.name], exposure_s=one.timing.exposure_s)
+                for one in self.given.cameras
+            ]
         )
-        return self.given.with_each(timing=(left, right))
 
-    def cameras(self) -> tuple[CameraTiming, CameraTiming]:
-        """Return the timing of the left and the right camera as files hold it."""
-        names = ("left.readout_s", "left.jitter_s")
-        left = CameraTiming(readout_s=self.readout_s[0], jitter_s=self.jitter_s[0], covariance=self._named(names))
-        right = CameraTiming(
-            readout_s=self.readout_s[1],
-            jitter_s=self.jitter_s[1],
-            delay_s=self.delay_s,
-            drift_ppm=self.drift_ppm,
-            covariance=self._named((*CLOCK, "right.readout_s", "right.jitter_s")),
-        )
-        return left, right
+    def cameras(self) -> tuple[CameraTiming, ...]:
+        """Return the timing of each camera as files hold it."""
+        names, out = tuple(self.clocks), []
+        clocks = iter(time_names(names)[: -len(names)])
+        for k, (name, one) in enumerate(self.clocks.items()):
+            whose = (*((next(clocks), next(clocks)) if k else ()), f"{name}.readout_s", f"{name}.jitter_s")
+            short = tuple(each.rpartition(".")[2] for each in whose)
+            covariance = NamedCovariance(names=short, matrix=np.array(self.covariance.block(whose)))
+            times = {"readout_s": one.readout_s, "jitter_s": one.jitter_s}
+            out.append(CameraTiming(delay_s=one.delay_s, drift_ppm=one.drift_ppm, covariance=covariance, **times))
+        return tuple(out)
 
-    def _named(self, names: tuple[str, ...]) -> NamedCovariance:
-        short = tuple(name.rpartition(".")[2] for name in names)
-        return NamedCovariance(names=short, matrix=np.array(self.covariance.block(names)))
+    @figure("Standard deviations by name: of delay_s and drift_ppm, readout_s and jitter_s of each camera.")
+    def std(self) -> dict[str, float]:
+        return self.covariance.std()
+
+    @figure("Standard deviation of the least known clock against the first one, in the middle of the recording, s.")
+    def std_middle_s(self) -> float:
+        return max(one.std_middle_s for one in self.clocks.values())
 
     @figure("What would make the result surer.")
     def advice(self) -> tuple[str, ...]:
-        std, out = self.std, []
-        if max(self.residual_px) > LARGE_RESIDUAL_PX:
+        each, out = self.clocks, []
+        pair = tuple(each) == SIDES
+        residual = {name: one.residual_px for name, one in each.items()}
+        most, least = max(residual.values()), min(residual.values())
+        if most > LARGE_RESIDUAL_PX:
             out.append(
-                f"{max(self.residual_px):.2g} px RMS remain: check that rig.yaml is of these cameras as they stand "
-                "now, and that exposures are short"
+                f"{most:.2g} px RMS remain: check that rig.yaml is of these cameras as they stand now, and that "
+                "exposures are short"
             )
-        elif max(self.residual_px) > max(UNEVEN * min(self.residual_px), UNEVEN_PX):
-            side = "left" if self.residual_px[0] > self.residual_px[1] else "right"
+        elif most > max(UNEVEN * least, UNEVEN_PX):
+            side = max(residual, key=residual.__getitem__)
             out.append(
-                f"{max(self.residual_px):.2g} px RMS remain in the {side} view beside {min(self.residual_px):.2g}: its "
-                "frames are not exposed when their stamps say, and the standard deviations do not hold; record with "
-                "the camera's own stamps"
+                f"{most:.2g} px RMS remain in the {side} view beside {least:.2g}: its frames are not exposed when "
+                "their stamps say, and the standard deviations do not hold; record with the camera's own stamps"
+            )
+        told = {name: one.left_out_px for name, one in each.items() if one.left_out_px is not None}
+        odd = {name: px for name, px in told.items() if px > max(FORETOLD * residual[name], UNEVEN_PX)}
+        if odd:
+            side = max(odd, key=odd.__getitem__)
+            out.append(
+                f"views of {side} that were left out are foretold to {odd[side]:.2g} px beside {residual[side]:.2g}: "
+                "rig.yaml, or what it takes for a light's middle, is less exact than the spots; calibrate the rig anew"
             )
         if self.std_middle_s > GOOD_DELAY_S:
+            late = max(each, key=lambda name: each[name].std_middle_s)
             out.append(
-                f"the delay is known to {1e3 * self.std_middle_s:.2g} ms only: wave faster, and up and down as well, "
-                "for 20 s"
+                f"the delay{'' if pair else f' of {late}'} is known to {1e3 * self.std_middle_s:.2g} ms only: wave "
+                "faster, and up and down as well, for 20 s"
             )
-        if max(std["left.readout_s"], std["right.readout_s"]) > GOOD_READOUT_S:
-            difference = self.covariance.block(("left.readout_s", "right.readout_s"))
-            apart = float(np.sqrt(max(difference[0, 0] + difference[1, 1] - 2.0 * difference[0, 1], 0.0)))
-            firm = "; their difference is firm" if apart <= GOOD_READOUT_S else ""
-            known = " and ".join(f"{1e3 * std[f'{side}.readout_s']:.2g}" for side in ("left", "right"))
-            out.append(
-                f"the read-outs are known to {known} ms only{firm}: wave a target of three lights, up and down, "
-                "over the whole height of both images"
-            )
-        return tuple(out)
+        return (*out, *self._of_rig(), *self._read_outs())
+
+    def _of_rig(self) -> Iterator[str]:
+        yield from ()
+
+    def _read_outs(self) -> Iterator[str]:
+        names, pair = tuple(f"{name}.readout_s" for name in self.clocks), tuple(self.clocks) == SIDES
+        C = self.covariance.block(names)
+        if np.sqrt(C.diagonal().max()) <= GOOD_READOUT_S:
+            return
+        apart = np.sqrt(np.maximum(C[0, 0] + C.diagonal() - 2.0 * C[0], 0.0)).max()
+        differ = "their difference is firm" if pair else "their differences are firm"
+        known = " and ".join(f"{1e3 * self.std[name]:.2g}" for name in names)
+        yield (
+            f"the read-outs are known to {known} ms only{f'; {differ}' if apart <= GOOD_READOUT_S else ''}: wave a "
+            f"target of three lights, up and down, over the whole height of {'both' if pair else 'all'} images"
+        )
 
     @figure("Whether the result can be trusted, in words.")
     def verdict(self) -> str:
@@ -133,6 +170,69 @@ class TimingResult(Output, Saveable):
             return Verdict(level="care", headline="Weak", reasons=[said], next=[f"{self.advice[0]}."])
         todo = "Use it; calibrate again when a camera's rate, exposure or resolution was changed."
         return Verdict(level="good", headline="Good", reasons=[said], next=[todo])
+
+
+@output
+class CamerasTiming(_Timing):
+    """armsight calibrate timing --camera: of other cameras than left and right."""
+
+    clocks: Annotated[Mapping[str, CameraClock], Doc("Clock and shutter of each camera.", key="cameras")]
+    n_frames: Annotated[int, Doc("Frames of all cameras together.")]
+    lights: Annotated[tuple[str, ...], Doc("Lights used.")]
+    rig_off: Annotated[
+        float, Doc("By how many standard deviations of its own the rig is off, and is taken to be; 1: within them.")
+    ]
+
+    def _of_rig(self) -> Iterator[str]:
+        if self.rig_off > 1.0:
+            yield (
+                f"the lights pull the cameras {self.rig_off:.1f} standard deviations of rig.yaml off, which widens all "
+                "that is claimed: calibrate the rig anew as it stands now"
+            )
+
+    def summary(self) -> Iterator[Shown]:
+        """Yield the cameras' clocks and shutters, and what they rest on."""
+        std, rows, first = self.std, [], next(iter(self.clocks))
+        for name, one in self.clocks.items():
+            shift = (one.delay_s + 1e-6 * one.drift_ppm * one.middle_s) / MS
+            clock = [f"{shift:.3f} +- {digits(one.std_middle_s / MS, 2)}", f"{one.middle_s:.1f}"]
+            drift = f"{one.drift_ppm:.2f} +- {digits(std.get(f'{name}.drift_ppm'), 2)}"
+            read = f"{digits(one.readout_s / MS, 4)} +- {digits(std[f'{name}.readout_s'] / MS, 2)}"
+            px = [digits(one.residual_px), digits(one.left_out_px)]
+            own = ["", "", ""] if name == first else [*clock, drift]
+            rows.append([name, *own, read, digits(one.jitter_s / MS, 2), f"{one.common_s:.1f}", str(one.lost), *px])
+        head = [f"t_{first} - t, ms", "at s", "drift, ppm", "read-out, ms", "jitter, ms", "common, s", "lost"]
+        yield Table("Clocks", ["camera", *head, "px RMS", "left out"], rows)
+        yield f"{self.n_frames} frames, lights: {', '.join(self.lights)}"
+        if self.given.covariance is None:
+            yield "rig.yaml has no covariance: the rig is taken as exact"
+        yield f"Verdict: {self.verdict}"
+
+
+@output
+class TimingResult(_Timing):
+    """armsight calibrate timing.
+
+    t_left = t_right + delay_s + 1e-6 drift_ppm t_right.
+    """
+
+    delay_s: Annotated[
+        float, Doc("t_left = t_right + delay_s + 1e-6 drift_ppm t_right turns the right stamps into left ones, s.")
+    ]
+    drift_ppm: Annotated[float, Doc("How much faster the left camera's clock runs, parts in a million.")]
+    readout_s: Annotated[BothSeconds, Doc("From the first line's exposure to the last one's; 0: global shutter.")]
+    jitter_s: Annotated[BothSeconds, Doc("Standard deviation of a single stamp about the camera's steady clock.")]
+    period_s: Annotated[BothSeconds, Doc("From frame to frame, by the camera's own stamps.")]
+    n_frames: Annotated[int, Doc("Frames of both cameras together.")]
+    lost: Annotated[BothCounts, Doc("Frames missing, recognised from the spacing of the stamps.")]
+    middle_s: Annotated[float, Doc("Right stamp in the middle of the recording, where the delay is known best, s.")]
+    common_s: Annotated[float, Doc("How long both cameras saw the lights, s.")]
+    residual_px: Annotated[BothPixels, Doc("RMS residual of a spot's coordinate.")]
+    lights: Annotated[tuple[str, ...], Doc("Lights used.")]
+
+    @figure("Standard deviation of t_left there, s.")
+    def std_middle_s(self) -> float:
+        return self.clocks["right"].std_middle_s
 
     def summary(self) -> Iterator[Shown]:
         """Yield the cameras' times, the clocks, and what they rest on."""

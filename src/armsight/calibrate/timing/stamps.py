@@ -62,8 +62,12 @@ class SteadyStamps:
 
     def clock_covariance(self, at_s: float) -> Array:
         """Return the covariance (2, 2) of the clock's offset (s) at a stamp, and its rate (ppm)."""
-        move = np.array([[1.0, 1e-6 * (at_s - self.mid_s)], [0.0, 1.0]])
+        move = self.moved(at_s)
         return np.asarray(move @ self.covariance @ move.T)
+
+    def moved(self, at_s: float) -> Array:
+        """Return what makes the clock's offset and rate at mid_s (2,) those at a stamp: (2, 2)."""
+        return np.array([[1.0, 1e-6 * (at_s - self.mid_s)], [0.0, 1.0]])
 
 
 def camera_clock(stamps_s: Array, side: str) -> SteadyStamps:

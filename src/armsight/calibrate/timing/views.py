@@ -1,29 +1,33 @@
-"""What both cameras saw, as rays with the line and the steady stamp of each spot."""
+"""What the cameras saw, as rays with the line and the steady stamp of each spot."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
+from armsight.calibrate.timing.rig_doubt import RigDoubt, moved_camera
 from armsight.calibrate.timing.stamps import SteadyStamps
 from armsight.errors import NotEnoughData
 from armsight.fitting.groups import whitener
-from armsight.optics import SIDES, Rig
+from armsight.optics import Camera, Rig
 from armsight.records import SpotTrack
 
+STEP = 0.01
 STEP_PX = 0.5
 """For the derivative of a ray by its pixel: a lens bends over hundreds of pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Views:
-    """Spots (m,) of both cameras: side 0 left, 1 right; light; frame time by the camera's own steady clock; line from
-    -0.5 to 0.5; std_px as given; equations A (m, 2, 3) X = b (m, 2) of a point in rig axes, whitened but for its depth,
-    which is depth_row (m, 3) X + depth_off (m,). pairs (p, 2): lights whose distance is one and the same at all times.
+    """Spots (m,) of all cameras: side, their place in the rig; light; frame time by the camera's own steady clock; line
+    from -0.5 to 0.5; std_px as given; equations A (m, 2, 3) X = b (m, 2) of a point in rig axes, whitened but for its
+    depth, which is depth_row (m, 3) X + depth_off (m,). moves (m, 2, 4, 16): how A and b follow their camera's numbers.
+    pairs (p, 2): lights whose distance is the same at all times. doubt: of the rig.
     """
 
     side: NDArray[np.intp]
@@ -35,44 +39,67 @@ class Views:
     b: Array
     depth_row: Array
     depth_off: Array
+    moves: Array
     names: tuple[str, ...]
     pairs: NDArray[np.intp]
+    doubt: RigDoubt
 
     def __len__(self) -> int:
         return len(self.side)
 
     def take(self, kept: NDArray[np.bool_]) -> Views:
         """Return some of them."""
-        rows = ("side", "light", "stamp_s", "line", "std_px", "A", "b", "depth_row", "depth_off")
-        return Views(**{name: getattr(self, name)[kept] for name in rows}, names=self.names, pairs=self.pairs)
+        return replace(self, **{name: getattr(self, name)[kept] for name in ROWS})
 
     def scaled(self, std: Array) -> Views:
-        """Return them with the standard deviations of the left and the right spots multiplied by these."""
+        """Return them with the standard deviations of each camera's spots multiplied by these (V,)."""
         factor = 1.0 / std[self.side]
         A, b = self.A * factor[:, None, None], self.b * factor[:, None]
-        rows = ("side", "light", "stamp_s", "line", "std_px", "depth_row", "depth_off", "names", "pairs")
-        return Views(**{name: getattr(self, name) for name in rows}, A=A, b=b)
+        return replace(self, A=A, b=b, moves=self.moves * factor[:, None, None, None])
+
+    def equations(self, z: Array) -> tuple[Array, Array]:
+        """Return A and b of the rig that is off by z (k,) of its doubt."""
+        if not len(z):
+            return self.A, self.b
+        off = np.einsum("mrji,mi->mrj", self.moves, (self.doubt.root @ z)[self.side])
+        return self.A + off[:, :, :3], self.b + off[:, :, 3]
+
+    def by_doubt(self, X: Array) -> Array:
+        """Return the derivatives (m, 2, k) of A X - b by the rig's doubt, for points X (m, 3)."""
+        # camera by camera: the directions of all cameras at once would be V times the memory
+        own = np.einsum("mrji,mj->mri", self.moves, np.column_stack([X, -np.ones(len(X))]))
+        out = np.empty((len(self), 2, self.doubt.size))
+        for s, root in enumerate(self.doubt.root):
+            out[self.side == s] = own[self.side == s] @ root
+        return out
 
 
-def common_lights(left: SpotTrack, right: SpotTrack) -> tuple[str, ...]:
-    """Return the names of the lights that both cameras saw, the most seen first. Raises NotEnoughData."""
-    counts = {name: min(left.names.count(name), right.names.count(name)) for name in dict.fromkeys(left.names)}
+ROWS = ("side", "light", "stamp_s", "line", "std_px", "A", "b", "depth_row", "depth_off", "moves")
+"""Fields of Views with a row for each spot."""
+
+
+def common_lights(*tracks: SpotTrack) -> tuple[str, ...]:
+    """Return the names of the lights that two cameras saw, those that these saw most first. Raises NotEnoughData."""
+    seen = dict.fromkeys(name for track in tracks for name in track.names)
+    counts = {name: sorted(track.names.count(name) for track in tracks)[-2] for name in seen}
     names = tuple(sorted((name for name, count in counts.items() if count), key=lambda name: (-counts[name], name)))
     if not names:
         raise NotEnoughData(
-            "no light was seen by both cameras",
+            f"no light was seen by {'both' if len(tracks) == 2 else 'two'} cameras",
             consequence="No timing is given",
             cure="Wave the target where both cameras see it, and give its lights the same names in both files",
         )
     return names
 
 
-def views_of(rig: Rig, tracks: Sequence[SpotTrack], clocks: Sequence[SteadyStamps], names: tuple[str, ...]) -> Views:
-    """Return the spots of the named lights in both cameras."""
+def views_of(
+    rig: Rig, tracks: Sequence[SpotTrack], clocks: Sequence[SteadyStamps], names: tuple[str, ...], doubt: RigDoubt
+) -> Views:
+    """Return the spots of the named lights in all cameras, tracks and clocks in the rig's order."""
     parts: dict[str, list[Array]] = {}
-    for s, (side, track, clock) in enumerate(zip(SIDES, tracks, clocks, strict=True)):
+    for s, (side, track, clock) in enumerate(zip(rig.names, tracks, clocks, strict=True)):
         kept = np.flatnonzero([name in names for name in track.names])
-        for key, value in _equations(rig, side, track.uv_px[kept], track.covariance_px2[kept]).items():
+        for key, value in _equations(rig, s, track.uv_px[kept], track.covariance_px2[kept], doubt.std[s]).items():
             parts.setdefault(key, []).append(value)
         parts.setdefault("side", []).append(np.full(len(kept), s))
         parts.setdefault("light", []).append(np.array([names.index(track.names[i]) for i in kept]))
@@ -81,13 +108,14 @@ def views_of(rig: Rig, tracks: Sequence[SpotTrack], clocks: Sequence[SteadyStamp
         parts.setdefault("std_px", []).append(spread)
         parts.setdefault("line", []).append(track.uv_px[kept, 1] / (rig.camera(side).height - 1) - 0.5)
     columns = {key: np.concatenate(values) for key, values in parts.items()}
-    seen = np.asarray(np.isfinite(columns["A"]).all(axis=(1, 2)))
+    seen = np.asarray(np.isfinite(columns["A"]).all(axis=(1, 2)) & np.isfinite(columns["moves"]).all(axis=(1, 2, 3)))
     return Views(
         side=columns["side"].astype(np.intp),
         light=columns["light"].astype(np.intp),
-        **{key: columns[key] for key in ("stamp_s", "line", "std_px", "A", "b", "depth_row", "depth_off")},
+        **{key: columns[key] for key in ROWS[2:]},
         names=names,
         pairs=rigid_pairs(len(names)),
+        doubt=doubt,
     ).take(seen)
 
 
@@ -97,16 +125,27 @@ def rigid_pairs(n: int) -> NDArray[np.intp]:
     return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
 
-def _equations(rig: Rig, side: str, uv: Array, cov: Array) -> dict[str, Array]:
-    camera, T = rig.camera(side), rig.T_rig_camera(side).inv()
-    R, t = T.rotation.as_matrix(), np.asarray(T.translation)
-    xy = camera.rays(uv)  # (m, 2)
+def _equations(rig: Rig, s: int, uv: Array, cov: Array, std: Array) -> dict[str, Array]:
+    camera, T = rig.cameras[s].camera, rig.cameras[s].T_rig_camera
     J = np.stack(
         [(camera.rays(uv + e) - camera.rays(uv - e)) / (2.0 * STEP_PX) for e in STEP_PX * np.eye(2)], axis=2
     )  # (m, 2, 2) of rays by pixels
-    # X on the ray (x, y): (R1 - x R3) X = x t3 - t1, y likewise, whitened by the ray's covariance; its error is the
-    # ray's times the depth
+    # whitened by the ray's covariance; the error of X is the ray's times the depth
     W = whitener(J @ cov @ J.transpose(0, 2, 1))  # (m, 2, 2)
-    A = W @ (R[None, :2] - xy[:, :, None] * R[None, 2:])  # (m, 2, 3)
-    b = (W @ (xy * t[2] - t[:2])[:, :, None])[:, :, 0]
-    return {"A": A, "b": b, "depth_row": np.tile(R[2], (len(uv), 1)), "depth_off": np.full(len(uv), t[2])}
+    A, b = _on_ray(camera, T, uv)
+    moves = np.zeros((len(uv), 2, 4, len(std)))
+    # a hundredth of its deviation: where numbers hang together a lens would fold that is off in one of them alone
+    for i in np.flatnonzero(std):
+        step = STEP * std[i] * np.eye(len(std))[i]
+        ends = [np.concatenate(_on_ray(*moved_camera(camera, T, way * step), uv), axis=2) for way in (1.0, -1.0)]
+        moves[..., i] = W @ (ends[0] - ends[1]) / (2.0 * STEP)
+    R, t = T.inv().rotation.as_matrix(), np.asarray(T.inv().translation)
+    known = {"A": W @ A, "b": (W @ b)[:, :, 0], "moves": moves}
+    return known | {"depth_row": np.tile(R[2], (len(uv), 1)), "depth_off": np.full(len(uv), t[2])}
+
+
+def _on_ray(camera: Camera, T_rig_camera: RigidTransform, uv: Array) -> tuple[Array, Array]:
+    """Return A (m, 2, 3) and b (m, 2, 1) of a point X on the ray (x, y): (R1 - x R3) X = x t3 - t1, y likewise."""
+    T, xy = T_rig_camera.inv(), camera.rays(uv)
+    R, t = T.rotation.as_matrix(), np.asarray(T.translation)
+    return R[None, :2] - xy[:, :, None] * R[None, 2:], (xy * t[2] - t[:2])[:, :, None]

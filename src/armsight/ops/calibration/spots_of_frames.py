@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -19,8 +19,9 @@ from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.pipeline import check_size, check_sizes
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
+from armsight.ops.sources.cameras import cameras_of
 from armsight.ops.sources.frames import camera_source
-from armsight.optics import SIDES, PackedRig, Rig
+from armsight.optics import PackedRig, Rig
 from armsight.records import Frame, Progress, Silent, Spots, SpotTrack
 
 LIVE_S = 20.0
@@ -31,7 +32,7 @@ LIVE_S = 20.0
 class SpotSearch:
     """How lights are looked for in frames, and in how many.
 
-    origin_of: the left camera's text, whose bag's start is t_s = 0; origin_s: of live cameras, with settings.
+    origin_of: the first camera's text, whose bag's start is t_s = 0; origin_s: of live cameras, with settings.
     """
 
     threshold: float | None
@@ -83,42 +84,48 @@ def spot_track(stamps_s: Array, found: list[Spots]) -> SpotTrack:
     )
 
 
-# What two free-running cameras saw of waved lights: live, from frames, or from tables.
+# What free-running cameras saw of waved lights: live, from frames, or from tables.
 
 
 def seen_tracks(
-    frames: Sequence[str | None],
-    tables: Sequence[SpotTrack | None],
     rig: Rig,
+    frames: Mapping[str, str],
+    tables: Mapping[str, SpotTrack],
     search: SpotSearch,
     progress: Progress,
-) -> tuple[SpotTrack, SpotTrack]:
-    """Return the spots of the left and the right camera. frames, tables: of each; one of the two kinds.
+) -> dict[str, SpotTrack]:
+    """Return the spots of each of a rig's cameras. frames, tables: by camera; one of the two kinds.
 
     Raises UsageError, DataRefused (frames of another size), DeviceFailed, Cancelled.
     """
-    if all(frames) and not any(table is not None for table in tables):
-        texts = [text or "" for text in frames]
-        live = [is_live(text) for text in texts]
-        if any(live):
-            _require_both(live)
-            return _waved(texts, rig, search, progress)
-        sides = [_seen(text, side, rig, search, progress) for side, text in zip(SIDES, texts, strict=True)]
-        return sides[0], sides[1]
-    left, right = tables
-    if left is not None and right is not None and not any(frames):
-        return left, right
-    raise UsageError(
-        "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
-    )
+    given = frames or tables
+    if (frames and tables) or set(given) != set(rig.names):
+        if not rig.is_pair and not tables and frames:
+            cameras_of(rig.names, frames)
+        each = ("--left and --right", "--left-spots and --right-spots, one of each camera")
+        if not rig.is_pair:
+            each = ("--camera NAME=SRC", f"--spots NAME=CSV, of each of {', '.join(rig.names)}")
+        raise UsageError("which frames?", cure=f"Give {each[0]}, or {each[1]}")
+    if tables:
+        return {name: tables[name] for name in rig.names}
+    texts = {name: frames[name] for name in rig.names}
+    live = [is_live(text) for text in texts.values()]
+    if any(live):
+        _require_all(live)
+        return _waved(texts, rig, search, progress)
+    search = replace(search, origin_of=texts[rig.names[0]])
+    return {name: _seen(text, name, rig, search, progress) for name, text in texts.items()}
 
 
-def _require_both(live: Sequence[bool]) -> None:
+def _require_all(live: Sequence[bool]) -> None:
     if not all(live):
+        pair = len(live) == 2
         raise UsageError(
-            "one camera is live and the other one is not",
+            "one camera is live and the other one is not" if pair else "some cameras are live, and others are not",
             consequence="Their stamps have no clock in common",
-            cure="Give both live, or record both first: armsight record --left ... --right ... -o wave.mcap",
+            cure="Give both live, or record both first: armsight record --left ... --right ... -o wave.mcap"
+            if pair
+            else "Give all live, or none",
         )
 
 
@@ -133,17 +140,15 @@ class _Behind(Silent):
         return self._progress.cancelled()
 
 
-def _waved(texts: Sequence[str], rig: Rig, search: SpotSearch, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
-    """Return the spots of both live cameras, read side by side; their stamps count from one moment."""
+def _waved(texts: Mapping[str, str], rig: Rig, search: SpotSearch, progress: Progress) -> dict[str, SpotTrack]:
+    """Return the spots of live cameras, read side by side; their stamps count from one moment."""
     search = replace(search, origin_s=SystemClock().now_s())
-    shown = (progress, _Behind(progress))
-    with ThreadPoolExecutor(len(SIDES)) as pool:
-        sides = [
-            pool.submit(_seen, text, side, rig, search, one)
-            for side, text, one in zip(SIDES, texts, shown, strict=True)
-        ]
-        left, right = (one.result() for one in sides)
-    return left, right
+    with ThreadPoolExecutor(len(texts)) as pool:
+        sides = {
+            name: pool.submit(_seen, text, name, rig, search, _Behind(progress) if k else progress)
+            for k, (name, text) in enumerate(texts.items())
+        }
+        return {name: one.result() for name, one in sides.items()}
 
 
 def _seen(text: str, side: str, rig: Rig, search: SpotSearch, progress: Progress) -> SpotTrack:
