@@ -3,8 +3,8 @@
 Run with --quick for a tenth of the runs, --many for rigs of 3, 4 and 7 cameras alone. A target of three lights (or one
 beacon) is waved irregularly at 0.5 m/s, RMS, 0.8 m before 1280x720 cameras (f = 950 px) for 15 s; spots have 0.05 px,
 2 % of the frames are lost, stamps jitter. The delay's error is that in the middle of the recording. The recordings are
-made in tests/truth/test_timing_calibration.py; of more cameras, with delays of -120 to 30 ms, rates of 24 to 60 Hz, stamps that jitter by 1 ms and one light at 1.3 m,
-in tests/truth/test_clocks.py.
+made in tests/truth/test_timing_calibration.py; of more cameras, with delays of -120 to 30 ms, rates of 24 to 60 Hz,
+stamps that jitter by 1 ms and one light at 1.3 m, in tests/truth/test_clocks.py.
 """
 
 from __future__ import annotations
