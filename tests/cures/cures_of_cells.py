@@ -17,7 +17,7 @@ from armsight.calibrate.cell.calibrate import _require_motion
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.kinematics import preset
 from armsight.ops.calibration.cell import _require_inside, read_priors, require_sources
-from armsight.ops.calibration.spots_of_frames import _require_both
+from armsight.ops.calibration.spots_of_frames import _require_all
 from armsight.ops.measure import _with_zoom
 from armsight.ops.measurement.streams import _settings_of_one
 from armsight.records import Frame, Motion
@@ -164,7 +164,7 @@ TRIED = {
     ),
     ("ops/calibration/spots_of_frames.py", "Give both live, or record"): (
         f"{TIMING} --left camera:0 --right left",
-        (lambda: _require_both([True, True]), "record --left left --right right -o wave.mcap"),
+        (lambda: _require_all([True, True]), "record --left left --right right -o wave.mcap"),
     ),
     ("calibrate/timing/coarse.py", "Wave the target for 10 to 20 s"): (
         f"{TIMING} {tables('briefly')}",

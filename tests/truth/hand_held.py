@@ -133,7 +133,7 @@ def pixels(way: Way, mount: Mount, readout_s: float, t_s: Array, side: int) -> A
     for _ in range(6):
         for i, light in enumerate(LIGHTS):
             p, R = way(t_s + late[:, i])
-            c = (p + R.apply(light) - places[side]) @ axes[side]
+            c = (p + R.apply(np.array(light)) - places[side]) @ axes[side]
             uv[:, i] = mount.focal_px * c[:, :2] / c[:, 2:] + [(WIDTH - 1) / 2, (HEIGHT - 1) / 2]
         late = readout_s * (uv[..., 1] / (HEIGHT - 1) - 0.5)
     return uv

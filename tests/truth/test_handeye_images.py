@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from armsight.calibrate.handeye.board_turns import turned_views
 from typer.testing import CliRunner
 
 from armsight.calibrate.handeye import (
@@ -21,6 +20,7 @@ from armsight.calibrate.handeye import (
 )
 from armsight.calibrate.handeye.image_comparison import ImageErrors, compare
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
+from armsight.calibrate.handeye.images import turned_views
 from armsight.calibrate.handeye.pairs import pose
 from armsight.cli.commands import app
 from armsight.records import TargetKind, board_target

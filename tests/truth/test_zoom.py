@@ -200,7 +200,7 @@ def test_rigs_and_zooms_that_do_not_fit_are_refused(lens: ZoomLens, plain: SimZo
     bare = replace(rig, zoom=(None, None))
     with refuses(Inconsistent, "focal length"):
         with_zoom(bare, (lens, None), (300.0, None))
-    with refuses(UsageError, "left camera", "stood"):
+    with refuses(UsageError, "left camera", "--zoom-left"):
         with_zoom(bare, (lens, None), (None, None))
     with refuses(Inconsistent, "mirror rig"):
         with_zoom(replace(bare, kind=RigKind.MIRROR), (lens, None), (100.0, None))

@@ -29,7 +29,7 @@ from armsight.records import (
 )
 from armsight.records.target import BLUE, RED
 from armsight.report.residuals import distance_rms
-from armsight.store import tracks
+from armsight.store import covariances, tracks
 from armsight.store.foreign import rig_from_kalibr
 from armsight.store.urdf import arm_from_urdf
 from armsight.units import DEG, MM
@@ -84,7 +84,7 @@ def test_line_si():
 def test_line_unit_in_the_name():
     words = {"spot", "camera", "status", "spots"}
     units = ("_m", "_rad", "_px", "_s")
-    for column in {*tracks.POSE_COLUMNS, *tracks.POINT_COLUMNS, *tracks.SPOT_COLUMNS} - words:
+    for column in {*covariances.POSE_COLUMNS, *tracks.POINT_COLUMNS, *tracks.SPOT_COLUMNS} - words:
         assert column.endswith(units) or re.fullmatch(r"q[xyzw]", column), column
 
 

@@ -92,7 +92,7 @@ class ConsistencyOutput(Output):
 
 
 @output
-class CameraClock(Output):
+class FreeCamera(Output):
     """When one of the cameras that no wire joins exposed, by the first one's clock."""
 
     delay_s: Annotated[float, Doc("t_first = t + delay_s + 1e-6 drift_ppm t, s.")]
@@ -113,7 +113,7 @@ class FreeRunning(Output):
     delay_change_s: Annotated[float | None, Doc("By how much this recording itself moved the calibrated delay.")]
     delay_std_s: Annotated[float | None, Doc("Standard deviation of the delay in the middle of the recording.")]
     n_views: Annotated[BothCounts | None, Doc("Frames in which lights of the target were found.")]
-    by_camera: Annotated[dict[str, CameraClock] | None, Doc("Of a rig that is no pair: each camera's clock.")] = None
+    by_camera: Annotated[dict[str, FreeCamera] | None, Doc("Of a rig that is no pair: each camera's clock.")] = None
     n_starts: Annotated[int, Doc("How often the target was found anew.")]
     chi2_per_dof: Annotated[float | None, Doc("Chi-square of the spots about the motion, per degree of freedom.")]
     note: Annotated[str | None, Doc("Why the poses are to be doubted.")] = None

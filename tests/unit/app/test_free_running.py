@@ -30,7 +30,7 @@ from armsight.store.covariances import (
     VELOCITY,
     VELOCITY_STD,
 )
-from armsight.store.tracks import LIGHTS as MEAN
+from armsight.store.covariances import LIGHTS as MEAN
 from refusals import names_it, refuses
 
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated
 
@@ -70,7 +70,7 @@ class _Timing(Output, Saveable):
     """given: the rig that was calibrated. clocks: of each camera, in its order. covariance: of the names in std."""
 
     given: Rig
-    clocks: Mapping[str, CameraClock]
+    clocks: dict[str, CameraClock]
     covariance: NamedCovariance
 
     @property
@@ -176,7 +176,7 @@ class _Timing(Output, Saveable):
 class CamerasTiming(_Timing):
     """armsight calibrate timing --camera: of other cameras than left and right."""
 
-    clocks: Annotated[Mapping[str, CameraClock], Doc("Clock and shutter of each camera.", key="cameras")]
+    clocks: Annotated[dict[str, CameraClock], Doc("Clock and shutter of each camera.", key="cameras")]
     n_frames: Annotated[int, Doc("Frames of all cameras together.")]
     lights: Annotated[tuple[str, ...], Doc("Lights used.")]
     rig_off: Annotated[

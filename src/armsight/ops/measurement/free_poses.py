@@ -15,7 +15,7 @@ from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_
 from armsight.measure.follow import systematic_covariance
 from armsight.measure.motion.states import MotionState, TimingEstimate, View
 from armsight.measure.poses.setup import Setup
-from armsight.measure.results import CameraClock, FreeRunning
+from armsight.measure.results import FreeCamera, FreeRunning
 from armsight.ops.measurement.streams import timing_of
 from armsight.records import CameraTiming, PoseStatus, TargetPose
 from armsight.records.camera import PPM
@@ -173,14 +173,14 @@ def figures_of(
 
 def _clocks(
     cameras: Sequence[CameraTiming], timing: TimingEstimate | None, views: Sequence[View]
-) -> Iterator[CameraClock]:
+) -> Iterator[FreeCamera]:
     """Yield what each camera's clock is by its file and by this recording's views."""
     v = len(cameras)
     change, mid_s = (np.zeros(3 * v - 2), 0.0) if timing is None else (timing.change, timing.prior.mid_s)
     for k, one in enumerate(cameras):
         late, drift = change[2 * k - 2 : 2 * k].tolist() if k else (0.0, 0.0)
         known = timing is not None and k > 0
-        yield CameraClock(
+        yield FreeCamera(
             delay_s=one.delay_s + late - PPM * drift * mid_s,
             drift_ppm=one.drift_ppm + drift,
             readout_s=one.readout_s + float(change[2 * v - 2 + k]),
