@@ -102,10 +102,11 @@ def seen_tracks(
     if (frames and tables) or set(given) != set(rig.names):
         if not rig.is_pair and not tables and frames:
             cameras_of(rig.names, frames)
-        each = ("--left and --right", "--left-spots and --right-spots, one of each camera")
         if not rig.is_pair:
-            each = ("--camera NAME=SRC", f"--spots NAME=CSV, of each of {', '.join(rig.names)}")
-        raise UsageError("which frames?", cure=f"Give {each[0]}, or {each[1]}")
+            raise UsageError("which frames?", cure=f"Give {' '.join(f'--camera {name}=SRC' for name in rig.names)}")
+        raise UsageError(
+            "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
+        )
     if tables:
         return {name: tables[name] for name in rig.names}
     texts = {name: frames[name] for name in rig.names}
