@@ -260,7 +260,8 @@ def _add_consistency(page: Page, run: MeasureRun) -> None:
         ]
         for cause in causes
     ]
-    told = {cause: figure_of(effect_m / MM, "mm", digits=2) for cause, effect_m in found.undetected_m.items()}
+    # 0: nothing was looked for, such as clocks that the run itself estimates
+    told = {cause: figure_of(off_m / MM, "mm", digits=2) for cause, off_m in found.undetected_m.items() if off_m}
     kinds = _by_kind(told, () if run.rig.is_pair else run.rig.names)
     unseen = [
         [cause, value] for cause, value in told.items() if not any(cause in row.values() for row in kinds.values())

@@ -245,7 +245,7 @@ def _follow(
         raise NotEnoughData(
             f"the target was followed in none of the {total} frames: {follower.why}",
             consequence="There is no pose",
-            cure="Begin with the target at rest, before a background that is darker than its lights",
+            cure="Begin with the target at rest before a darker background; give each camera its own frames",
         )
     for side, name in enumerate(setup.rig.names):
         unfit, seen = follower.unfit[side], follower.unfit[side] + n_of_side(views, side)
