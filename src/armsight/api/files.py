@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import NoneType
@@ -28,6 +28,7 @@ from armsight.ops.tables import convert_table
 from armsight.optics import Camera, Rig, at_zoom
 from armsight.records import Motion, Target, TaughtPath, require_kind, require_number
 from armsight.store import arm_file, limits_file, path_file, read_zoom_camera, read_zoom_rig, write_text
+from armsight.store.foreign import Asked
 from armsight.store.handeye_file import HandEyeFile, TipFile, read_handeye, read_tip
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.recording import Recording, Repaired, cut
@@ -46,14 +47,15 @@ def read_rig(
     *,
     size: tuple[int, int] | None = None,
     unit_m: UnitLength = None,
+    names: Sequence[str] = (),
     zoom_left: float | None = None,
     zoom_right: float | None = None,
 ) -> Rig:
-    """Return the rig in a rig.yaml, or in a file of OpenCV or Kalibr, or in the two files of ROS or OpenCV.
+    """Return the rig in a rig.yaml, in a file of a kind of `armsight convert --list`, or in two of ROS or OpenCV.
 
-    size (width, height) and unit_m (length of its unit): of an OpenCV file that leaves them open. zoom_left,
-    zoom_right: of a rig with zoom lenses, where they stand. Warns of a lens that is read as the nearest one. Raises
-    BadFile, naming the key.
+    size (width, height) and unit_m (length of its unit): where the file leaves them open. names: the cameras of a file
+    that holds more, the first one first. zoom_left, zoom_right: of a rig with zoom lenses, where they stand. Warns of a
+    lens that is read as the nearest one. Raises BadFile, naming the key.
 
     Examples
     --------
@@ -63,9 +65,9 @@ def read_rig(
     """
     files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
     if zoom_left is None and zoom_right is None:
-        told: list[str] = []
-        rig = load_rig(files, size=as_size(size), unit_m=unit_m, told=told)
-        _warn(told)
+        asked = Asked(size=as_size(size), unit_m=unit_m, names=tuple(names))
+        rig = load_rig(files, asked)
+        _warn(asked.told)
         return rig
     return at_zoom(read_zoom_rig(files[0]), (zoom_left, zoom_right)).rig
 
@@ -77,10 +79,13 @@ def _warn(told: list[str]) -> None:
 
 
 @speaks_python()
-def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: float | None = None) -> Camera:
-    """Return the camera in a camera.yaml, or in a file of ROS, OpenCV or Kalibr. Raises BadFile, naming the key.
+def read_camera(
+    path: PathText, *, size: tuple[int, int] | None = None, name: str | None = None, zoom: float | None = None
+) -> Camera:
+    """Return the camera in a camera.yaml, or in a file of a kind of `armsight convert --list`.
 
-    size (width, height): of an OpenCV file that leaves it open. zoom: of a zoom lens, where it stands.
+    size (width, height): where the file leaves it open. name: of a file that holds several. zoom: of a zoom lens, where
+    it stands. Raises BadFile, naming the key.
 
     Examples
     --------
@@ -89,9 +94,9 @@ def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: fl
     640
     """
     if zoom is None:
-        told: list[str] = []
-        camera = load_camera(as_path(path), size=as_size(size), told=told)
-        _warn(told)
+        asked = Asked(size=as_size(size), names=() if name is None else (name,))
+        camera = load_camera(as_path(path), asked)
+        _warn(asked.told)
         return camera
     require_number("zoom", zoom)
     return read_zoom_camera(as_path(path)).lens.at(zoom).camera

@@ -5,12 +5,35 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 from armsight.cli.actions import add_action
-from armsight.cli.command import app, command
+from armsight.cli.command import app, command, convert
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
 from armsight.ops.machine import reproduce
+
+
+def _kinds(wanted: bool) -> None:
+    """Print the kinds of cameras' files that are known."""
+    if wanted:
+        from armsight.store.foreign import FORMATS
+
+        for name, one in FORMATS.items():
+            reads = "read and written" if one.rig and one.write_rig else "read" if one.rig else "written"
+            typer.echo(f"{name:11} {reads:16} {one.title}" + (f"; {one.needs}" if one.needs else ""))
+        raise typer.Exit
+
+
+@convert.callback()
+def _convert(
+    listed: Annotated[
+        bool, typer.Option("--list", callback=_kinds, is_eager=True, help="List the kinds of files, and stop.")
+    ] = False,
+) -> None:
+    """Convert between armsight's files and those of other programs."""
+
 
 add_action(app, reproduce, keeps=("reproduce.json", "report.html"))
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
+
+import numpy as np
 
 from armsight.calibrate.handeye import Setup
 from armsight.errors import BadFile, UsageError
@@ -24,31 +26,21 @@ from armsight.store import (
     write_tum,
 )
 from armsight.store.foreign import (
+    FORMATS,
+    READ,
+    WRITTEN,
+    Asked,
     FrameNames,
     Transform,
-    camera_from_kalibr,
-    camera_from_opencv,
-    camera_from_ros,
-    camera_to_kalibr,
-    camera_to_opencv,
-    camera_to_ros,
-    cameras_to_colmap,
     kind_of,
-    rig_from_kalibr,
-    rig_from_opencv,
-    rig_from_ros,
-    rig_to_kalibr,
-    rig_to_opencv,
-    rig_to_ros,
+    read_foreign_camera,
+    read_foreign_rig,
     write_easy_handeye,
     write_easy_handeye2,
     write_tf_launch,
 )
 from armsight.store.handeye_file import read_handeye
 
-KINDS = ("armsight", "ros", "opencv", "kalibr")
-WRITTEN = (*KINDS, "colmap")
-"""Kinds that can be converted to."""
 HANDEYE_KINDS = ("easy_handeye", "easy_handeye2", "tf")
 TUM_SUFFIXES = (".tum", ".txt")
 
@@ -62,111 +54,89 @@ class ConvertOutput(Output):
     files: Annotated[list[str], Doc("The files written.")]
     n: Annotated[int | None, Doc("Poses; null for cameras and rigs.")]
     note: Annotated[str, Doc("What the new kind could not carry, or which zoom it is of; may be empty.")]
+    baseline_m: Annotated[float | None, Doc("Between the first two cameras of a rig; null for others.")] = None
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
         poses = f", {self.n} poses" if self.n is not None else ""
         yield f"{self.source} to {self.target}{poses}: {', '.join(self.files)}"
+        if self.baseline_m is not None:
+            yield f"baseline {1e3 * self.baseline_m:.2f} mm"
         if self.note:
             yield f"- {self.note}"
 
 
-def convert_camera(
-    source: Path, out: Path, *, to: str | None = None, size: tuple[int, int] | None = None
-) -> ConvertOutput:
-    """Convert a camera's file; to: one of WRITTEN, default armsight. Raises DataRefused or UsageError."""
+def convert_camera(source: Path, out: Path, *, to: str | None = None, asked: Asked | None = None) -> ConvertOutput:
+    """Convert a camera's file; to: a kind that is written, default armsight. Raises DataRefused or UsageError."""
+    asked = asked or Asked()
     kind = _kind(source, "armsight/camera")
     to = _wanted(kind, to)
-    told: list[str] = []
-    camera = load_camera(source, size=size, told=told)
-    write: Mapping[str, Callable[[], None]] = {
-        "armsight": lambda: write_camera(out, camera, inputs=[source]),
-        "ros": lambda: camera_to_ros(out, camera),
-        "opencv": lambda: camera_to_opencv(out, camera),
-        "kalibr": lambda: camera_to_kalibr(out, camera),
-        "colmap": lambda: cameras_to_colmap(out, [camera]),
-    }
-    write[to]()
-    return _done(kind, to, [out], note="; ".join(told))
+    camera = load_camera(source, asked)
+    if to == "armsight":
+        write_camera(out, camera, inputs=[source])
+    else:
+        write = FORMATS[to].write_camera
+        if write is None:
+            raise UsageError(f"{to} keeps rigs, not single cameras", cure="Use armsight convert rig")
+        write(out, camera)
+    return _done(kind, to, [out], note="; ".join(asked.told))
 
 
-def load_camera(source: Path, *, size: tuple[int, int] | None = None, told: list[str] | None = None) -> Camera:
-    """Return the camera in a file of ours or of one of KINDS; told: takes what is to be said. Raises BadFile."""
-    read: Mapping[str, Callable[[Path], Camera]] = {
-        "armsight": read_camera,
-        "ros": lambda path: camera_from_ros(path, told=told),
-        "opencv": lambda path: camera_from_opencv(path, size=size, told=told),
-        "kalibr": camera_from_kalibr,
-    }
-    return read[_kind(source, "armsight/camera")](source)
+def load_camera(source: Path, asked: Asked | None = None) -> Camera:
+    """Return the camera in a file of ours or of one of FORMATS; asked.told takes what is to be said. Raises BadFile."""
+    kind = _kind(source, "armsight/camera")
+    return read_camera(source) if kind == "armsight" else read_foreign_camera(kind, source, asked or Asked())
 
 
-def load_rig(
-    sources: Sequence[Path],
-    *,
-    size: tuple[int, int] | None = None,
-    unit_m: float | None = None,
-    told: list[str] | None = None,
-) -> Rig:
-    """Return the rig in a file, or in the two files, of ours or of one of KINDS; told: takes what is to be said.
+def load_rig(sources: Sequence[Path], asked: Asked | None = None) -> Rig:
+    """Return the rig in a file, or in the two files, of ours or of one of FORMATS; asked.told takes what is to be said.
 
     Raises BadFile, UsageError.
     """
     kind = _kind(sources[0], "armsight/rig")
-    _count("input", sources, kind, {"armsight": (1,), "ros": (2,), "opencv": (1, 2), "kalibr": (1,)}[kind])
-    read: Mapping[str, Callable[[], Rig]] = {
-        "armsight": lambda: read_rig(sources[0], any_cameras=True),
-        "ros": lambda: rig_from_ros(sources[0], sources[1], unit_m=unit_m, told=told),
-        "opencv": lambda: rig_from_opencv(sources, size=size, unit_m=unit_m, told=told),
-        "kalibr": lambda: rig_from_kalibr(sources[0], unit_m=unit_m),
-    }
-    return read[kind]()
+    _count("input", sources, kind, FORMATS[kind].files if kind in FORMATS else (1,))
+    if kind == "armsight":
+        return read_rig(sources[0], any_cameras=True)
+    return read_foreign_rig(kind, sources, asked or Asked())
 
 
 def convert_rig(
-    sources: Sequence[Path],
-    outs: Sequence[Path],
-    *,
-    to: str | None = None,
-    size: tuple[int, int] | None = None,
-    unit_m: float | None = None,
+    sources: Sequence[Path], outs: Sequence[Path], *, to: str | None = None, asked: Asked | None = None
 ) -> ConvertOutput:
     """Convert a rig's file, or its two files (ROS: left, right; OpenCV: intrinsics, extrinsics).
 
-    to: one of WRITTEN, default armsight; ROS wants two outs, and may take a third for a launch file with the transforms
-    (TF) between the cameras; the others want one. size (width, height): of OpenCV's
-    files, which may leave it out. unit_m: the length of their unit in metres, where it is not the metre. Raises
-    DataRefused or UsageError.
+    to: a kind that is written, default armsight; ROS wants two outs, and may take a third for a launch file with the
+    transforms (TF) between the cameras; the others want one. Raises DataRefused or UsageError.
     """
+    asked = asked or Asked()
     kind = _kind(sources[0], "armsight/rig")
     to = _wanted(kind, to)
-    told: list[str] = []
-    rig = load_rig(sources, size=size, unit_m=unit_m, told=told)
+    rig = load_rig(sources, asked)
     _count("output", outs, to, (2, 3) if to == "ros" else (1,))
     if to in ("ros", "opencv"):
         rig.require_pair(f"a file of {to}")
+    baseline_m = _apart_m(rig)
     if to != "armsight" and rig.is_pair and rig.left.plate is not None:
         rig, rms_px = pinhole_pair(rig)
-        told.append(f"{to} knows no glass plate: written is the nearest pair of pinholes, {rms_px:.3f} px RMS off")
-    write: Mapping[str, Callable[[], None]] = {
-        "armsight": lambda: write_rig(outs[0], rig, inputs=sources),
-        "ros": lambda: _rig_to_ros(outs, rig),
-        "opencv": lambda: rig_to_opencv(outs[0], rig),
-        "kalibr": lambda: rig_to_kalibr(outs[0], rig),
-        "colmap": lambda: cameras_to_colmap(outs[0], [one.camera for one in rig.cameras]),
-    }
+        asked.told.append(
+            f"{to} knows no glass plate: written is the nearest pair of pinholes, {rms_px:.3f} px RMS off"
+        )
     if to == "kalibr" and not rig.is_pair:
-        told.append(f"Kalibr has no names: cam0 ... are {', '.join(rig.names)}")
-    write[to]()
-    return _done(kind, to, outs, note="; ".join(told))
+        asked.told.append(f"Kalibr has no names: cam0 ... are {', '.join(rig.names)}")
+    write = FORMATS[to].write_rig if to in FORMATS else None
+    if write is None:
+        write_rig(outs[0], rig, inputs=sources)
+    else:
+        write(outs, rig)
+    return _done(kind, to, outs, note="; ".join(asked.told), baseline_m=baseline_m)
 
 
-def _rig_to_ros(outs: Sequence[Path], rig: Rig) -> None:
-    """Write the two camera_info files, and the transforms to both cameras where a third file is named."""
-    rig_to_ros(outs[0], outs[1], rig)
-    if len(outs) > 2:
-        sides = (("left", rig.T_rig_left), ("right", rig.T_rig_right))
-        write_tf_launch(outs[2], [Transform(parent="rig", child=name, T_parent_child=T) for name, T in sides])
+def _apart_m(rig: Rig) -> float | None:
+    """Return the distance of the first two cameras, None of one alone."""
+    if len(rig.cameras) < 2:
+        return None
+    a, b = (one.T_rig_camera.translation for one in rig.cameras[:2])
+    return float(np.linalg.norm(b - a))
 
 
 def convert_handeye(source: Path, out: Path, *, to: str, names: FrameNames) -> ConvertOutput:
@@ -210,29 +180,39 @@ def convert_poses(source: Path, out: Path) -> ConvertOutput:
     return _done("tum", "poses.csv", [out], rows=len(poses))
 
 
-def _done(source: str, target: str, files: Sequence[Path], *, rows: int | None = None, note: str = "") -> ConvertOutput:
-    return ConvertOutput(source=source, target=target, files=[str(path) for path in files], n=rows, note=note)
+def _done(
+    source: str,
+    target: str,
+    files: Sequence[Path],
+    *,
+    rows: int | None = None,
+    note: str = "",
+    baseline_m: float | None = None,
+) -> ConvertOutput:
+    names = [str(path) for path in files]
+    return ConvertOutput(source=source, target=target, files=names, n=rows, note=note, baseline_m=baseline_m)
 
 
 def _kind(path: Path, own: str) -> str:
     kind = kind_of(path)
     if kind == own:
         return "armsight"
-    if kind in KINDS:
+    if kind in READ:
         return kind
     raise BadFile(
         f"{path} is {kind}, not {own}" if kind else f"{path} is no calibration of a known kind",
         consequence="It cannot be converted",
-        cure=f"Known are {own}, ROS camera_info, OpenCV FileStorage and Kalibr camchain, all in YAML",
+        cure=f"Known are {own} and files of {', '.join(READ)}: see armsight convert kinds",
     )
 
 
 def _wanted(kind: str, to: str | None) -> str:
     to = to or ("armsight" if kind != "armsight" else None)
-    if to is None or to not in WRITTEN:
+    known = ("armsight", *WRITTEN)
+    if to not in known:
         raise UsageError(
             f"{to!r} is not a kind to convert to" if to else "the file is armsight's own, and --to says nothing",
-            cure=f"Give --to with one of {', '.join(WRITTEN)}",
+            cure=f"Give --to with one of {', '.join(known)}",
         )
     return to
 

@@ -29,10 +29,11 @@ __all__ = ["convert", "export_recording"]
 
 Kind = Literal["camera", "rig", "handeye", "arm", "poses", "table", "recording"]
 ARGUMENT = Flag(positional=True)
-To: TypeAlias = Annotated[str | None, Doc("armsight, ros, opencv, kalibr, colmap. [armsight]")]
+To: TypeAlias = Annotated[str | None, Doc("A kind of armsight convert --list that is written. [armsight]")]
 Size: TypeAlias = Annotated[
-    tuple[int, int] | None, Doc("WIDTHxHEIGHT, where an OpenCV file does not say it."), Flag(read=size_of)
+    tuple[int, int] | None, Doc("WIDTHxHEIGHT, where the file says none or is of several sizes."), Flag(read=size_of)
 ]
+Approximate: TypeAlias = Annotated[bool, Doc("Take the nearest lens, however far another model is from it.")]
 Out: TypeAlias = Annotated[Path, Doc("File to write."), OUT]
 
 RIG_KEYS = {"cam1", "cameraMatrix2", "M2", "K2", "R", "T"}
@@ -81,19 +82,23 @@ def export_recording(
     "convert camera", writes=True, examples=("camchain.yaml -o camera.yaml", "camera.yaml --to ros -o camera_info.yaml")
 )
 def camera(
-    source: Annotated[AsFile, Doc("camera.yaml, ROS camera_info, OpenCV FileStorage or Kalibr camchain."), ARGUMENT],
+    source: Annotated[AsFile, Doc("camera.yaml, or a file of a kind of armsight convert --list."), ARGUMENT],
     out: Out,
     *,
     to: To = None,
     size: Size = None,
+    name: Annotated[str | None, Doc("Which camera of a file that holds several.")] = None,
+    approximate: Approximate = False,
     zoom: Annotated[float | None, Doc("Of a zoom lens's camera.yaml: the camera at this setting.")] = None,
 ) -> ConvertOutput:
     """Convert the calibration of one camera; or take one setting out of a zoom lens's."""
     from armsight.ops.calibration.zoom import fix_camera
     from armsight.ops.conversion import convert_camera
+    from armsight.store.foreign import Asked
 
     if zoom is None:
-        return convert_camera(source, out, to=to, size=size)
+        names = () if name is None else (name,)
+        return convert_camera(source, out, to=to, asked=Asked(size=size, names=names, approximate=approximate))
     _require_ours(to, size)
     return fix_camera(source, out, zoom)
 
@@ -102,7 +107,7 @@ def camera(
 def rig(
     source: Annotated[
         Any,
-        Doc("rig.yaml, OpenCV stereo, Kalibr; two files of ROS or OpenCV."),
+        Doc("rig.yaml, or a file of a kind of armsight convert --list; two files of ROS or OpenCV."),
         Input(f"{READERS}:each_file", kind=list[Path]),
         ARGUMENT,
     ],
@@ -111,15 +116,21 @@ def rig(
     to: To = None,
     size: Size = None,
     unit_m: UnitLength = None,
+    names: Annotated[
+        list[str] | None, Doc("A camera of a file that holds more, the first one first; once for each."), Flag("--name")
+    ] = None,
+    approximate: Approximate = False,
     zoom_left: Annotated[float | None, Doc("Of a rig with zoom lenses: at this setting.")] = None,
     zoom_right: Annotated[float | None, Doc("... of the right lens.")] = None,
 ) -> ConvertOutput:
-    """Convert the calibration of a pair of cameras; or take one setting out of a rig with zoom lenses."""
+    """Convert the calibration of a rig's cameras; or take one setting out of a rig with zoom lenses."""
     from armsight.ops.calibration.zoom import fix_rig
     from armsight.ops.conversion import convert_rig
+    from armsight.store.foreign import Asked
 
     if zoom_left is None and zoom_right is None:
-        return convert_rig(source, out, to=to, size=size, unit_m=unit_m)
+        asked = Asked(size=size, unit_m=unit_m, names=tuple(names or ()), approximate=approximate)
+        return convert_rig(source, out, to=to, asked=asked)
     _require_ours(to, size)
     if len(source) != 1 or len(out) != 1:
         raise UsageError("one rig.yaml goes into one", cure="Give one file and one -o with --zoom-left")
@@ -210,8 +221,8 @@ def convert(
     out
         The file; for a rig of ROS left, right, and maybe a launch file of TF.
     to
-        Cameras and rigs: armsight, ros, opencv, kalibr, colmap; hand-eye: easy_handeye, easy_handeye2, tf;
-        recordings: files, rosbag2. Arms, poses and tables by the name's ending.
+        Cameras and rigs: a kind of `armsight convert --list`; hand-eye: easy_handeye, easy_handeye2, tf; recordings:
+        files, rosbag2. Arms, poses and tables by the name's ending.
     kind
         What it is, where the file does not tell.
     size, unit_m

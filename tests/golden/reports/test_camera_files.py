@@ -7,6 +7,7 @@ import armsight
 from armsight.errors import BadFile
 from armsight.ops.conversion import convert_rig, load_camera, load_rig
 from armsight.optics import LensKind
+from armsight.store.foreign import Asked
 from refusals import names_it, refuses
 from reports import case
 
@@ -40,7 +41,7 @@ def test_lengths_in_another_unit_are_asked_for_and_the_cure_works(names, unit_m,
     with refuses(BadFile, "apart", f"--unit {unit_m}" if unit_m in (0.001,) else "--unit"):
         convert_rig(files, [tmp_path / "rig.yaml"])
     assert not (tmp_path / "rig.yaml").exists()
-    convert_rig(files, [tmp_path / "rig.yaml"], unit_m=unit_m)
+    convert_rig(files, [tmp_path / "rig.yaml"], asked=Asked(unit_m=unit_m))
     assert 1e3 * load_rig([tmp_path / "rig.yaml"]).baseline_m == pytest.approx(right_mm, abs=0.01)
 
 
@@ -103,7 +104,7 @@ def test_a_rotation_vector_is_one_and_a_zed_without_rays_is_refused_by_cause():
     rig = load_rig([folder / "tr_r.yml"])
     assert 0.0 < np.linalg.norm(rig.T_rig_right.rotation.as_rotvec()) < 0.2
     with refuses(BadFile, "D_LEFT", "without rays"):
-        convert_rig([folder / "zed_calibration_1234.yml"], [folder / "never.yaml"], unit_m=0.001)
+        convert_rig([folder / "zed_calibration_1234.yml"], [folder / "never.yaml"], asked=Asked(unit_m=0.001))
 
 
 def test_python_warns_of_what_the_command_tells():

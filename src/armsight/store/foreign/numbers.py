@@ -132,7 +132,7 @@ def nearest_coefficients(
     """Return k1, k2, p1, p2, k3 (5,) nearest to OpenCV's coefficients over an image, and the distance in px, RMS and
     largest.
 
-    The distorted place is linear in them: least squares over a grid of pixels; infinite where too many have no ray.
+    Over a grid of pixels (see fitted_coefficients); infinite where too many have no ray.
     """
     fx, fy, cx, cy, skew = intrinsics
     K = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
@@ -144,7 +144,15 @@ def nearest_coefficients(
     has_ray = np.abs(back.reshape(-1, 2) - uv).max(axis=1) < TOLD_PX  # else it folds over there, or is no number
     if has_ray.mean() < WHOLE:
         return np.zeros(5), float("inf"), float("inf")
-    uv, rays = uv[has_ray], rays[has_ray]
+    return fitted_coefficients(rays[has_ray], uv[has_ray], K)
+
+
+def fitted_coefficients(rays: Array, uv: Array, K: Array) -> tuple[Array, float, float]:
+    """Return k1, k2, p1, p2, k3 (5,) that bring rays (n, 2) nearest to pixels uv (n, 2) with a camera matrix K (3, 3),
+    and the distance left in px, RMS and largest.
+
+    The distorted place is linear in them: least squares.
+    """
     x, y = rays.T
     r2 = x**2 + y**2
     columns = [

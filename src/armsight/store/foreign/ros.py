@@ -9,7 +9,7 @@ the baseline. So p_right_camera = R_right^T (R_left p_left_camera + that shift).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from armsight.store.atomic import write_text
 from armsight.store.codec import named
 from armsight.store.foreign import numbers
 from armsight.store.foreign.storage import read_storage
+from armsight.store.foreign.written import Transform, write_tf_launch
 from armsight.store.yamls import dump_yaml
 
 ROS_MODEL = {LensKind.PINHOLE: "plumb_bob", LensKind.FISHEYE: "equidistant"}
@@ -157,6 +158,14 @@ def rig_to_ros(left: Path, right: Path, rig: Rig, *, names: tuple[str, str] = ("
         (right, rig.right, names[1], found.R2, found.P2),
     ):
         write_text(path, dump_yaml(ros_mapping(camera, name, R_rectify, P)))
+
+
+def rig_and_frames_to_ros(paths: Sequence[Path], rig: Rig) -> None:
+    """Write the two camera_info files of a pair, and the transforms to both cameras where a third file is named."""
+    rig_to_ros(paths[0], paths[1], rig)
+    if len(paths) > 2:
+        sides = (("left", rig.T_rig_left), ("right", rig.T_rig_right))
+        write_tf_launch(paths[2], [Transform(parent="rig", child=name, T_parent_child=T) for name, T in sides])
 
 
 def _matrix(matrix: Array) -> dict[str, Any]:

@@ -1,11 +1,14 @@
-"""Calibrations of other programs as a mapping (YAML, JSON, FileStorage's XML), and whose file one is by its keys.
+"""Calibrations of other programs as a mapping (YAML, JSON, XML, TOML, INI, HALCON's lists), and whose file one is.
 
 A camera_info message, as `ros2 topic echo` prints it, becomes what camera_calibration writes to a file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import configparser
+import re
+import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,19 +18,31 @@ from armsight.store.atomic import read_bytes
 from armsight.store.yamls import MAX_BYTES, parse_yaml, parse_yaml_documents
 
 ROOT = "opencv_storage"
+METASHAPE = "calibration"
+"""Root of Agisoft's XML of one camera."""
+SECTION = re.compile(r"\A\s*(?:[#;].*\s+)*\[[\w.\"-]+\]\s*$", re.MULTILINE)
+"""How TOML with tables and INI files begin, and no YAML or JSON does."""
+HALCON = re.compile(r"^\s*ParGroup\s*:\s*([\w\s:]+);", re.MULTILINE)
+HALCON_VALUE = re.compile(r"^\s*(?!ParGroup)(\w+)\s*:\s*[A-Za-z]\w*\s*:\s*([^;\n]+);", re.MULTILINE)
+"""Name, short name, value: the first of a parameter's three lines (MVTec's reference of read_cam_par)."""
 
 MESSAGE = {"distortion_model", "d", "k", "r", "p", "width", "height"}
 """Fields of sensor_msgs/CameraInfo, in small letters: ROS 1 writes D, K, R, P."""
 
 
 def read_storage(path: Path) -> dict[str, Any]:
-    """Return the mapping in a YAML file or in FileStorage's XML; BadFile, naming place and reason, where it is none.
+    """Return the mapping in a file of any of these forms; BadFile, naming place and reason, where it is none.
 
     Of a stream of camera_info messages the first is taken, where all are of one calibration.
     """
     data, where = read_bytes(path, limit=MAX_BYTES), str(path)
     if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<":
         return _of_xml(data, where)
+    text = data.decode("utf-8-sig", errors="replace")
+    if SECTION.match(text):
+        return _of_sections(text, where)
+    if HALCON.search(text):
+        return {"ParGroup": HALCON.findall(text), **{name: _word(value) for name, value in HALCON_VALUE.findall(text)}}
     try:
         content = parse_yaml(data, where)
     except BadFile:
@@ -81,6 +96,23 @@ def _camera_info(message: dict[str, Any], where: str) -> dict[str, Any]:
     }
 
 
+def _of_sections(text: str, where: str) -> dict[str, Any]:
+    """Return TOML, or an INI file's sections with their words as numbers where they are such."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as not_toml:
+        parser = configparser.ConfigParser(interpolation=None, strict=True)
+        parser.optionxform = str  # type: ignore[assignment,method-assign]  # the documented switch: letters as they are
+        try:
+            parser.read_string(text)
+        except configparser.Error as error:
+            raise BadFile(
+                f"{where}: neither TOML ({not_toml}) nor sections of name=value ({str(error).splitlines()[0]})",
+                cure="Copy the file anew from the program or device that wrote it",
+            ) from error
+        return {name: {key: _word(value) for key, value in parser[name].items()} for name in parser.sections()}
+
+
 def _of_xml(data: bytes, where: str) -> dict[str, Any]:
     """Return matrices as rows, cols (or sizes) and data, and single values; what else is there is left out."""
     if b"<!" in data:  # entities, which FileStorage does not write, could grow without end
@@ -89,9 +121,10 @@ def _of_xml(data: bytes, where: str) -> dict[str, Any]:
         root = ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise BadFile(f"{where}: {error}", cure="Correct it there") from error
-    if root.tag != ROOT:
+    if root.tag not in (ROOT, METASHAPE):
         raise BadFile(
-            f"{where}: XML whose root is {root.tag[:40]!r}", cure=f"Give OpenCV's FileStorage, root {ROOT}, or YAML"
+            f"{where}: XML whose root is {root.tag[:40]!r}",
+            cure=f"Give OpenCV's FileStorage, root {ROOT}, Metashape's camera calibration, root {METASHAPE}, or YAML",
         )
     return {one.tag: _value(one, where) for one in root}
 
@@ -117,13 +150,39 @@ def _word(text: str | None) -> Any:
     return word
 
 
+def _camera_tables(tables: Mapping[str, Any], keys: set[str]) -> bool:
+    """Tell whether each of some tables is a camera that has keys."""
+    cameras = [one for name, one in tables.items() if name != "metadata"]
+    return bool(cameras) and all(isinstance(one, Mapping) and keys <= one.keys() for one in cameras)
+
+
+BY_KEYS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
+    "zed": lambda found: "STEREO" in found and any(str(key).startswith("LEFT_CAM_") for key in found),
+    "depthai": lambda found: isinstance(found.get("cameraData"), list),
+    "caliscope": lambda found: (
+        isinstance(found.get("cameras"), Mapping)
+        and _camera_tables(found["cameras"], {"matrix", "distortions", "size"})
+    ),
+    "multical": lambda found: (
+        isinstance(found.get("cameras"), Mapping) and _camera_tables(found["cameras"], {"K", "dist", "image_size"})
+    ),
+    "aniposelib": lambda found: _camera_tables(found, {"matrix", "distortions", "size", "name"}),
+    "metashape": lambda found: "projection" in found and {"f", "width", "height"} <= found.keys(),
+    "halcon": lambda found: "ParGroup" in found,
+}
+"""Formats by the keys that no other has."""
+
+
 def kind_of_mapping(content: Mapping[str, Any]) -> str | None:
-    """Return 'ros', 'kalibr', 'opencv', an armsight format such as 'armsight/rig', or None."""
+    """Return the name of a format of other programs, an armsight format such as 'armsight/rig', or None."""
     format_ = content.get("format")
     if isinstance(format_, str) and format_.startswith("armsight/"):
         return None if len(format_) > 40 else format_
     if isinstance(content.get("cam0"), Mapping):
         return "kalibr"
+    device = next((name for name, knows in BY_KEYS.items() if knows(content)), None)
+    if device is not None:
+        return device
     if "camera_matrix" in content and ("projection_matrix" in content or "camera_name" in content):
         return "ros"
     if {"camera_matrix", "cameraMatrix", "cameraMatrix1", "M1", "K1"} & set(content) or {"R", "T"} <= set(content):

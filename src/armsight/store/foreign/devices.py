@@ -1,0 +1,173 @@
+"""Factory calibrations of ready-made stereo cameras: Stereolabs' SN*.conf, Luxonis' DepthAI JSON.
+
+ZED (stereolabs/zed-open-capture, examples/include/calibration.hpp; what Stereolabs' own calibration tools write): an
+INI file with a section a side and resolution, LEFT_CAM_HD ..., fx, fy, cx, cy and mostly k1, k2, p1, p2, k3; newer ones
+hold LEFT_DISTO and RIGHT_DISTO with k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's rational model for all resolutions.
+STEREO in mm: p_right = Rodrigues(RX, CV, RZ) p_left + (-Baseline, TY, TZ), the angles a resolution each (CV_HD), TY and
+TZ in old files too. The sign is that of the makers' tool, which writes Baseline = -T[0] of cv2.stereoCalibrate.
+
+DepthAI (luxonis/depthai-core, CalibrationHandler.cpp, EepromData): cameraData pairs of a socket's number and a camera
+of matrix, 14 coefficients, size, and extrinsics p_to = R p_this + translation in cm, to the camera `toCameraSocket`, -1
+for none. `specTranslation` is the drawing's, not what was measured, and not used. cameraType 0 is OpenCV's pinhole, 1
+its fisheye with four coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from armsight.errors import BadFile, UsageError
+from armsight.optics import SIDES, Camera
+from armsight.store.foreign import numbers
+from armsight.store.foreign.several import Asked, Placed, Pose, lens_of
+from armsight.store.foreign.storage import read_storage
+
+ZED_SIZES = {
+    "VGA": (672, 376),
+    "SVGA": (960, 600),
+    "HD": (1280, 720),
+    "FHD": (1920, 1080),
+    "FHD1200": (1920, 1200),
+    "2K": (2208, 1242),
+    "QHDPLUS": (3200, 1800),
+    "4K": (3840, 2160),
+}
+"""Images of one side, width and height in px, by the end of a section's name in capitals."""
+RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""OpenCV's order."""
+MM, CM = 1e-3, 1e-2
+
+SOCKETS = "ABCDEFGHIJ"
+"""DepthAI's CameraBoardSocket 0 is CAM_A."""
+CAMERA_TYPES = {0: "perspective", 1: "fisheye", 2: "equirectangular", 3: "radial division"}
+
+
+def read_zed(path: Path, asked: Asked) -> list[Placed]:
+    """Return left and right of a ZED at the size that is asked for. Raises BadFile, UsageError."""
+    content, where = read_storage(path), str(path)
+    there = [key.removeprefix("LEFT_CAM_") for key in content if key.startswith("LEFT_CAM_")]
+    sizes = {ZED_SIZES[name.upper()]: name for name in there if name.upper() in ZED_SIZES}
+    size = asked.size if asked.size is not None or len(sizes) != 1 else next(iter(sizes))
+    if size is None or size not in sizes:
+        of = ", ".join(f"{width}x{height}" for width, height in sizes) or f"none that is known ({', '.join(there)})"
+        raise UsageError(
+            f"{where} holds a calibration for each size of images: {of}",
+            consequence="Which is meant is not clear" if size is None else f"None is of {size[0]}x{size[1]}",
+            cure="Give the size of one camera's images, such as --size 1280x720",
+        )
+    name, stereo = sizes[size], content["STEREO"]
+    left, right = (_zed_camera(content, f"{side}_CAM_{name}", size, where, asked) for side in ("LEFT", "RIGHT"))
+    angles = [_zed(stereo, f"{key}_{name}", where) for key in ("RX", "CV", "RZ")]
+    shifts = [_zed(stereo, f"{key}_{name}" if f"{key}_{name}" in stereo else key, where) for key in ("TY", "TZ")]
+    t_m = MM * np.array([-_zed(stereo, "Baseline", where), *shifts])
+    return [
+        Placed(name=SIDES[0], camera=left, pose=(np.eye(3), np.zeros(3))),
+        Placed(name=SIDES[1], camera=right, pose=(Rotation.from_rotvec(angles).as_matrix(), t_m)),
+    ]
+
+
+def _zed_camera(content: Mapping[str, Any], section: str, size: tuple[int, int], where: str, asked: Asked) -> Camera:
+    one = numbers.value_at(content, section, where)
+    fx, fy, cx, cy = (_zed(one, key, f"{where}, {section}") for key in ("fx", "fy", "cx", "cy"))
+    rational = f"{section.split('_')[0]}_DISTO"
+    lens, keys = content.get(rational), list(RATIONAL)
+    if isinstance(lens, Mapping) and set(RATIONAL) <= lens.keys():
+        section = rational
+        if lens["k4"] and not any(lens[key] for key in ("p1", "p2", "k5", "k6")):
+            raise BadFile(
+                f"{where}, {section}: k1, k2, k3, k4 alone are not zero",
+                consequence="They may be a fisheye's or a pinhole's",
+                cure="Calibrate it with armsight calibrate stereo",
+            )
+    else:
+        lens, keys = one, list(RATIONAL[:5])
+    values = np.array([_zed(lens, key, f"{where}, {section}") for key in keys])
+    return lens_of(values, (fx, fy, cx, cy, 0.0), size, f"{where}, {section}", asked, fisheye=False)
+
+
+def _zed(section: Mapping[str, Any], key: str, where: str) -> float:
+    value = numbers.value_at(section, key, where)
+    return float(numbers.array_of(value, key, where))
+
+
+def read_depthai(path: Path, asked: Asked) -> list[Placed]:
+    """Return the cameras of a DepthAI board by their sockets, CAM_A ..., placed in the axes of the camera that most of
+    their chains of poses end at, in metres. Raises BadFile.
+    """
+    where = str(path)
+    cameras = dict(_socket(one, where) for one in read_storage(path)["cameraData"])
+    poses = {socket: _chain(cameras, socket, where) for socket in cameras}
+    ends = [end for end, _ in poses.values()]
+    common = max(ends, key=ends.count) if ends else None
+    found = []
+    for socket, one in sorted(cameras.items()):
+        name = f"CAM_{SOCKETS[socket]}"
+        camera = _depthai_camera(one, f"{where}, {name}", asked)
+        if camera is None:
+            asked.told.append(f"{where}: {name} has no calibration")
+            continue
+        end, (R, t) = poses[socket]
+        found.append(Placed(name=name, camera=camera, pose=(R.T, -R.T @ t) if end == common else None))
+    return found
+
+
+def _socket(entry: object, where: str) -> tuple[int, Mapping[str, Any]]:
+    """Return the number of a board's socket and the camera in it."""
+    if isinstance(entry, list) and len(entry) == 2 and isinstance(entry[1], Mapping):
+        number = entry[0]
+        if type(number) is int and 0 <= number < len(SOCKETS):
+            return number, entry[1]
+    raise BadFile(
+        f"{where}: an entry of cameraData is no pair of a socket's number and a camera",
+        cure="Write the file anew with the board's eepromToJsonFile",
+    )
+
+
+def _chain(cameras: Mapping[int, Mapping[str, Any]], socket: int, where: str) -> tuple[int, Pose]:
+    """Return the socket that a camera's chain of poses ends at, and R, t (m) of p_end = R p_camera + t."""
+    R, t, seen = np.eye(3), np.zeros(3), {socket}
+    while True:
+        extrinsics = cameras[socket].get("extrinsics") or {}
+        to = extrinsics.get("toCameraSocket", -1)
+        if to not in cameras:
+            return socket, (R, t)
+        if to in seen:
+            raise BadFile(f"{where}: the poses of the cameras {sorted(seen)} lead in a circle", cure="Correct it there")
+        here = f"{where}, CAM_{SOCKETS[socket]}"
+        step = numbers.rotation_of(
+            numbers.matrix_at(extrinsics, "rotationMatrix", (3, 3), here), "rotationMatrix", here
+        )
+        measured = numbers.value_at(extrinsics, "translation", here)
+        shift = np.array([float(numbers.array_of(numbers.value_at(measured, x, here), x, here)) for x in "xyz"])
+        R, t, socket = step @ R, step @ t + CM * shift, to
+        seen.add(to)
+
+
+def _depthai_camera(one: Mapping[str, Any], where: str, asked: Asked) -> Camera | None:
+    """Return the camera of a socket; None where it was never calibrated, which its empty or zero matrix says."""
+    matrix = numbers.array_of(one.get("intrinsicMatrix") or [], "intrinsicMatrix", where)
+    if not matrix.any():
+        return None
+    kind = one.get("cameraType", 0)
+    if kind not in (0, 1):
+        raise BadFile(
+            f"{where}: the lens model is {CAMERA_TYPES.get(kind, kind)!r}",
+            cure="Calibrate it with armsight calibrate camera, a wide lens with --lens fisheye",
+        )
+    size = numbers.count_at(one, "width", where), numbers.count_at(one, "height", where)
+    if asked.size not in (None, size):
+        raise BadFile(
+            f"{where}: the calibration is of images of {size[0]}x{size[1]} px",
+            consequence="How the board makes other sizes of them, by scaling or cutting, is not in the file",
+            cure="Record at that size, and leave --size out",
+        )
+    intrinsics = numbers.intrinsics_of(
+        numbers.matrix_at(one, "intrinsicMatrix", (3, 3), where), "intrinsicMatrix", where
+    )
+    values = numbers.array_of(numbers.value_at(one, "distortionCoeff", where), "distortionCoeff", where)
+    return lens_of(values, intrinsics, size, where, asked, fisheye=kind == 1)

@@ -1,0 +1,121 @@
+"""Every kind of camera file of other programs: how it is read and written, one entry a kind.
+
+What a file of each really says stands, with its source, at the head of the module that reads it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from armsight.errors import UsageError
+from armsight.optics import SIDES, Camera, Rig
+from armsight.store.foreign import devices, kalibr, opencv, photogrammetry, ros, several, written
+from armsight.store.foreign.several import Asked, Placed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraFormat:
+    """A kind of file: title for lists; needs: what has to be said or given beside it; unit: of its lengths.
+
+    camera, rig: read one; write_camera, write_rig: write one, where it is written. files: how many make a rig.
+    """
+
+    title: str
+    needs: str = ""
+    unit: str = "m"
+    files: tuple[int, ...] = (1,)
+    camera: Callable[[Path, Asked], Camera] | None = None
+    rig: Callable[[Sequence[Path], Asked], Rig] | None = None
+    write_camera: Callable[[Path, Camera], None] | None = None
+    write_rig: Callable[[Sequence[Path], Rig], None] | None = None
+
+
+def _several(
+    title: str,
+    read: Callable[[Path, Asked], list[Placed]],
+    *,
+    names: Sequence[str] = (),
+    writes: str = "",
+    needs: str = "",
+    unit: str = "",
+) -> CameraFormat:
+    """Return a kind that a function reads as a list of cameras; names: of a rig's, else the file's."""
+    return CameraFormat(
+        title=title,
+        needs=needs,
+        unit=unit,
+        camera=lambda path, asked: several.camera_of(read(path, asked), str(path), asked),
+        rig=lambda paths, asked: several.rig_of(read(paths[0], asked), str(paths[0]), asked, names),
+        write_rig=(lambda paths, rig: several.write_several(paths[0], rig, writes)) if writes else None,
+    )
+
+
+UNIT = "--unit where the board's squares were not given in metres"
+
+FORMATS = {
+    "ros": CameraFormat(
+        title="ROS camera_info, as files or as ros2 topic echo prints it",
+        needs="of a rig left and right",
+        files=(2,),
+        camera=lambda path, asked: ros.camera_from_ros(path, told=asked.told),
+        rig=lambda paths, asked: ros.rig_from_ros(paths[0], paths[1], unit_m=asked.unit_m, told=asked.told),
+        write_camera=ros.camera_to_ros,
+        write_rig=lambda paths, rig: ros.rig_and_frames_to_ros(paths, rig),
+    ),
+    "opencv": CameraFormat(
+        title="OpenCV FileStorage in YAML, JSON or XML, of OpenCV 4 and 5; of a ZED's tool",
+        needs=f"--size where it does not say it; {UNIT}",
+        files=(1, 2),
+        camera=lambda path, asked: opencv.camera_from_opencv(path, size=asked.size, told=asked.told),
+        rig=lambda paths, asked: opencv.rig_from_opencv(paths, size=asked.size, unit_m=asked.unit_m, told=asked.told),
+        write_camera=opencv.camera_to_opencv,
+        write_rig=lambda paths, rig: opencv.rig_to_opencv(paths[0], rig),
+    ),
+    "kalibr": CameraFormat(
+        title="Kalibr camchain, pinhole with radtan or equidistant",
+        camera=lambda path, asked: kalibr.camera_from_kalibr(path, name=(*asked.names, "cam0")[0]),
+        rig=lambda paths, asked: kalibr.rig_from_kalibr(paths[0], unit_m=asked.unit_m),
+        write_camera=kalibr.camera_to_kalibr,
+        write_rig=lambda paths, rig: kalibr.rig_to_kalibr(paths[0], rig),
+    ),
+    "zed": _several(
+        "Stereolabs SN*.conf", devices.read_zed, names=SIDES, needs="--size of one side's images", unit="mm"
+    ),
+    "depthai": _several("Luxonis DepthAI calibration (JSON)", devices.read_depthai, unit="cm"),
+    "aniposelib": _several("aniposelib calibration.toml", several.read_aniposelib, writes="aniposelib", needs=UNIT),
+    "caliscope": _several("caliscope camera_array.toml", several.read_caliscope, writes="caliscope", needs=UNIT),
+    "multical": _several("multical calibration.json", several.read_multical, writes="multical", needs=UNIT),
+    "metashape": _several("Metashape camera calibration (Agisoft XML)", photogrammetry.read_metashape),
+    "halcon": _several("HALCON camera parameters (.dat, .cal)", photogrammetry.read_halcon),
+    "colmap": CameraFormat(
+        title="COLMAP cameras.txt",
+        write_camera=lambda path, camera: written.cameras_to_colmap(path, [camera]),
+        write_rig=lambda paths, rig: written.cameras_to_colmap(paths[0], [one.camera for one in rig.cameras]),
+    ),
+}
+READ = tuple(name for name, one in FORMATS.items() if one.rig is not None)
+WRITTEN = tuple(name for name, one in FORMATS.items() if one.write_rig is not None)
+
+
+def read_foreign_camera(kind: str, path: Path, asked: Asked) -> Camera:
+    """Return the camera that is meant of a file of one of FORMATS. Raises BadFile, UsageError."""
+    read = FORMATS[kind].camera
+    if read is None:
+        raise UsageError(f"a file of {kind} is written only", cure="Give a file of another kind")
+    return read(path, asked)
+
+
+def read_foreign_rig(kind: str, paths: Sequence[Path], asked: Asked) -> Rig:
+    """Return the rig in the files of one of FORMATS. Raises BadFile, UsageError."""
+    one = FORMATS[kind]
+    if one.rig is None:
+        raise UsageError(f"a file of {kind} is written only", cure="Give a file of another kind")
+    if one.unit in ("mm", "cm") and asked.unit_m is not None:
+        raise UsageError(
+            f"a file of {kind} is in {one.unit}, which is known",
+            consequence="Another unit would put the cameras elsewhere",
+            cure="Leave --unit out",
+        )
+    return one.rig(paths, asked)

@@ -1,0 +1,298 @@
+"""Cameras' files of devices and other programs, written here in their form from a world that OpenCV projects."""
+
+import json
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.errors import BadFile, UsageError
+from armsight.ops.conversion import convert_camera, convert_rig, load_camera, load_rig
+from armsight.store.foreign import READ, Asked, kind_of
+from refusals import names_it, refuses
+
+SIZE = (1280, 720)
+D = np.array([-0.17, 0.026, 0.0003, -0.0002, 0.004])
+
+
+class View(NamedTuple):
+    """A camera by OpenCV: p_camera = Rodrigues(r) p_world + t (m)."""
+
+    K: np.ndarray
+    r: np.ndarray
+    t: np.ndarray
+    D: np.ndarray = D
+
+    @property
+    def R(self):
+        return cv2.Rodrigues(self.r)[0]
+
+    def sees(self, points):
+        return cv2.projectPoints(points, self.r, self.t, self.K, self.D)[0].reshape(-1, 2)
+
+
+def matrix(f, cx, cy):
+    return np.array([[f, 0.0, cx], [0.0, f + 1.0, cy], [0.0, 0.0, 1.0]])
+
+
+LEFT = View(matrix(700.0, 640.5, 361.0), np.zeros(3), np.zeros(3))
+RIGHT = View(matrix(703.0, 645.5, 355.0), np.array([0.003, -0.02, 0.001]), np.array([-0.1199, 0.0004, 0.0007]))
+THIRD = View(matrix(690.0, 630.0, 350.0), np.array([0.02, 0.31, -0.04]), np.array([0.15, -0.02, 0.03]))
+POINTS = np.random.default_rng(8).uniform((-0.2, -0.1, 0.7), (0.2, 0.1, 1.1), (40, 3))
+
+
+def is_read(views, path, *, scale=1.0, tolerance_px=1e-6, **asked):
+    """Hold a rig that is read to the pixels that OpenCV gives; its axes are the first view's."""
+    rig = load_rig([path], Asked(**asked))
+    first = views[0]
+    seen = rig.project(scale * (POINTS @ first.R.T + first.t))
+    for got, view in zip(seen, views, strict=True):
+        assert np.abs(got - view.sees(POINTS)).max() < tolerance_px
+    return rig
+
+
+def zed(path, *, rational=False, name="HD"):
+    lens = "".join(f"{key}={value}\n" for key, value in zip(("k1", "k2", "p1", "p2", "k3"), D, strict=True))
+    text = ""
+    for side, view in (("LEFT", LEFT), ("RIGHT", RIGHT)):
+        (fx, _, cx), (_, fy, cy), _ = view.K
+        text += f"[{side}_CAM_{name}]\nfx={fx}\nfy={fy}\ncx={cx}\ncy={cy}\n{lens}\n[{side}_CAM_VGA]\nfx=350.\n\n"
+        if rational:
+            text += f"[{side}_DISTO]\n{lens}k4=0\nk5=0\nk6=0\n\n"
+    rx, cv, rz = RIGHT.r
+    t = 1e3 * RIGHT.t
+    text += f"[STEREO]\nBaseline={-t[0]}\nTY={t[1]}\nTZ={t[2]}\nCV_{name}={cv}\nRX_{name}={rx}\nRZ_{name}={rz}\n"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("rational", [False, True])
+def test_a_zeds_file_is_read_at_the_size_that_is_said(tmp_path, rational):
+    path = zed(tmp_path / "SN1.conf", rational=rational)
+    rig = is_read((LEFT, RIGHT), path, size=SIZE)
+    assert rig.names == ("left", "right")
+    assert convert_rig([path], [tmp_path / "rig.yaml"], asked=Asked(size=SIZE)).baseline_m == pytest.approx(
+        0.119902, abs=1e-6
+    )
+    with refuses(UsageError, "1280x720", "672x376", "--size"):
+        load_rig([path])
+    with refuses(UsageError, "mm", "Leave --unit out"):
+        load_rig([path], Asked(size=SIZE, unit_m=0.001))
+
+
+def depthai(path, **changes):
+    def camera(view, to, step, **more):
+        R, t = step
+        spec = {"x": -7.5, "y": 0.0, "z": 0.0}  # the drawing's
+        return {
+            "cameraType": 0,
+            "width": SIZE[0],
+            "height": SIZE[1],
+            "intrinsicMatrix": view.K.tolist(),
+            "distortionCoeff": [*view.D, *[0.0] * 9],
+            "extrinsics": {
+                "rotationMatrix": R.tolist(),
+                "translation": dict(zip("xyz", (100.0 * t).tolist(), strict=True)),
+                "specTranslation": spec,
+                "toCameraSocket": to,
+            },
+        } | more
+
+    def step(a, b):
+        R = b.R @ a.R.T
+        return R, b.t - R @ a.t
+
+    cameras = [
+        [1, camera(LEFT, 2, step(LEFT, RIGHT), **changes)],
+        [2, camera(RIGHT, 0, step(RIGHT, THIRD))],
+        [0, camera(THIRD, -1, (np.zeros((3, 3)), np.zeros(3)))],
+        [3, {"cameraType": 0, "intrinsicMatrix": [], "extrinsics": {"toCameraSocket": -1}}],
+    ]
+    path.write_text(json.dumps({"boardName": "X", "version": 7, "cameraData": cameras}))
+    return path
+
+
+def test_the_cameras_of_a_depthai_board_are_chained_as_measured(tmp_path):
+    path = depthai(tmp_path / "oak.json")
+    rig = is_read((THIRD, LEFT, RIGHT), path)
+    assert rig.names == ("CAM_A", "CAM_B", "CAM_C")
+    is_read((LEFT, RIGHT), path, names=("CAM_B", "CAM_C"))
+    assert load_camera(path, Asked(names=("CAM_C",))).intrinsics[0] == RIGHT.K[0, 0]
+    with refuses(UsageError, "CAM_A, CAM_B, CAM_C", "--name"):
+        load_camera(path)
+    with refuses(UsageError, "CAM_Z", "CAM_A"):
+        load_rig([path], Asked(names=("CAM_Z",)))
+    with refuses(BadFile, "1280x720", "cutting"):
+        load_camera(path, Asked(names=("CAM_C",), size=(640, 400)))
+    with refuses(BadFile, "CAM_D", "no pose") if False else refuses(UsageError, "CAM_D"):
+        load_rig([path], Asked(names=("CAM_D",)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"cameraType": 2}, "equirectangular"),
+        ({"distortionCoeff": [0.1] * 9}, "9 coefficients"),
+        ({"width": 0}, "width"),
+        ({"extrinsics": {"toCameraSocket": 1}}, "circle"),
+        ({"extrinsics": {"toCameraSocket": 2, "rotationMatrix": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}}, "rotation"),
+    ],
+)
+def test_what_a_board_cannot_mean_is_refused(tmp_path, changes, says):
+    with refuses(BadFile, "CAM_B" if says != "circle" else "circle", says):
+        load_rig([depthai(tmp_path / "oak.json", **changes)])
+
+
+def toml(value):
+    return json.dumps(value)
+
+
+def aniposelib(path, views, unit=1.0):
+    text = ""
+    for k, view in enumerate(views):
+        text += f'[cam_{k}]\nname = "c{k}"\nsize = {toml(SIZE)}\nmatrix = {toml(view.K.tolist())}\n'
+        text += f"distortions = {toml(view.D.tolist())}\nrotation = {toml(view.r.tolist())}\n"
+        text += f"translation = {toml((unit * view.t).tolist())}\n\n"
+    path.write_text(text + "[metadata]\nadjusted = false\nerror = 0.2\n")
+
+
+def caliscope(path, views, unit=1.0):
+    text = ""
+    for k, view in enumerate(views):
+        text += f"[cameras.{k}]\ncam_id = {k}\nsize = {toml(SIZE)}\nrotation_count = 0\nerror = 0.3\n"
+        text += f"matrix = {toml(view.K.tolist())}\ndistortions = {toml(view.D.tolist())}\n"
+        text += (
+            f"translation = {toml((unit * view.t).tolist())}\nrotation = {toml(view.r.tolist())}\nfisheye = false\n\n"
+        )
+    path.write_text(text)
+
+
+def multical(path, views, unit=1.0):
+    def pose(view):
+        return {"R": view.R.tolist(), "T": (unit * view.t).tolist()}
+
+    cameras = {
+        f"c{k}": {"model": "standard", "image_size": SIZE, "K": view.K.tolist(), "dist": [view.D.tolist()]}
+        for k, view in enumerate(views)
+    }
+    poses = {("c0" if k == 0 else f"c{k}_to_c0"): pose(view) for k, view in enumerate(views)}
+    path.write_text(json.dumps({"cameras": cameras, "camera_poses": poses, "image_sets": {"rgb": []}}))
+
+
+@pytest.mark.parametrize("write", [aniposelib, caliscope, multical])
+def test_rigs_of_other_calibrations_are_read_and_written(tmp_path, write):
+    kind, path = write.__name__, tmp_path / "cameras"
+    write(path, (LEFT, RIGHT, THIRD))
+    assert kind_of(path) == kind
+    rig = is_read((LEFT, RIGHT, THIRD), path)
+    assert rig.names == (("cam0", "cam1", "cam2") if write is caliscope else ("c0", "c1", "c2"))
+    done = convert_rig([path], [tmp_path / "back"], to=kind)
+    assert done.baseline_m == pytest.approx(0.119902, abs=1e-6)
+    is_read((LEFT, RIGHT, THIRD), tmp_path / "back")
+    write(path, (LEFT, RIGHT, THIRD), unit=1000.0)
+    with refuses(BadFile, "apart", "--unit 0.001"):
+        load_rig([path])
+    is_read((LEFT, RIGHT, THIRD), path, unit_m=0.001)
+
+
+def test_poses_of_multical_are_followed_from_camera_to_camera(tmp_path):
+    multical(tmp_path / "c.json", (RIGHT, LEFT, THIRD))
+    content = json.loads((tmp_path / "c.json").read_text())
+    R = THIRD.R @ LEFT.R.T
+    content["camera_poses"] = {
+        "c0": {"R": RIGHT.R.tolist(), "T": RIGHT.t.tolist()},
+        "c2_to_c1": {"R": R.tolist(), "T": (THIRD.t - R @ LEFT.t).tolist()},
+        "c1_to_c0": {"R": RIGHT.R.T.tolist(), "T": (-RIGHT.R.T @ RIGHT.t).tolist()},
+    }
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    is_read((RIGHT, LEFT, THIRD), tmp_path / "c.json")
+    del content["camera_poses"]["c1_to_c0"]
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    with refuses(BadFile, "no pose of c1, c2", "--name c0"):
+        load_rig([tmp_path / "c.json"])
+
+
+def frame_of_agisoft(xy, *, f, cx, cy, b1, b2, k, p):
+    """u, v by the manual's formulas, the first pixel's centre at (0.5, 0.5)."""
+    x, y = xy.T
+    r2 = x**2 + y**2
+    radial = 1.0 + sum(value * r2 ** (j + 1) for j, value in enumerate(k))
+    x2 = x * radial + p[0] * (r2 + 2 * x**2) + 2 * p[1] * x * y
+    y2 = y * radial + p[1] * (r2 + 2 * y**2) + 2 * p[0] * x * y
+    return np.stack([0.5 * SIZE[0] + cx + x2 * f + x2 * b1 + y2 * b2, 0.5 * SIZE[1] + cy + y2 * f], axis=1)
+
+
+@pytest.mark.parametrize(("k4", "tolerance_px"), [(0.0, 1e-9), (0.0006, 0.05)])
+def test_metashapes_frame_camera_is_read_by_its_own_formulas(tmp_path, k4, tolerance_px):
+    given = {"f": 700.5, "cx": 1.5, "cy": -2.5, "b1": 0.4, "b2": -0.3}
+    k, p = (-0.1, 0.03, -0.002, k4), (0.001, -0.0004)
+    values = given | {f"k{j + 1}": value for j, value in enumerate(k)} | {"p1": p[0], "p2": p[1]}
+    tags = "".join(f"<{key}>{value}</{key}>" for key, value in values.items())
+    path = tmp_path / "meta.xml"
+    path.write_text(
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<calibration><projection>frame</projection><width>{SIZE[0]}</width>'
+        f"<height>{SIZE[1]}</height>{tags}</calibration>"
+    )
+    camera = load_camera(path)
+    xy = np.random.default_rng(3).uniform((-0.8, -0.45), (0.8, 0.45), (200, 2))
+    uv = frame_of_agisoft(xy, **given, k=k, p=p) - 0.5
+    inside = ((uv >= 0.0) & (uv <= np.array(SIZE) - 1.0)).all(axis=1)
+    assert inside.sum() > 100
+    assert np.abs(camera.project(np.column_stack([xy, np.ones(200)])) - uv)[inside].max() < tolerance_px
+
+
+def halcon(path, **lens):
+    values = {"Focus": 0.008, **lens, "Sx": 1.1e-5, "Sy": 1.1e-5, "Cx": 378.0, "Cy": 297.5}
+    text = '# INTERNAL CAMERA PARAMETERS\n\nParGroup: Camera: Parameter;\n  "Internal camera parameters";\n\n'
+    for name, value in values.items():
+        text += f'{name}:{name.lower()}: {value};\n  DOUBLE:0.0:;\n  "{name}";\n\n'
+    for name, value in (("ImageWidth", 768), ("ImageHeight", 576)):
+        text += f'{name}:{name.lower()}: {value};\n  INT:1:32767;\n  "{name}";\n\n'
+    path.write_text(text)
+    return values
+
+
+def test_halcons_division_and_polynomial_lenses_are_read(tmp_path):
+    path = tmp_path / "campar.dat"
+    uv = np.random.default_rng(4).uniform((0.0, 0.0), (767.0, 575.0), (200, 2))
+    for lens in ({"Kappa": -1500.0}, {"K1": 900.0, "K2": 2e7, "K3": 0.0, "P1": 0.05, "P2": -0.02}):
+        of = halcon(path, **lens)
+        x, y = ((uv - (of["Cx"], of["Cy"])) * of["Sx"]).T
+        r2 = x**2 + y**2
+        if "Kappa" in lens:
+            straight = np.stack([x, y], axis=1) / (1.0 + lens["Kappa"] * r2)[:, None]
+            bent = 2.0 * straight / (1.0 + np.sqrt(1.0 - 4.0 * lens["Kappa"] * (straight**2).sum(axis=1)))[:, None]
+            assert np.allclose(bent, np.stack([x, y], axis=1), atol=1e-15)  # the reference's formula, from ray to pixel
+        else:
+            factor = 1.0 + lens["K1"] * r2 + lens["K2"] * r2**2
+            straight = np.stack(
+                [
+                    x * factor + lens["P1"] * (r2 + 2 * x**2) + 2 * lens["P2"] * x * y,
+                    y * factor + 2 * lens["P1"] * x * y + lens["P2"] * (r2 + 2 * y**2),
+                ],
+                axis=1,
+            )
+        rays = np.column_stack([straight / of["Focus"], np.ones(200)])
+        assert np.abs(load_camera(path).project(rays) - uv).max() < 0.05
+    halcon(path, Kappa=-60000.0)
+    with refuses(BadFile, "px from the nearest", "--approximate"):
+        load_camera(path)
+    done = convert_camera(path, tmp_path / "camera.yaml", asked=Asked(approximate=True))
+    assert names_it(done.note, "nearest", "px apart")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[LEFT]\nfx=1\nfx=2\n", "a,b\n1,2\n", "<a/>", "TRACKER 1\n  x y z\n", '{"a": [1,', "[[[\n", "ParGroup: X: Y;\n"],
+)
+def test_an_unknown_file_is_answered_with_what_is_known(tmp_path, text):
+    (tmp_path / "file.dat").write_text(text)
+    with pytest.raises(BadFile) as raised:
+        load_rig([tmp_path / "file.dat"])
+    assert "file.dat" in raised.value.cause and raised.value.cure
+
+
+def test_every_kind_that_is_read_has_a_case_here_or_of_its_own_program():
+    here = {"zed", "depthai", "aniposelib", "caliscope", "multical", "metashape", "halcon"}
+    assert set(READ) == here | {"ros", "opencv", "kalibr"}  # tests/golden/test_foreign_files.py
