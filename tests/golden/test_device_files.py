@@ -6,6 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from armsight.errors import BadFile, UsageError
 from armsight.ops.conversion import convert_camera, convert_rig, load_camera, load_rig
@@ -293,6 +294,35 @@ def test_an_unknown_file_is_answered_with_what_is_known(tmp_path, text):
     assert "file.dat" in raised.value.cause and raised.value.cure
 
 
+def test_a_rig_of_colmap_is_read_and_written(tmp_path):
+    lines = ["# Camera list with one line of data per camera:"]
+    for k, view in enumerate((LEFT, RIGHT, THIRD), 1):
+        (fx, _, cx), (_, fy, cy), _ = view.K
+        lens = " ".join(str(x) for x in view.D)
+        lines.append(f"{k} FULL_OPENCV {SIZE[0]} {SIZE[1]} {fx} {fy} {cx + 0.5} {cy + 0.5} {lens} 0 0 0")
+    (tmp_path / "cameras.txt").write_text("\n".join([*lines, "9 FOV 640 480 1 2 3 4 5", ""]))
+    rig = "# Rig calib list with one line of data per calib:\n1 4 CAMERA 1 IMU 7 0"
+    for k, view in ((2, RIGHT), (3, THIRD)):
+        x, y, z, w = Rotation.from_rotvec(view.r).as_quat()
+        rig += f" CAMERA {k} 1 {w} {x} {y} {z} " + " ".join(str(10.0 * t) for t in view.t)
+    (tmp_path / "rigs.txt").write_text(rig + "\n")
+    files = [tmp_path / "cameras.txt", tmp_path / "rigs.txt"]
+    with refuses(BadFile, "camera 9", "FOV", "OPENCV"):
+        load_rig(files, Asked(unit_m=0.1))
+    files[0].write_text("\n".join([*lines, ""]))
+    with refuses(UsageError, "unit", "--unit 1"):
+        load_rig(files)
+    convert_rig(files, [tmp_path / "rig.yaml"], asked=Asked(unit_m=0.1))
+    back = [tmp_path / "c.txt", tmp_path / "r.txt"]
+    convert_rig([tmp_path / "rig.yaml"], back, to="colmap")
+    for paths, unit_m in ((files, 0.1), (back, 1.0)):
+        for got, view in zip(load_rig(paths, Asked(unit_m=unit_m)).project(POINTS), (LEFT, RIGHT, THIRD), strict=True):
+            assert np.abs(got - view.sees(POINTS)).max() < 1e-6
+    files[1].write_text(rig.replace(" 1 ", " 2 ", 1) + " CAMERA 4 1 1 0 0\n")
+    with refuses(BadFile, "rigs.txt"):
+        load_rig(files, Asked(unit_m=0.1))
+
+
 def test_every_kind_that_is_read_has_a_case_here_or_of_its_own_program():
     here = {"zed", "depthai", "aniposelib", "caliscope", "multical", "metashape", "halcon"}
-    assert set(READ) == here | {"ros", "opencv", "kalibr"}  # tests/golden/test_foreign_files.py
+    assert set(READ) == here | {"colmap", "ros", "opencv", "kalibr"}  # tests/golden/test_foreign_files.py

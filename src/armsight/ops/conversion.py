@@ -25,6 +25,7 @@ from armsight.store import (
     write_rig,
     write_tum,
 )
+from armsight.store.atomic import read_bytes
 from armsight.store.foreign import (
     FORMATS,
     READ,
@@ -40,7 +41,15 @@ from armsight.store.foreign import (
     write_tf_launch,
 )
 from armsight.store.handeye_file import read_handeye
+from armsight.store.yamls import MAX_BYTES
 
+SYNTAX_SAID = (".yaml", ".yml", ".json", ".xml", ".toml")
+"""Of files with these endings it is said where their syntax breaks."""
+NEAREST = {
+    "Camera-system parameters": "This is what Kalibr prints for people: give its camchain.yaml",
+    "Format Version": "This is a recording of Motive, not a calibration of cameras: see armsight convert table",
+}
+"""What stands at the head of files that users give, and what they need instead."""
 HANDEYE_KINDS = ("easy_handeye", "easy_handeye2", "tf")
 TUM_SUFFIXES = (".tum", ".txt")
 
@@ -112,7 +121,7 @@ def convert_rig(
     kind = _kind(sources[0], "armsight/rig")
     to = _wanted(kind, to)
     rig = load_rig(sources, asked)
-    _count("output", outs, to, (2, 3) if to == "ros" else (1,))
+    _count("output", outs, to, FORMATS[to].outs if to in FORMATS else (1,))
     if to in ("ros", "opencv"):
         rig.require_pair(f"a file of {to}")
     baseline_m = _apart_m(rig)
@@ -194,7 +203,18 @@ def _done(
 
 
 def _kind(path: Path, own: str) -> str:
-    kind = kind_of(path)
+    try:
+        kind = kind_of(path)
+    except BadFile as error:
+        if path.suffix.lower() in SYNTAX_SAID or not path.is_file():
+            raise
+        head = read_bytes(path, limit=MAX_BYTES)[:80].decode("utf-8", errors="replace").strip()
+        hint = next((cure for begins, cure in NEAREST.items() if head.startswith(begins)), "")
+        raise BadFile(
+            f"{path} begins with {head.splitlines()[0][:60] if head else ''!r}, as no known kind of calibration does",
+            consequence="It cannot be converted",
+            cure=hint or f"Known are {own} and files of {', '.join(READ)}: see armsight convert --list",
+        ) from error
     if kind == own:
         return "armsight"
     if kind in READ:
@@ -202,7 +222,7 @@ def _kind(path: Path, own: str) -> str:
     raise BadFile(
         f"{path} is {kind}, not {own}" if kind else f"{path} is no calibration of a known kind",
         consequence="It cannot be converted",
-        cure=f"Known are {own} and files of {', '.join(READ)}: see armsight convert kinds",
+        cure=f"Known are {own} and files of {', '.join(READ)}: see armsight convert --list",
     )
 
 

@@ -19,7 +19,6 @@ from armsight.store.foreign.storage import kind_of
 from armsight.store.foreign.written import (
     FrameNames,
     Transform,
-    cameras_to_colmap,
     write_easy_handeye,
     write_easy_handeye2,
     write_tf_launch,

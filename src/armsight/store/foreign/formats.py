@@ -11,7 +11,7 @@ from pathlib import Path
 
 from armsight.errors import UsageError
 from armsight.optics import SIDES, Camera, Rig
-from armsight.store.foreign import devices, kalibr, opencv, photogrammetry, ros, several, written
+from armsight.store.foreign import colmap, devices, kalibr, opencv, photogrammetry, ros, several
 from armsight.store.foreign.several import Asked, Placed
 
 
@@ -19,13 +19,15 @@ from armsight.store.foreign.several import Asked, Placed
 class CameraFormat:
     """A kind of file: title for lists; needs: what has to be said or given beside it; unit: of its lengths.
 
-    camera, rig: read one; write_camera, write_rig: write one, where it is written. files: how many make a rig.
+    camera, rig: read one; write_camera, write_rig: write one, where it is written. files: how many make a rig; outs:
+    how many are written of one.
     """
 
     title: str
     needs: str = ""
     unit: str = "m"
     files: tuple[int, ...] = (1,)
+    outs: tuple[int, ...] = (1,)
     camera: Callable[[Path, Asked], Camera] | None = None
     rig: Callable[[Sequence[Path], Asked], Rig] | None = None
     write_camera: Callable[[Path, Camera], None] | None = None
@@ -59,6 +61,7 @@ FORMATS = {
         title="ROS camera_info, as files or as ros2 topic echo prints it",
         needs="of a rig left and right",
         files=(2,),
+        outs=(2, 3),
         camera=lambda path, asked: ros.camera_from_ros(path, told=asked.told),
         rig=lambda paths, asked: ros.rig_from_ros(paths[0], paths[1], unit_m=asked.unit_m, told=asked.told),
         write_camera=ros.camera_to_ros,
@@ -90,9 +93,14 @@ FORMATS = {
     "metashape": _several("Metashape camera calibration (Agisoft XML)", photogrammetry.read_metashape),
     "halcon": _several("HALCON camera parameters (.dat, .cal)", photogrammetry.read_halcon),
     "colmap": CameraFormat(
-        title="COLMAP cameras.txt",
-        write_camera=lambda path, camera: written.cameras_to_colmap(path, [camera]),
-        write_rig=lambda paths, rig: written.cameras_to_colmap(paths[0], [one.camera for one in rig.cameras]),
+        title="COLMAP cameras.txt, of a rig with rigs.txt (3.12 and later)",
+        needs="of a rig both files, and --unit",
+        files=(2,),
+        outs=(1, 2),
+        camera=lambda path, asked: several.camera_of(colmap.read_cameras(path, asked), str(path), asked),
+        rig=colmap.rig_from_colmap,
+        write_camera=lambda path, camera: colmap.cameras_to_colmap(path, [camera]),
+        write_rig=colmap.rig_to_colmap,
     ),
 }
 READ = tuple(name for name, one in FORMATS.items() if one.rig is not None)

@@ -39,11 +39,11 @@ PAIR_NAMES_ALSO = (
     ("cameraMatrix1", "D1", "cameraMatrix2", "D2"),
     ("K_LEFT", "D_LEFT", "K_RIGHT", "D_RIGHT"),
 )
-CAMERA_NAMES = ("camera_matrix", "cameraMatrix", "K", "M")
-DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D")
+CAMERA_NAMES = ("camera_matrix", "cameraMatrix", "K", "M", "mtx")
+DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "dist_coeff", "dist")
 FISHEYE_NAMES = ("fisheye", "equidistant", "kannala_brandt", "opencv_fisheye")
 PINHOLE_NAMES = ("pinhole", "plumb_bob", "radtan", "brown_conrady", "opencv", "rational_polynomial")
-SIZE_NAMES = ("imageSize", "image_size", "size", "Size")
+SIZE_NAMES = ("imageSize", "image_size", "size", "Size", "img_size")
 
 Size = tuple[int, int]
 

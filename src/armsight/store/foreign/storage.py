@@ -18,6 +18,9 @@ from armsight.store.atomic import read_bytes
 from armsight.store.yamls import MAX_BYTES, parse_yaml, parse_yaml_documents
 
 ROOT = "opencv_storage"
+COLMAP_CAMERAS, COLMAP_RIGS = "cameras.txt", "rigs.txt"
+COLMAP = {"# Camera list with one line": COLMAP_CAMERAS, "# Rig calib list with one line": COLMAP_RIGS}
+"""How COLMAP's text files begin, by what becomes of their lines."""
 METASHAPE = "calibration"
 """Root of Agisoft's XML of one camera."""
 SECTION = re.compile(r"\A\s*(?:[#;].*\s+)*\[[\w.\"-]+\]\s*$", re.MULTILINE)
@@ -39,6 +42,9 @@ def read_storage(path: Path) -> dict[str, Any]:
     if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<":
         return _of_xml(data, where)
     text = data.decode("utf-8-sig", errors="replace")
+    for head, name in COLMAP.items():
+        if text.startswith(head):
+            return {name: [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]}
     if SECTION.match(text):
         return _of_sections(text, where)
     if HALCON.search(text):
@@ -169,6 +175,7 @@ BY_KEYS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     "aniposelib": lambda found: _camera_tables(found, {"matrix", "distortions", "size", "name"}),
     "metashape": lambda found: "projection" in found and {"f", "width", "height"} <= found.keys(),
     "halcon": lambda found: "ParGroup" in found,
+    "colmap": lambda found: COLMAP_CAMERAS in found or COLMAP_RIGS in found,
 }
 """Formats by the keys that no other has."""
 
@@ -185,7 +192,9 @@ def kind_of_mapping(content: Mapping[str, Any]) -> str | None:
         return device
     if "camera_matrix" in content and ("projection_matrix" in content or "camera_name" in content):
         return "ros"
-    if {"camera_matrix", "cameraMatrix", "cameraMatrix1", "M1", "K1"} & set(content) or {"R", "T"} <= set(content):
+    if {"camera_matrix", "cameraMatrix", "mtx", "cameraMatrix1", "M1", "K1"} & set(content) or {"R", "T"} <= set(
+        content
+    ):
         return "opencv"
     return None
 

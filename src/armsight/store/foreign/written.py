@@ -1,9 +1,4 @@
-"""What is only written for other programs: COLMAP's cameras.txt; poses as TF takes them, and as easy_handeye does.
-
-A line of cameras.txt is CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS, of the models OPENCV (fx, fy, cx, cy, k1, k2, p1, p2),
-FULL_OPENCV (... k3, k4, k5, k6) and OPENCV_FISHEYE (fx, fy, cx, cy, k1, k2, k3, k4). COLMAP counts pixels from the
-image's corner: the centre of its first pixel is (0.5, 0.5) (its documentation, "Output Format").
-"""
+"""What is only written for other programs: poses as TF takes them, and as easy_handeye does."""
 
 from __future__ import annotations
 
@@ -17,9 +12,8 @@ from xml.sax.saxutils import quoteattr
 from scipy.spatial.transform import RigidTransform
 
 from armsight.columns import QUATERNION
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import UsageError
 from armsight.geometry import xyz_quat
-from armsight.optics import Camera, LensKind
 from armsight.store.atomic import write_text
 from armsight.store.tables import number
 from armsight.store.yamls import dump_yaml
@@ -107,30 +101,3 @@ def _frames(names: FrameNames) -> dict[str, Any]:
         "tracking_base_frame": names.camera,
         "tracking_marker_frame": names.target,
     }
-
-
-CORNER_PX = 0.5
-
-
-def cameras_to_colmap(path: Path, cameras: Sequence[Camera]) -> None:
-    """Write cameras.txt, numbered from 1; Inconsistent where a camera has skew or looks through a plate."""
-    lines = ["# Camera list with one line of data per camera:", "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
-    lines.append(f"# Number of cameras: {len(cameras)}")
-    for k, camera in enumerate(cameras, 1):
-        fx, fy, cx, cy, skew = camera.intrinsics[:5].tolist()
-        if skew != 0.0 or camera.plate is not None:
-            raise Inconsistent(
-                f"camera {k} has skew or looks through a plate",
-                consequence="COLMAP's models cannot say this",
-                cure="Calibrate with skew fixed at zero",
-            )
-        first, k3 = camera.distortion[:4].tolist(), camera.distortion[4:].tolist()
-        params = [fx, fy, cx + CORNER_PX, cy + CORNER_PX, *first]
-        if camera.lens is LensKind.FISHEYE:
-            model = "OPENCV_FISHEYE"
-        else:
-            model = "OPENCV" if k3 == [0.0] else "FULL_OPENCV"
-            params += [] if k3 == [0.0] else [*k3, 0.0, 0.0, 0.0]
-        values = " ".join(number(value) for value in params)
-        lines.append(f"{k} {model} {camera.width} {camera.height} {values}")
-    write_text(path, "\n".join(lines) + "\n")
