@@ -88,6 +88,7 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("record", "--repair"): "`repair_recording(path)`",
     ("calibrate mirrors", "--check"): "`check_mirrors`",
     ("convert arm", "-o"): "`convert(out)`, or `Arm.save(path)`: the ending decides",
+    ("convert rig", "--name"): "`read_rig(names=(...))`",
     ("convert handeye", "--base"): "`convert(names=FrameNames(base=...))`",
     ("convert handeye", "--flange"): "`convert(names=FrameNames(flange=...))`",
     ("convert handeye", "--camera-frame"): "`convert(names=FrameNames(camera=...))`",

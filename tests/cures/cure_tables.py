@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cures_of_arms
 import cures_of_calls
+import cures_of_camera_files
 import cures_of_cameras
 import cures_of_cells
 import cures_of_devices
@@ -30,6 +31,7 @@ PARTS = (
     cures_of_scenes,
     cures_of_followers,
     cures_of_many_cameras,
+    cures_of_camera_files,
 )
 FILES = {name: text for part in PARTS for name, text in part.FILES.items()}
 TRIED = {entry: trial for part in PARTS for entry, trial in part.TRIED.items()}

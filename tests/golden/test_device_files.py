@@ -126,7 +126,7 @@ def test_the_cameras_of_a_depthai_board_are_chained_as_measured(tmp_path):
         load_rig([path], Asked(names=("CAM_Z",)))
     with refuses(BadFile, "1280x720", "cutting"):
         load_camera(path, Asked(names=("CAM_C",), size=(640, 400)))
-    with refuses(BadFile, "CAM_D", "no pose") if False else refuses(UsageError, "CAM_D"):
+    with refuses(UsageError, "CAM_D"):
         load_rig([path], Asked(names=("CAM_D",)))
 
 
@@ -277,7 +277,7 @@ def test_halcons_division_and_polynomial_lenses_are_read(tmp_path):
         rays = np.column_stack([straight / of["Focus"], np.ones(200)])
         assert np.abs(load_camera(path).project(rays) - uv).max() < 0.05
     halcon(path, Kappa=-60000.0)
-    with refuses(BadFile, "px from the nearest", "--approximate"):
+    with refuses(BadFile, "nearest", "--approximate"):
         load_camera(path)
     done = convert_camera(path, tmp_path / "camera.yaml", asked=Asked(approximate=True))
     assert names_it(done.note, "nearest", "px apart")

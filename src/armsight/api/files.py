@@ -48,14 +48,16 @@ def read_rig(
     size: tuple[int, int] | None = None,
     unit_m: UnitLength = None,
     names: Sequence[str] = (),
+    approximate: bool = False,
     zoom_left: float | None = None,
     zoom_right: float | None = None,
 ) -> Rig:
     """Return the rig in a rig.yaml, in a file of a kind of `armsight convert --list`, or in two of ROS or OpenCV.
 
     size (width, height) and unit_m (length of its unit): where the file leaves them open. names: the cameras of a file
-    that holds more, the first one first. zoom_left, zoom_right: of a rig with zoom lenses, where they stand. Warns of a
-    lens that is read as the nearest one. Raises BadFile, naming the key.
+    that holds more, the first one first. approximate: take the nearest lens, however far it is. zoom_left, zoom_right:
+    of a rig with zoom lenses, where they stand. Warns of a lens that is read as the nearest one. Raises BadFile, naming
+    the key.
 
     Examples
     --------
@@ -65,7 +67,7 @@ def read_rig(
     """
     files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
     if zoom_left is None and zoom_right is None:
-        asked = Asked(size=as_size(size), unit_m=unit_m, names=tuple(names))
+        asked = Asked(size=as_size(size), unit_m=unit_m, names=tuple(names), approximate=approximate)
         rig = load_rig(files, asked)
         _warn(asked.told)
         return rig
@@ -80,12 +82,17 @@ def _warn(told: list[str]) -> None:
 
 @speaks_python()
 def read_camera(
-    path: PathText, *, size: tuple[int, int] | None = None, name: str | None = None, zoom: float | None = None
+    path: PathText,
+    *,
+    size: tuple[int, int] | None = None,
+    name: str | None = None,
+    approximate: bool = False,
+    zoom: float | None = None,
 ) -> Camera:
     """Return the camera in a camera.yaml, or in a file of a kind of `armsight convert --list`.
 
-    size (width, height): where the file leaves it open. name: of a file that holds several. zoom: of a zoom lens, where
-    it stands. Raises BadFile, naming the key.
+    size (width, height): where the file leaves it open. name: of a file that holds several. approximate: take the
+    nearest lens, however far it is. zoom: of a zoom lens, where it stands. Raises BadFile, naming the key.
 
     Examples
     --------
@@ -94,7 +101,7 @@ def read_camera(
     640
     """
     if zoom is None:
-        asked = Asked(size=as_size(size), names=() if name is None else (name,))
+        asked = Asked(size=as_size(size), names=() if name is None else (name,), approximate=approximate)
         camera = load_camera(as_path(path), asked)
         _warn(asked.told)
         return camera

@@ -213,7 +213,7 @@ def _kind(path: Path, own: str) -> str:
         raise BadFile(
             f"{path} begins with {head.splitlines()[0][:60] if head else ''!r}, as no known kind of calibration does",
             consequence="It cannot be converted",
-            cure=hint or f"Known are {own} and files of {', '.join(READ)}: see armsight convert --list",
+            cure=hint or f"Known are {own} and files of {', '.join(READ)}",
         ) from error
     if kind == own:
         return "armsight"
@@ -222,7 +222,7 @@ def _kind(path: Path, own: str) -> str:
     raise BadFile(
         f"{path} is {kind}, not {own}" if kind else f"{path} is no calibration of a known kind",
         consequence="It cannot be converted",
-        cure=f"Known are {own} and files of {', '.join(READ)}: see armsight convert --list",
+        cure=f"Known are {own} and files of {', '.join(READ)}",
     )
 
 

@@ -686,7 +686,16 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "open_recording": (armsight.open_recording, {"path": path()}),
     "presets.preset": (armsight.presets.preset, {"name": choice("ur10")}),
     "read_arm": (armsight.read_arm, {"path": path(), "tip": text("tool0"), "base": text("base")}),
-    "read_camera": (armsight.read_camera, {"path": path(), "size": SIZE, "zoom": number(100.0)}),
+    "read_camera": (
+        armsight.read_camera,
+        {
+            "path": path(),
+            "size": SIZE,
+            "name": text("cam0"),
+            "approximate": Arg(good=False, wrong=WRONG["bool"]),
+            "zoom": number(100.0),
+        },
+    ),
     "read_joints": (
         armsight.read_joints,
         {"path": path(), "measured": Arg(good=True, wrong={"a text": "yes", "a number": 3}), "table": TABLES},
@@ -705,6 +714,8 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "path": path(),
             "size": SIZE,
             "unit_m": number(1.0),
+            "names": Arg(good=("cam0",), wrong={"numbers": [1, 2], "a number": 3}),
+            "approximate": Arg(good=False, wrong=WRONG["bool"]),
             "zoom_left": number(100.0),
             "zoom_right": number(100.0),
         },

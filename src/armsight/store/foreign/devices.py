@@ -82,7 +82,7 @@ def _zed_camera(content: Mapping[str, Any], section: str, size: tuple[int, int],
             raise BadFile(
                 f"{where}, {section}: k1, k2, k3, k4 alone are not zero",
                 consequence="They may be a fisheye's or a pinhole's",
-                cure="Calibrate it with armsight calibrate stereo",
+                cure="Calibrate it anew here",
             )
     else:
         lens, keys = one, list(RATIONAL[:5])
@@ -157,7 +157,7 @@ def _depthai_camera(one: Mapping[str, Any], where: str, asked: Asked) -> Camera 
     if kind not in (0, 1):
         raise BadFile(
             f"{where}: the lens model is {CAMERA_TYPES.get(kind, kind)!r}",
-            cure="Calibrate it with armsight calibrate camera, a wide lens with --lens fisheye",
+            cure="Calibrate it anew here",
         )
     size = numbers.count_at(one, "width", where), numbers.count_at(one, "height", where)
     if asked.size not in (None, size):

@@ -46,7 +46,7 @@ def read_metashape(path: Path, asked: Asked) -> list[Placed]:
         raise BadFile(
             f"{where}: the projection is {str(kind)[:40]!r}",
             consequence="Only 'frame' is a lens that can be used",
-            cure="Calibrate with the camera type Frame, or with armsight calibrate camera --lens fisheye",
+            cure="Calibrate with the camera type Frame, or anew here",
         )
     size = numbers.count_at(content, "width", where), numbers.count_at(content, "height", where)
     f, *rest = (_number(content, key, where) for key in ("f", "cx", "cy", "b1", "b2"))
@@ -111,7 +111,7 @@ def _nearest(rays: Array, uv: Array, intrinsics: Intrinsics, where: str, asked: 
         raise BadFile(
             f"{where}: the lens is {most_px:.2g} px from the nearest k1, k2, p1, p2, k3 where it is furthest",
             consequence=f"Beyond {FURTHEST_PX} px it would be another lens",
-            cure="Take it as it is with --approximate, or calibrate with armsight calibrate camera",
+            cure="Take the nearest lens all the same with --approximate, or calibrate anew here",
         )
     if most_px > numbers.TOLD_PX:
         asked.told.append(f"{where}: the nearest k1, k2, p1, p2, k3 are taken, {most_px:.2g} px apart at most")

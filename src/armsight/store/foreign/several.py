@@ -89,7 +89,7 @@ def rig_of(found: Sequence[Placed], where: str, asked: Asked, names: Sequence[st
             consequence="A rig needs the pose of every camera",
             cure=f"Name the others: {' '.join(f'--name {one.name}' for one in cameras if one.pose is not None)}"
             if len(loose) < len(cameras)
-            else "Convert each as a camera, and calibrate the rig with armsight calibrate cameras",
+            else "Convert each as a camera, and calibrate how they stand",
         )
     mounted: list[MountedCamera] = []
     (R_first, t_first), *_ = poses = [one.pose for one in cameras if one.pose is not None]
@@ -147,7 +147,7 @@ def read_multical(path: Path, asked: Asked) -> list[Placed]:
         where = f"{path}, {name}"
         model = str(one.get("model", "standard"))
         if model not in ("standard", "rational", "thin_prism", "tilted", "fisheye"):
-            raise BadFile(f"{where}: the model is {model[:40]!r}", cure="Calibrate with --distortion_model standard")
+            raise BadFile(f"{where}: the model is {model[:40]!r}", cure="Calibrate with its model standard")
         camera = {renamed.get(key, key): value for key, value in one.items()} | {"fisheye": model == "fisheye"}
         placed = _opencv(name, camera, where, asked)
         found.append(Placed(name=name, camera=placed.camera, pose=poses.get(name)))
