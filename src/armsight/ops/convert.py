@@ -29,7 +29,7 @@ __all__ = ["convert", "export_recording"]
 
 Kind = Literal["camera", "rig", "handeye", "arm", "poses", "table", "recording"]
 ARGUMENT = Flag(positional=True)
-To: TypeAlias = Annotated[str | None, Doc("A kind of armsight convert --list that is written. [armsight]")]
+To: TypeAlias = Annotated[str | None, Doc("A kind of convert --list that is written. [armsight]")]
 Size: TypeAlias = Annotated[
     tuple[int, int] | None, Doc("WIDTHxHEIGHT, where the file says none or is of several sizes."), Flag(read=size_of)
 ]
@@ -82,7 +82,7 @@ def export_recording(
     "convert camera", writes=True, examples=("camchain.yaml -o camera.yaml", "camera.yaml --to ros -o camera_info.yaml")
 )
 def camera(
-    source: Annotated[AsFile, Doc("camera.yaml, or a file of a kind of armsight convert --list."), ARGUMENT],
+    source: Annotated[AsFile, Doc("camera.yaml, or a file of a kind of convert --list."), ARGUMENT],
     out: Out,
     *,
     to: To = None,
@@ -107,7 +107,7 @@ def camera(
 def rig(
     source: Annotated[
         Any,
-        Doc("rig.yaml, or a file of a kind of armsight convert --list; two files of ROS or OpenCV."),
+        Doc("rig.yaml, or a file of a kind of convert --list; two files of ROS or OpenCV."),
         Input(f"{READERS}:each_file", kind=list[Path]),
         ARGUMENT,
     ],
