@@ -268,13 +268,6 @@ def test_what_is_no_whole_bag_is_refused(tmp_path: Path, ros: Ros) -> None:
             frames(text)
 
 
-def test_a_file_within_a_ros_2_folder_stands_for_the_folder(tmp_path: Path) -> None:
-    ros = Ros("ros2-mcap")
-    path, topic = bag_topic(one_topic(ros, tmp_path, ros.image(GREY, stamp(0))))
-    file = next(path.glob("*.mcap"))
-    assert len(frames(f"bag:{file}:{topic}")) == 1
-
-
 def test_joint_states_are_put_in_the_arm_s_order_by_name(tmp_path: Path, ros: Ros) -> None:
     arm = preset("ur10")
     names = [joint.name for joint in arm.joints]
@@ -310,17 +303,3 @@ def test_poses_of_free_running_cameras_come_at_a_bag_s_joint_states(scene: Any, 
     assert done.code == 0, done.text
     assert [float(row["t_s"]) for row in table(tmp_path / "out" / "poses.csv")] == [(ns - BEGIN_NS) / 1e9 for ns in at]
     assert done.json["n_ok"] == 3
-
-
-def test_bags_are_mixed_with_nothing_else(armsight: Any, scene: Any, tmp_path: Path) -> None:
-    out = ["-o", tmp_path / "out"]
-    bag, left = "bag:run.bag:/left", scene.folder / "left"
-    for words in (
-        ["--left", bag, "--right", left],
-        ["--left", bag],
-        ["--left", bag, "--right", bag],
-        ["--left", bag, "--right", "bag:run.bag:/right", "--fps", 30],
-        ["--left", bag, "--right", "bag:run.bag:/right", "--exposure", 0.01],
-    ):
-        assert armsight("measure", *scene.inputs, *words, *out).code == 2, words
-    assert not (tmp_path / "out").exists()

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pyarrow.parquet as pq
 import pytest
 
@@ -112,16 +109,6 @@ def test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone(
     words = ["kinematics", "fk", "--arm", "ur10", "--joints", "{}"]
     at = ["--each", str(tmp_path / "joints.csv"), "-o", tmp_path / "out"]
     assert armsight("batch", "--json", "--jobs", "1", *at, "--", *words).json["statuses"] == {"done": 1}
-
-
-def test_settings_are_those_of_who_began_the_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from armsight.config import load_settings
-
-    seen = []
-    monkeypatch.setattr("armsight.ops.kinematics_results.read_values", lambda *_, **__: seen.append(load_settings()))
-    words = ("--arm", "ur10", "--joints", "joints.csv")
-    run_command(checked_job("a", "kinematics fk", words, {"fps": 12.5, "max_skew_s": None}, "row"), tmp_path)
-    assert seen[0].fps == 12.5 and load_settings().fps is None
 
 
 def test_every_command_of_a_batch_is_one_and_says_what_moves() -> None:
@@ -232,14 +219,6 @@ def test_a_command_that_is_not_for_batches_is_refused_with_the_choices(
 WORDS = ["kinematics", "fk", "--arm", "ur10", "--joints", "{}"]
 
 
-def test_a_command_may_stand_in_quotes_as_a_whole(tmp_path: Path) -> None:
-    path = str(joints(tmp_path / "a b.csv"))
-    apart, whole = (
-        jobs_of_pattern(path, "x", [*words, *WORDS[2:]], NO_SETTINGS) for words in (WORDS[:2], ["kinematics fk"])
-    )
-    assert whole == apart and whole[0].command == "kinematics fk"
-
-
 @pytest.mark.parametrize(
     ("pattern", "name", "words", "kind", "names"),
     [
@@ -313,33 +292,6 @@ def test_a_scheduler_that_is_not_there_or_of_other_software_is_told(monkeypatch:
     for other in (Scheduler("3.8.1.final.0", own), Scheduler(python_version(), "2020.1.0")):
         with refuses(DeviceFailed, "there", own, "lock file"):
             batch_cluster._require_same_versions(other, "there")  # type: ignore[arg-type]
-
-
-def test_a_job_files_its_result_in_the_history(armsight: Any, pairs: Path, tmp_path: Path) -> None:
-    history = str(tmp_path / "cells.sqlite")
-    words = ["--pairs", str(pairs), "--cell", "weld-3", "--history", history]
-    (folder := tmp_path / "job").mkdir()
-    ended = run_command(job(tmp_path, *words, command="calibrate handeye"), folder)
-    assert ended.exit_code == 0
-    listed = armsight("history", "list", "--cell", "weld-3", "--history", history, "--json").json
-    assert [run["command"] for run in listed["runs"]] == ["calibrate handeye"]
-
-
-def workers_of_this_process() -> set[int]:
-    return {one.pid for one in psutil.Process().children()}
-
-
-def test_a_worker_that_is_killed_while_it_starts_is_replaced() -> None:
-    with connected(Workers(n=1)) as client:
-        ((address, pid),) = client.run(os.getpid).items()
-        before = workers_of_this_process()
-        os.kill(pid, signal.SIGKILL)
-        while not (begun := workers_of_this_process() - before):
-            pass
-        os.kill(begun.pop(), signal.SIGKILL)
-        while address in (there := client.nthreads()) or not there:
-            client.wait_for_workers(1, timeout=60)
-        assert client.submit(sum, (1, 2)).result(timeout=60) == 3
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 from armsight.cli.commands import app
-from armsight.kinematics import dh_arm, fk, moved, preset
-from armsight.store.arm_file import write_arm
+from armsight.kinematics import fk, moved, preset
 
-ROWS = [(0.0, np.pi / 2, 0.3, 0.0), (-0.5, 0.0, 0.0, 0.0), (-0.4, 0.0, 0.0, 0.0)]
 POSE = "x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad"
 
 
@@ -51,17 +48,6 @@ def test_a_joint_that_is_off_ends_a_checked_command_with_3_and_its_files(
     said = CliRunner().invoke(app, [str(word) for word in ("verify", *flags, "--overwrite")])
     assert said.exit_code == 0  # without it exit codes stay as they are
     assert f"Verdict: {level}. {verdict['headline']}. {verdict['next'][0]}" in " ".join(said.stderr.split())
-
-
-def test_results_that_differ_are_told_by_the_exit_code(armsight: Any, tmp_path: Path) -> None:
-    for name, by in (("a", 0.0), ("b", 0.02)):
-        rows = [(a + by, alpha, d, theta) for a, alpha, d, theta in ROWS]
-        write_arm(tmp_path / f"{name}.yaml", dh_arm("arm", rows), inputs=[])
-    alike = armsight("compare", tmp_path / "a.yaml", tmp_path / "a.yaml", "--check")
-    other = armsight("compare", tmp_path / "a.yaml", tmp_path / "b.yaml", "--check")
-    for done in (alike, other):
-        assert done.code == (0 if done.json["verdict_"]["level"] == "good" else 3)
-    assert other.code == 3
 
 
 def test_a_measurement_with_gaps_ends_a_checked_command_with_3(armsight: Any, tmp_path: Path) -> None:
@@ -113,13 +99,3 @@ def test_a_rig_of_another_scale_than_the_arm_is_not_good(
     done = armsight("calibrate", "robot-world", *flags, "--check")
     assert (done.code, done.json["verdict_"]["level"]) == (0 if level == "good" else 3, level)
     assert (tmp_path / "world.yaml").exists()
-
-
-def test_a_result_of_a_version_without_verdicts_is_filed(armsight: Any, tmp_path: Path) -> None:
-    turns = Rotation.from_rotvec(np.random.default_rng(4).uniform(-0.7, 0.7, (12, 3)))
-    rows = np.hstack([[0.4, 0.1, 0.9] - turns.apply([0.01, -0.02, 0.15]), turns.as_quat()])
-    poses = table(tmp_path / "poses.csv", "x_m,y_m,z_m,qx,qy,qz,qw", rows)
-    found = armsight("calibrate", "tooltip", "--poses", poses, "-o", tmp_path / "tip.yaml").json
-    (tmp_path / "old.json").write_text(json.dumps({key: found[key] for key in found if key != "verdict_"}))
-    place = ["--cell", "a", "--history", f"sqlite:///{tmp_path / 'h.db'}"]
-    assert armsight("history", "add", tmp_path / "old.json", *place).code == 0

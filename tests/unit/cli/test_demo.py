@@ -38,13 +38,6 @@ def test_the_demo_compares_with_the_truth_and_its_frames_can_be_measured_again(a
         assert len(list(csv.DictReader(file))) == 8
 
 
-def test_an_unknown_cell_is_answered_with_the_known_ones(armsight: Any, tmp_path: Path) -> None:
-    done = armsight("demo", "--cell", "nosuch", "-o", tmp_path / "demo")
-    assert done.code == 4
-    assert "hand-cell" in done.json["error"]["cure"]
-    assert not (tmp_path / "demo").exists()
-
-
 def test_doctor_tells_a_rig_s_resolution(armsight: Any, scene: Any) -> None:
     done = armsight("doctor", "--rig", scene.folder / "rig.yaml", "--depth", 1.0, "--depth", 2.0, "--sigma", 0.1)
     assert done.code == 0

@@ -192,13 +192,3 @@ def test_what_was_measured_before_the_camera_went_is_kept(scene: Any, tmp_path: 
     assert info.value.exit_code == 4
     assert "poses of" in info.value.consequence
     assert json.loads((out / "measure.json").read_text())["n_frames"] == len(poses(out)) >= 5
-
-
-def test_flags_of_live_cameras_with_files_are_wrong_usage(armsight: Any, scene: Any, tmp_path: Path) -> None:
-    for flags in (["--exposure", 0.004], ["--gain", 1], ["--focus", 1], ["--white-balance", 4600], ["--trigger", "L"]):
-        done = armsight("measure", *scene.inputs, *scene.sources(), *flags, "-o", tmp_path / "out")
-        assert done.code == 2 and flags[0] in done.json["error"]["cause"], flags
-    done = armsight(
-        "measure", *scene.inputs, "--left", "camera:0", "--right", "camera:1", "--exposure", "nan", "-o", "o"
-    )
-    assert done.code == 2

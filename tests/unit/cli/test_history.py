@@ -6,25 +6,21 @@ import csv
 import dataclasses
 import json
 import sqlite3
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
-from typer.testing import CliRunner
 
 import histories
-from armsight.cli.commands import app
 from armsight.ops.simulation.run import simulate
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.entry import Entry
 from armsight_lab.history.figures import figures_of, parameters_of
-from armsight_lab.history.filing import entry_of_result
 from armsight_lab.history.place import place_of
 
-Run = Callable[..., object]
 WEEK = timedelta(days=7)
 
 
@@ -107,24 +103,6 @@ def test_a_calibration_is_filed_with_inputs_numbers_and_deviations(armsight, his
             np.sqrt(2.0) * done.json["std"][one["name"].removeprefix("handeye.")], rel=1e-6
         )
         assert one["exceeds"] is False
-
-
-def test_the_json_that_a_command_printed_is_filed_too(armsight, history, pairs, tmp_path):
-    done = armsight("calibrate", "handeye", "--pairs", pairs, "-o", tmp_path / "handeye.yaml")
-    (tmp_path / "done.json").write_text(json.dumps(done.json))
-    words = ["history", "add", tmp_path / "done.json", "--cell", "a", "--created", "2026-03-01"]
-    added = armsight(*words)
-    assert (added.json["command"], added.json["created"][:10], added.json["new"]) == (
-        "calibrate handeye",
-        "2026-03-01",
-        True,
-    )
-    again = armsight(*words)
-    assert (again.json["run"], again.json["new"]) == (added.json["run"], False)
-    (tmp_path / "other.json").write_text('{"n": 1}')
-    refused = armsight("history", "add", tmp_path / "other.json", "--cell", "a")
-    assert refused.code == 3
-    assert "calibrate handeye" in refused.json["error"]["cure"]
 
 
 def test_a_history_that_fails_loses_neither_result_nor_run(armsight, history, pairs, tmp_path):
@@ -224,30 +202,6 @@ def test_trend_holds_turns_against_the_first_pose(armsight, history, tmp_path):
     assert (changed["handeye.ry_rad"]["since_run"], changed["handeye.ry_rad"]["state"]) == (21, "jump")
 
 
-def test_trend_since_leaves_a_repair_behind_and_rare_alarms_want_more(armsight, history, tmp_path):
-    moved = np.zeros((30, 3))
-    moved[20:, 2] = 0.0015
-    fill(history, handeyes("a", moved))
-    words = ["history", "trend", "--cell", "a", "-o", tmp_path / "t"]
-    assert armsight(*words).json["changed"] is True
-    since = (histories.START + 20 * WEEK - timedelta(hours=1)).isoformat()
-    assert armsight(*words, "--since", since).json["changed"] is False
-    often, rare = (armsight(*words, "--false-alarms", years).json["figures"][0] for years in (1, 10_000))
-    assert often["jump_limit"] < rare["jump_limit"]
-    assert often["drift_limit"] < rare["drift_limit"]
-
-
-def test_few_runs_one_run_and_none(armsight, history, tmp_path):
-    fill(history, list(histories.runs("one", 1)) + list(histories.runs("four", 4, seed=1)))
-    for cell in ("one", "four"):
-        done = armsight("history", "trend", "--cell", cell, "-o", tmp_path / cell)
-        assert done.code == 0
-        assert {one["state"] for one in done.json["figures"]} == {"few"}
-        assert "Too few" in done.json["verdict"]
-    none = armsight("history", "trend", "--cell", "one", "--since", "2030-01-01", "-o", tmp_path / "none")
-    assert (none.code, none.json["error"]["kind"]) == (3, "NotEnoughData")
-
-
 def test_nothing_is_steady_before_a_run_was_judged(armsight, history, tmp_path):
     for n, state in ((7, "few"), (8, "jump")):  # the last one is a metre off
         fill(
@@ -266,13 +220,6 @@ def test_numbers_that_no_chart_can_hold_are_refused_and_not_called_steady(armsig
     done = armsight("history", "trend", "--cell", "wide", "-o", tmp_path / "t")
     assert (done.code, done.json["error"]["kind"]) == (3, "Inconsistent")
     assert "baseline_m" in done.json["error"]["cause"]
-
-
-def test_a_change_after_few_runs_says_so(armsight, history, tmp_path):
-    for n, told in ((3, True), (9, False)):
-        fill(history, histories.baseline_runs(f"after {n}", [0.5] * n + [0.6] * 3, 1e-3))
-        notes = armsight("history", "trend", "--cell", f"after {n}", "-o", tmp_path / str(n)).json["notes"]
-        assert any(f"only {n} runs came before" in note for note in notes) is told
 
 
 def test_names_that_are_not_there_are_answered_with_the_nearest(armsight, history, tmp_path):
@@ -409,23 +356,3 @@ def test_what_may_drift_has_one_name_whatever_found_it():
     ]
     joint = {"type": "revolute", "theta_rad": 0.1, "std": {"theta_rad": 1e-4}}
     assert parameters_of({"joints": [joint, {**joint, "type": "prismatic"}]}, None).joints == "RP"
-
-
-def test_tables_for_people(history, tmp_path):
-    moved = np.zeros((30, 3))
-    moved[20:, 2] = 0.0015
-    fill(history, handeyes("a", moved))
-    for words, texts in (
-        (["list"], ["Runs in", "calibrate handeye", "30 runs"]),
-        (["show", "1"], ["Run 1 of cell 'a'", "handeye.x", "mm"]),
-        (["compare", "1", "30"], ["BEYOND", "1 of 6"]),
-        (["trend", "--cell", "a", "-o", str(tmp_path / "t")], ["JUMP", "run 21", "To do", "100 cell-years"]),
-        (["export", "-o", str(tmp_path / "x.csv")], ["of 30 runs"]),
-    ):
-        done = CliRunner().invoke(app, ["history", *words])
-        assert done.exit_code == 0, done.stderr
-        assert done.stdout == ""
-        for text in texts:
-            assert text in done.stderr
-    entry = entry_of_result({}, parameters_of({}, None), (), command="verify", cell="a", created="2026-01-01")
-    assert (entry.trusted, entry.figures) == (True, ())

@@ -68,14 +68,6 @@ def test_noise_is_added_to_a_camera_file(armsight: Any, stills: Path, tmp_path: 
     assert (inputs[0]["path"], len(inputs)) == ("left01.png", 7)
 
 
-def test_colour_is_read_as_grey(armsight: Any, tmp_path: Path) -> None:
-    (tmp_path / "camera.yaml").write_text(CAMERA)
-    frames = write_stills(tmp_path / "colour", 4, colour=True)
-    done = armsight("calibrate", "camera", "--noise", frames, "-o", tmp_path / "camera.yaml")
-    assert done.code == 0, done.text
-    assert done.json["noise"]["linear"]["gain_levels"] == pytest.approx(0.1, rel=0.05)
-
-
 def test_noise_goes_into_one_side_of_a_rig_and_is_copied(armsight: Any, scene: Any, tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     shutil.copy(scene.folder / "rig.yaml", rig)
@@ -100,16 +92,6 @@ def test_noise_goes_into_one_side_of_a_rig_and_is_copied(armsight: Any, scene: A
     assert armsight("calibrate", "camera", "--noise", rig, "-o", tmp_path / "camera.yaml").code == 2
     measured = armsight("measure", "--rig", rig, *scene.inputs[2:], *scene.sources(), "-o", tmp_path / "out")
     assert measured.code == 0, measured.text
-
-
-def test_a_board_and_still_frames_make_one_file(armsight: Any, boards: Any, stills: Path, tmp_path: Path) -> None:
-    words = ["calibrate", "camera", boards.folder / "left", "--board", boards.board, "-o", tmp_path / "c.yaml"]
-    done = armsight(*words, "--noise", stills)
-    assert done.code == 0, done.text
-    assert done.json["n_used"] == 10
-    file = store.read_camera_file(tmp_path / "c.yaml")
-    assert file.noise.n_frames == done.json["noise"]["n_frames"] == 6
-    assert file.covariance is not None
 
 
 def test_what_cannot_be_is_refused(armsight: Any, stills: Path, tmp_path: Path) -> None:

@@ -75,15 +75,6 @@ def test_an_edge_becomes_a_path_with_its_uncertainty(run, tmp_path):
     assert np.allclose(path.T_world_tip[:, :3, :3], np.eye(3))  # along the view
 
 
-def test_a_world_and_a_tool_axis_are_taken(run, tmp_path):
-    code, told = run(EDGE, "--world", str(tmp_path / "world.yaml"), "--tool-axis", "0,1,-1")
-    path = read_path(tmp_path / "path.csv")
-    assert code == 0 and told["frame"] == "base"
-    # half a turn about x: (x, y, z) -> (x, -y, -z), then the place of the rig
-    assert np.allclose(path.xyz_m[0], [0.3 - 39.5 / 600, 19.5 / 600, 0.5], atol=1e-3)
-    assert np.allclose(path.T_world_tip[:, :3, 2], [0, math.sqrt(0.5), -math.sqrt(0.5)])
-
-
 def test_the_right_view_can_be_picked_too(run, tmp_path):
     code, told = run("u_px,v_px\n70,40\n90,50\n", "--view", "right")
     assert code == 0 and np.allclose([p["other_px"] for p in told["points"]], [[100, 40], [120, 50]], atol=0.1)

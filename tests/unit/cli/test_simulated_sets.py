@@ -78,9 +78,3 @@ def test_what_a_set_cannot_be_is_refused(flags: list[str], says: str, tmp_path: 
     done = CliRunner().invoke(app, ["simulate", "pivot", "-o", str(tmp_path / "set"), *flags])
     assert done.exit_code == 2
     assert says in done.output
-
-
-def test_a_set_may_stand_in_a_folder_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    run("simulate", "arm-points", "-o", "arm-points")
-    assert (tmp_path / "arm-points" / "points.csv").exists()

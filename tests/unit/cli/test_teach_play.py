@@ -10,29 +10,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
-from armsight.control.play import PathSource
 from armsight.drivers.jog_inputs import listening
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import presets
 from armsight.ops import motion
 from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.ops.simulation.run import simulate
-from armsight.ops.teach import teach
 from armsight.ops.teaching import TaughtBeside
-from armsight.records import PoseStatus, Silent, TargetPose, TaughtPath
+from armsight.records import PoseStatus, TargetPose, TaughtPath
 from armsight.store import read_poses, write_poses, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.path_file import read_path, write_path
 from armsight.store.recording import Recording
 from armsight.units import MM
-from refusals import names_it, refuses
-from robot_runs import acted, devices
+from refusals import refuses
+from robot_runs import acted
 
 SIM = "sim:webcam-cell"
 
@@ -184,20 +181,6 @@ def test_nothing_is_written_or_moved_without_a_yes(path: Path) -> None:
     assert not (path.parent / "out").exists()
 
 
-def test_the_operator_brings_it_to_rest(path: Path) -> None:
-    class LetGo(Silent):
-        def __init__(self) -> None:
-            self.sources: list[PathSource] = []
-
-        def cancelled(self) -> bool:
-            return any(source.progress.s_m > 0.002 for source in self.sources)
-
-    progress = LetGo()
-    done = played(path, progress=progress, begun=progress.sources.append)
-    assert done.stopped_by == "operator" and not done.finished and 0.0 < done.share < 1.0
-    assert done.state == "disabled"
-
-
 def test_files_of_another_arm_and_missing_ones_are_refused(cell: Path, path: Path, tmp_path: Path) -> None:
     write_arm(tmp_path / "puma.yaml", presets.puma761())
     with refuses(Inconsistent, "flange"):
@@ -219,48 +202,6 @@ def test_files_of_another_arm_and_missing_ones_are_refused(cell: Path, path: Pat
     with refuses(Inconsistent, "run it"):
         played(tmp_path / "far.csv")
     assert not (path.parent / "out").exists()
-
-
-def test_cameras_that_see_the_tip_elsewhere_stop_the_arm(cell: Path, path: Path) -> None:
-    eyes = {name: cell / f"{name}.yaml" for name in ("rig", "target", "handeye")}
-    made = devices("webcam-cell", fps=20.0)
-    done = played(path, robot=made, **eyes, stop_m=0.0003)  # the nominal arm is off by more
-    assert names_it(done.stopped_by, "cameras", "0.3 mm")
-    assert done.state == "stopped" and not done.finished
-    assert done.measured is not None and 0.0003 < done.measured.max_m < 0.01
-
-
-def test_a_path_is_taught_while_the_arm_follows(tmp_path: Path) -> None:
-    files = tmp_path / "cell"
-    simulate("pachidis2005-static", files, frames=1, room="dark")
-    made = devices("pachidis2005-static", fps=1.0 / 0.07, hand="circle", speed_m_s=0.03)
-    named = {name: files / f"{name}.yaml" for name in ("rig", "target", "handeye")}
-    more = {"arm": files / "arm_true.yaml", "out": tmp_path / "out", "seconds_s": 3.0}
-    done = acted(teach, robot=made, **named, **more, confirm=lambda _: True)
-    assert done.state == "running" and done.stopped_by == "time" and done.servo.followed > 0.5
-    taught = read_path(tmp_path / "out" / "path.csv")
-    origin_s = made.origin_s()
-    true = np.array([made.pairs.target_at(t - origin_s).translation for t in taught.t_s])
-    off = np.abs(taught.xyz_m - true) / MM
-    assert len(taught) == done.n_rows > 20
-    assert (off.mean(axis=0) < np.array([0.2466, 0.4843, 0.3048]) / 3.0).all()  # Pachidis 2005, table 2, a third of it
-    assert (off.max(axis=0) < np.array([1.1477, 1.7052, 1.021]) / 3.0).all()
-    assert done.n_position_only + done.n_ok <= done.servo.n_frames
-
-
-def test_a_hand_eye_calibration_of_a_camera_mounted_otherwise_stops_a_servo(tmp_path: Path) -> None:
-    cell, turned = tmp_path / "cell", tmp_path / "turned.yaml"
-    simulate("pachidis2005-static", cell, frames=1, room="dark")
-    handeye = yaml.safe_load((cell / "handeye.yaml").read_text())
-    quat = Rotation.from_quat(handeye["T_flange_camera"]["quat_xyzw"]) * Rotation.from_euler("z", 180.0, degrees=True)
-    handeye["T_flange_camera"]["quat_xyzw"] = quat.as_quat().tolist()
-    turned.write_text(yaml.safe_dump(handeye))
-    files = ("--rig", cell / "rig.yaml", "--target", cell / "target.yaml", "--handeye", turned)
-    leads = ("--hand", "still", "--seconds", 6, "--yes", "-o", tmp_path / "out")
-    code, done, _ = command("servo", "--robot", "sim:pachidis2005-static", *files, *leads)
-    assert (code, done["state"], done["wrong_premise"]) == (3, "stopped", "hand-eye")
-    assert names_it(done["stopped_by"], "hand-eye", "180 deg about their z")
-    assert done["n_cycles"] < 100  # of 220
 
 
 def test_a_recorder_knows_no_place_before_the_servo_began() -> None:

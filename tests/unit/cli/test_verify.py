@@ -242,46 +242,6 @@ def test_accuracy_needs_a_command_in_a_frame_that_was_not_fitted(
     assert missing.json["n"] == 12 and any("P2" in text for text in missing.json["doubts"])
 
 
-def test_rows_without_a_visit_that_follow_each_other_are_one_visit(
-    armsight: Any, repeats: tuple[Path, Path], tmp_path: Path
-) -> None:
-    rows = [line.split(",") for line in repeats[0].read_text().splitlines()]
-    held = [",".join([row[0], *row[2:]]) for row in [rows[0], *sorted(rows[1:])]]
-    repeats[0].write_text("\n".join(held) + "\n")
-    iso = armsight("verify", "--measured", repeats[0], "-o", tmp_path / "out", AGAIN).json["iso9283"]
-    assert iso["RP_m"]["value"] is None and iso["RP_m"]["n"] == 1
-
-
-def test_runs_along_a_named_path(armsight: Any, tmp_path: Path) -> None:
-    rng = np.random.default_rng(6)
-    lines, along = ["tag,run,t_s,x_m,y_m,z_m"], np.arange(0.0, 0.4, 0.005)
-    for run in range(6):
-        y, t0 = rng.normal(2e-4, 1e-5), 10.0 * run
-        lines += [f"line,{run},{t0 + s / 0.25!r},{s!r},{y!r},0.3" for s in along.tolist()]
-    measured, commanded = tmp_path / "runs.csv", tmp_path / "path.csv"
-    measured.write_text("\n".join(lines) + "\n")
-    commanded.write_text("tag,x_m,y_m,z_m,speed_m_s\nline,0.0,0.0,0.3,0.25\nline,0.39,0.0,0.3,0.25\n")
-    words = [
-        "verify",
-        "--measured",
-        measured,
-        "--commanded",
-        commanded,
-        "--align",
-        "none",
-        "-o",
-        tmp_path / "out",
-        "--overwrite",
-    ]
-    iso = armsight(*words).json["iso9283"]
-    assert iso["AT_m"]["value"] == pytest.approx(2e-4, abs=2e-5)
-    assert iso["AV_ratio"]["value"] == pytest.approx(0.0, abs=1e-6)
-    burst = [line.split(",") for line in lines[1:]]
-    same = [",".join([*row[:2], "1.0", *row[3:]]) for row in burst]
-    measured.write_text("\n".join([lines[0], *same]) + "\n")
-    assert "arrival times" in armsight(*words).json["iso9283"]["AV_ratio"]["withheld"]
-
-
 def test_a_test_is_planned(armsight: Any, tmp_path: Path) -> None:
     done = armsight("verify", "--plan", "poses", "--arm", "irb120", "--side", 0.25, "-o", tmp_path)
     assert done.code == 0 and done.json["cube"]["side_m"] == 0.25

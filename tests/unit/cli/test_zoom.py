@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 import yaml
 
-from armsight.store import read_rig
 from refusals import names_it
 
 FOCALS = {100: 400.0, 200: 460.0, 300: 540.0}
@@ -89,22 +88,6 @@ def test_measure_takes_a_setting(armsight: Any, scene: Any, rig: Path, tmp_path:
     done = armsight(*words, "--set-zoom")
     assert done.code == 2 and names_it(done.json["error"]["cause"], "left", "zoom")
     assert "--zoom-left" in done.json["error"]["cure"]
-
-
-def test_a_setting_taken_out_of_a_rig_is_a_plain_rig(armsight: Any, rig: Path, tmp_path: Path) -> None:
-    out = tmp_path / "fixed.yaml"
-    done = armsight("convert", "rig", rig, "--zoom-left", 150, "--zoom-right", 200, "-o", out)
-    assert done.code == 0, done.text
-    fixed = read_rig(out)
-    assert 400.0 < fixed.left.intrinsics[0] < 460.0 == fixed.right.intrinsics[0]
-    assert fixed.covariance is not None and fixed.covariance.std()["right.fx"] == pytest.approx(0.1)
-
-
-def test_an_unknown_key_of_a_setting_is_named(armsight: Any, tmp_path: Path) -> None:
-    path = lens_file(tmp_path / "lens.yaml", FOCALS)
-    path.write_text(path.read_text().replace("- zoom: 100.0", "- zooom: 100.0"))
-    done = armsight("convert", "camera", path, "--zoom", 150, "-o", tmp_path / "one.yaml")
-    assert done.code == 3 and "zooom" in done.text
 
 
 def test_the_doctor_says_what_reaches_an_accuracy(armsight: Any, scene: Any, rig: Path) -> None:
