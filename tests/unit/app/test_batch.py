@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
@@ -193,16 +192,6 @@ def place_in(at: Path, **more: Any) -> Place:
     return Place(**{"out": at, "shown": Path("shown"), "folder": Path.cwd(), "batch": "this"} | more)
 
 
-def test_no_space_for_a_result_ends_the_batch_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise DeviceFailed(f"result.json: cannot be written ({os.strerror(errno.ENOSPC)})")
-
-    monkeypatch.setattr(batch_work, "write_job_result", fails)
-    with refuses(DeviceFailed, "shown", "no space", "'a'"):
-        batch_work.run_job(work, place_in(tmp_path), job("a"))
-    assert not (tmp_path / "a").exists()
-
-
 def test_a_worker_of_other_software_or_without_the_folders_is_given_nothing(tmp_path: Path) -> None:
     for place, told in (
         (place_in(tmp_path, version="0.0.1"), "0.0.1"),
@@ -307,13 +296,6 @@ def test_columns_keep_one_type_whatever_their_rows_hold(tmp_path: Path) -> None:
     write_result_table(tmp_path / "t.parquet", lambda: rows)
     assert pq.read_table(tmp_path / "t.parquet")["whole"].to_pylist()[2] == float(2**70)
     assert write_result_table(tmp_path / "t.parquet", list) == 0
-
-
-def test_workers_are_either_here_or_there() -> None:
-    with refuses(UsageError, "--jobs", "--scheduler"):
-        Workers(n=2, scheduler="tcp://there:8786")
-    with refuses(UsageError, "0 workers"):
-        Workers(n=0)
 
 
 def figures_of(folder: Path | None = None, *, out: Path, value: float = 1.0) -> dict[str, object]:

@@ -19,7 +19,7 @@ from armsight.app.live.measurement import LiveJob
 from armsight.console import texts
 from armsight.console.pages.mirrors import turn_words
 from armsight.console.state import Console, steps_of
-from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import BadImage, Inconsistent, UsageError
 from armsight.ops.calibrate_mirrors import calibrate_mirrors
 from armsight.ops.simulation.run import simulate
 from armsight.optics import Camera
@@ -102,17 +102,6 @@ def test_live_standard_deviations_fall_as_boards_are_added(done: Any) -> None:
     assert min(step.coverage()[COMPLEX]) >= 0
 
 
-def test_a_dropped_sample_is_gone_with_its_picture(mirror_boards: Any, tmp_path: Path) -> None:
-    step, station = step_of(mirror_boards, tmp_path), OnePicture(mirror_boards.straight)
-    for _ in range(2):
-        step.accept(station)  # type: ignore[arg-type]
-    step.drop(0)
-    assert [one.name for one in step.samples] == ["001"]
-    assert [file.name for file in (tmp_path / "mirrors" / "image").iterdir()] == ["001.png"]
-    with pytest.raises(NotEnoughData, match="1 images"):
-        step.run(Silent())
-
-
 def test_a_picture_without_both_views_is_not_taken(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:
     step = step_of(mirror_boards, tmp_path)
     with pytest.raises(BadImage, match="once"):
@@ -167,16 +156,6 @@ def test_alignment_tells_which_mirror_to_turn_and_which_way(mirror_boards: Any, 
     told = replace(straight.check.change_std, drx_rad=2.0 * COARSE_RAD)
     vague = replace(straight, check=replace(straight.check, change_std=told))
     assert vague.unsure and not vague.done, "what is not known is not called good"
-
-
-def test_alignment_is_held_against_the_calibrated_rig(mirror_boards: Any, done: Any, tmp_path: Path) -> None:
-    alignment = MirrorAlignment(board=mirror_boards.board, built=CellMirrors(), folder=tmp_path, rig=done[3].file)
-    station: Any = OnePicture(mirror_boards.off)
-    stand = alignment.look(station)
-    assert stand.turns[0].mirror in (2, *stand.others) and not alignment.to_parallel
-    alignment.hold_against(parallel=True)
-    stand = alignment.look(station)
-    assert alignment.to_parallel and stand.turns[0].mirror == 2
 
 
 def test_a_board_that_is_not_seen_is_told(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:

@@ -282,13 +282,6 @@ def test_frames_older_than_they_say_are_not_taken_for_the_present(tmp_path: Path
     assert not any(joint.discarded for joint in content.joints)
 
 
-def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
-    cell = Cell(tmp_path)
-    with refuses(DeviceFailed, "joint 3", "range", "j3"):
-        cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9,0.3:1.6"), model=nearly_right(tmp_path))
-    assert np.max(np.array(cell.asked)[:, 2]) <= 1.2
-
-
 def test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_moves(tmp_path: Path) -> None:
     cell = Cell(tmp_path)
     told = (np.array([-1.0, -1.0, 0.2]), np.array([6.0, 2.0, 1.2]))
@@ -344,28 +337,6 @@ def test_limits_and_devices_are_read_as_written(tmp_path: Path) -> None:
     for robot, left in (("sim:kapucu2005-rrp", "camera:0"), ("sim", "left/*.png")):
         with pytest.raises(UsageError):
             open_devices(RobotJob(robot=robot), (left, "x"), AUTOMATIC, target, ManualClock())
-
-
-def test_the_frames_show_where_the_robot_is_now(tmp_path: Path) -> None:
-    """Frames of the simulated pair follow the commands, and none is from before."""
-    cell = Cell(tmp_path)
-    with cell.robot, cell.pairs:
-        frames = iter(cell.pairs)
-
-        def column(frame: Frame) -> float:
-            image = frame.image.astype(float)
-            weight = np.clip(image - np.median(image) - 40.0, 0.0, None).sum(axis=0)
-            return float(weight @ np.arange(len(weight)) / weight.sum())
-
-        first = next(frames)
-        for _ in range(20):
-            cell.robot.step_joints(np.array([0.02, 0.0, 0.0]))
-            cell.clock.advance(cell.robot.cycle_s)
-        cell.clock.advance(1.0)
-        second, third = next(frames), next(frames)
-        assert second[0].t_s >= first[0].t_s + 1.3
-        assert abs(column(second[0]) - column(first[0])) > 5.0
-        assert abs(column(third[0]) - column(second[0])) < 0.5
 
 
 def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredMoment
 from armsight.app.live.station import Snapshot
-from armsight.app.live.views import complex_view, drawn_ellipsoid, track_colours
+from armsight.app.live.views import complex_view, drawn_ellipsoid
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
 from armsight.console.routes import picture_message
@@ -95,14 +95,6 @@ def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list
     assert view != complex_view(seen[0].view)
 
 
-def test_masks_count_before_there_is_a_rig(cell: Path) -> None:
-    bare = LiveMeasurement(LiveJob(cameras={COMPLEX: str(cell / "image")}), ManualClock())
-    assert len(complex_view(moments(bare)[0].view).spots) == 6
-    masked = LiveMeasurement(LiveJob(cameras={COMPLEX: str(cell / "image")}), ManualClock())
-    masked.look(DetectionSettings(masked={COMPLEX: ((0.0, 0.0, 5000.0, 5000.0),)}))
-    assert complex_view(moments(masked)[0].view).spots == []
-
-
 def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[MeasuredMoment], tmp_path: Path) -> None:
     console = Console(folder=tmp_path)
     message = picture_message(
@@ -148,13 +140,6 @@ def test_an_ellipsoid_is_drawn_large_enough_to_be_seen() -> None:
     assert abs(drawn.R[:, 2] @ R[:, 2]) == pytest.approx(1.0)
     assert drawn_ellipsoid(25.0 * np.eye(3)) is None, "it would hold the whole scene"
     assert drawn_ellipsoid(np.zeros((3, 3))) is None and drawn_ellipsoid(np.full((3, 3), np.nan)) is None
-
-
-def test_a_tracks_colours_go_from_best_to_worst() -> None:
-    best, middle, worst, unknown = track_colours([1e-4, 2e-4, 3e-4, np.nan])
-    np.testing.assert_allclose(middle, 0.5 * (best + worst))
-    np.testing.assert_array_equal(best, unknown)
-    assert worst[0] > best[0] and best[2] > worst[2]
 
 
 def test_a_simulated_robot_with_a_mirror_rig_brings_its_one_camera(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredMoment
 from armsight.app.live.station import MeasurementProcess
 from armsight.clock import ManualClock, SystemClock
-from armsight.errors import BadFile, DeviceFailed
+from armsight.errors import DeviceFailed
 from armsight.store.recording import Recording
 
 PATIENCE_S = 60.0
@@ -62,21 +62,6 @@ def test_nothing_is_looked_for_under_a_mask(scene: Any) -> None:
     assert light.name not in {spot.name for spot in view.cameras["left"].spots}
     assert view.status != "ok"
     assert len(view.cameras["right"].spots) == 3, "the other camera is not masked"
-
-
-def test_without_rig_lights_are_found_and_nothing_is_measured(scene: Any) -> None:
-    bare = LiveJob(cameras={side: str(scene.folder / side) for side in ("left", "right")})
-    view = moments(LiveMeasurement(bare, ManualClock()))[0].view
-    assert view.status == "lost"
-    assert "not calibrated" in view.why
-    assert len(view.cameras["left"].spots) == len(view.cameras["right"].spots) == 3
-
-
-def test_a_missing_rig_is_refused_at_once(scene: Any, tmp_path: Path) -> None:
-    with pytest.raises(BadFile, match="rig"):
-        LiveMeasurement(
-            LiveJob(cameras={"left": "a", "right": "b"}, rig=tmp_path / "rig.yaml", target=None), ManualClock()
-        )
 
 
 @pytest.fixture(scope="module")

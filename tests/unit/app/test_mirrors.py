@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +17,14 @@ from typer.testing import CliRunner
 from armsight.calibrate.mirrors.result import reasons
 from armsight.cli.actions import action_of
 from armsight.cli.commands import app
-from armsight.drivers import MomentSource
-from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
+from armsight.errors import NotEnoughData, Unseen
 from armsight.measure.results import MeasureResult
 from armsight.ops import measure as ops
 from armsight.ops.calibration import mirrors, mirrors_lit_target
 from armsight.ops.simulation.run import simulate
-from armsight.ops.sources.frames import complex_pairs, open_source
-from armsight.optics import Camera, parallel_rig
+from armsight.optics import Camera
 from armsight.records import NotSeen, PoseStatus, spot_target
-from armsight.store import read_poses, read_rig, write_camera, write_rig, write_target
+from armsight.store import read_poses, read_rig, write_camera, write_target
 from armsight_sim.lens import Lens
 from armsight_sim.rigs import MirrorLens, Mirrors, mirror_views
 from refusals import names_it, refuses
@@ -125,12 +122,6 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_rig_says_what_it_is(rig: Path) -> None:
-    found = read_rig(rig)
-    assert found.kind == "mirror" and found.left.plate is not None and found.right.plate is None
-    assert found.left.intrinsics[0] == pytest.approx(600.0, abs=1.0)
-
-
 def test_the_check_names_the_mirror(rig: Path, tmp_path: Path) -> None:
     pictures(tmp_path, 5, 2, ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (3e-3, -2e-3)), complex_only=True)
     code, content = run("--check", "--rig", str(rig), "--image", str(tmp_path / "image"), "--board", BOARD)
@@ -139,48 +130,6 @@ def test_the_check_names_the_mirror(rig: Path, tmp_path: Path) -> None:
     assert best["mirror"] == 4
     assert (best["turn_rad"], best["tilt_rad"]) == pytest.approx((3e-3, -2e-3), abs=4e-4)
     assert "turn mirror 4" in content["advice"][0]
-
-
-def test_without_a_rig_the_turns_to_parallel_axes_are_told(tmp_path: Path) -> None:
-    """Mirror 4 is off by 3 mrad about the vertical, which mirror 2 makes up for, and by 2 mrad across."""
-    pictures(tmp_path, 5, 1, ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (3e-3, -2e-3)), complex_only=True)
-    write_camera(tmp_path / "camera.yaml", Camera.pinhole(WIDTH, HEIGHT, 600.0, 601.0, 361.0, 266.0))
-    given = ("--check", "--image", str(tmp_path / "image"), "--board", BOARD, "--camera", str(tmp_path / "camera.yaml"))
-    code, content = run(*given, "--baseline-mm", "100")
-    assert code == 0 and content["moved"] and content["suspects"] == []
-    second, fourth = content["turns"]
-    assert (second["mirror"], fourth["mirror"]) == (2, 4)
-    assert abs(second["turn_rad"]) == pytest.approx(3e-3, abs=3e-4) and abs(second["tilt_rad"]) < 3e-4
-    assert (fourth["turn_rad"], fourth["tilt_rad"]) == pytest.approx((0.0, 2e-3), abs=3e-4)
-    code, content = run(*given)
-    assert code == 2 and "--baseline-mm" in content["error"]["cure"]
-
-
-def test_what_cannot_be_calibrated_is_refused(rig: Path, tmp_path: Path) -> None:
-    code, content = run("--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 2 and "--image" in content["error"]["cure"]
-    code, content = run("--image", str(rig.parent / "image"), "--board", BOARD)
-    assert code == 2
-    code, content = run("--image", str(rig.parent / "left"), "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 3 and "9 images" in content["error"]["cause"]  # one view only: a path is dark
-    assert "only once" in content["error"]["cause"] and "--left-only" in content["error"]["cure"]
-    code, content = run("--image", str(rig.parent / "image"), "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 3 and names_it(content["error"]["cause"], "2 of 2", "3")
-    code, content = run("--left-only", "left", "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 2 and "without --right-only" in content["error"]["cause"]
-    code, content = run("--right-only", "right", "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 2 and "without --left-only" in content["error"]["cause"]
-    pictures(tmp_path, 8, 2, complex_only=False)
-    code, content = run(
-        "--left-only", str(tmp_path / "left"), "--right-only", str(rig.parent / "right"), "--board", BOARD,
-        "-o", str(tmp_path / "x.yaml"),
-    )  # fmt: skip
-    assert code == 3 and "pair up" in content["error"]["cause"]
-    assert not (tmp_path / "x.yaml").exists()
-    code, content = run("--check", "--image", str(rig.parent / "image"), "--board", BOARD)
-    assert code == 2 and "--rig" in content["error"]["cure"]
-    code, content = run("--check", "--rig", str(rig), "--image", str(rig.parent / "image"), "--target", "target.yaml")
-    assert code == 2 and "--board" in content["error"]["cure"]
 
 
 def measured_complex(folder: Path, method: str) -> tuple[MeasureResult, Any]:
@@ -340,35 +289,3 @@ def test_lit_images_that_cannot_be_sorted_say_why(lit: Path, tmp_path: Path) -> 
     code, content = run(*lit_options(lit), "--baseline-mm", "100", "--board", BOARD, *out)
     assert code == 2 and "--target and --board" in content["error"]["cause"]
     assert not (tmp_path / "x.yaml").exists()
-
-
-def test_the_size_tells_how_an_image_holds_two_views(lit: Path, tmp_path: Path) -> None:
-    """A pair of cameras: images of one's size are overlaid, those of twice the width side by side, others refused."""
-    camera = Camera.pinhole(WIDTH, HEIGHT, 600.0, 601.0, 361.0, 266.0)
-    write_rig(tmp_path / "rig.yaml", parallel_rig(camera, 0.1))
-    one = cv2.imread(str(lit / "image" / "000.png"), cv2.IMREAD_GRAYSCALE)
-    widths = {"overlaid": one, "joined": np.hstack([one, one]), "odd": one[:, :-40]}
-    for name, image in widths.items():
-        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
-
-    def source(name: str) -> tuple[MomentSource, bool]:
-        return complex_pairs(partial(open_source, str(tmp_path / f"{name}.png")), read_rig(tmp_path / "rig.yaml"))
-
-    pairs, overlaid = source("overlaid")
-    with pairs:
-        ((left, right),) = pairs
-    assert overlaid and left is right
-    pairs, overlaid = source("joined")
-    with pairs:
-        ((left, right),) = pairs
-    assert not overlaid and left.width == right.width == WIDTH
-    with refuses(Inconsistent, f"{WIDTH - 40}x{HEIGHT}", f"{WIDTH}x{HEIGHT}", f"{2 * WIDTH}x{HEIGHT}"):
-        source("odd")
-
-
-def test_a_mirror_rig_needs_image(rig: Path, tmp_path: Path) -> None:
-    images = str(rig.parent / "image")
-    job = {"rig": rig, "target": Path(BOARD), "out": tmp_path / "m", "left": images, "right": images}
-    with pytest.raises(UsageError, match="mirrors") as caught:
-        measure(**job)
-    assert "--image" in caught.value.cure

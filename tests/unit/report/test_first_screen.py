@@ -1,22 +1,18 @@
 """The first screen of a page: what to do, figures that are no rounding, and plots and tables on a telephone."""
 
-from datetime import datetime
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.cameras.board_shape import BoardShape
 from armsight.calibrate.identify import Sweeps
 from armsight.calibrate.identify.result import LEANS
 from armsight.calibrate.identify.sweeps import leaning
 from armsight.cli.tables import figure
 from armsight.ops.verification.output import _verdict
 from armsight.optics import Camera, Rig, RigKind
-from armsight.records import NamedCovariance
 from armsight.records.result_parts import Verdict
-from armsight.report.figures import Figure, axis, layout
 from armsight.report.html import STYLE, Page, table
 from armsight.units import with_deviation
 from refusals import names_it
@@ -27,21 +23,11 @@ def page():
     return Page(title="Title", subtitle="", verdict=verdict, cards=())
 
 
-def test_the_verdict_says_what_to_do():
-    assert "<b>What to do</b> Go &lt;on&gt;." in page().html(created=datetime(2026, 1, 1))
-
-
 def test_rounding_is_no_figure():
     exact = SimpleNamespace(task=np.full((12, 6), 4.5e-17), how=SimpleNamespace(parts=()), cause=None)
     assert names_it(_verdict(exact), "0 mm", "0 deg")
     assert figure(4.51e-14) == "0" and figure(0.0451) == "0.0451"
     assert with_deviation(0.5, 1e-14) == ("0.5000", "0")
-
-
-@pytest.mark.parametrize(("share", "least"), [(1.0, 0), (0.5, 600), (0.25, 1200)])
-def test_panels_beside_each_other_have_room_for_their_numbers(share, least):
-    shape = layout(xaxis=axis("x", domain=[0.0, share]), yaxis=axis("y"))
-    assert f"--least:{least}px" in page().plot(Figure(data=(), layout=shape))
 
 
 def test_tables_leave_out_what_says_nothing_and_say_that_they_scroll():
@@ -67,10 +53,3 @@ def test_depth_is_told_where_the_rig_is_weak_in_it(apart_m, turn_deg, deep):
     lean = leaning(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points, uv_px=uv))
     assert (lean > LEANS) == deep
     assert leaning(rig, Sweeps(joint=np.zeros(3, int), q=np.zeros((3, 1)), xyz_m=points)) is None
-
-
-def test_a_board_of_which_nothing_is_found_asks_for_nothing():
-    """It was told to be off by 0 mm, and to be glued on a flat plate."""
-    none = NamedCovariance(names=("fx",), matrix=np.eye(1))
-    assert BoardShape(covariance=none).advice == []
-    assert "glue" in BoardShape(covariance=none, std_m=2e-4, noise_px=0.02, rms_px=0.1).advice[0]

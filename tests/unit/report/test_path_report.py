@@ -66,11 +66,3 @@ def test_a_path_in_base_is_drawn_in_the_world():
     figures = figures_of(text)
     drawn = next(trace for trace in figures[0]["data"] if trace["name"] == "no trouble")
     assert np.allclose(drawn["z"], 1e3 * (path.xyz_m[:, 2] + 0.5), atol=1e-3)
-
-
-def test_a_path_out_of_reach_from_the_start_has_a_page():
-    path = line()
-    T = path.T_world_tip.copy()
-    T[:, :3, 3] += 3.0
-    text, figures = page_of(replace(path, T_world_tip=T))
-    assert "out of reach" in text and "0 of 21" in text and len(figures) == 2

@@ -16,7 +16,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras.preconditions import images_doubted, images_verdict
-from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.kinematics import preset
 from armsight.measure.results import grounds_of, measure_verdict
@@ -38,7 +37,7 @@ from armsight.report.measure import ranges
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.scene import add_boards
 from armsight.units import figure_of
-from refusals import names_it, refuses
+from refusals import names_it
 
 PLOTLY = resources.files("armsight.report").joinpath("plotlyjs", "plotly-gl3d.min.js.gz").read_bytes()
 LARGEST = 1_500_000
@@ -247,13 +246,6 @@ def test_a_page_is_complete_in_itself_and_runs_nothing_that_names_say(make):
     assert_figures_hold_together(tags.figures)
 
 
-def test_plotly_gets_no_markup_from_names():
-    figures = Tags(calibration_page()).figures
-    text = json.dumps(figures)
-    assert "<script" not in text
-    assert "<img" not in text
-
-
 def test_figures_of_a_run_are_in_the_page():
     poses, truth = poses_and_truth(200)
     page = Tags(measure_report(full_run(poses=poses, truth=truth)))
@@ -361,13 +353,6 @@ def test_errors_are_those_of_the_geometry():
     assert errors.distance2[0] == pytest.approx(np.sum((want / STD) ** 2))
 
 
-def test_a_truth_of_another_length_is_refused():
-    with refuses(Inconsistent, "3 true poses", "40"):
-        full_run(truth=poses_and_truth(3)[1], verdict=judged(()))
-    with refuses(Inconsistent, "left, right"):
-        full_run(residuals={"middle": np.zeros((1, 3))})
-
-
 UV = np.random.default_rng(2).uniform((0, 0), (640, 480), (500, 2))
 CALIBRATIONS = {
     "nothing": (9, 0.161, UV, ""),
@@ -387,18 +372,6 @@ def test_the_verdict_on_a_calibration(case):
     assert reason in verdict.reasons[0] and len(doubts) == (0 if not reason else 2 if case == "left out badly" else 1)
     page = Tags(calibration_page(verdict_=verdict)).text
     assert all(part in page for part in (verdict.headline, *verdict.reasons, *verdict.next))
-
-
-def test_a_calibration_without_points_still_makes_a_page():
-    none = np.empty((0, 2))
-    bare = {"clouds": lambda: dict.fromkeys(("left", "right"), (none, none)), "sources": [], "view_rms_px": []}
-    text = Tags(calibration_page(**bare, rejected=(), metric={}, holdout_rms_px=None)).text
-    assert "every image" in text
-
-
-def test_one_bar_per_pair():
-    figure = Tags(calibration_page()).figures[0]
-    assert [trace["fill"] for trace in figure["data"]] == ["toself"]
 
 
 CHROMIUM = Path("/usr/bin/chromium")
@@ -468,13 +441,3 @@ def test_pages_fit_a_telephone_and_draw_without_an_error(tmp_path):
             assert undrawn == 0, name
         browser.close()
     assert troubles == []
-
-
-def test_single_shots_have_no_track_no_seconds_and_nothing_to_scatter_about():
-    poses, _ = poses_and_truth(lost=(7,), position=(11,))
-    text = measure_report(full_run(poses=poses, truth=None, stills=True, timed=False, title="Measurement"))
-    for told in ("Track", "over time", "scatters by", "smooth track", " s:"):
-        assert told not in text, told
-    assert "single shots" in text and "axes of" in text and "each shot" in text
-    tracked = measure_report(full_run(poses=poses, truth=None, title="Measurement"))
-    assert "axes of" in tracked and "Deviation" in tracked
