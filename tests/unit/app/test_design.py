@@ -12,18 +12,17 @@ from scipy.spatial.transform import RigidTransform
 
 import armsight
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.poses.setup import symmetries
-from armsight.optics import Camera, LensKind, parallel_rig
+from armsight.optics import Camera, parallel_rig
 from armsight.optics.mirrors import Mirrors
 from armsight.records.target import spot_target
 from armsight.store import write_rig, write_target
 from armsight.store.rigs import World, write_world
 from armsight.units import DEG
-from armsight_lab.design.changes import _doubled, reaches
+from armsight_lab.design.changes import reaches
 from armsight_lab.design.plan import plan_of
 from armsight_lab.design.request import DesignJob, mount_of, volume_of
 from armsight_lab.design.run import run_design
-from armsight_lab.design.volume import ARM, NOISE, OUT_OF_REACH, RIG, forecast, moving, rigid_part
+from armsight_lab.design.volume import OUT_OF_REACH, forecast, moving, rigid_part
 from refusals import refuses
 
 LIGHTS = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
@@ -80,12 +79,6 @@ def test_a_change_is_what_its_own_plan_leads_to(job: DesignJob) -> None:
     assert all(one.sufficient is None for one in changes.values())
 
 
-def test_the_mean_of_frames_lowers_their_noise_alone(job: DesignJob) -> None:
-    one, ten = (forecast(plan_of(replace(job, average=n))) for n in (1, 10))
-    np.testing.assert_allclose(ten.parts[NOISE], one.parts[NOISE] / 10.0)
-    np.testing.assert_allclose(ten.parts[RIG], one.parts[RIG])
-
-
 def test_within_the_volume_what_moves_all_of_it_is_no_deviation(job: DesignJob) -> None:
     found, aligned = (forecast(plan_of(replace(job, relative=relative))) for relative in (False, True))
     np.testing.assert_allclose(aligned.position_m, found.within_volume().position_m)
@@ -111,31 +104,6 @@ def test_an_accuracy_that_nothing_reaches_is_answered_with_the_best(job: DesignJ
     assert done.reached is False and not any(one.sufficient for one in done.changes)
     assert done.best_m == min(one.position_m for one in done.changes)
     assert " + " in done.changes[0].change and "cannot be reached" in done.verdict
-
-
-@pytest.mark.parametrize("relative", [False, True])
-def test_a_point_is_told_as_a_target_of_it_alone(job: DesignJob, relative: bool) -> None:
-    write_target(job.target, spot_target({"A": (0.0, 0.0, 0.0)}))
-    found = forecast(plan_of(replace(job, relative=relative, volume=((-0.1, 0.6), *NEAR[1:]))))
-    np.testing.assert_allclose(found.point_m()[:, 0], found.position_m, rtol=1e-9)
-
-
-def test_a_tool_in_the_arm_s_base(job: DesignJob) -> None:
-    assert set(forecast(plan_of(with_arm(job))).parts) == {NOISE, RIG, ARM}
-    few, many = (forecast(plan_of(replace(with_arm(job), poses=n))) for n in (25, 400))
-    ratio = np.trace(few.parts[ARM], axis1=1, axis2=2) / np.trace(many.parts[ARM], axis1=1, axis2=2)
-    assert np.sqrt(np.median(ratio)) == pytest.approx(4.0, rel=0.25)
-
-
-def test_twice_as_many_lights_can_still_be_named() -> None:
-    for spots in (LIGHTS, {"A": (0.0, 0.0, 0.0), "B": (0.08, 0.0, 0.0), "C": (0.0, 0.05, 0.0), "D": (0.06, 0.06, 0.0)}):
-        assert symmetries(_doubled(spot_target(spots))) == ()
-
-
-def test_an_alignment_to_a_few_cells_is_not_told(job: DesignJob) -> None:
-    assert run_design(replace(job, cells=1)).aligned is None
-    with refuses(Inconsistent, "too good"):
-        forecast(plan_of(replace(job, cells=1, relative=True)))
 
 
 @pytest.mark.parametrize(
@@ -168,13 +136,6 @@ def test_what_cannot_be_is_refused(job: DesignJob, change: dict, kind: type, nam
     assert not job.out.exists()
 
 
-def test_an_arm_that_does_not_reach_is_refused(job: DesignJob) -> None:
-    with refuses(Inconsistent, "reach"):
-        run_design(replace(with_arm(job), volume=((3.0, 3.3), (-0.2, 0.2), (0.35, 0.65))))
-    with refuses(UsageError, "2 poses"):
-        run_design(replace(with_arm(job), poses=2))
-
-
 def test_what_the_arm_does_not_reach_is_not_measured(job: DesignJob) -> None:
     short = replace(with_arm(job), arm="ur5e", volume=((0.5, 1.1), (-0.1, 0.1), (0.35, 0.65)))
     found = forecast(plan_of(short))
@@ -201,21 +162,6 @@ def test_a_rig_that_is_there(job: DesignJob) -> None:
         run_design(replace(taken, simulate=10))
     with refuses(UsageError, "toe-in-deg"):
         run_design(replace(there, toe_in_rad=5.0 * DEG))
-
-
-def test_a_rig_of_fisheye_lenses(job: DesignJob) -> None:
-    k = np.array([400.0, 400.0, 639.5, 359.5, 0.0, -0.02, 0.003, -0.001, 0.0002, 0.0])
-    write_rig(
-        job.out.parent / "rig.yaml",
-        parallel_rig(Camera(width=1280, height=720, intrinsics=k, lens=LensKind.FISHEYE), 0.12),
-    )
-    plan = plan_of(replace(job, rig=job.out.parent / "rig.yaml", size=None, focal_px=None, baseline_m=None))
-    found = forecast(plan)
-    assert found.measured.all() and (found.point_m() > 0.0).all()
-    names = found.rig.covariance.names
-    assert {"left.k1", "left.k2", "right.k2"} <= set(names) and not any(
-        name.endswith((".p1", ".none")) for name in names
-    )
 
 
 def test_a_mirror_rig_needs_its_plate_and_its_baseline_grows_by_both_mirrors(job: DesignJob) -> None:
@@ -282,15 +228,6 @@ def test_python_gives_what_the_command_does(job: DesignJob) -> None:
             board="checkerboard:9x6:0.025",
             views=1,
         )
-
-
-def test_an_image_of_another_shape_needs_its_focal_length(job: DesignJob) -> None:
-    write_rig(job.target.parent / "rig.yaml", parallel_rig(Camera.pinhole(1280, 720, 950.0, 950.0, 639.5, 359.5), 0.12))
-    there = replace(job, rig=job.target.parent / "rig.yaml", baseline_m=None, focal_px=None)
-    with refuses(UsageError, ("1280x960", "shape")):
-        plan_of(replace(there, size=(1280, 960)))
-    assert plan_of(replace(there, size=(1280, 960), focal_px=950.0)).rig.left.intrinsics[1] == 950.0
-    assert plan_of(replace(there, size=(1920, 1080))).rig.left.intrinsics[1] == 1425.0
 
 
 def test_simulated_runs_are_a_batch_and_beside_the_forecast(job: DesignJob) -> None:

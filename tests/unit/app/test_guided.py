@@ -26,7 +26,7 @@ from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
 from armsight.ops.calibrate_cameras import calibrate_stereo
 from armsight.optics import Camera, Rig, RigKind
-from armsight.records import BoardView, JointReading, PoseStatus, Silent, Spots, TargetPose
+from armsight.records import JointReading, PoseStatus, Silent, Spots, TargetPose
 from armsight.records.result_parts import Verdict
 from armsight.store.handeye_file import read_handeye, read_tip
 from refusals import refuses
@@ -134,38 +134,6 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
     assert verdict.file.exists()
     assert verdict.report is not None
     assert verdict.report.exists()
-
-
-def test_pictures_whose_parts_are_all_reached_but_not_covered_lack_a_corner(boards: Any, tmp_path: Path) -> None:
-    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
-    at = np.array([(x, y) for x in (0.28, 0.5, 0.72) for y in (0.28, 0.5, 0.72)])
-    view = BoardView(
-        index=np.arange(9), uv_px=at * [640, 480] - [15.0, 0.0], sigma_px=0.1, width=640, height=480, source=""
-    )
-    step._views.append((view, view))
-    assert min(step.coverage()["left"]) > 0
-    hint = step.hint()
-    assert hint.what is Next.TO_CELL and hint.cell in {(2, 0), (2, 2)}, "the points lie to the left"
-
-
-def test_a_dropped_board_is_gone_with_its_pictures(boards: Any, tmp_path: Path) -> None:
-    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
-    station: Any = Pictures(boards.folder)
-    step.accept(station)
-    step.accept(station)
-    step.drop(0)
-    assert [sample.name for sample in step.samples] == ["001"]
-    assert sorted(p.name for p in (tmp_path / "p").rglob("*.png")) == ["001.png", "001.png"]
-    with pytest.raises(NotEnoughData, match="1 boards"):
-        step.run(Silent())
-
-
-def test_a_picture_without_the_board_is_not_taken(boards: Any, tmp_path: Path) -> None:
-    step = BoardCalibration(board="checkerboard:9x6:0.02", folder=tmp_path / "p", out=tmp_path / "rig.yaml")
-    with refuses(BadImage, "left camera"):
-        step.accept(Pictures(boards.folder))  # type: ignore[arg-type]
-    assert step.samples == ()
-    assert not list((tmp_path / "p").rglob("*.png"))
 
 
 def turns(n: int, seed: int) -> Rotation:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from armsight.kinematics import Coupling, fk, moved
@@ -14,30 +13,6 @@ from armsight.ops.calibrate_robot import calibrate_arm
 from armsight.store.arm_file import read_arm
 from armsight.store.saving import write_calibrated_arm
 from armsight.store.urdf import read_urdf
-
-
-def test_an_arm_is_identified_from_frames(armsight: Any, tmp_path: Path) -> None:
-    """The scenario after Kapucu and Baysec (2005), its frames rendered: d1 1.27, a2 0.1, d2 -0.05 m."""
-    cell = tmp_path / "cell"
-    assert armsight("simulate", "kapucu2005-rrp", "-o", cell).code == 0
-    words = ["--rig", cell / "rig.yaml", "--target", cell / "target.yaml", "--world", cell / "world.yaml"]
-    frames = ["--left", cell / "left", "--right", cell / "right", "--joints", cell / "sweep_joints.csv"]
-    done = armsight("identify", *words, *frames, "-o", tmp_path / "arm.yaml")
-    assert done.code == 0
-    first, second, third = done.json["joints"]
-    assert [joint["type"] for joint in done.json["joints"]] == ["revolute", "revolute", "prismatic"]
-    for joint, key, true in ((first, "d_m", 1.27), (first, "a_m", 0.0), (second, "d_m", -0.05), (second, "a_m", 0.1)):
-        assert abs(joint[key] - true) < min(5.0 * joint["std"][key], 0.005), key
-    assert third["std"]["a_m"] is None and third["std"]["beta_rad"] is None
-    where = read_arm(tmp_path / "arm.yaml").T_world_base  # in the frame of --world, where the arm stands at the origin
-    assert np.linalg.norm(where.translation) < 5e-3 and where.rotation.magnitude() < 2e-3
-    assert (tmp_path / "arm.sweep.csv").exists()
-    cv2.imwrite(str(tmp_path / "black.png"), np.zeros_like(cv2.imread(str(next((cell / "left").iterdir())), 0)))
-    masked = armsight("identify", *words, *frames, "--mask", tmp_path / "black.png", "-o", tmp_path / "no.yaml")
-    assert masked.code == 3 and "seen in none" in str(masked.json["error"])
-    nothing = armsight("identify", *words, "-o", tmp_path / "no.yaml")
-    assert nothing.code == 2 and "--sweep" in str(nothing.json["error"])
-
 
 TWO_ARMS = """<robot name="two"><link name="floor"/><link name="a"/><link name="b"/><link name="hand"/><link name="c"/>
 <link name="left"/><link name="right"/><link name="other"/>

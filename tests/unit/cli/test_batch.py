@@ -31,14 +31,6 @@ def cluster() -> Iterator[Any]:
         yield client
 
 
-@pytest.fixture(scope="module")
-def pairs(armsight: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A table of poses for a hand-eye calibration."""
-    folder: Path = tmp_path_factory.mktemp("handeye") / "set"
-    assert armsight("simulate", "handeye", "--frames", 8, "-o", folder).code == 0
-    return folder / "pairs.csv"
-
-
 @pytest.fixture
 def on_cluster(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     @contextmanager
@@ -292,16 +284,3 @@ def test_a_scheduler_that_is_not_there_or_of_other_software_is_told(monkeypatch:
     for other in (Scheduler("3.8.1.final.0", own), Scheduler(python_version(), "2020.1.0")):
         with refuses(DeviceFailed, "there", own, "lock file"):
             batch_cluster._require_same_versions(other, "there")  # type: ignore[arg-type]
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
-@pytest.mark.usefixtures("on_cluster")
-def test_results_that_could_not_be_filed_are_told(
-    armsight: Any, pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "bad.sqlite").write_text("no database")
-    written(tmp_path, f"name,command,pairs,cell,history\na,calibrate handeye,{pairs},weld-3,bad.sqlite\n")
-    done = armsight("batch", "jobs.csv", "-o", "out")
-    assert done.code == 0 and "NOT FILED" in done.text, done.text
-    assert "out/a/handeye.unfiled.json" in "".join(done.text.split())

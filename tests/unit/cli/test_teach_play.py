@@ -170,11 +170,6 @@ def test_speeds_and_lengths_in_millimetres_are_refused(path: Path, more: dict, w
     assert "mm" in str(refused.value.cure)
 
 
-def test_a_share_of_the_limits_slows_the_way_to_the_path_too(path: Path) -> None:
-    slow = played(path, speed=0.1)  # a share of the limits slows what was asked for, and refuses nothing
-    assert slow.finished and slow.planned_fastest_m_s < 0.01
-
-
 def test_nothing_is_written_or_moved_without_a_yes(path: Path) -> None:
     with pytest.raises(Cancelled):
         played(path, confirm=lambda _: False)

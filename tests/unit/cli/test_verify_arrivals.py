@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from refusals import names_it
-
 AGAIN = "--overwrite"
 
 HEADER = "t_s,pose,visit,arrival,robot,x_m,y_m,z_m"
@@ -49,19 +47,6 @@ def test_arrivals_give_stabilisation_time_and_overshoot(armsight: Any, tmp_path:
     assert (iso["t_s"]["n"], iso["t_s"]["wanted"]) == (3, 3)
     # rows on their way are no visits: RP is that of the six visits, 10 um + 3 * 0
     assert iso["RP_m"]["n"] == 6 and iso["RP_m"]["value"] == pytest.approx(1e-5, rel=1e-6)
-
-
-def test_arrivals_without_times_or_without_a_pose_are_told(armsight: Any, tmp_path: Path) -> None:
-    lines = lines_of()
-    same = [f"5,{line.split(',', 1)[1]}" for line in lines]
-    words = ["--band", "0.0005", "-o", tmp_path / "out", AGAIN]
-    iso = armsight("verify", "--measured", written(tmp_path / "m.csv", same), *words).json["iso9283"]
-    assert iso["t_s"]["value"] is None and "arrival times" in iso["t_s"]["withheld"]
-    lines[10] = lines[10].replace("P1", "")
-    done = armsight("verify", "--measured", written(tmp_path / "m.csv", lines), *words)
-    assert done.code == 3 and names_it(done.json["error"]["cause"], "row 11", "arrival 0")
-    done = armsight("verify", "--measured", tmp_path / "m.csv", "--band", "-1", "-o", tmp_path / "out", AGAIN)
-    assert done.code == 2 and "--band -1" in done.json["error"]["cause"]
 
 
 def test_robots_of_one_pose_give_exchangeability_and_stay_apart(armsight: Any, tmp_path: Path) -> None:

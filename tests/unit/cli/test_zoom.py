@@ -107,12 +107,3 @@ def test_the_doctor_says_what_reaches_an_accuracy(armsight: Any, scene: Any, rig
     assert only["now"]["spots_m"] == pytest.approx(0.36 * 2**0.5 * 0.05 / (0.1 * 400.0), rel=0.25)
     assert armsight("doctor", "--accuracy", 1.0).code == 2
     assert armsight("doctor", "--depth", 1.0).code == 2
-
-
-def test_the_doctor_asks_for_the_unit_of_a_rig_wider_than_any(armsight: Any, scene: Any, tmp_path: Path) -> None:
-    rig = tmp_path / "rig.yaml"
-    rig.write_text((scene.folder / "rig.yaml").read_text().replace("xyz_m: [0.1,", "xyz_m: [7.5,"))
-    problems = armsight("doctor", "--rig", rig).json["problems"]
-    assert [one for one in problems if names_it(one, "7.5 m", "--unit")]
-    plain = armsight("doctor", "--rig", scene.folder / "rig.yaml").json["problems"]
-    assert not [one for one in plain if names_it(one, "--unit")]
