@@ -123,6 +123,7 @@ def test_tables_of_spots_of_free_running_cameras_give_poses_and_velocity_at_the_
     summary = measure(**job(tmp_path))
     assert summary.timing is not None and summary.timing.n_starts == 1 and summary.timing.note is None
     assert summary.n_frames == 120 and summary.n_ok > 105  # it is not found at once in motion
+    assert summary.consistency is not None and summary.consistency.verdict == "ok" and summary.n_doubtful == 0
     d, sigmas = errors(tmp_path)
     assert np.sqrt(np.mean(np.sum(d[:, :3] ** 2, axis=1))) < 4e-4
     assert np.mean(np.abs(sigmas) < 1.96) > 0.85
@@ -190,16 +191,10 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "error", "says"),
     [
-        ({"timing": "sometimes"}, UsageError, "auto, pairs, free"),
         ({"timing": "pairs"}, UsageError, ("--left-spots", "run free")),
         ({"rate_hz": 10.0, "at": Path("joints.csv")}, UsageError, ("--at", "--rate", "Give one")),
         ({"left": "somewhere"}, UsageError, "which frames"),
         ({"timing": "free", "stills": True}, UsageError, "--stills"),
-        (
-            {"left": "camera:0", "right": "camera:1", "left_spots": None, "right_spots": None},
-            UsageError,
-            "Record",
-        ),
         ({"target": Path("checkerboard:9x6:0.025")}, UsageError, "three"),
         ({"camera_settings": CameraSettings(gain=2.0)}, UsageError, ("--gain", "live", "table of spots")),
         (
@@ -214,17 +209,6 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
             UsageError,
             ("--set-zoom", "live", "shots"),
         ),
-        (
-            {
-                "image": "camera:0",
-                "left_spots": None,
-                "right_spots": None,
-                "timing": "pairs",
-                "camera_settings": (AUTOMATIC, CameraSettings(zoom=300.0)),
-            },
-            UsageError,
-            ("camera:0", "zooms"),
-        ),
     ],
 )
 def test_what_cannot_be_together_is_refused(
@@ -237,7 +221,7 @@ def test_what_cannot_be_together_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("off_s", [-0.02, -0.005, 0.005, 0.01, 0.02])
+@pytest.mark.parametrize("off_s", [-0.005, 0.02])
 def test_cameras_out_of_step_are_refused(tmp_path: Path, off_s: float) -> None:
     """The right camera's delay off by 5 to 20 ms: 1 to 5 mm between the views."""
     with_delay(tmp_path, DELAY + off_s)

@@ -48,18 +48,8 @@ def test_commands_take_and_give_the_readings_of_a_controller(tmp_path: Path, joi
     run("kinematics", "fk", "--arm", tmp_path / "arm.yaml", "--joints", tmp_path / "shown.csv", "-o", poses)
     for row, T in zip(read_poses(poses), fk(preset("korayem6r"), Q), strict=True):
         np.testing.assert_allclose(row.T_parent_target, T, atol=1e-12)
-    run(
-        "kinematics",
-        "ik",
-        "--arm",
-        tmp_path / "arm.yaml",
-        "--poses",
-        poses,
-        "--near",
-        tmp_path / "shown.csv",
-        "-o",
-        solutions,
-    )
+    known = ["--arm", tmp_path / "arm.yaml", "--poses", poses, "--near", tmp_path / "shown.csv"]
+    run("kinematics", "ik", *known, "-o", solutions)
     names = ("pose", "solution", *(f"q{k}" for k in range(1, 7)), "error_m", "error_rad", "status")
     np.testing.assert_allclose(read_table(solutions, names, text=("status",)).stacked(names[2:8]), shown, atol=1e-9)
     run("kinematics", "jacobian", "--arm", tmp_path / "arm.yaml", "--joints", tmp_path / "shown.csv", "-o", solutions)

@@ -62,11 +62,9 @@ def fakes(n: int) -> list[tuple[Frame, Frame]]:
     return [(frame(i), frame(i, 1)) for i in range(n)]
 
 
-@pytest.mark.parametrize("kind", [ImageFormat.RAW, ImageFormat.PNG])
-def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFormat) -> None:
-    path = tmp_path / "a.mcap"
-    pairs = fakes(30)
-    done = record_moments(RecordJob(out=path, kind=kind), Fake(pairs), live=False)
+def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path) -> None:
+    path, pairs = tmp_path / "a.mcap", fakes(30)
+    done = record_moments(RecordJob(out=path, kind=ImageFormat.PNG), Fake(pairs), live=False)
     assert (done.n_pairs, done.n_dropped) == (30, 0)
     assert done.pairs_per_s == pytest.approx(60.0)
     with open_rig(SIDES, str(path)) as back:

@@ -53,16 +53,8 @@ def test_a_joint_that_is_off_ends_a_checked_command_with_3_and_its_files(
 def test_a_measurement_with_gaps_ends_a_checked_command_with_3(armsight: Any, tmp_path: Path) -> None:
     cell = tmp_path / "cell"
     assert armsight("simulate", "hand-cell", "--frames", "8", "--room", "dark", "-o", cell).code == 0
-    flags = [
-        "--rig",
-        cell / "rig.yaml",
-        "--target",
-        cell / "target.yaml",
-        "--left",
-        cell / "left",
-        "--right",
-        cell / "right",
-    ]
+    files = {"rig": "rig.yaml", "target": "target.yaml", "left": "left", "right": "right"}
+    flags = [part for flag, name in files.items() for part in (f"--{flag}", cell / name)]
     whole = armsight("measure", *flags, "-o", tmp_path / "whole", "--check")
     assert (whole.code, whole.json["verdict_"]["level"]) == (0, "good")
     for name in sorted((cell / "left").iterdir())[2:5]:  # dark: the target is not seen in them

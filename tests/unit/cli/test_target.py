@@ -50,20 +50,8 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_target_is_found_and_written(armsight: Run, turned: Path, scene: Any, tmp_path: Path) -> None:
     out = tmp_path / "target.yaml"
-    done = armsight(
-        "calibrate",
-        "target",
-        "--rig",
-        scene.folder / "rig.yaml",
-        "--left",
-        turned / "left",
-        "--right",
-        turned / "right",
-        "--lights",
-        3,
-        "-o",
-        out,
-    )
+    words = ["--rig", scene.folder / "rig.yaml", "--left", turned / "left", "--right", turned / "right"]
+    done = armsight("calibrate", "target", *words, "--lights", 3, "-o", out)
     assert done.code == 0, done.text
     content = done.json
     assert set(content) == {

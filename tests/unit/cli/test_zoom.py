@@ -64,17 +64,7 @@ def test_settings_are_added_and_replaced(armsight: Any, boards: Any, tmp_path: P
 
 
 def test_measure_takes_a_setting(armsight: Any, scene: Any, rig: Path, tmp_path: Path) -> None:
-    words = [
-        "measure",
-        "--rig",
-        rig,
-        "--target",
-        scene.folder / "target.yaml",
-        *scene.sources(),
-        "-o",
-        tmp_path / "out",
-        "--overwrite",
-    ]
+    words = ["measure", "--rig", rig, *scene.inputs[2:], *scene.sources(), "-o", tmp_path / "out", "--overwrite"]
     done = armsight(*words, "--zoom-left", 100, "--zoom-right", 100)
     assert done.code == 0, done.text
     assert done.json["n_ok"] == done.json["n_frames"]

@@ -90,7 +90,7 @@ def test_a_target_at_rest_does_not_push_its_track_out() -> None:
     assert np.allclose([place for place, _ in tracks.measured], way)
 
 
-@pytest.mark.parametrize("span_mm", [0.0, 0.4, 7.0, 50.0, 1300.0])
+@pytest.mark.parametrize("span_mm", [0.0, 7.0, 1300.0])
 def test_axes_hold_the_curves_with_the_same_round_step_on_each(span_mm: float) -> None:
     places = 1e-3 * np.array([[-912.3, 14.2, 254.9], [-912.3 + span_mm, 14.2, 254.9 + 0.4 * span_mm]])
     ticks = Ticks.about(places)

@@ -136,8 +136,13 @@ def test_boards_shown_are_the_worst_the_best_and_some_between():
     assert chosen_views([0.2, 0.3], 12) == [1, 0]
 
 
-@pytest.mark.parametrize("shape", [(1.0, 1.0, 1.0), (1.0, 0.01, 0.01), (0.01, 0.01, 1.0), (1.0, 0.6, 0.1)])
-@pytest.mark.parametrize("camera", [{}, {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}}])
+@pytest.mark.parametrize(
+    ("shape", "camera"),
+    [
+        ((1.0, 0.01, 0.01), {}),
+        ((1.0, 0.6, 0.1), {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}}),
+    ],
+)
 def test_a_view_in_space_holds_all_that_it_shows_and_is_filled_by_it(shape, camera):
     ends = np.array([[0.0, 0.0, 0.0], shape])
     trace = dict(zip("xyz", ends.T, strict=True), type="scatter3d")
