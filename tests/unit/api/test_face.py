@@ -83,19 +83,6 @@ def test_a_pose_from_arrays_is_the_true_one_and_shows_itself() -> None:
     left[:] = 0  # the caller's arrays stay his own: nothing froze them
 
 
-def test_images_may_be_slices_and_colour_images() -> None:
-    left, right = images()
-    plain = armsight.find_spots(left)
-    wide = np.zeros((480, 640), np.uint8)
-    wide[::2, ::2] = left
-    sliced = armsight.find_spots(wide[::2, ::2])
-    np.testing.assert_array_equal(sliced.uv_px, plain.uv_px)
-    coloured = armsight.estimate_pose(
-        np.dstack([left] * 3), np.dstack([right] * 3), rig(), armsight.LightTarget(LIGHTS)
-    )
-    assert coloured.ok
-
-
 def test_a_tracker_keeps_its_poses_and_refuses_time_that_stands(tmp_path: Path) -> None:
     tracker = armsight.PoseTracker(rig(), armsight.LightTarget(LIGHTS))
     for i in range(4):
@@ -108,33 +95,6 @@ def test_a_tracker_keeps_its_poses_and_refuses_time_that_stands(tmp_path: Path) 
     assert len(track.table()["x_m"]) == 4 and isinstance(track.plot(), go.Figure)
     tracker.reset()
     assert tracker.update(*images(), 0.0).ok and len(tracker.track) == 1
-
-
-def test_poses_may_come_in_any_form() -> None:
-    F, B = poses(12, 1), poses(12, 2)
-    Z, X = poses(1, 3)[0], poses(1, 4)[0]
-    B = (F * X).inv() * Z
-    forms = (F, F.as_matrix(), list(F.as_matrix()), [F[i] for i in range(12)], F.as_matrix().tolist())
-    for form in forms:
-        found = armsight.calibrate_hand_eye(form, B)
-        np.testing.assert_allclose(found.T_flange_camera, X.as_matrix(), atol=1e-9)
-    shown = {name: float(text.split()[0]) for name, text in found.rows()[:6]}
-    wanted = [*1e3 * X.translation, *X.rotation.as_euler("xyz", degrees=True)]
-    assert shown == pytest.approx(dict(zip(("x", "y", "z", "rx", "ry", "rz"), wanted, strict=True)), abs=1e-3)
-    with refuses(armsight.Inconsistent, "T_base_camera", "eye-in-hand"):
-        _ = found.T_base_camera
-
-
-def test_an_arm_solves_its_own_kinematics() -> None:
-    arm = armsight.presets.ur10()
-    q = np.array([0.1, -1.0, 1.2, 0.3, 0.5, 0.2])
-    solutions = arm.ik(arm.fk(q), near=q)
-    np.testing.assert_allclose(solutions[0].q, q, atol=1e-9)
-    assert len(solutions) == len(list(solutions)) == 8 and arm.jacobian(q).shape == (6, 6)
-    far = np.eye(4)
-    far[0, 3] = 2.0
-    with refuses(IndexError, "reaches"):
-        _ = arm.ik(far)[0]
 
 
 def test_an_arm_is_taken_as_a_record_by_its_name_and_as_a_file(tmp_path: Path) -> None:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from armsight.calibrate.cell.model import CellModel
-from armsight.calibrate.cell.observations import JointLog
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, JointLimit, Limits
 from armsight.control.play.path_source import JointMotionSource
@@ -29,8 +26,8 @@ from armsight.store.limits_file import write_limits
 from armsight.store.tracks import read_joints, write_joints
 from armsight_lab.cell_plan import plan as plan_module
 from armsight_lab.cell_plan.cautious import CAUTIOUS_RAD, cautious_motion
-from armsight_lab.cell_plan.information import known_before, motion_information, seen_spots
-from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, plan_motion, refine
+from armsight_lab.cell_plan.information import known_before, motion_information
+from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, plan_motion
 from armsight_lab.cell_plan.request import CellPlanJob
 from armsight_lab.cell_plan.run import free_of, links_of, motion_bounds, run_cell_plan, scene_of
 from armsight_lab.cell_plan.scene import Scene, places, roadmap
@@ -181,27 +178,6 @@ def test_it_tells_more_than_a_motion_through_places_at_random_and_is_the_same_ag
 def test_what_no_motion_tells_is_said_where_hardly_anything_else_is_left() -> None:
     assert any("--prior" in note for note in plan_module._at_floor((3.1e-4, 3.0e-4), (3.0e-4, 2.9e-4)))
     assert plan_module._at_floor((6.0e-4, 6.0e-4), (3.0e-4, 3.0e-4)) == ()
-
-
-def test_a_second_motion_knows_what_a_first_one_told(cell: Path) -> None:
-    made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
-    first = quick(cell)
-    model = CellModel(
-        recording=SimpleNamespace(
-            arm=made.model.recording.arm,
-            log=JointLog.of(first.motion),
-            sizes=made.model.recording.sizes,
-            clocks=made.model.recording.clocks,
-            middle_s=made.model.recording.middle_s,
-        ),
-        lights=made.model.lights,
-    )
-    spots = seen_spots(made, model, first.motion, QUICK.spot_px)
-    normals = model.normals(made.x, spots, spots.whitening(), np.zeros(len(spots), np.intp))
-    found = SimpleNamespace(x=made.x, normals=normals, wander=None)
-    second = refine(made, model, found, target, arm.T_flange_tool, QUICK, start=Q)
-    assert second.before_m[0] < 0.1 * first.before_m[0]
-    assert second.after_m[0] < first.after_m[0]
 
 
 def test_small_moves_where_nothing_is_known_stay_near(cell: Path, tmp_path: Path) -> None:

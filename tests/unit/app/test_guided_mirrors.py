@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 
 from armsight.app.guided.mirror_alignment import COARSE_RAD, MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
@@ -86,20 +84,6 @@ def test_it_leads_to_the_result_of_the_command(done: Any, mirror_boards: Any) ->
     rig, fx = read_rig(verdict.file), mirror_boards.camera[0]
     assert rig.kind == "mirror" and rig.left.intrinsics[0] == pytest.approx(fx, rel=0.01)
     assert rig.baseline_m == pytest.approx(mirror_boards.baseline_m, abs=2e-3)
-
-
-def test_live_standard_deviations_fall_as_boards_are_added(done: Any) -> None:
-    step, _, history, _, _ = done
-    assert {name for name, _ in step.spread()} >= {"baseline", "axes turn towards each other", "right view turned"}
-    curves = history.curves()
-    baseline = curves["± baseline", "mm"]
-    assert [n for n, _ in baseline] == [5, 6, 7, 8] and baseline[-1][1] < baseline[0][1]
-    assert 0.0 < curves["residual, RMS", "px"][-1][1] < 0.5
-    views = [view for one in step._views for view in one.pair]
-    hull = ConvexHull(np.concatenate([view.uv_px for view in views]))  # of a plane volume is the area
-    share = hull.volume / (views[0].width * views[0].height)
-    assert curves["picture covered", "%"][-1][1] == pytest.approx(100.0 * share, rel=1e-4)
-    assert min(step.coverage()[COMPLEX]) >= 0
 
 
 def test_a_picture_without_both_views_is_not_taken(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:

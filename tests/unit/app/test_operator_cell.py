@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.live.measurement import FollowedCell, FollowedPairs
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.operator.path_editor import PathEditor
-from armsight.app.operator.robot_cell import arm_points, flange_pose, prepare_simulated, read_placement
+from armsight.app.operator.robot_cell import prepare_simulated, read_placement
 from armsight.clock import ManualClock
 from armsight.control.session.channels import JointTrack
 from armsight.errors import DeviceFailed, DeviceLost, NotEnoughData, StaleData, UsageError
@@ -92,16 +92,6 @@ def test_the_rig_is_where_hand_eye_says(folder):
     unplaced = cell.model_copy(update={"handeye": ""})
     assert read_placement(folder, unplaced).rig_pose(arm, HOME) is None
     assert read_placement(folder, cell).rig_pose(None, HOME) is None, "without an arm a base has no place"
-
-
-def test_the_drawn_arm_goes_from_base_to_tool(folder):
-    arm = read_arm(folder / "arm.yaml")
-    points = arm_points(arm, HOME)
-    assert points.shape == (2 * arm.n + 2, 3)
-    assert points[0] == pytest.approx(arm.T_world_base.translation)
-    assert points[-1] == pytest.approx(arm.fk(HOME)[:3, 3])
-    flange = flange_pose(arm, HOME) * arm.T_flange_tool
-    assert flange.translation == pytest.approx(points[-1])
 
 
 def line(n: int = 11) -> TaughtPath:

@@ -7,19 +7,16 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Annotated, Any
 
 import numpy as np
 import pytest
 import typer
-from rich.console import Console
 from typer.testing import CliRunner
 
 from armsight import errors
-from armsight.cli.command_ui import Bar, CommandUI
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.commands import app
 from armsight.cli.tables import parameter, pose_rows
 from armsight.fields import Doc
@@ -144,20 +141,6 @@ def test_ctrl_c_asks_first_and_the_second_one_stops_at_once() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_progress_tells_count_and_end_on_a_terminal_and_elsewhere(terminal: bool) -> None:
-    with (Path(os.devnull)).open("w") as sink:
-        console = Console(file=sink, force_terminal=terminal, width=100, record=True)
-        bar = Bar("measuring", console, threading.Event())
-        bar.update(0, 0, "preparing")
-        for done in range(1, 41):
-            bar.update(done, 40)
-        bar.close()
-    text = console.export_text()
-    assert "measuring" in text
-    assert "40" in text
-
-
 @pytest.mark.parametrize("with_progress", [True, False])
 def test_work_that_asks_for_no_end_is_stopped_at_once(with_progress: bool) -> None:
     with pytest.raises(typer.Exit) as ended, CommandUI(as_json=False) as face:
@@ -180,18 +163,6 @@ def test_labels_are_of_the_unit_that_is_shown_and_poses_have_their_rotation() ->
     std = PoseStd(x_m=1e-4, y_m=1e-4, z_m=1e-4, rx_rad=1e-3, ry_rad=1e-3, rz_rad=1e-3)
     rows = {name: value for name, value, _ in pose_rows(pose, std)}
     assert float(rows["x, mm"]) == 100.0 and float(rows["rotation vector z, deg"]) == 90.0
-
-
-def test_a_bar_on_a_terminal_tells_the_time_left_in_words_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    now_s = iter([0.0, 0.0, 1000.0])
-    with Path(os.devnull).open("w") as sink:
-        console = Console(file=sink, force_terminal=True, width=120, record=True)
-        bar = Bar("measuring", console, threading.Event())
-        monkeypatch.setattr("armsight.cli.command_ui.time", SimpleNamespace(monotonic=lambda: next(now_s)))
-        bar.update(1, 73, "")
-        bar.update(2, 73, "")
-        bar.close()
-    assert "about 19.7 h left" in console.export_text()
 
 
 @pytest.mark.parametrize("given", ["nan", "-inf"])

@@ -155,15 +155,6 @@ def test_an_arms_calibration_files_its_table_and_verify_its_zeros(armsight, hist
     assert [one["id"] for one in listed["runs"]] == [1]
 
 
-def test_a_plan_is_not_filed_and_a_refusal_neither(armsight, history, tmp_path):
-    planned = armsight("verify", "--plan", "--arm", "ur10e", "-o", tmp_path / "plan", "--cell", "a")
-    assert planned.code == 0
-    assert "Not filed" in planned.text
-    missing = tmp_path / "none.csv"
-    assert armsight("calibrate", "handeye", "--pairs", missing, "-o", tmp_path / "h.yaml", "--cell", "a").code == 3
-    assert not history.exists()
-
-
 def test_trend_finds_what_drifted_and_leaves_the_rest(armsight, history, tmp_path):
     n, start = 40, 32
     ramp = np.maximum(np.arange(n) - start + 1, 0) * 0.02 * histories.DEG
@@ -200,19 +191,6 @@ def test_trend_holds_turns_against_the_first_pose(armsight, history, tmp_path):
     assert list(changed) == ["handeye.ry_rad"]
     assert changed["handeye.ry_rad"]["change"] == pytest.approx(0.003, abs=4e-4)
     assert (changed["handeye.ry_rad"]["since_run"], changed["handeye.ry_rad"]["state"]) == (21, "jump")
-
-
-def test_nothing_is_steady_before_a_run_was_judged(armsight, history, tmp_path):
-    for n, state in ((7, "few"), (8, "jump")):  # the last one is a metre off
-        fill(
-            history,
-            histories.baseline_runs(
-                f"untold {n}", [0.5 + 1e-4 * k for k in (0, 2, 1, 3, 0, 1, 2, 1)[: n - 1]] + [1.5], None
-            ),
-        )
-        done = armsight("history", "trend", "--cell", f"untold {n}", "--figure", "baseline_m", "-o", tmp_path / str(n))
-        assert [one["state"] for one in done.json["figures"]] == [state], done.text
-        assert state == "jump" or "(7, 8 are wanted)" in done.json["verdict"]
 
 
 def test_numbers_that_no_chart_can_hold_are_refused_and_not_called_steady(armsight, history, tmp_path):

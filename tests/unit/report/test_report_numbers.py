@@ -8,8 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.measure.series import Series, series_of
 from armsight.records import PoseStatus, TargetPose
-from armsight.report.figures import MAX_PLOTTED, band, fitted_scene, json_text, spread, thinned
-from armsight.report.scene import chosen_views
+from armsight.report.figures import MAX_PLOTTED, json_text, spread, thinned
 from armsight.report.track import scatter_of
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
@@ -77,14 +76,6 @@ def test_thinning_keeps_extremes_and_ends():
     assert thinned(np.full(100_000, np.nan)).tolist() == [0, 99_999]
 
 
-def test_a_band_has_one_polygon_per_stretch():
-    low = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
-    trace = band(np.arange(5.0), low, low + 1.0)
-    nan = np.nan
-    assert np.array_equal(trace["x"], [0.0, 1.0, 1.0, 0.0, nan, 3.0, 4.0, 4.0, 3.0, nan], equal_nan=True)
-    assert np.array_equal(trace["y"], [1.0, 2.0, 1.0, 0.0, nan, 4.0, 5.0, 4.0, 3.0, nan], equal_nan=True)
-
-
 def test_numbers_for_people():
     assert figure_of(0.0, "px") == "0 px"
     assert figure_of(123.456) == "123"
@@ -125,39 +116,6 @@ def test_too_few_frames_in_a_row_say_nothing_of_scatter():
     status = tuple(PoseStatus.OK if i % 10 else PoseStatus.LOST for i in range(60))
     series = Series(t_s=np.arange(60.0), status=status, values=np.zeros((60, 6)), std=np.ones((60, 6)))
     assert scatter_of(series) is None
-
-
-def test_boards_shown_are_the_worst_the_best_and_some_between():
-    rms = np.linspace(1.0, 0.1, 40)[np.random.default_rng(0).permutation(40)]
-    chosen = chosen_views(rms.tolist(), 12)
-    order = np.argsort(-rms).tolist()
-    assert len(set(chosen)) == 12
-    assert chosen[:4] == order[:4] and chosen[-4:] == order[-4:]
-    assert chosen_views([0.2, 0.3], 12) == [1, 0]
-
-
-@pytest.mark.parametrize(
-    ("shape", "camera"),
-    [
-        ((1.0, 0.01, 0.01), {}),
-        ((1.0, 0.6, 0.1), {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}}),
-    ],
-)
-def test_a_view_in_space_holds_all_that_it_shows_and_is_filled_by_it(shape, camera):
-    ends = np.array([[0.0, 0.0, 0.0], shape])
-    trace = dict(zip("xyz", ends.T, strict=True), type="scatter3d")
-    scene = fitted_scene({"aspectmode": "data", "camera": camera}, [trace])
-    size = np.array([scene["aspectratio"][k] for k in "xyz"])
-    eye, up, centre = (np.array([scene["camera"][name][k] for k in "xyz"]) for name in ("eye", "up", "center"))
-    # a pinhole of 45 degrees from the eye to the centre, as WebGL draws it
-    ahead = (centre - eye) / np.linalg.norm(centre - eye)
-    right = np.cross(ahead, up) / np.linalg.norm(np.cross(ahead, up))
-    corners = size * np.array([(i, j, k) for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)]) - eye
-    depth = corners @ ahead * np.tan(np.pi / 8)
-    x, y = corners @ right / depth, corners @ np.cross(right, ahead) / depth
-    assert y.min() > -0.8 and y.max() < 0.95 and np.abs(x).max() < 1.35 and (depth > 0.0).all()
-    assert np.ptp(y) > 1.6 or np.ptp(x) > 2.4 or np.linalg.norm(size) > np.linalg.norm(eye - centre)
-    assert scene["wide"] == pytest.approx(np.abs(x).max())
 
 
 def test_a_name_loses_its_unit_and_keeps_its_number() -> None:

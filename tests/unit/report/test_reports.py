@@ -19,7 +19,6 @@ from armsight.calibrate.cameras.preconditions import images_doubted, images_verd
 from armsight.geometry import pose_difference
 from armsight.kinematics import preset
 from armsight.measure.results import grounds_of, measure_verdict
-from armsight.measure.series import errors_of, losses_of
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
 from armsight.records.result_parts import Difference, Verdict
@@ -33,7 +32,6 @@ from armsight.report.arm_view import arm_report
 from armsight.report.compare_report import Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Page
-from armsight.report.measure import ranges
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.scene import add_boards
 from armsight.units import figure_of
@@ -329,28 +327,6 @@ def test_a_long_run_stays_small_and_keeps_its_outlier():
     assert largest <= 3 * MAX_PLOTTED  # a band goes there and back
     y = max(v for trace in tags.figures[3]["data"] if trace.get("yaxis") == "y2" for v in trace["y"] if v is not None)
     assert y == pytest.approx(50.0, abs=0.2)  # mm, the outlier of the error in y
-
-
-def test_losses_are_grouped_by_reason():
-    poses, _ = poses_and_truth(30, lost=(3, 4, 5, 12, 28), position=(20,))
-    lost, position = losses_of(poses)
-    assert (lost.status, lost.frames) == (PoseStatus.LOST, (3, 4, 5, 12, 28))
-    assert names_it(lost.why, "left frame", "3 px")
-    assert position.frames == (20,)
-    assert ranges(lost.frames) == "3–5, 12, 28"
-    assert names_it(ranges(range(0, 40, 2), limit=2), "0, 2", "18 more")
-    text = Tags(measure_report(full_run(poses=poses, truth=None))).text
-    assert "3–5, 12, 28" in text
-    assert "16.7 %" in text
-
-
-def test_errors_are_those_of_the_geometry():
-    poses, truth = poses_and_truth(10, lost=(4,), position=(5,))
-    errors = errors_of(poses, truth)
-    assert np.isnan(errors.values[[4, 5]]).all()
-    want = pose_difference(poses[0].pose, truth[0])
-    assert np.allclose(errors.values[0], want / np.array([1e-3] * 3 + [np.pi / 180] * 3))
-    assert errors.distance2[0] == pytest.approx(np.sum((want / STD) ** 2))
 
 
 UV = np.random.default_rng(2).uniform((0, 0), (640, 480), (500, 2))
