@@ -151,6 +151,8 @@ def joints_of(played: Path) -> Array:
 def play(page: Any, console: Any, folder: Path) -> list[Path]:
     """Play the path to its end; return the recordings of all tries: what was measured in each stays in view."""
     page.get_by_label("Speed along the path").fill("40")
+    page.click("[data-testid=check]")
+    page.wait_for_selector("text=The arm can run this path")
     for _ in range(6):  # a machine that is late holds the arm; where that is often the path is given up
         page.click("[data-testid=play]")
         page.click("[data-testid=yes]:visible")

@@ -22,8 +22,6 @@ import armsight
 from armsight.optics import parallel_rig
 from refusals import refuses
 
-Same = dict[str, Any]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Arg:
@@ -128,10 +126,6 @@ def text(good: str) -> Arg:
     return Arg(good=good, wrong={"a number": 3, "a list": [good], "a dict": {}, "bytes": good.encode()})
 
 
-def path(good: Any = None) -> Arg:
-    return Arg(good=good, wrong={"a number": 3, "none": None, "a list": ["a"], "nowhere": "/dev/null/file.yaml"})
-
-
 def poses(good: RigidTransform, *, as_matrix: bool = False, **wrong: Any) -> Arg:
     a = good.as_matrix()
     hole, spike = a.copy(), a.copy()
@@ -204,7 +198,6 @@ POINT_NAMES = Arg(good=(), wrong={"a text": "AAAAAAAAA", "too few": ("A",), "num
 SPREAD = np.random.default_rng(5).uniform(-1.5, 1.5, (9, 6))
 NAMES = Arg(good=None, wrong={"one text": "ABCDEFGHIJKL", "numbers": [1, 2], "too few": ["A"]})
 
-SIZE = Arg(good=None, wrong={"a number": 640, "a text": "640x480"})
 TABLES = Arg(good=None, wrong={"a text": "mm", "a dict": {"units": "mm"}})
 OUT = Arg(good=None, wrong={"a number": 3, "a list": ["a"], "nowhere": "/dev/null/file.yaml"})
 LINKS_TABLE_AND_OUT = {
@@ -274,7 +267,24 @@ def _begun(*args: Any, **given: Any) -> str:
         return address
 
 
+READERS = (
+    "arm",
+    "camera",
+    "hand_eye",
+    "joints",
+    "limits",
+    "path",
+    "poses",
+    "rig",
+    "table",
+    "target",
+    "tool_tip",
+    "world",
+)
 JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    **{f"read_{kind}": (getattr(armsight, f"read_{kind}"), {"path": "no-such-file.yaml"}) for kind in READERS},
+    "open_recording": (armsight.open_recording, {"path": MCAP}),
+    "connect": (armsight.connect, {"url": "ws://127.0.0.1:9"}),
     "batch": (armsight.batch, {"function": armsight.measure, "jobs": {"a": {}}, "out": AWAY}),
     "design": (
         armsight.design,
@@ -666,10 +676,6 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "out": OUT,
         },
     ),
-    "connect": (
-        armsight.connect,
-        {"url": text("ws://127.0.0.1:9"), "token": text("abc"), "ca_file": path()},
-    ),
     "estimate_pose": (
         armsight.estimate_pose,
         {
@@ -683,33 +689,8 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "find_spots": (armsight.find_spots, {"image": image(LEFT), "settings": SETTINGS, "bits": BITS}),
-    "open_recording": (armsight.open_recording, {"path": path()}),
     "presets.preset": (armsight.presets.preset, {"name": choice("ur10")}),
-    "read_arm": (armsight.read_arm, {"path": path(), "tip": text("tool0"), "base": text("base")}),
-    "read_camera": (armsight.read_camera, {"path": path(), "size": SIZE, "zoom": number(100.0)}),
-    "read_joints": (
-        armsight.read_joints,
-        {"path": path(), "measured": Arg(good=True, wrong={"a text": "yes", "a number": 3}), "table": TABLES},
-    ),
-    "read_hand_eye": (armsight.read_hand_eye, {"path": path()}),
-    "read_tool_tip": (armsight.read_tool_tip, {"path": path()}),
-    "read_world": (armsight.read_world, {"path": path()}),
-    "read_limits": (armsight.read_limits, {"path": path()}),
     "read_scenario": (armsight.read_scenario, {"scenario": choice("webcam-cell")}),
-    "read_table": (armsight.read_table, {"path": path(), "kind": choice("poses"), "table": TABLES}),
-    "read_path": (armsight.read_path, {"path": path(), "frame": choice("world")}),
-    "read_poses": (armsight.read_poses, {"path": path(), "table": TABLES}),
-    "read_rig": (
-        armsight.read_rig,
-        {
-            "path": path(),
-            "size": SIZE,
-            "unit_m": number(1.0),
-            "zoom_left": number(100.0),
-            "zoom_right": number(100.0),
-        },
-    ),
-    "read_target": (armsight.read_target, {"path": path()}),
     "simulate": (
         armsight.simulate,
         {
@@ -731,7 +712,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     **{
-        f"{kind}.save": (thing.save, {"path": path()})
+        f"{kind}.save": by_annotation(thing.save, {"path": AWAY})
         for kind, thing in {
             "Arm": ARM,
             "Camera": CAMERA,
