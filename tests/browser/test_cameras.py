@@ -18,7 +18,7 @@ from armsight.console import texts
 from armsight.store import write_rig, write_target
 
 NAMES = ("c0", "c1", "c2", "c3")
-UNPLUGGED, GONE, FRAMES, FPS = "c2", 10, 40, 5.0
+UNPLUGGED, GONE, FRAMES, FPS = "c2", 8, 28, 4.0
 CHROMIUM = "/usr/bin/chromium"
 
 pytestmark = [

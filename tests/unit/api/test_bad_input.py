@@ -192,8 +192,7 @@ AT_HOME = Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "many": QS}, 
 COV = np.array([[1.0, 0.0], [0.0, 1.0]])
 FOUND = armsight.Spots.of_centres(PIXELS, COV)
 INTRINSICS = np.array([250.0, 250.0, 160.0, 120.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-LENGTHS = {"width": number(320), "height": number(240), "fx": number(250.0), "fy": number(250.0)}
-CENTRE = {"cx": number(160.0), "cy": number(120.0), "skew": number(0.0)}
+LENS = {"width": 320, "height": 240, "fx": 250.0, "fy": 250.0, "cx": 160.0, "cy": 120.0}
 POINT_NAMES = Arg(good=(), wrong={"a text": "AAAAAAAAA", "too few": ("A",), "numbers": (1,) * 9})
 SPREAD = np.random.default_rng(5).uniform(-1.5, 1.5, (9, 6))
 NAMES = Arg(good=None, wrong={"one text": "ABCDEFGHIJKL", "numbers": [1, 2], "too few": ["A"]})
@@ -420,8 +419,8 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "lens": choice("pinhole"),
         },
     ),
-    "Camera.pinhole": (armsight.Camera.pinhole, {**LENGTHS, **CENTRE, "distortion": array(np.zeros(5))}),
-    "Camera.fisheye": (armsight.Camera.fisheye, {**LENGTHS, **CENTRE, "distortion": array(np.zeros(4))}),
+    "Camera.pinhole": by_annotation(armsight.Camera.pinhole, LENS),
+    "Camera.fisheye": by_annotation(armsight.Camera.fisheye, LENS),
     "Camera.project": (CAMERA.project, {"points_m": array(POINTS, nan=True, more={"empty": []})}),
     "Camera.rays": (CAMERA.rays, {"uv_px": array(PIXELS, nan=True, more={"empty": []})}),
     "Camera.is_close": (CAMERA.is_close, {"other": record(CAMERA), "tol": number(1e-9)}),
@@ -433,23 +432,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "min_value": number(0.3, percent=30.0),
         },
     ),
-    "Joint": (
-        armsight.Joint,
-        {
-            "name": text("j1"),
-            "type": choice("revolute"),
-            **{key: number(0.0) for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")},
-            "lower": Arg(good=-1.0, wrong={"a text": "-1", "nan": np.nan, "a row": [1.0]}),
-            "upper": Arg(good=1.0, wrong={"a text": "1", "nan": np.nan, "a row": [1.0]}),
-            "sign": number(1.0, percent=100.0),
-            "max_speed": number(1.0),
-            "stall_effort": number(1.0),
-            "compliance": number(0.0, negative=-1e-3),
-            "mass_kg": number(0.0, negative=-1.0),
-            "com_m": array((0.0, 0.1, 0.2)),
-            "driven": Arg(good=True, wrong={"a text": "no", "a row": [True]}),
-        },
-    ),
+    "Joint": by_annotation(armsight.Joint, {"name": "j1"}),
     "Arm": (
         armsight.Arm,
         {
@@ -565,23 +548,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             )
         },
     ),
-    "Target": (
-        armsight.Target,
-        {
-            "kind": choice("spots"),
-            "names": Arg(good=("A", "B", "C"), wrong={"a text": "ABC", "numbers": (1, 2, 3), "twice": ("A", "A", "B")}),
-            "xyz_m": array(list(LIGHTS.values())),
-            "diameter_m": number(0.01),
-            "colour": record(armsight.Colour(hue_deg=(340.0, 20.0))),
-            "columns": number(0),
-            "rows": number(0),
-            "pitch_m": number(0.0),
-            "marker_m": number(0.0),
-            "dictionary": text(""),
-            "model_known": Arg(good=True, wrong={"a text": "yes"}),
-            "covariance": array(np.eye(9)),
-        },
-    ),
+    "Target": by_annotation(armsight.Target, {"kind": "spots", "names": tuple("ABC"), "xyz_m": list(LIGHTS.values())}),
     "TaughtPath": (
         armsight.TaughtPath,
         {

@@ -130,12 +130,3 @@ def test_live_cameras_are_read_side_by_side_for_a_while(
     shift = got["delay_s"] + 1e-6 * got["drift_ppm"] * got["middle_s"]  # the stamps have the frames' own times
     assert abs(shift) < max(2e-4, 4.0 * got["std_middle_s"])
     assert got["std_middle_s"] < 1e-3
-
-
-def test_the_call_must_say_which_frames(armsight: Run, scene: Any, tables: Path, tmp_path: Path) -> None:
-    rig = ["--rig", scene.folder / "rig.yaml", "-o", tmp_path / "x.yaml"]
-    assert armsight("calibrate", "timing", *rig).code == 2
-    assert armsight("calibrate", "timing", *rig, "--left-spots", tables / "left.csv").code == 2
-    live = armsight("calibrate", "timing", *rig, "--left", "camera:0", "--right", tables)
-    assert live.code == 2 and "armsight record" in live.json["error"]["cure"]
-    assert not (tmp_path / "x.yaml").exists()
