@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -109,11 +107,6 @@ def images_of(ros: Ros, scene: Any, compressed: bool = False) -> list[Message]:
             else:
                 out.append((f"/{side}/image", IMAGE, stamp(i), ros.image(cv2.imread(str(path), 0), stamp(i), pad=3)))
     return out
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def one_topic(ros: Ros, folder: Path, *messages: Any, kind: str = IMAGE, late_ns: int = 0) -> str:
@@ -274,19 +267,3 @@ def test_joint_states_of_several_publishers_on_one_topic_are_refused(tmp_path: P
     rows = [ros.joints(["a", "b"], [0.1, 0.2], stamp(0)), ros.joints(["gripper"], [0.0], stamp(1))]
     with refuses(Inconsistent, "message 2", "gripper"):
         joint_states(one_topic(ros, tmp_path, *rows, kind=JOINTS))
-
-
-def test_poses_of_free_running_cameras_come_at_a_bag_s_joint_states(scene: Any, tmp_path: Path, armsight: Any) -> None:
-    ros = Ros("ros2")
-    shutil.copy(scene.folder / "target.yaml", tmp_path)
-    rig = (scene.folder / "rig.yaml").read_text().replace("{width:", "{timing: {delay_s: 0.0001}, width:")
-    (tmp_path / "rig.yaml").write_text(rig)
-    at = [stamp(i) + STEP_NS // 2 for i in range(5, 8)]
-    messages = images_of(ros, scene) + [("/joint_states", JOINTS, ns, ros.joints(["a"], [0.1], ns)) for ns in at]
-    path = ros.write(tmp_path, sorted(messages, key=lambda one: one[2]))
-    inputs = ["--rig", tmp_path / "rig.yaml", "--target", tmp_path / "target.yaml"]
-    sides = ["--left", f"bag:{path}:/left/image", "--right", f"bag:{path}:/right/image"]
-    done = armsight("measure", *inputs, *sides, "--at", f"bag:{path}:/joint_states", "-o", tmp_path / "out")
-    assert done.code == 0, done.text
-    assert [float(row["t_s"]) for row in table(tmp_path / "out" / "poses.csv")] == [(ns - BEGIN_NS) / 1e9 for ns in at]
-    assert done.json["n_ok"] == 3

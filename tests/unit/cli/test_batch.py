@@ -153,14 +153,11 @@ jobs:
     ("text", "names"),
     [
         ("", ("empty",)),
-        ("\n,,\n", ("empty",)),
         (CSV, ("no job",)),
         ("name,arm\na,ur10\n", ("command", "missing")),
         ("name;command;arm\na;kinematics fk;ur10\n", ("semicolons", "CSV")),
-        ("name\tcommand\n", ("tabs",)),
         ("name,command,arm,arm\na,b,c,d\n", ("'arm'", "twice")),
         (CSV + "a,kinematics fk\n", ("line 2", "2 cells")),
-        (CSV + ",kinematics fk,ur10,j.csv,\n", ("line 2", "no name")),
         (CSV + "a,,ur10,j.csv,\n", ("line 2", "no command")),
         (CSV + "a,kinematics fk,ur10,j.csv,perhaps\n", ("line 2", "as-stated", "'perhaps'")),
         ("name,command,arm,jonts\na,kinematics fk,ur10,j.csv\n", ("line 2", "'a'", "'jonts'", "'joints'", "arm")),
@@ -176,14 +173,11 @@ def test_a_csv_of_jobs_that_cannot_be(text: str, names: tuple[str, ...], tmp_pat
     [
         ("", ("empty",)),
         ("jobs: [", ("line 1",)),
-        ("jobs: []", ("no job",)),
         ("format: armsight/rig\njobs: []", ("armsight/rig",)),
         ("version: 2\njobs: []", ("version 2",)),
         ("job: []", ("'job'", "'jobs'")),
-        ("jobs: {a: 1}", ("no list",)),
         ("jobs: [a]", ("job 1", "'a'", "no mapping")),
         ("jobs: [{name: a, command: measure, rig: {x: 1}}]", ("job 1", "'rig'")),
-        ("jobs: [{name: a, command: measure, rig: [r, s]}]", ("job 1", "rig", "one value")),
         ("jobs: [{name: a, command: measure, rig: true}]", ("job 1", "rig", "true")),
     ],
 )
@@ -196,9 +190,7 @@ def test_a_yaml_of_jobs_that_cannot_be(text: str, names: tuple[str, ...], tmp_pa
     ("command", "names"),
     [
         ("serve", ("'serve'", "not for batches", "measure", "verify")),
-        ("calibrate pivot", ("'calibrate pivot'", "not for batches")),
         ("mesure", ("'mesure'", "'measure'")),
-        ("kinematics fkk", ("'kinematics fkk'", "'kinematics fk'")),
     ],
 )
 def test_a_command_that_is_not_for_batches_is_refused_with_the_choices(
@@ -216,7 +208,6 @@ WORDS = ["kinematics", "fk", "--arm", "ur10", "--joints", "{}"]
     [
         ("runs/*.mcap", "{name}", WORDS, NotEnoughData, ("runs/*.mcap", "quotes")),
         ("runs/*", "{nme}", WORDS, UsageError, ("nme", "name", "number")),
-        ("runs/*", "{name}", [*WORDS[:-1], "{stem}"], UsageError, ("stem",)),
         ("runs/*", "{name}", [*WORDS[:-1], "j.csv"], UsageError, ("2 files", "same")),
         ("runs/*", "{name}", [*WORDS, "--jonts", "x"], UsageError, ("--jonts", "--joints")),
         ("runs/*", "{name}", WORDS[:-2], UsageError, ("2 files",)),

@@ -89,23 +89,6 @@ def test_an_arm_is_verified_with_every_promised_key(verified: tuple[Path, Any]) 
     assert "Cause: joint 2" in page and "@page" in page and "over joint angles" in page
 
 
-def test_a_healthy_arm_whose_rows_are_good_in_part_only_is_not_called_good(armsight: Any, tmp_path: Path) -> None:
-    arm, rng = preset("irb120"), np.random.default_rng(5)
-    q = rng.uniform(-0.9, 0.9, (60, 6))
-    T = RigidTransform.from_matrix(fk(arm, q))
-    turn = Rotation.from_rotvec(rng.normal(0.0, 2e-4, (60, 3)))
-    poses = np.hstack([T.translation + rng.normal(0.0, 1e-4, (60, 3)), (turn * T.rotation).as_quat()])
-    joints, levels = write(tmp_path / "j.csv", JOINTS, q), []
-    for moved_m in (0.0, 0.02):
-        poses[:15, 0] += moved_m
-        table = write(tmp_path / f"m{moved_m}.csv", POSE, poses)
-        words = ["verify", "--measured", table, "--arm", "irb120", "--joints", joints, "-o", tmp_path / f"o{moved_m}"]
-        done = armsight(*words, "--check")
-        assert done.json["cause"] == "measurement" and len(done.json["rejected"]) == (15 if moved_m else 0)
-        levels.append(done.code)
-    assert levels == [0, 3]
-
-
 def test_joints_may_be_columns_and_runs_are_compared(
     armsight: Any, verified: tuple[Path, Any], truth: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
