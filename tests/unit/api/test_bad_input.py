@@ -303,10 +303,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "calibrate_camera": (armsight.calibrate_camera, {"images": [LEFT], "board": BOARD}),
     "calibrate_cameras": (armsight.calibrate_cameras, {"cameras": {"a": [LEFT], "b": [RIGHT]}, "board": BOARD}),
     "calibrate_mirrors": (armsight.calibrate_mirrors, {"images": [LEFT], "board": BOARD}),
-    "calibrate_stereo": (
-        armsight.calibrate_stereo,
-        {"left_images": [LEFT], "right_images": [RIGHT], "board": BOARD},
-    ),
+    "calibrate_stereo": (armsight.calibrate_stereo, {"left_images": [LEFT], "right_images": [RIGHT], "board": BOARD}),
     "calibrate_target": (armsight.calibrate_target, {"rig": RIG, "left": [LEFT], "right": [RIGHT]}),
     "calibrate_timing": (armsight.calibrate_timing, PAIR),
     "calibrate_cell": (armsight.calibrate_cell, {"robot_log": (np.arange(12.0), QS), "target": TARGET, "model": ARM}),
@@ -743,8 +740,7 @@ TABLE["calibrate_cameras"][1].update(
 
 TABLE["identify_arm"][1].update(
     joint=Arg(
-        good=[1] * 9,
-        wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1},
+        good=[1] * 9, wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1}
     ),
     q=array(np.ones((9, 1)), more={"fewer rows": np.zeros((4, 1))}),
     xyz_m=array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),

@@ -86,13 +86,7 @@ def tool_and_flange(arm: Arm, q: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([T[:, :3, 3], flange[:, :3, 3]])
 
 
-def moved(
-    motion: Path,
-    out: Path,
-    *,
-    confirm=lambda _: True,
-    **more: object,
-) -> RunMotionOutput:
+def moved(motion: Path, out: Path, *, confirm=lambda _: True, **more: object) -> RunMotionOutput:
     clock = ManualClock()
     robot = ClockedRobot(robot=open_robot("sim:webcam-cell", clock), clock=clock, called="sim:webcam-cell")
     return acted(robots.run_motion, robot=robot, motion=motion, out=out, confirm=confirm, **more)

@@ -26,13 +26,7 @@ from armsight.errors import (
 )
 from armsight.ops.arm_files import given_arm
 from armsight.ops.identification.left_out import FirstJoints, read_limits
-from armsight.ops.identification.live import (
-    Known,
-    LiveSweeps,
-    OperatorCallbacks,
-    identify_live,
-    open_devices,
-)
+from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_live, open_devices
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.saving import write_with_page
 from armsight.ops.simulation.scenarios import load_scenario

@@ -172,12 +172,7 @@ def test_a_robot_that_does_not_go_on_is_told(cell):
 
 
 @pytest.mark.parametrize(
-    ("change", "error"),
-    [
-        ({"side_m": 0.9}, DataRefused),
-        ({"cycles": 1}, UsageError),
-        ({"speed_m_s": 0.0}, UsageError),
-    ],
+    ("change", "error"), [({"side_m": 0.9}, DataRefused), ({"cycles": 1}, UsageError), ({"speed_m_s": 0.0}, UsageError)]
 )
 def test_what_cannot_be_is_refused_before_anything_moves(cell, change, error):
     with pytest.raises(error):

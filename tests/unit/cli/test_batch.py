@@ -188,10 +188,7 @@ def test_a_yaml_of_jobs_that_cannot_be(text: str, names: tuple[str, ...], tmp_pa
 
 @pytest.mark.parametrize(
     ("command", "names"),
-    [
-        ("serve", ("'serve'", "not for batches", "measure", "verify")),
-        ("mesure", ("'mesure'", "'measure'")),
-    ],
+    [("serve", ("'serve'", "not for batches", "measure", "verify")), ("mesure", ("'mesure'", "'measure'"))],
 )
 def test_a_command_that_is_not_for_batches_is_refused_with_the_choices(
     command: str, names: tuple[str, ...], tmp_path: Path

@@ -44,11 +44,7 @@ def truth() -> tuple[np.ndarray, np.ndarray]:
 def files(truth: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> tuple[Path, Path, list[Any]]:
     q, poses = truth
     measured, joints = write(tmp_path / "m.csv", POSE, poses), write(tmp_path / "j.csv", JOINTS, q)
-    return (
-        measured,
-        joints,
-        ["verify", "--measured", measured, "--arm", "irb120", "-o", tmp_path / "out", AGAIN],
-    )
+    return (measured, joints, ["verify", "--measured", measured, "--arm", "irb120", "-o", tmp_path / "out", AGAIN])
 
 
 @pytest.fixture(scope="module")

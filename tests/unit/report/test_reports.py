@@ -22,12 +22,7 @@ from armsight.measure.results import grounds_of, measure_verdict
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
 from armsight.records.result_parts import Difference, Verdict
-from armsight.report import (
-    MeasureRun,
-    Sample,
-    calibration_report,
-    measure_report,
-)
+from armsight.report import MeasureRun, Sample, calibration_report, measure_report
 from armsight.report.arm_view import arm_report
 from armsight.report.compare_report import Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
