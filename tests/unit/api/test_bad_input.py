@@ -937,6 +937,9 @@ CANNOT_BE: dict[str, Callable[[Path], Any]] = {
     "frames at a text": lambda _: _frames(["0"]),
     "frames without array": lambda _: _frames([0.0], [[0, 1], [1, 0]]),
     "frames on two clocks": lambda _: armsight.measure(RIG, TARGET, _frames([0.0]), _frames([9.0], RIGHT)),
+    "pictures of two sizes": lambda _: armsight.estimate_pose(LEFT[:100], RIGHT, RIG, TARGET),
+    "a picture without its partner": lambda _: armsight.calibrate_stereo([LEFT], [], board=BOARD),
+    "poses without their partners": lambda _: armsight.calibrate_hand_eye(FLANGE, SEEN[:8]),
     "a covariance below 0": lambda _: armsight.Spots.of_centres(PIXELS, -COV),
 }
 """What was taken, or raised another error than ours, until a person tried it."""

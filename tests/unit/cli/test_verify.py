@@ -44,7 +44,11 @@ def truth() -> tuple[np.ndarray, np.ndarray]:
 def files(truth: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> tuple[Path, Path, list[Any]]:
     q, poses = truth
     measured, joints = write(tmp_path / "m.csv", POSE, poses), write(tmp_path / "j.csv", JOINTS, q)
-    return (measured, joints, ["verify", "--measured", measured, "--arm", "irb120", "-o", tmp_path / "out", AGAIN])
+    return (
+        measured,
+        joints,
+        ["verify", "--measured", measured, "--arm", "irb120", "-o", tmp_path / "out", AGAIN],
+    )
 
 
 @pytest.fixture(scope="module")
@@ -168,3 +172,76 @@ def test_trackers_files_are_read(tmp_path: Path) -> None:
         path.write_text(text)
         with refuses(BadFile, said):
             read_measured(path)
+
+
+@pytest.fixture
+def repeats(tmp_path: Path) -> tuple[Path, Path]:
+    """Six visits each of P1, P2 and P4, which stand 0.1, 0.2 and 0.3 mm further along x than commanded; the command."""
+    goals = {"P1": (0.5, 0.0, 0.4), "P2": (0.7, -0.2, 0.6), "P4": (0.3, 0.2, 0.2)}
+    rng = np.random.default_rng(5)
+    lines = ["pose,visit,x_m,y_m,z_m"]
+    for visit in range(6):
+        for k, (name, goal) in enumerate(goals.items()):
+            xyz = goal + rng.normal([1e-4 * (k + 1), 0.0, 0.0], 1e-5)
+            lines.append(f"{name},{visit},{','.join(repr(float(v)) for v in xyz)}")
+    measured, commanded = tmp_path / "repeats.csv", tmp_path / "plan.csv"
+    measured.write_text("\n".join(lines) + "\n")
+    rows = [f"{name},{goal[0]},{goal[1]},{goal[2]}" for name, goal in goals.items()]
+    commanded.write_text("\n".join(["pose,x_m,y_m,z_m", *rows]) + "\n")
+    return measured, commanded
+
+
+def test_accuracy_needs_a_command_in_a_frame_that_was_not_fitted(
+    armsight: Any, repeats: tuple[Path, Path], tmp_path: Path
+) -> None:
+    words = ["verify", "--measured", repeats[0], "--commanded", repeats[1], "-o", tmp_path / "out", AGAIN]
+    given = armsight(*words, "--align", "none").json["iso9283"]
+    assert given["AP_m P4"]["value"] == pytest.approx(3e-4, abs=2e-5)
+    assert given["AP_m"]["value"] == given["AP_m P4"]["value"]
+    fitted = armsight(*words, "--align", "tool")
+    assert fitted.code == 0
+    assert "fitted" in fitted.json["iso9283"]["AP_m"]["withheld"]
+    assert fitted.json["iso9283"]["AD_m"]["value"] is not None
+    repeats[1].write_text(repeats[1].read_text().replace("P2", "P9"))
+    missing = armsight(*words, "--align", "none")
+    assert missing.json["n"] == 12 and any("P2" in text for text in missing.json["doubts"])
+
+
+def test_rows_without_a_visit_that_follow_each_other_are_one_visit(
+    armsight: Any, repeats: tuple[Path, Path], tmp_path: Path
+) -> None:
+    rows = [line.split(",") for line in repeats[0].read_text().splitlines()]
+    held = [",".join([row[0], *row[2:]]) for row in [rows[0], *sorted(rows[1:])]]
+    repeats[0].write_text("\n".join(held) + "\n")
+    iso = armsight("verify", "--measured", repeats[0], "-o", tmp_path / "out", AGAIN).json["iso9283"]
+    assert iso["RP_m"]["value"] is None and iso["RP_m"]["n"] == 1
+
+
+def test_runs_along_a_named_path(armsight: Any, tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    lines, along = ["tag,run,t_s,x_m,y_m,z_m"], np.arange(0.0, 0.4, 0.005)
+    for run in range(6):
+        y, t0 = rng.normal(2e-4, 1e-5), 10.0 * run
+        lines += [f"line,{run},{t0 + s / 0.25!r},{s!r},{y!r},0.3" for s in along.tolist()]
+    measured, commanded = tmp_path / "runs.csv", tmp_path / "path.csv"
+    measured.write_text("\n".join(lines) + "\n")
+    commanded.write_text("tag,x_m,y_m,z_m,speed_m_s\nline,0.0,0.0,0.3,0.25\nline,0.39,0.0,0.3,0.25\n")
+    words = [
+        "verify",
+        "--measured",
+        measured,
+        "--commanded",
+        commanded,
+        "--align",
+        "none",
+        "-o",
+        tmp_path / "out",
+        AGAIN,
+    ]
+    iso = armsight(*words).json["iso9283"]
+    assert iso["AT_m"]["value"] == pytest.approx(2e-4, abs=2e-5)
+    assert iso["AV_ratio"]["value"] == pytest.approx(0.0, abs=1e-6)
+    burst = [line.split(",") for line in lines[1:]]
+    same = [",".join([*row[:2], "1.0", *row[3:]]) for row in burst]
+    measured.write_text("\n".join([lines[0], *same]) + "\n")
+    assert "arrival times" in armsight(*words).json["iso9283"]["AV_ratio"]["withheld"]
