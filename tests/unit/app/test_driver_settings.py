@@ -8,7 +8,7 @@ import pytest
 
 from armsight.clock import ManualClock
 from armsight.control.guard import Limits
-from armsight.errors import UsageError
+from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import presets
 from armsight.ops import identify, motion, robots, teach, verify
 from armsight.ops.action import action_of
@@ -26,6 +26,14 @@ def test_an_arm_goes_from_joints_to_the_flange_and_back() -> None:
     T_base_flange = link.fk(Q)
     np.testing.assert_allclose(T_base_flange.as_matrix(), presets.ur10().fk(Q), atol=1e-12)  # no tool, base in world
     np.testing.assert_allclose(link.ik(T_base_flange, near=Q + 0.05), Q, atol=1e-6)
+
+
+def test_a_pose_out_of_reach_is_refused() -> None:
+    link = LinkArm(arm=presets.ur10())
+    far = link.fk(Q).as_matrix().copy()
+    far[:3, 3] *= 10.0
+    with refuses(DataRefused, "reach"):
+        link.ik(type(link.fk(Q)).from_matrix(far), near=Q)
 
 
 def test_only_the_driver_that_needs_it_gets_it() -> None:

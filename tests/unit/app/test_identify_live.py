@@ -276,6 +276,13 @@ def test_frames_older_than_they_say_are_not_taken_for_the_present(tmp_path: Path
     assert not any(joint.discarded for joint in content.joints)
 
 
+def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
+    cell = Cell(tmp_path)
+    with refuses(DeviceFailed, "joint 3", "range", "j3"):
+        cell.run(limits=read_limits("-0.5:5.2,-0.4:1.9,0.3:1.6"), model=nearly_right(tmp_path))
+    assert np.max(np.array(cell.asked)[:, 2]) <= 1.2
+
+
 def test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_moves(tmp_path: Path) -> None:
     cell = Cell(tmp_path)
     told = (np.array([-1.0, -1.0, 0.2]), np.array([6.0, 2.0, 1.2]))

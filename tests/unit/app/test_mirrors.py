@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,16 @@ from typer.testing import CliRunner
 from armsight.calibrate.mirrors.result import reasons
 from armsight.cli.actions import action_of
 from armsight.cli.commands import app
-from armsight.errors import NotEnoughData, Unseen
+from armsight.drivers import MomentSource
+from armsight.errors import Inconsistent, NotEnoughData, Unseen
 from armsight.measure.results import MeasureResult
 from armsight.ops import measure as ops
 from armsight.ops.calibration import mirrors, mirrors_lit_target
 from armsight.ops.simulation.run import simulate
+from armsight.ops.sources.frames import complex_pairs, open_source
+from armsight.optics import Camera, parallel_rig
 from armsight.records import NotSeen, PoseStatus
-from armsight.store import read_poses
+from armsight.store import read_poses, read_rig, write_rig
 from armsight_sim.lens import Lens
 from armsight_sim.rigs import MirrorLens, Mirrors, mirror_views
 from refusals import refuses
@@ -191,3 +195,27 @@ def test_every_cause_has_its_cure_and_the_commonest_reason_is_one_whatever_its_n
     assert cures == set(Unseen) - others and not mirrors.CURES.keys() & mirrors_lit_target.CURES.keys()
     seen = [NotSeen("dark"), NotSeen("2 of 3 spots seen", Unseen.LIGHTS_MISSING), NotSeen("1 of 3 spots seen")]
     assert reasons(seen) == [(seen[1], 2), (seen[0], 1)]
+
+
+def test_the_size_tells_how_an_image_holds_two_views(tmp_path: Path) -> None:
+    """A pair of cameras: images of one's size are overlaid, those of twice the width side by side, others refused."""
+    camera = Camera.pinhole(WIDTH, HEIGHT, 600.0, 601.0, 361.0, 266.0)
+    write_rig(tmp_path / "rig.yaml", parallel_rig(camera, 0.1))
+    one = np.random.default_rng(6).integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
+    widths = {"overlaid": one, "joined": np.hstack([one, one]), "odd": one[:, :-40]}
+    for name, image in widths.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+
+    def source(name: str) -> tuple[MomentSource, bool]:
+        return complex_pairs(partial(open_source, str(tmp_path / f"{name}.png")), read_rig(tmp_path / "rig.yaml"))
+
+    pairs, overlaid = source("overlaid")
+    with pairs:
+        ((left, right),) = pairs
+    assert overlaid and left is right
+    pairs, overlaid = source("joined")
+    with pairs:
+        ((left, right),) = pairs
+    assert not overlaid and left.width == right.width == WIDTH
+    with refuses(Inconsistent, f"{WIDTH - 40}x{HEIGHT}", f"{WIDTH}x{HEIGHT}", f"{2 * WIDTH}x{HEIGHT}"):
+        source("odd")

@@ -145,6 +145,12 @@ def test_live_frames_that_would_wait_too_long_are_dropped(tmp_path: Path, monkey
         assert recording.count("/left/image") == 30 + sum(taken)
 
 
+def test_what_the_cameras_missed_is_counted(tmp_path: Path) -> None:
+    pairs = [pair for pair in fakes(20) if pair[0].sequence not in (5, 6, 11)]
+    done = record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake(pairs), live=True)
+    assert (done.n_pairs, done.n_missed) == (17, 3)
+
+
 def test_a_camera_that_goes_leaves_what_was_recorded(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with refuses(DeviceLost, "a.mcap"):

@@ -8,11 +8,26 @@ from typing import Any
 
 import numpy as np
 
+from action_cases import write_rows
 from armsight.kinematics import Coupling, fk, moved
 from armsight.ops.calibrate_robot import calibrate_arm
 from armsight.store.arm_file import read_arm
 from armsight.store.saving import write_calibrated_arm
 from armsight.store.urdf import read_urdf
+from refusals import names_it
+
+
+def test_measurements_that_were_calibrated_with_are_no_holdout(armsight: Any, tmp_path: Path) -> None:
+    arm, rng = preset("irb120"), np.random.default_rng(0)
+    q = rng.uniform(-0.9, 0.9, (60, 6))
+    rows = np.hstack([q, fk(arm, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (60, 3))])
+    for name, part in (("points", rows[:40]), ("holdout", rows[39:])):
+        write_rows(str(tmp_path / f"{name}.csv"), "q1,q2,q3,q4,q5,q6,x_m,y_m,z_m", part)
+    given = ["--points", tmp_path / "points.csv", "--holdout", tmp_path / "holdout.csv"]
+    done = armsight("calibrate", "arm", "--model", "irb120", *given, "-o", tmp_path / "arm.yaml")
+    assert done.code == 3 and names_it(done.json["error"], "1 of 21", "holdout")
+    assert not (tmp_path / "arm.yaml").exists()
+
 
 TWO_ARMS = """<robot name="two"><link name="floor"/><link name="a"/><link name="b"/><link name="hand"/><link name="c"/>
 <link name="left"/><link name="right"/><link name="other"/>

@@ -193,6 +193,19 @@ def test_trend_holds_turns_against_the_first_pose(armsight, history, tmp_path):
     assert (changed["handeye.ry_rad"]["since_run"], changed["handeye.ry_rad"]["state"]) == (21, "jump")
 
 
+def test_nothing_is_steady_before_a_run_was_judged(armsight, history, tmp_path):
+    for n, state in ((7, "few"), (8, "jump")):  # the last one is a metre off
+        fill(
+            history,
+            histories.baseline_runs(
+                f"untold {n}", [0.5 + 1e-4 * k for k in (0, 2, 1, 3, 0, 1, 2, 1)[: n - 1]] + [1.5], None
+            ),
+        )
+        done = armsight("history", "trend", "--cell", f"untold {n}", "--figure", "baseline_m", "-o", tmp_path / str(n))
+        assert [one["state"] for one in done.json["figures"]] == [state], done.text
+        assert state == "jump" or "(7, 8 are wanted)" in done.json["verdict"]
+
+
 def test_numbers_that_no_chart_can_hold_are_refused_and_not_called_steady(armsight, history, tmp_path):
     fill(history, histories.baseline_runs("wide", [1e300] * 9 + [2e300] * 3, 1e297))
     done = armsight("history", "trend", "--cell", "wide", "-o", tmp_path / "t")

@@ -135,6 +135,16 @@ def test_a_world_moves_the_poses_and_times_come_from_their_file(armsight: Any, s
     np.testing.assert_allclose(column(table, "x_m", "y_m", "z_m"), want, atol=2e-3)
 
 
+def test_one_image_of_both_views_gives_the_same_poses(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    (tmp_path / "both").mkdir()
+    for path in (scene.folder / "left").iterdir():
+        views = [cv2.imread(str(scene.folder / side / path.name), cv2.IMREAD_GRAYSCALE) for side in ("left", "right")]
+        cv2.imwrite(str(tmp_path / "both" / path.name), np.hstack(views))
+    assert armsight("measure", *scene.inputs, "--image", tmp_path / "both", "-o", tmp_path / "one").code == 0
+    assert armsight("measure", *scene.inputs, *scene.sources(), "-o", tmp_path / "two").code == 0
+    assert (tmp_path / "one" / "poses.csv").read_text() == (tmp_path / "two" / "poses.csv").read_text()
+
+
 def test_a_truncated_image_is_a_lost_frame_and_strictly_the_end_of_the_run(
     armsight: Any, scene: Any, tmp_path: Path
 ) -> None:

@@ -1,6 +1,7 @@
 """armsight path from-picks on two pictures of a textured plane, drawn here by rays."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ from action_cases import make_plane
 from armsight.cli.commands import app
 from armsight.store.path_file import read_path
 
+WORLD = "format: armsight/world\nversion: 1\nT_base_rig: {xyz_m: [0.3, 0.0, 1.0], quat_xyzw: [1, 0, 0, 0]}\n"
 DEPTH = 0.5
 
 
 @pytest.fixture
 def run(tmp_path):
     make_plane(tmp_path)
+    (tmp_path / "world.yaml").write_text(WORLD)
 
     def call(picks, *more):
         (tmp_path / "picks.csv").write_text(picks)
@@ -43,6 +46,15 @@ def test_an_edge_becomes_a_path_with_its_uncertainty(run, tmp_path):
     assert (np.abs(path.xyz_m - truth)[:, 2] < 4 * std[:, 2]).all() and np.abs(path.xyz_m - truth).max() < 1e-3
     assert np.allclose(std[:, 0], 0.5 * DEPTH / 300, rtol=0.1)  # half a pixel of picking
     assert np.allclose(path.T_world_tip[:, :3, :3], np.eye(3))  # along the view
+
+
+def test_a_world_and_a_tool_axis_are_taken(run, tmp_path):
+    code, told = run(EDGE, "--world", str(tmp_path / "world.yaml"), "--tool-axis", "0,1,-1")
+    path = read_path(tmp_path / "path.csv")
+    assert code == 0 and told["frame"] == "base"
+    # half a turn about x: (x, y, z) -> (x, -y, -z), then the place of the rig
+    assert np.allclose(path.xyz_m[0], [0.3 - 39.5 / 600, 19.5 / 600, 0.5], atol=1e-3)
+    assert np.allclose(path.T_world_tip[:, :3, 2], [0, math.sqrt(0.5), -math.sqrt(0.5)])
 
 
 def test_the_right_view_can_be_picked_too(run, tmp_path):

@@ -16,6 +16,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras.preconditions import images_doubted, images_verdict
+from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.kinematics import preset
 from armsight.measure.results import grounds_of, measure_verdict
@@ -30,7 +31,7 @@ from armsight.report.html import Page
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.scene import add_boards
 from armsight.units import figure_of
-from refusals import names_it
+from refusals import names_it, refuses
 
 PLOTLY = resources.files("armsight.report").joinpath("plotlyjs", "plotly-gl3d.min.js.gz").read_bytes()
 LARGEST = 1_500_000
@@ -322,6 +323,13 @@ def test_a_long_run_stays_small_and_keeps_its_outlier():
     assert largest <= 3 * MAX_PLOTTED  # a band goes there and back
     y = max(v for trace in tags.figures[3]["data"] if trace.get("yaxis") == "y2" for v in trace["y"] if v is not None)
     assert y == pytest.approx(50.0, abs=0.2)  # mm, the outlier of the error in y
+
+
+def test_a_truth_of_another_length_is_refused():
+    with refuses(Inconsistent, "3 true poses", "40"):
+        full_run(truth=poses_and_truth(3)[1], verdict=judged(()))
+    with refuses(Inconsistent, "left, right"):
+        full_run(residuals={"middle": np.zeros((1, 3))})
 
 
 UV = np.random.default_rng(2).uniform((0, 0), (640, 480), (500, 2))
