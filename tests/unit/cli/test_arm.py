@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from action_cases import write_rows
-from armsight.kinematics import Coupling, fk, moved
+from armsight.kinematics import Coupling, fk, moved, preset
 from armsight.ops.calibrate_robot import calibrate_arm
 from armsight.store.arm_file import read_arm
 from armsight.store.saving import write_calibrated_arm
