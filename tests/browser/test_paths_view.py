@@ -17,15 +17,10 @@ from armsight.ops.arm_files import load_arm
 from armsight.store.path_file import read_path
 from armsight.store.recording import Recording
 
-CHROMIUM = "/usr/bin/chromium"
 NEAR_M = 0.004
 """The arm that was built is up to 2.6 mm off its model here; a track's places are 0.5 mm apart or more."""
 
-pytestmark = [
-    pytest.mark.alone,
-    pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium on this machine"),
-    pytest.mark.timeout(600),
-]
+pytestmark = [pytest.mark.alone, pytest.mark.timeout(600)]
 
 Array = NDArray[np.float64]
 

@@ -74,14 +74,6 @@ def step_of(folder: Path, read: Callable[[], JointReading] | None = None, **file
     return CellStep(folder=folder, file_of=files.get, read_joints=read)
 
 
-def told(step: CellStep, n_lights: int = 4) -> CellWatch:
-    """Return what a recording of the step has seen, to be filled by hand; the recording goes on."""
-    step.recorder = SimpleNamespace(  # type: ignore[assignment]
-        watch=CellWatch(n_lights=n_lights), running=True, folder=step.folder / "cell-x", failure=""
-    )
-    return step.watch
-
-
 CROSS = np.array([[-9.0, 0.0], [9.0, 0.0], [0.0, -9.0], [0.0, 9.0]])
 
 
@@ -102,32 +94,6 @@ def test_moving_lights_cover_a_picture_and_lamps_that_stand_do_not() -> None:
         assert not watch.lost_side
         watch.add_pictures(shown(3.0 + k, lights(50.0, 50.0), lights(150.0, 150.0, 3)))
     assert watch.lost_side == "right"
-
-
-def test_what_is_missing_most_is_asked_for_next(tmp_path: Path) -> None:
-    step = step_of(tmp_path, lambda: reading(0.0))
-    assert step.hint().what is Next.RECORD_CELL
-    watch = told(step)
-    for k, place in enumerate([(50, 50), (150, 50), (250, 50), (50, 150), (150, 150), (250, 150), (50, 250)]):
-        watch.add_pictures(shown(float(k), lights(*place)))
-    watch.add_pictures(shown(8.0, lights(150, 250)))
-    watch.add_reading(reading(0.0, 0.0, 0.0))
-    watch.add_reading(reading(0.1, 1.0, 0.1))
-    hint = step.hint()
-    assert (hint.what, hint.axis, round(hint.share, 2)) == (Next.MOVE_JOINT, "2", 0.29)
-    watch.add_reading(reading(0.2, 1.0, 0.4))
-    hint = step.hint()
-    assert (hint.what, hint.side, hint.cell) == (Next.TO_PLACE, "left", (0, 0)), "the first picture is held to nothing"
-    watch.add_pictures(shown(9.0, lights(50, 50)))
-    assert step.hint().cell == (2, 2)
-    watch.add_pictures(shown(10.0, lights(250, 250)))
-    assert step.hint().what is Next.GO_ON
-    watch.add_pictures(shown(60.0, lights(50, 50)))
-    assert step.hint().what is Next.END_RECORDING
-    for k in range(LOST_LOOKS):
-        watch.add_pictures(shown(61.0 + k, lights(50, 50), lights(0.0, 0.0, 2)))
-    assert (step.hint().what, step.hint().side) == (Next.LIGHTS_BACK, "right")
-    assert ("joint 2", "23 of 20 deg") in step.spread()
 
 
 def test_pressed_twice_is_one_recording_with_the_readings_beside_it(tmp_path: Path) -> None:

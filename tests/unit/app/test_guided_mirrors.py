@@ -17,9 +17,8 @@ from armsight.app.live.measurement import LiveJob
 from armsight.console import texts
 from armsight.console.pages.mirrors import turn_words
 from armsight.console.state import Console, steps_of
-from armsight.errors import BadImage, Inconsistent, UsageError
+from armsight.errors import BadImage, UsageError
 from armsight.ops.calibrate_mirrors import calibrate_mirrors
-from armsight.ops.simulation.run import simulate
 from armsight.optics import Camera
 from armsight.records import Silent
 from armsight.store import read_rig, write_camera
@@ -95,25 +94,6 @@ def test_a_picture_without_both_views_is_not_taken(mirror_boards: Any, boards: A
         step.accept(OnePicture(mirror_boards.straight, names=("left", "right")))  # type: ignore[arg-type]
 
 
-def test_the_lit_target_needs_the_lens_and_the_baseline(mirror_boards: Any, tmp_path: Path) -> None:
-    """Three lights, each in both views, of the simulated rig; without the lens it is told what is missing."""
-    simulate("pachidis2005-static", tmp_path / "cell", frames=1, room="dark")
-    lit = CellMirrors(shown="target", baseline_m=0.12)
-    target, camera = tmp_path / "cell" / "target.yaml", tmp_path / "camera.yaml"
-    step = replace(step_of(mirror_boards, tmp_path), built=lit, target=target)
-    assert step.hint().what is Next.NEEDS_LENS
-    assert replace(step, target=None).hint().what is Next.NEEDS_TARGET
-    write_camera(camera, replace(read_rig(tmp_path / "cell" / "rig.yaml").left, plate=None))
-    step = replace(step, camera=camera)
-    assert replace(step, built=CellMirrors(shown="target")).hint().what is Next.NEEDS_BASELINE
-    assert step.hint().what is Next.SHOW_LIGHTS
-    sample = step.accept(OnePicture(tmp_path / "cell" / "image"))  # type: ignore[arg-type]
-    assert sample.detail.startswith("3 lights")
-    assert step.hint().what is Next.TURN_LIGHTS and step.figures() == ()
-    with pytest.raises(Inconsistent, match="640x480"):
-        step.accept(OnePicture(mirror_boards.straight))  # type: ignore[arg-type]
-
-
 def lens(mirror_boards: Any, folder: Path) -> Path:
     write_camera(folder / "camera.yaml", Camera.pinhole(640, 480, *mirror_boards.camera))
     return folder / "camera.yaml"
@@ -140,17 +120,6 @@ def test_alignment_tells_which_mirror_to_turn_and_which_way(mirror_boards: Any, 
     told = replace(straight.check.change_std, drx_rad=2.0 * COARSE_RAD)
     vague = replace(straight, check=replace(straight.check, change_std=told))
     assert vague.unsure and not vague.done, "what is not known is not called good"
-
-
-def test_a_board_that_is_not_seen_is_told(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:
-    built, board = CellMirrors(baseline_m=0.16), mirror_boards.board
-    alignment = MirrorAlignment(board=board, built=built, folder=tmp_path, camera=lens(mirror_boards, tmp_path))
-    stand = alignment.look(OnePicture(boards.folder / "left"))  # type: ignore[arg-type]
-    assert stand.check is None and "once" in stand.why and not stand.done
-    bare = MirrorAlignment(board=board, built=built, folder=tmp_path)
-    assert alignment.possible and not bare.possible
-    with refuses(UsageError, "hold"):
-        bare.look(OnePicture(mirror_boards.off))  # type: ignore[arg-type]
 
 
 def test_the_cell_keeps_how_the_mirrors_were_built(tmp_path: Path) -> None:
