@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.cli.actions import action_of
-from armsight.drivers import AUTOMATIC, CameraSettings
-from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Inconsistent, NotEnoughData
 from armsight.measure.results import MeasureResult
 from armsight.ops import measure as ops
 from armsight.optics import Camera, parallel_rig
@@ -186,39 +185,6 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
     in_world = moving_table(tmp_path).stacked(VELOCITY)
     np.testing.assert_allclose(in_world[:, :3], T.rotation.apply(in_rig[:, :3]), atol=1e-9)
     np.testing.assert_allclose(in_world[:, 3:], T.rotation.apply(in_rig[:, 3:]), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("more", "error", "says"),
-    [
-        ({"timing": "pairs"}, UsageError, ("--left-spots", "run free")),
-        ({"rate_hz": 10.0, "at": Path("joints.csv")}, UsageError, ("--at", "--rate", "Give one")),
-        ({"left": "somewhere"}, UsageError, "which frames"),
-        ({"timing": "free", "stills": True}, UsageError, "--stills"),
-        ({"target": Path("checkerboard:9x6:0.025")}, UsageError, "three"),
-        ({"camera_settings": CameraSettings(gain=2.0)}, UsageError, ("--gain", "live", "table of spots")),
-        (
-            {
-                "left": "shots",
-                "right": "others",
-                "left_spots": None,
-                "right_spots": None,
-                "timing": "free",
-                "camera_settings": (AUTOMATIC, CameraSettings(zoom=300.0)),
-            },
-            UsageError,
-            ("--set-zoom", "live", "shots"),
-        ),
-    ],
-)
-def test_what_cannot_be_together_is_refused(
-    tmp_path: Path, more: dict[str, object], error: type[Exception], says: str
-) -> None:
-    timed_rig(tmp_path)
-    spots(tmp_path, seconds=1.5)
-    with refuses(error, says):
-        measure(**job(tmp_path, **more))
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("off_s", [-0.005, 0.02])

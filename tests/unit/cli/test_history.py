@@ -213,25 +213,6 @@ def test_numbers_that_no_chart_can_hold_are_refused_and_not_called_steady(armsig
     assert "baseline_m" in done.json["error"]["cause"]
 
 
-def test_names_that_are_not_there_are_answered_with_the_nearest(armsight, history, tmp_path):
-    fill(history, list(histories.runs("weld-3", 2)))
-    for words, name in (
-        (["trend", "--cell", "wedl-3", "-o", tmp_path / "t"], "'weld-3'"),
-        (["trend", "--cell", "weld-3", "--figure", "joint-zero", "-o", tmp_path / "t"], "'joint-zeros'"),
-        (["trend", "--cell", "weld-3", "--figure", "after.rsm", "-o", tmp_path / "t"], "'after.rms_m'"),
-        (["trend", "--cell", "weld-3", "--figure", "theta", "-o", tmp_path / "t"], "'joint2.theta_rad'"),
-        (["list", "--command", "calibrat"], "'calibrate'"),
-        (["list", "--cell", "weld"], "'weld-3'"),
-        (["show", "7"], "1 to 2"),
-        (["compare", "1", "9"], "1 to 2"),
-        (["list", "--since", "yesterday"], "2026-11-26"),
-        (["export", "-o", tmp_path / "x.xlsx"], ".parquet"),
-    ):
-        refused = armsight("history", *words)
-        assert refused.code == 2, words
-        assert name in json.dumps(refused.json, ensure_ascii=False)
-
-
 def test_two_arms_in_one_cell_are_told_and_not_held_against_each_other(armsight, history, tmp_path):
     from armsight.kinematics import preset
 
@@ -271,27 +252,6 @@ def test_runs_that_doubt_themselves_wrong_clocks_and_numbers_that_are_none(armsi
     assert (figure["n"], figure["silent"]) == (11, 1)
     shown = armsight("history", "show", 12).json["run"]
     assert (shown["trusted"], shown["reason"]) == (False, "two axes of turning")
-
-
-def test_export_as_csv_parquet_and_lines(armsight, history, tmp_path, monkeypatch):
-    import pyarrow.parquet
-
-    fill(history, handeyes("a", np.zeros((2, 3))))
-    done = armsight("history", "export", "-o", tmp_path / "x.csv").json
-    rows = list(csv.DictReader((tmp_path / "x.csv").read_text().splitlines()))
-    assert (len(rows), done["n_runs"]) == (done["n_rows"], 2)
-    of_pose = [row for row in rows if row["name"] == "handeye.x_m"]
-    assert [(row["kind"], row["unit"]) for row in of_pose] == [("parameter", "m")] * 2
-    armsight("history", "export", "-o", tmp_path / "x.parquet")
-    table = pyarrow.parquet.read_table(tmp_path / "x.parquet").to_pylist()
-    assert [one["value"] for one in table] == [float(row["value"]) if row["value"] else None for row in rows]
-    assert [row["std"] for row in rows if row["name"] == "handeye.rx_rad"] == ["0.0001"] * 2
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    done = armsight("history", "export", "-o", tmp_path / "y.parquet").json
-    assert done["file"] == str(tmp_path / "y.jsonl")
-    assert "armsight[batch]" in done["notes"][0]
-    lines = [json.loads(line) for line in (tmp_path / "y.jsonl").read_text().splitlines()]
-    assert [one["value"] for one in lines] == [one["value"] for one in table]
 
 
 def test_numbers_find_their_deviations_wherever_a_result_tells_them():

@@ -74,17 +74,10 @@ def test_a_path_the_arm_cannot_run_is_told_and_not_exported(taught, tmp_path):
     ("arguments", "code"),
     [
         (["export", "PATH", "-o", "OUT.script", "--speed-m-s", "0.1"], 2),  # world, and no arm
-        (["export", "PATH", "-o", "OUT.doc", "--frame", "base"], 2),
         (["export", "PATH", "-o", "OUT.script", "--frame", "base"], 2),  # no speed
-        (
-            ["export", "PATH", "-o", "OUT.script", "--frame", "base", "--speed-m-s", "0.1", "--weld-output", "1"],
-            2,
-        ),  # no tag
         (["export", "PATH", "-o", "OUT.script", "--frame", "camera", "--speed-m-s", "0.1"], 2),
         (["check", "PATH", "--arm", "irb120", "--frame", "camera"], 2),
         (["check", "PATH", "--arm", "irb120", "--start", "1,2"], 2),
-        (["smooth", "PATH", "-o", "OUT.csv", "--outliers", "burn"], 2),
-        (["angle", "PATH", "-o", "OUT.csv", "--travel-deg", "100"], 2),
         (["join", "PATH", "-o", "OUT.csv"], 2),
         (["fillet", "PATH", "-o", "OUT.csv", "--radius-m", "1"], 3),
     ],

@@ -79,12 +79,9 @@ def test_what_is_not_found_is_named_and_left_out_only_when_asked(run, tmp_path):
         ("u_px\n60\n", (), 3),
         ("u_px,v_px,edge\n60,40,a\n70,40,b\n80,40,a\n", (), 3),
         ("u_px,v_px\n60,40\n", (), 3),  # one point is no path
-        ("u_px,v_px\n60,40\n", ("--skip",), 3),
         (EDGE, ("--view", "top"), 2),
-        (EDGE, ("--tool-axis", "up"), 2),
         (EDGE, ("--tool-axis", "0,0,0"), 2),
         (EDGE, ("--step-px", "0"), 2),
-        (EDGE, ("--patch-px", "3"), 2),
         (EDGE, ("--near", "2", "--far", "1"), 2),
     ],
 )

@@ -97,27 +97,6 @@ def test_a_path_is_taught_before_cameras_that_stand(cell: Path, tmp_path: Path) 
     assert code == 2 and "right" in refused["error"]["cause"]
 
 
-@pytest.mark.parametrize(
-    ("args", "why"),
-    [
-        ((), "--rig, --target are needed"),
-        (("--robot", SIM, "--rig", "rig.yaml", "--target", "target.yaml"), "--handeye are needed"),
-        (("--from", "poses.csv", "--robot", SIM), "with --from, --robot means nothing"),
-        (("--rig", "rig.yaml", "--target", "target.yaml", "--hand", "circle"), "with no --robot, --hand means nothing"),
-        (("--from", "poses.csv", "--path-speed", "-1"), "is no speed"),
-    ],
-)
-def test_teaching_that_cannot_be_meant_is_refused(cell: Path, tmp_path: Path, monkeypatch, args, why: str) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("rig", "target"):
-        (tmp_path / f"{name}.yaml").symlink_to(cell / f"{name}.yaml")
-    write_poses(tmp_path / "poses.csv", [TargetPose(t_s=0.0, status=PoseStatus.LOST, parent="rig")])
-    code, refused, _ = command("teach", *args, "-o", tmp_path / "out")
-    assert code == 2
-    assert why in refused["error"]["cause"]
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_path_is_asked_for_run_and_recorded(path: Path) -> None:
     asked: list[str] = []
     done = played(path, confirm=lambda question: bool(asked.append(question)) or True)

@@ -118,24 +118,6 @@ def test_a_commanded_path_needs_no_arm(armsight: Any, truth: tuple[np.ndarray, n
     assert points["alignment"]["free"] == ["base"] and points["after"]["rms_rad"] is None
 
 
-def test_what_cannot_be_is_refused(armsight: Any, files: tuple[Path, Path, list[Any]], tmp_path: Path) -> None:
-    measured, joints, words = files
-    short = write(tmp_path / "short.csv", JOINTS, np.zeros((5, 6)))
-    five = write(tmp_path / "five.csv", "q1,q2,q3,q4,q5", np.zeros((40, 5)))
-    for more, code, said in (
-        ([], 2, "no --joints"),
-        (["--joints", joints, "--align", "sideways"], 2, "none, base, tool, both"),
-        (["--joints", joints, "--commanded", measured], 2, "verify twice"),
-        (["--joints", joints, "--compare", tmp_path / "out"], 2, "names the folder that is written to"),
-        (["--joints", short], 3, "40 measured rows and 5"),
-        (["--joints", five], 3, "has 5 joints"),
-    ):
-        done = armsight(*words, *more)
-        assert done.code == code and said in done.text, done.text
-    assert armsight("verify", "--measured", measured, "-o", tmp_path / "out", AGAIN).code == 2
-    assert not (tmp_path / "out").exists()
-
-
 def test_torn_rows_are_left_out_and_the_others_keep_their_numbers(tmp_path: Path) -> None:
     path = tmp_path / "torn.csv"
     path.write_bytes(

@@ -405,6 +405,7 @@ def test_pages_fit_a_telephone_and_draw_without_an_error(tmp_path):
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox", "--disable-gpu"])
         tab = browser.new_page(viewport={"width": 390, "height": 800}, color_scheme="dark")
+        tab.set_default_timeout(150_000)  # of a busy computer
         troubles = []
         tab.on("pageerror", lambda error: troubles.append(str(error)))
         for name, make in PAGES.items():
