@@ -76,9 +76,9 @@ def arms(folder: Path) -> Case:
             "nominal": "irb120",
             "q": table(folder / "points.csv", READINGS, rows[:40]),
             "holdout": table(folder / "holdout.csv", READINGS, rows[40:]),
-            "propose": "2",
+            "propose": "1",
         },
-        arrays={"nominal": ARM, "q": q[:40], "xyz_m": xyz_m[:40], "holdout": (q[40:], xyz_m[40:]), "propose": 2},
+        arrays={"nominal": ARM, "q": q[:40], "xyz_m": xyz_m[:40], "holdout": (q[40:], xyz_m[40:]), "propose": 1},
     )
 
 
