@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
@@ -73,8 +74,8 @@ CASES = {
     "paths.join": "path join first.csv second.csv -o new.csv",
     "paths.check": "path check path.csv --arm webcam/arm.yaml --limits limits.yaml -o new.html",
     "paths.export": "path export path.csv --to krl --arm webcam/arm.yaml --tool 1 -o new.src",
-    "paths.from_picks": "path from-picks --left webcam/left/000000.png --right webcam/right/000000.png "
-    "--rig webcam/rig.yaml --picks picks.csv --world webcam/world.yaml --skip -o new.csv",
+    "paths.from_picks": "path from-picks --left plane/left.png --right plane/right.png --rig plane/rig.yaml "
+    "--picks picks.csv --world webcam/world.yaml --skip -o new.csv",
     "teach.teach": "teach --from poses.csv --tip tip.yaml -o new",
     "verify.verify": "verify --measured poses.csv --arm irb120 --joints joints.csv -o new",
     "verify.plan_verification": "verify --plan --arm irb120 -o new",
@@ -123,6 +124,7 @@ def make_files(folder: Path, drawn: Path, boards: Path, mirrors: Path) -> None:
     ):
         simulate(scenario, folder / name, frames=frames)
     make_tables()
+    make_plane(folder / "plane")
     make_paths("webcam")
     for words in (
         "kinematics fk --arm irb120 --joints joints.csv -o poses.csv",
@@ -144,7 +146,7 @@ def make_tables() -> None:
     write_rows("joints.csv", "t_s,q1,q2,q3,q4,q5,q6", np.column_stack([t_s, q]))
     write_sweep()
     Path("log.txt").write_text("X,Y,Z,A,B,C\n" + "500.0,20.0,300.0,10.0,20.0,170.0\n" * 3)
-    Path("picks.csv").write_text("u_px,v_px,edge\n222,158,label\n252,192,label\n71,579,\n")
+    Path("picks.csv").write_text("u_px,v_px,edge\n60,40,label\n100,40,label\n3,40,\n")
     Path("limits.yaml").write_text("format: armsight/limits\nversion: 1\nspeed_m_s: 0.2\n")
     lights = np.array([[-0.04, 0.0, 0.0], [0.03, 0.03, 0.0], [0.03, -0.03, 0.0]])  # of the drawn scene, as its rig
     rng = np.random.default_rng(1)
@@ -162,6 +164,33 @@ def make_tables() -> None:
             for light, (u, v) in zip("ABC", seen, strict=True)
         ]
         Path(f"waved-{name}.csv").write_text("\n".join(["t_s,u_px,v_px,su_px,sv_px,spot", *rows]) + "\n")
+
+
+PLANE_RIG = """\
+format: armsight/rig
+version: 1
+kind: stereo
+cameras:
+  left:
+    {width: 200, height: 120, fx: 300, fy: 300, cx: 99.5, cy: 59.5, distortion: [0, 0, 0, 0, 0],
+     T_rig_camera: {xyz_m: [0, 0, 0], quat_xyzw: [0, 0, 0, 1]}}
+  right:
+    {width: 200, height: 120, fx: 300, fy: 300, cx: 99.5, cy: 59.5, distortion: [0, 0, 0, 0, 0],
+     T_rig_camera: {xyz_m: [0.05, 0, 0], quat_xyzw: [0, 0, 0, 1]}}
+"""
+
+
+def make_plane(folder: Path) -> None:
+    """Draw a textured plane at 0.5 m that faces a pair: in the right view all is 300 * 0.05 / 0.5 = 30 px left."""
+    folder.mkdir(exist_ok=True)
+    (folder / "rig.yaml").write_text(PLANE_RIG)
+    for name, shift_px in (("left", 0), ("right", 30)):
+        rng = np.random.default_rng(3)
+        waves, phase = rng.normal(0, 0.25, (30, 2)), rng.uniform(0, 2 * np.pi, 30)
+        u, v = np.meshgrid(np.arange(200.0) + shift_px, np.arange(120.0))
+        grey = 128 + 14 * np.sum(np.cos(u[..., None] * waves[:, 0] + v[..., None] * waves[:, 1] + phase), axis=2)
+        noise = np.random.default_rng(shift_px).normal(0, 1, grey.shape)
+        cv2.imwrite(str(folder / f"{name}.png"), np.clip(grey + noise, 0, 255).astype(np.uint8))
 
 
 def write_sweep() -> None:

@@ -20,8 +20,7 @@ import numpy as np
 import pytest
 
 LIT = ("tests/truth/", "tests/golden/", "tests/unit/sim/", "tests/unit/app/test_mirrors.py",
-       "tests/unit/app/test_other_scale.py", "tests/unit/app/test_other_unit.py",
-       "tests/unit/ops/test_all_actions.py")  # fmt: skip
+       "tests/unit/app/test_other_scale.py")  # fmt: skip
 """Where tests begin that stand in furnished rooms."""
 MODULE = "armsight_sim.backdrops"
 OWN: dict[str, Any] = {}

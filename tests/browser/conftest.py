@@ -25,6 +25,13 @@ FIRST = ["nice", "-n", "-10"]
 the system lets them; else `nice` says so and goes on."""
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip the tests of this folder where there is no browser."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents and not Path(CHROMIUM).exists():
+            item.add_marker(pytest.mark.skip(reason="no Chromium on this machine"))
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

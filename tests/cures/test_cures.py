@@ -140,7 +140,7 @@ IN_TESTS = {
         f"{REPORTS}test_base_and_tool.py::test_one_of_two_tools_is_asked_for_and_the_cure_names_it"
     ),
     ("measure/consistency/other_setups.py", "Multiply xyz_m of both cameras"): (
-        "tests/unit/app/test_other_unit.py::test_a_rig_in_another_unit_is_named_and_its_cure_works"
+        "tests/unit/app/test_other_scale.py::test_a_rig_in_another_unit_is_named_and_its_cure_works"
     ),
     ("armsight_lab/batch/work.py", "fewer workers at once (--jobs)"): (
         "tests/unit/app/test_batch.py::"

@@ -66,6 +66,7 @@ def read_rig(
     0.1200 m
     """
     files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
+    require_kind("names", names, list, tuple, cure="Give a tuple of the cameras' names")
     if zoom_left is None and zoom_right is None:
         asked = Asked(size=as_size(size), unit_m=unit_m, names=tuple(names), approximate=approximate)
         rig = load_rig(files, asked)

@@ -22,8 +22,6 @@ import armsight
 from armsight.optics import parallel_rig
 from refusals import refuses
 
-Same = dict[str, Any]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Arg:
@@ -128,10 +126,6 @@ def text(good: str) -> Arg:
     return Arg(good=good, wrong={"a number": 3, "a list": [good], "a dict": {}, "bytes": good.encode()})
 
 
-def path(good: Any = None) -> Arg:
-    return Arg(good=good, wrong={"a number": 3, "none": None, "a list": ["a"], "nowhere": "/dev/null/file.yaml"})
-
-
 def poses(good: RigidTransform, *, as_matrix: bool = False, **wrong: Any) -> Arg:
     a = good.as_matrix()
     hole, spike = a.copy(), a.copy()
@@ -198,13 +192,11 @@ AT_HOME = Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "many": QS}, 
 COV = np.array([[1.0, 0.0], [0.0, 1.0]])
 FOUND = armsight.Spots.of_centres(PIXELS, COV)
 INTRINSICS = np.array([250.0, 250.0, 160.0, 120.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-LENGTHS = {"width": number(320), "height": number(240), "fx": number(250.0), "fy": number(250.0)}
-CENTRE = {"cx": number(160.0), "cy": number(120.0), "skew": number(0.0)}
+LENS = {"width": 320, "height": 240, "fx": 250.0, "fy": 250.0, "cx": 160.0, "cy": 120.0}
 POINT_NAMES = Arg(good=(), wrong={"a text": "AAAAAAAAA", "too few": ("A",), "numbers": (1,) * 9})
 SPREAD = np.random.default_rng(5).uniform(-1.5, 1.5, (9, 6))
 NAMES = Arg(good=None, wrong={"one text": "ABCDEFGHIJKL", "numbers": [1, 2], "too few": ["A"]})
 
-SIZE = Arg(good=None, wrong={"a number": 640, "a text": "640x480"})
 TABLES = Arg(good=None, wrong={"a text": "mm", "a dict": {"units": "mm"}})
 OUT = Arg(good=None, wrong={"a number": 3, "a list": ["a"], "nowhere": "/dev/null/file.yaml"})
 LINKS_TABLE_AND_OUT = {
@@ -274,7 +266,24 @@ def _begun(*args: Any, **given: Any) -> str:
         return address
 
 
+READERS = (
+    "arm",
+    "camera",
+    "hand_eye",
+    "joints",
+    "limits",
+    "path",
+    "poses",
+    "rig",
+    "table",
+    "target",
+    "tool_tip",
+    "world",
+)
 JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    **{f"read_{kind}": (getattr(armsight, f"read_{kind}"), {"path": "no-such-file.yaml"}) for kind in READERS},
+    "open_recording": (armsight.open_recording, {"path": MCAP}),
+    "connect": (armsight.connect, {"url": "ws://127.0.0.1:9"}),
     "batch": (armsight.batch, {"function": armsight.measure, "jobs": {"a": {}}, "out": AWAY}),
     "design": (
         armsight.design,
@@ -294,10 +303,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "calibrate_camera": (armsight.calibrate_camera, {"images": [LEFT], "board": BOARD}),
     "calibrate_cameras": (armsight.calibrate_cameras, {"cameras": {"a": [LEFT], "b": [RIGHT]}, "board": BOARD}),
     "calibrate_mirrors": (armsight.calibrate_mirrors, {"images": [LEFT], "board": BOARD}),
-    "calibrate_stereo": (
-        armsight.calibrate_stereo,
-        {"left_images": [LEFT], "right_images": [RIGHT], "board": BOARD},
-    ),
+    "calibrate_stereo": (armsight.calibrate_stereo, {"left_images": [LEFT], "right_images": [RIGHT], "board": BOARD}),
     "calibrate_target": (armsight.calibrate_target, {"rig": RIG, "left": [LEFT], "right": [RIGHT]}),
     "calibrate_timing": (armsight.calibrate_timing, PAIR),
     "calibrate_cell": (armsight.calibrate_cell, {"robot_log": (np.arange(12.0), QS), "target": TARGET, "model": ARM}),
@@ -410,8 +416,8 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "lens": choice("pinhole"),
         },
     ),
-    "Camera.pinhole": (armsight.Camera.pinhole, {**LENGTHS, **CENTRE, "distortion": array(np.zeros(5))}),
-    "Camera.fisheye": (armsight.Camera.fisheye, {**LENGTHS, **CENTRE, "distortion": array(np.zeros(4))}),
+    "Camera.pinhole": by_annotation(armsight.Camera.pinhole, LENS),
+    "Camera.fisheye": by_annotation(armsight.Camera.fisheye, LENS),
     "Camera.project": (CAMERA.project, {"points_m": array(POINTS, nan=True, more={"empty": []})}),
     "Camera.rays": (CAMERA.rays, {"uv_px": array(PIXELS, nan=True, more={"empty": []})}),
     "Camera.is_close": (CAMERA.is_close, {"other": record(CAMERA), "tol": number(1e-9)}),
@@ -423,23 +429,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "min_value": number(0.3, percent=30.0),
         },
     ),
-    "Joint": (
-        armsight.Joint,
-        {
-            "name": text("j1"),
-            "type": choice("revolute"),
-            **{key: number(0.0) for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")},
-            "lower": Arg(good=-1.0, wrong={"a text": "-1", "nan": np.nan, "a row": [1.0]}),
-            "upper": Arg(good=1.0, wrong={"a text": "1", "nan": np.nan, "a row": [1.0]}),
-            "sign": number(1.0, percent=100.0),
-            "max_speed": number(1.0),
-            "stall_effort": number(1.0),
-            "compliance": number(0.0, negative=-1e-3),
-            "mass_kg": number(0.0, negative=-1.0),
-            "com_m": array((0.0, 0.1, 0.2)),
-            "driven": Arg(good=True, wrong={"a text": "no", "a row": [True]}),
-        },
-    ),
+    "Joint": by_annotation(armsight.Joint, {"name": "j1"}),
     "Arm": (
         armsight.Arm,
         {
@@ -555,23 +545,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             )
         },
     ),
-    "Target": (
-        armsight.Target,
-        {
-            "kind": choice("spots"),
-            "names": Arg(good=("A", "B", "C"), wrong={"a text": "ABC", "numbers": (1, 2, 3), "twice": ("A", "A", "B")}),
-            "xyz_m": array(list(LIGHTS.values())),
-            "diameter_m": number(0.01),
-            "colour": record(armsight.Colour(hue_deg=(340.0, 20.0))),
-            "columns": number(0),
-            "rows": number(0),
-            "pitch_m": number(0.0),
-            "marker_m": number(0.0),
-            "dictionary": text(""),
-            "model_known": Arg(good=True, wrong={"a text": "yes"}),
-            "covariance": array(np.eye(9)),
-        },
-    ),
+    "Target": by_annotation(armsight.Target, {"kind": "spots", "names": tuple("ABC"), "xyz_m": list(LIGHTS.values())}),
     "TaughtPath": (
         armsight.TaughtPath,
         {
@@ -666,10 +640,6 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "out": OUT,
         },
     ),
-    "connect": (
-        armsight.connect,
-        {"url": text("ws://127.0.0.1:9"), "token": text("abc"), "ca_file": path()},
-    ),
     "estimate_pose": (
         armsight.estimate_pose,
         {
@@ -683,44 +653,8 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "find_spots": (armsight.find_spots, {"image": image(LEFT), "settings": SETTINGS, "bits": BITS}),
-    "open_recording": (armsight.open_recording, {"path": path()}),
     "presets.preset": (armsight.presets.preset, {"name": choice("ur10")}),
-    "read_arm": (armsight.read_arm, {"path": path(), "tip": text("tool0"), "base": text("base")}),
-    "read_camera": (
-        armsight.read_camera,
-        {
-            "path": path(),
-            "size": SIZE,
-            "name": text("cam0"),
-            "approximate": Arg(good=False, wrong=WRONG["bool"]),
-            "zoom": number(100.0),
-        },
-    ),
-    "read_joints": (
-        armsight.read_joints,
-        {"path": path(), "measured": Arg(good=True, wrong={"a text": "yes", "a number": 3}), "table": TABLES},
-    ),
-    "read_hand_eye": (armsight.read_hand_eye, {"path": path()}),
-    "read_tool_tip": (armsight.read_tool_tip, {"path": path()}),
-    "read_world": (armsight.read_world, {"path": path()}),
-    "read_limits": (armsight.read_limits, {"path": path()}),
     "read_scenario": (armsight.read_scenario, {"scenario": choice("webcam-cell")}),
-    "read_table": (armsight.read_table, {"path": path(), "kind": choice("poses"), "table": TABLES}),
-    "read_path": (armsight.read_path, {"path": path(), "frame": choice("world")}),
-    "read_poses": (armsight.read_poses, {"path": path(), "table": TABLES}),
-    "read_rig": (
-        armsight.read_rig,
-        {
-            "path": path(),
-            "size": SIZE,
-            "unit_m": number(1.0),
-            "names": Arg(good=("cam0",), wrong={"numbers": [1, 2], "a number": 3}),
-            "approximate": Arg(good=False, wrong=WRONG["bool"]),
-            "zoom_left": number(100.0),
-            "zoom_right": number(100.0),
-        },
-    ),
-    "read_target": (armsight.read_target, {"path": path()}),
     "simulate": (
         armsight.simulate,
         {
@@ -742,7 +676,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     **{
-        f"{kind}.save": (thing.save, {"path": path()})
+        f"{kind}.save": by_annotation(thing.save, {"path": AWAY})
         for kind, thing in {
             "Arm": ARM,
             "Camera": CAMERA,
@@ -806,8 +740,7 @@ TABLE["calibrate_cameras"][1].update(
 
 TABLE["identify_arm"][1].update(
     joint=Arg(
-        good=[1] * 9,
-        wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1},
+        good=[1] * 9, wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1}
     ),
     q=array(np.ones((9, 1)), more={"fewer rows": np.zeros((4, 1))}),
     xyz_m=array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
@@ -1004,6 +937,9 @@ CANNOT_BE: dict[str, Callable[[Path], Any]] = {
     "frames at a text": lambda _: _frames(["0"]),
     "frames without array": lambda _: _frames([0.0], [[0, 1], [1, 0]]),
     "frames on two clocks": lambda _: armsight.measure(RIG, TARGET, _frames([0.0]), _frames([9.0], RIGHT)),
+    "pictures of two sizes": lambda _: armsight.estimate_pose(LEFT[:100], RIGHT, RIG, TARGET),
+    "a picture without its partner": lambda _: armsight.calibrate_stereo([LEFT], [], board=BOARD),
+    "poses without their partners": lambda _: armsight.calibrate_hand_eye(FLANGE, SEEN[:8]),
     "a covariance below 0": lambda _: armsight.Spots.of_centres(PIXELS, -COV),
 }
 """What was taken, or raised another error than ours, until a person tried it."""

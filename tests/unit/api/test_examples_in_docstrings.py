@@ -14,14 +14,8 @@ import armsight
 
 NEEDS_MORE = {
     **dict.fromkeys(
-        (
-            "calibrate_camera",
-            "calibrate_cameras",
-            "calibrate_stereo",
-            "calibrate_mirrors",
-            "check_mirrors",
-        ),
-        "needs many images of a board: tests/unit/api/test_main_jobs.py and the guides have them",
+        ("calibrate_camera", "calibrate_cameras", "calibrate_stereo", "calibrate_mirrors", "check_mirrors"),
+        "needs many images of a board: the guides have them",
     ),
     **dict.fromkeys(("calibrate_target", "calibrate_timing", "calibrate_pivot"), "needs a recorded wave or turn"),
     **dict.fromkeys(("calibrate_zoom_rig",), "needs calibrations at several zooms"),

@@ -6,7 +6,6 @@ import ast
 import pkgutil
 import subprocess
 import sys
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
@@ -84,19 +83,6 @@ def test_a_pose_from_arrays_is_the_true_one_and_shows_itself() -> None:
     left[:] = 0  # the caller's arrays stay his own: nothing froze them
 
 
-def test_images_may_be_slices_and_colour_images() -> None:
-    left, right = images()
-    plain = armsight.find_spots(left)
-    wide = np.zeros((480, 640), np.uint8)
-    wide[::2, ::2] = left
-    sliced = armsight.find_spots(wide[::2, ::2])
-    np.testing.assert_array_equal(sliced.uv_px, plain.uv_px)
-    coloured = armsight.estimate_pose(
-        np.dstack([left] * 3), np.dstack([right] * 3), rig(), armsight.LightTarget(LIGHTS)
-    )
-    assert coloured.ok
-
-
 def test_a_tracker_keeps_its_poses_and_refuses_time_that_stands(tmp_path: Path) -> None:
     tracker = armsight.PoseTracker(rig(), armsight.LightTarget(LIGHTS))
     for i in range(4):
@@ -111,44 +97,6 @@ def test_a_tracker_keeps_its_poses_and_refuses_time_that_stands(tmp_path: Path) 
     assert tracker.update(*images(), 0.0).ok and len(tracker.track) == 1
 
 
-def test_poses_may_come_in_any_form() -> None:
-    F, B = poses(12, 1), poses(12, 2)
-    Z, X = poses(1, 3)[0], poses(1, 4)[0]
-    B = (F * X).inv() * Z
-    forms = (F, F.as_matrix(), list(F.as_matrix()), [F[i] for i in range(12)], F.as_matrix().tolist())
-    for form in forms:
-        found = armsight.calibrate_hand_eye(form, B)
-        np.testing.assert_allclose(found.T_flange_camera, X.as_matrix(), atol=1e-9)
-    shown = {name: float(text.split()[0]) for name, text in found.rows()[:6]}
-    wanted = [*1e3 * X.translation, *X.rotation.as_euler("xyz", degrees=True)]
-    assert shown == pytest.approx(dict(zip(("x", "y", "z", "rx", "ry", "rz"), wanted, strict=True)), abs=1e-3)
-    with refuses(armsight.Inconsistent, "T_base_camera", "eye-in-hand"):
-        _ = found.T_base_camera
-
-
-def test_records_save_themselves(tmp_path: Path) -> None:
-    rig().save(tmp_path / "rig.yaml")
-    assert armsight.read_rig(tmp_path / "rig.yaml").baseline_m == pytest.approx(0.1)
-    CAMERA.save(tmp_path / "camera.yaml")
-    assert armsight.read_camera(tmp_path / "camera.yaml").is_close(CAMERA, tol=0.0)
-    armsight.LightTarget(LIGHTS).save(tmp_path / "target.yaml")
-    assert armsight.read_target(tmp_path / "target.yaml").names == ("A", "B", "C")
-    armsight.presets.ur10().save(tmp_path / "arm.yaml")
-    assert armsight.read_arm(tmp_path / "arm.yaml").n == 6
-
-
-def test_an_arm_solves_its_own_kinematics() -> None:
-    arm = armsight.presets.ur10()
-    q = np.array([0.1, -1.0, 1.2, 0.3, 0.5, 0.2])
-    solutions = arm.ik(arm.fk(q), near=q)
-    np.testing.assert_allclose(solutions[0].q, q, atol=1e-9)
-    assert len(solutions) == len(list(solutions)) == 8 and arm.jacobian(q).shape == (6, 6)
-    far = np.eye(4)
-    far[0, 3] = 2.0
-    with refuses(IndexError, "reaches"):
-        _ = arm.ik(far)[0]
-
-
 def test_an_arm_is_taken_as_a_record_by_its_name_and_as_a_file(tmp_path: Path) -> None:
     arm = armsight.presets.ur10()
     q = np.random.default_rng(2).uniform(-1.5, 1.5, (20, 6))
@@ -159,56 +107,3 @@ def test_an_arm_is_taken_as_a_record_by_its_name_and_as_a_file(tmp_path: Path) -
         armsight.calibrate_arm("ur99", q, seen)
     with refuses(armsight.UsageError, "ndarray"):
         armsight.calibrate_robot_world(q, q, seen)  # type: ignore[arg-type]
-
-
-NAN_POSE = np.full((4, 4), np.nan)
-MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
-GREY = np.zeros((240, 320), np.uint8)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        pytest.param(lambda: armsight.find_spots(GREY.astype(np.uint16)), id="16 bits"),
-        pytest.param(lambda: armsight.find_spots(GREY.astype(float)), id="floats"),
-        pytest.param(lambda: armsight.find_spots(np.zeros((4, 240, 320), np.uint8)), id="channels first"),
-        pytest.param(lambda: armsight.find_spots(np.zeros((0, 320), np.uint8)), id="empty image"),
-        pytest.param(lambda: armsight.find_spots("no-such-file.png"), id="no file"),
-        pytest.param(lambda: armsight.find_spots(None), id="no image"),
-        pytest.param(lambda: armsight.estimate_pose(GREY[:100], GREY, rig(), armsight.LightTarget(LIGHTS)), id="size"),
-        pytest.param(lambda: armsight.estimate_pose(GREY, None, rig(), armsight.LightTarget(LIGHTS)), id="one image"),
-        pytest.param(lambda: armsight.LightTarget({}), id="no lights"),
-        pytest.param(lambda: armsight.LightTarget({"A": (0, 0, np.nan)}), id="light at nan"),
-        pytest.param(lambda: armsight.calibrate_stereo([GREY], [], board="checkerboard:9x6:0.025"), id="no partner"),
-        pytest.param(lambda: armsight.calibrate_camera([GREY], board="chess"), id="no board"),
-        pytest.param(lambda: armsight.calibrate_camera([], board="checkerboard:9x6:0.025"), id="no images"),
-        pytest.param(lambda: armsight.calibrate_mirrors([GREY], board="checkerboard:9x6:0.025"), id="dark"),
-        pytest.param(lambda: armsight.calibrate_hand_eye(NAN_POSE, NAN_POSE), id="nan pose"),
-        pytest.param(lambda: armsight.calibrate_hand_eye([], []), id="no poses"),
-        pytest.param(lambda: armsight.calibrate_hand_eye([MIRROR] * 5, [MIRROR] * 5), id="mirror"),
-        pytest.param(lambda: armsight.calibrate_hand_eye(2.0 * np.eye(4), np.eye(4)), id="scaled"),
-        pytest.param(lambda: armsight.calibrate_hand_eye(poses(9, 1).as_matrix()[:, :3], poses(9, 1)), id="3x4"),
-        pytest.param(lambda: armsight.calibrate_hand_eye(poses(9, 1), poses(8, 1)), id="unequal"),
-        pytest.param(lambda: armsight.calibrate_tool_tip(poses(20, 1), np.zeros((3, 6, 6))), id="covariances"),
-        pytest.param(lambda: armsight.calibrate_tool_tip("poses"), id="text"),
-        pytest.param(lambda: armsight.identify_arm([1.5], [[0.0]], [[0, 0, 0]]), id="joint 1.5"),
-        pytest.param(lambda: armsight.identify_arm([1, 1], [[0.0]], [[0, 0, 0]]), id="rows"),
-        pytest.param(lambda: armsight.identify_arm([1], [[0.0]], [[0, 0, np.inf]]), id="infinite"),
-        pytest.param(lambda: armsight.identify_arm([1], [[0.0], [0.0, 1.0]], [[0, 0, 0]]), id="ragged"),
-        pytest.param(
-            lambda: armsight.calibrate_arm(armsight.presets.ur10(), np.zeros((9, 5)), np.zeros((9, 3))), id="5 joints"
-        ),
-        pytest.param(lambda: armsight.presets.ur10().fk([0.0] * 5), id="fk of 5"),
-        pytest.param(lambda: armsight.presets.ur10().fk([np.nan] * 6), id="fk of nan"),
-        pytest.param(lambda: armsight.presets.ur10().ik(np.eye(3)), id="ik of 3x3"),
-        pytest.param(lambda: armsight.presets.ur10().ik(MIRROR), id="ik of a mirror"),
-        pytest.param(lambda: armsight.read_rig("no-such-file.yaml"), id="no rig"),
-        pytest.param(lambda: armsight.simulate("nowhere"), id="no scenario"),
-        pytest.param(lambda: armsight.simulate(frames=0), id="no frames"),
-        pytest.param(lambda: armsight.open_recording("no-such-file.mcap"), id="no recording"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_with_cause_and_cure(call: Callable[[], object]) -> None:
-    with pytest.raises(armsight.ArmsightError) as caught:
-        call()
-    assert caught.value.cause and (caught.value.cure or caught.value.consequence)

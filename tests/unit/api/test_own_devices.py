@@ -75,11 +75,6 @@ def test_a_camera_is_opened_read_as_far_as_asked_with_its_times_and_closed() -> 
     assert left.opened == right.opened == [True, False] and left.n == right.n == 3
 
 
-def test_a_frame_is_an_image_too() -> None:
-    frame = armsight.Frame(image=pictures("left")[0], t_s=0.0, sequence=0, source="mine")
-    np.testing.assert_array_equal(armsight.find_spots(frame).uv_px, armsight.find_spots(pictures("left")[0]).uv_px)
-
-
 @pytest.mark.alone
 def test_a_robot_moves_and_one_that_goes_nowhere_is_told() -> None:
     assert armsight.jog(Robot(), 2, 0.02, confirm=True).reached[1] == pytest.approx(-0.98)

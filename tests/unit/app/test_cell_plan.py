@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from armsight.calibrate.cell.model import CellModel
-from armsight.calibrate.cell.observations import JointLog
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, JointLimit, Limits
 from armsight.control.play.path_source import JointMotionSource
@@ -23,14 +20,14 @@ from armsight.ops.arm_files import load_arm
 from armsight.ops.robot.opening import ClockedRobot, open_robot
 from armsight.ops.robot.run_motion import RunMotionOutput
 from armsight.ops.simulation.run import simulate
-from armsight.records import Motion, Silent
+from armsight.records import Motion
 from armsight.store import read_target
 from armsight.store.limits_file import write_limits
 from armsight.store.tracks import read_joints, write_joints
 from armsight_lab.cell_plan import plan as plan_module
 from armsight_lab.cell_plan.cautious import CAUTIOUS_RAD, cautious_motion
-from armsight_lab.cell_plan.information import known_before, motion_information, seen_spots
-from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, plan_motion, refine
+from armsight_lab.cell_plan.information import known_before, motion_information
+from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, plan_motion
 from armsight_lab.cell_plan.request import CellPlanJob
 from armsight_lab.cell_plan.run import free_of, links_of, motion_bounds, run_cell_plan, scene_of
 from armsight_lab.cell_plan.scene import Scene, places, roadmap
@@ -89,13 +86,7 @@ def tool_and_flange(arm: Arm, q: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([T[:, :3, 3], flange[:, :3, 3]])
 
 
-def moved(
-    motion: Path,
-    out: Path,
-    *,
-    confirm=lambda _: True,
-    **more: object,
-) -> RunMotionOutput:
+def moved(motion: Path, out: Path, *, confirm=lambda _: True, **more: object) -> RunMotionOutput:
     clock = ManualClock()
     robot = ClockedRobot(robot=open_robot("sim:webcam-cell", clock), clock=clock, called="sim:webcam-cell")
     return acted(robots.run_motion, robot=robot, motion=motion, out=out, confirm=confirm, **more)
@@ -129,24 +120,6 @@ def test_a_motion_keeps_the_limits_in_view_and_a_robot_runs_it_through_the_guard
     along = read.q[read.t_s > read.t_s[0] + 3.0]
     assert cKDTree(motion.q).query(along)[0].max() < 0.02
     assert ran.took_s == pytest.approx(30.0, abs=3.0)
-
-
-def test_a_box_in_the_way_is_gone_round(cell: Path, tmp_path: Path) -> None:
-    target, arm = read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
-    open_ = quick(cell)
-    at = tool_and_flange(arm, open_.motion.q)
-    free_start = np.linalg.norm(at - at[0], axis=1) > 0.15
-    middle = at[free_start][len(at[free_start]) // 3]
-    box = Box(lower_m=middle - 0.03, upper_m=middle + 0.03, name="post")
-    limits = Limits(workspace=ROOM.workspace, forbidden=(box,))
-    round_it = plan_motion(scene(cell, limits), target, arm.T_flange_tool, QUICK, start=Q)
-
-    def inside(motion: Motion) -> int:
-        xyz = tool_and_flange(arm, motion.q)
-        return int(((xyz > box.lower_m) & (xyz < box.upper_m)).all(axis=1).sum())
-
-    assert inside(open_.motion) > 0 and inside(round_it.motion) == 0
-    assert not free_of(arm, limits, np.empty((0, 3)), 0.0)(open_.motion.q).all()
 
 
 def test_a_box_that_only_an_elbow_would_hit_is_gone_round_and_one_at_the_start_is_refused_by_name(
@@ -199,44 +172,6 @@ def test_it_tells_more_than_a_motion_through_places_at_random_and_is_the_same_ag
 def test_what_no_motion_tells_is_said_where_hardly_anything_else_is_left() -> None:
     assert any("--prior" in note for note in plan_module._at_floor((3.1e-4, 3.0e-4), (3.0e-4, 2.9e-4)))
     assert plan_module._at_floor((6.0e-4, 6.0e-4), (3.0e-4, 3.0e-4)) == ()
-
-
-def test_places_are_moved_to_where_they_tell_more_within_limits_and_view(
-    cell: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
-    monkeypatch.setattr(plan_module, "PUSHES", 8)
-    moved_ = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
-    monkeypatch.setattr(plan_module, "PUSHES", 0)
-    drawn = plan_motion(made, target, arm.T_flange_tool, QUICK, start=Q)
-
-    def excess(plan: CellPlan) -> float:
-        return float(np.sum(np.square(plan.after_m)) - np.sum(np.square(plan.least_m)))
-
-    assert excess(moved_) < 0.9 * excess(drawn)
-    assert made.allowed(moved_.motion.q).all() and moved_.seen > 0.9
-    assert np.array_equal(moved_.places[[0, -1]], drawn.places[[0, -1]]), "it begins and ends where the arm stands"
-
-
-def test_a_second_motion_knows_what_a_first_one_told(cell: Path) -> None:
-    made, target, arm = scene(cell), read_target(cell / "target.yaml"), load_arm(str(cell / "arm.yaml"))
-    first = quick(cell)
-    model = CellModel(
-        recording=SimpleNamespace(
-            arm=made.model.recording.arm,
-            log=JointLog.of(first.motion),
-            sizes=made.model.recording.sizes,
-            clocks=made.model.recording.clocks,
-            middle_s=made.model.recording.middle_s,
-        ),
-        lights=made.model.lights,
-    )
-    spots = seen_spots(made, model, first.motion, QUICK.spot_px)
-    normals = model.normals(made.x, spots, spots.whitening(), np.zeros(len(spots), np.intp))
-    found = SimpleNamespace(x=made.x, normals=normals, wander=None)
-    second = refine(made, model, found, target, arm.T_flange_tool, QUICK, start=Q)
-    assert second.before_m[0] < 0.1 * first.before_m[0]
-    assert second.after_m[0] < first.after_m[0]
 
 
 def test_small_moves_where_nothing_is_known_stay_near(cell: Path, tmp_path: Path) -> None:
@@ -292,17 +227,6 @@ def test_an_arm_whose_limits_nobody_told_is_not_moved(cell: Path, tmp_path: Path
         run_cell_plan(job(cell, tmp_path, model=str(bare)))
 
 
-class LetGo(Silent):
-    """An operator who lets go after so many looks."""
-
-    def __init__(self, looks: int) -> None:
-        self.left = looks
-
-    def cancelled(self) -> bool:
-        self.left -= 1
-        return self.left < 0
-
-
 def swing(joints: int = 6, by: float = 0.1) -> Motion:
     t = np.arange(500) / 100.0
     return Motion(t_s=t, q=np.tile(Q[:joints], (500, 1)) + by * np.sin(2.0 * np.pi * t / 5.0)[:, None] ** 2)
@@ -324,42 +248,6 @@ def test_a_motion_is_not_run_where_it_would_leave_the_limits_or_nobody_agrees(tm
         moved(tmp_path / "motion.csv", tmp_path / "out", override=3.0)
 
 
-def test_a_motion_ends_where_the_operator_lets_go_and_its_speed_is_cut(tmp_path: Path) -> None:
-    write_joints(tmp_path / "motion.csv", swing(by=0.05))
-    let_go = moved(tmp_path / "motion.csv", tmp_path / "out", progress=LetGo(400))
-    assert not let_go.finished and let_go.stopped_by == "operator" and 0.0 < let_go.share < 1.0
-    slow = moved(tmp_path / "motion.csv", tmp_path / "slow", override=0.5)
-    assert slow.finished and slow.took_s > 10.0
-    with refuses(UsageError, "slow"):
-        moved(tmp_path / "motion.csv", tmp_path / "slow")
-
-
-def test_a_motion_waits_while_it_is_paused(tmp_path: Path) -> None:
-    write_joints(tmp_path / "motion.csv", swing(by=0.05))
-    stages: list[tuple[str, bool, float]] = []
-
-    class Resumed(Silent):
-        """An operator who pauses a second after the start, and goes on three seconds later."""
-
-        looks = 0
-
-        def cancelled(self) -> bool:
-            self.looks += 1
-            source = sources[0]
-            if self.looks == 300:
-                source.pause()
-            if self.looks == 900:
-                source.resume()
-            stages.append((source.stage, source.paused, source.at_s))
-            return False
-
-    sources: list[JointMotionSource] = []
-    done = moved(tmp_path / "motion.csv", tmp_path / "out", progress=Resumed(), begun=sources.append)
-    waited = [at for _, paused, at in stages if paused]
-    assert done.finished and stages[-1][0] == "finished"
-    assert waited[-1] - waited[0] < 0.5 and waited[-1] == waited[len(waited) // 2]
-
-
 def test_a_motion_stands_still_while_the_enable_is_let_go_of_and_goes_on_from_there(tmp_path: Path) -> None:
     write_joints(tmp_path / "motion.csv", swing(by=0.05))
     sources: list[JointMotionSource] = []
@@ -373,8 +261,3 @@ def test_a_motion_stands_still_while_the_enable_is_let_go_of_and_goes_on_from_th
     done = moved(tmp_path / "motion.csv", tmp_path / "out", begun=sources.append, enabled=enabled)
     assert done.finished and done.holds == ["no enable from the operator"]
     assert at_s[245] < at_s[252] == at_s[350] < at_s[400], "it crept on while the arm was held"
-
-
-def test_a_folder_without_a_first_calibration_is_refused(cell: Path, tmp_path: Path) -> None:
-    with refuses(UsageError, ("holds no arm.yaml", "calibrate cell")):
-        run_cell_plan(job(cell, tmp_path, after=tmp_path))

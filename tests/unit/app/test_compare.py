@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
-from typer.testing import CliRunner
 
-from armsight.cli.commands import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import preset
 from armsight.ops.compare.calibrations import Value, differences, judged
@@ -147,18 +145,6 @@ def test_other_kinds_and_other_things_are_refused(tmp_path):
     (tmp_path / "odd.yaml").write_text("camera_name: left\ncamera_matrix: {rows: 3, cols: 3}\n")
     with refuses(BadFile, "ros", "armsight.convert"):
         compare(a=tmp_path / "odd.yaml", b=camera)
-
-
-def test_the_command_writes_a_report_only_where_it_is_told_to(tmp_path):
-    a, b = poses_file(tmp_path, "a.csv", 1), poses_file(tmp_path, "b.csv", 2)
-    run = CliRunner().invoke
-    assert run(app, ["compare", str(a), str(b)]).exit_code == 0
-    assert not (tmp_path / "out").exists()
-    told = run(app, ["compare", str(a), str(b), "-o", str(tmp_path / "out"), "--json"])
-    assert told.exit_code == 0
-    assert json.loads(told.stdout)["agree"] is True
-    assert (tmp_path / "out/report.html").stat().st_size < 1_500_000
-    assert run(app, ["compare", str(a), str(b), "-o", str(tmp_path / "out")]).exit_code == UsageError.exit_code
 
 
 def run_folder(folder, seed, rig, target=None):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 
@@ -12,7 +11,6 @@ import pytest
 
 from armsight.errors import Cancelled
 from armsight.ops.compilation import GROUPS, SHARES, compile_all
-from armsight.ops.machine import doctor
 from armsight.records import Silent
 
 CODE = """
@@ -92,9 +90,3 @@ def test_compiling_tells_each_group_and_can_be_stopped() -> None:
         compile_all(heard, ("guard", "measure"))
     assert "measure" in str(stopped.value)
     assert heard.notes == ["0 of 2 compiling", "1 of 2 compiling: guard"]
-
-
-def test_the_doctor_compiles_when_asked_and_tells_what_failed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.executable", shutil.which("false"))
-    assert not [problem for problem in doctor().problems if "Not compiled" in problem]
-    assert doctor(compile_ahead=True).problems[0].startswith(f"Not compiled: {', '.join(GROUPS)}")

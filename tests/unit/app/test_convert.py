@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import BadFile, UsageError
-from armsight.ops.conversion import convert_camera, convert_poses, convert_rig
+from armsight.errors import UsageError
+from armsight.ops.conversion import convert_poses, convert_rig
 from armsight.optics import Camera, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
-from armsight.store import read_camera, read_poses, read_rig, write_camera, write_rig
+from armsight.store import read_poses, read_rig, write_rig
 from refusals import refuses
 
 CAMERA = Camera.pinhole(640, 480, 612.5, 611.0, 318.2, 241.7, distortion=(-0.21, 0.07, 1e-4, -2e-4, 0.0))
@@ -28,29 +27,6 @@ def rig() -> Rig:
     )
 
 
-@pytest.mark.parametrize("kind", ["ros", "opencv", "kalibr"])
-def test_a_camera_goes_out_and_comes_back(tmp_path: Path, kind: str) -> None:
-    own, foreign, back = tmp_path / "own.yaml", tmp_path / "foreign.yaml", tmp_path / "back.yaml"
-    write_camera(own, CAMERA)
-    assert convert_camera(own, foreign, to=kind).target == kind
-    done = convert_camera(foreign, back)
-    assert (done.source, done.target, done.files) == (kind, "armsight", [str(back)])
-    assert read_camera(back).is_close(CAMERA, tol=1e-9)
-
-
-@pytest.mark.parametrize(("kind", "count"), [("ros", 2), ("opencv", 1), ("kalibr", 1)])
-def test_a_rig_goes_out_and_comes_back(tmp_path: Path, kind: str, count: int) -> None:
-    own, back = tmp_path / "own.yaml", tmp_path / "back.yaml"
-    foreign = [tmp_path / f"foreign{i}.yaml" for i in range(count)]
-    write_rig(own, rig())
-    convert_rig([own], foreign, to=kind)
-    convert_rig(foreign, [back])
-    got = read_rig(back)
-    assert got.left.is_close(rig().left, tol=1e-6)
-    assert got.right.is_close(rig().right, tol=1e-6)
-    np.testing.assert_allclose(got.T_rig_right.as_matrix(), rig().T_rig_right.as_matrix(), atol=1e-6)
-
-
 def test_a_mirror_rig_goes_out_as_two_pinholes(tmp_path: Path) -> None:
     own, foreign, back = tmp_path / "own.yaml", tmp_path / "out.yaml", tmp_path / "back.yaml"
     mirrors = Mirrors(baseline_m=0.1).rig(Camera.pinhole(768, 576, 1000.0, 1000.0, 383.5, 287.5))
@@ -63,21 +39,6 @@ def test_a_mirror_rig_goes_out_as_two_pinholes(tmp_path: Path) -> None:
     T = read_rig(back).T_rig_left * mirrors.T_rig_left.inv()  # Kalibr's axes are those of its first camera
     for got, seen in zip(read_rig(back).project(T.apply(X)), mirrors.project(X), strict=True):
         assert np.abs(got - seen).max() < 1.0  # the pinhole's centre lies a little off the glass's
-
-
-def test_what_cannot_be_converted_is_said(tmp_path: Path) -> None:
-    own = tmp_path / "own.yaml"
-    write_camera(own, CAMERA)
-    with refuses(UsageError, "--to", "armsight's own"):
-        convert_camera(own, tmp_path / "out.yaml")
-    with refuses(UsageError, "matlab", "kind"):
-        convert_camera(own, tmp_path / "out.yaml", to="matlab")
-    with refuses(BadFile, "armsight/camera", "armsight/rig"):
-        convert_rig([own], [tmp_path / "out.yaml"])
-    write_rig(own, rig())
-    with refuses(UsageError, "1 output", "ros", "2"):
-        convert_rig([own], [tmp_path / "out.yaml"], to="ros")
-    assert not (tmp_path / "out.yaml").exists()
 
 
 def test_poses_go_to_tum_and_back(tmp_path: Path) -> None:

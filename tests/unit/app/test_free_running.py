@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.cli.actions import action_of
-from armsight.drivers import AUTOMATIC, CameraSettings
-from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Inconsistent, NotEnoughData
 from armsight.measure.results import MeasureResult
 from armsight.ops import measure as ops
 from armsight.optics import Camera, parallel_rig
@@ -123,6 +122,7 @@ def test_tables_of_spots_of_free_running_cameras_give_poses_and_velocity_at_the_
     summary = measure(**job(tmp_path))
     assert summary.timing is not None and summary.timing.n_starts == 1 and summary.timing.note is None
     assert summary.n_frames == 120 and summary.n_ok > 105  # it is not found at once in motion
+    assert summary.consistency is not None and summary.consistency.verdict == "ok" and summary.n_doubtful == 0
     d, sigmas = errors(tmp_path)
     assert np.sqrt(np.mean(np.sum(d[:, :3] ** 2, axis=1))) < 4e-4
     assert np.mean(np.abs(sigmas) < 1.96) > 0.85
@@ -149,22 +149,6 @@ def test_poses_come_at_a_rate_or_at_given_times_and_not_where_nothing_was_seen(t
     (tmp_path / "joints.csv").write_text("t_s,q1\n101.0,0.1\n102.5,0.2\n")
     with refuses(NotEnoughData, "none", "times"):
         measure(**job(tmp_path, at=tmp_path / "joints.csv"))
-
-
-def test_a_covered_camera_leaves_wider_poses_that_hold(tmp_path: Path) -> None:
-    timed_rig(tmp_path)
-    spots(tmp_path, keep=lambda t, side: side == 0 or not 1.5 < t < 2.0)
-    measure(**job(tmp_path))
-    found = {round(one.t_s, 2): one for one in read_poses(tmp_path / "out" / "poses.csv")}
-    covered = [one for t, one in found.items() if 1.6 < t < 1.9]
-    d, sigmas = errors(tmp_path)
-    assert len(covered) >= 8 and all(one.status is PoseStatus.OK for one in covered)
-    assert np.linalg.norm(d[:, :3], axis=1).max() < 5e-3
-    assert np.mean(np.abs(sigmas) < 1.96) > 0.85
-    clear = [one for t, one in found.items() if 2.5 < t < 2.8]
-    assert np.median([one.covariance[2, 2] for one in covered if one.covariance is not None]) > np.median(
-        [one.covariance[2, 2] for one in clear if one.covariance is not None]
-    )
 
 
 def test_images_of_free_running_cameras_are_measured_where_the_rig_tells_their_timing(tmp_path: Path) -> None:
@@ -203,83 +187,7 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
     np.testing.assert_allclose(in_world[:, 3:], T.rotation.apply(in_rig[:, 3:]), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("more", "error", "says"),
-    [
-        ({"timing": "sometimes"}, UsageError, "auto, pairs, free"),
-        ({"timing": "pairs"}, UsageError, ("--left-spots", "run free")),
-        ({"rate_hz": 10.0, "at": Path("joints.csv")}, UsageError, ("--at", "--rate", "Give one")),
-        ({"left": "somewhere"}, UsageError, "which frames"),
-        ({"timing": "free", "stills": True}, UsageError, "--stills"),
-        (
-            {"left": "camera:0", "right": "camera:1", "left_spots": None, "right_spots": None},
-            UsageError,
-            "Record",
-        ),
-        ({"target": Path("checkerboard:9x6:0.025")}, UsageError, "three"),
-        ({"camera_settings": CameraSettings(gain=2.0)}, UsageError, ("--gain", "live", "table of spots")),
-        (
-            {
-                "left": "shots",
-                "right": "others",
-                "left_spots": None,
-                "right_spots": None,
-                "timing": "free",
-                "camera_settings": (AUTOMATIC, CameraSettings(zoom=300.0)),
-            },
-            UsageError,
-            ("--set-zoom", "live", "shots"),
-        ),
-        (
-            {
-                "image": "camera:0",
-                "left_spots": None,
-                "right_spots": None,
-                "timing": "pairs",
-                "camera_settings": (AUTOMATIC, CameraSettings(zoom=300.0)),
-            },
-            UsageError,
-            ("camera:0", "zooms"),
-        ),
-    ],
-)
-def test_what_cannot_be_together_is_refused(
-    tmp_path: Path, more: dict[str, object], error: type[Exception], says: str
-) -> None:
-    timed_rig(tmp_path)
-    spots(tmp_path, seconds=1.5)
-    with refuses(error, says):
-        measure(**job(tmp_path, **more))
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_rig_without_timing_is_told_what_to_run(tmp_path: Path) -> None:
-    timed_rig(tmp_path, timed=False)
-    spots(tmp_path, seconds=1.5)
-    with refuses(UsageError, "armsight calibrate timing", "--timing pairs"):
-        measure(**job(tmp_path, timing="free"))
-
-
-def test_stamps_that_run_backwards_are_refused_by_row(tmp_path: Path) -> None:
-    timed_rig(tmp_path)
-    spots(tmp_path, seconds=1.5)
-    rows = (tmp_path / "left.csv").read_text().splitlines()
-    (tmp_path / "left.csv").write_text("\n".join([rows[0], *rows[10:13], *rows[1:10], *rows[13:]]) + "\n")
-    with pytest.raises((BadFile, Inconsistent), match="time"):
-        measure(**job(tmp_path))
-
-
-def test_a_target_that_is_not_there_gives_no_pose(tmp_path: Path) -> None:
-    timed_rig(tmp_path)
-    spots(tmp_path, seconds=1.5)
-    write_target(
-        tmp_path / "target.yaml", spot_target({"A": (0.0, 0.0, 0.0), "B": (0.2, 0.0, 0.0), "C": (0.0, 0.3, 0.0)})
-    )
-    with refuses(NotEnoughData, "none", "followed"):
-        measure(**job(tmp_path))
-
-
-@pytest.mark.parametrize("off_s", [-0.02, -0.005, 0.005, 0.01, 0.02])
+@pytest.mark.parametrize("off_s", [-0.005, 0.02])
 def test_cameras_out_of_step_are_refused(tmp_path: Path, off_s: float) -> None:
     """The right camera's delay off by 5 to 20 ms: 1 to 5 mm between the views."""
     with_delay(tmp_path, DELAY + off_s)
@@ -314,14 +222,6 @@ def test_a_target_larger_than_its_file_says_makes_the_run_doubtful_and_names_the
     all_doubtful(tmp_path, summary)
     assert summary.consistency is not None
     assert summary.consistency.cause == "scale" and summary.consistency.estimate == pytest.approx(0.004, abs=0.001)
-
-
-def test_a_run_that_fits_its_claims_is_called_ok(tmp_path: Path) -> None:
-    timed_rig(tmp_path)
-    spots(tmp_path)
-    summary = measure(**job(tmp_path))
-    assert summary.consistency is not None and summary.consistency.verdict == "ok"
-    assert summary.n_doubtful == 0
 
 
 def with_delay(folder: Path, delay_s: float) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.guided.boards import BoardCalibration, tilt
+from armsight.app.guided.boards import BoardCalibration
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, StepResult
 from armsight.app.guided.step_runner import GuidedStepRunner, figures_of
@@ -26,9 +26,8 @@ from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
 from armsight.ops.calibrate_cameras import calibrate_stereo
 from armsight.optics import Camera, Rig, RigKind
-from armsight.records import BoardView, JointReading, PoseStatus, Silent, Spots, TargetPose
+from armsight.records import JointReading, PoseStatus, Silent, Spots, TargetPose
 from armsight.records.result_parts import Verdict
-from armsight.store import parse_board
 from armsight.store.handeye_file import read_handeye, read_tip
 from refusals import refuses
 
@@ -137,64 +136,6 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
     assert verdict.report.exists()
 
 
-def test_a_corner_of_the_picture_without_board_is_asked_for_first(boards: Any, tmp_path: Path) -> None:
-    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
-    step.accept(Pictures(boards.folder))  # type: ignore[arg-type]
-    hint = step.hint()
-    assert hint.what is Next.TO_CELL
-    assert hint.cell is not None
-    column, row = hint.cell
-    assert step.coverage()[hint.side][3 * row + column] == 0
-
-
-def test_pictures_whose_parts_are_all_reached_but_not_covered_lack_a_corner(boards: Any, tmp_path: Path) -> None:
-    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
-    at = np.array([(x, y) for x in (0.28, 0.5, 0.72) for y in (0.28, 0.5, 0.72)])
-    view = BoardView(
-        index=np.arange(9), uv_px=at * [640, 480] - [15.0, 0.0], sigma_px=0.1, width=640, height=480, source=""
-    )
-    step._views.append((view, view))
-    assert min(step.coverage()["left"]) > 0
-    hint = step.hint()
-    assert hint.what is Next.TO_CELL and hint.cell in {(2, 0), (2, 2)}, "the points lie to the left"
-
-
-def test_a_dropped_board_is_gone_with_its_pictures(boards: Any, tmp_path: Path) -> None:
-    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
-    station: Any = Pictures(boards.folder)
-    step.accept(station)
-    step.accept(station)
-    step.drop(0)
-    assert [sample.name for sample in step.samples] == ["001"]
-    assert sorted(p.name for p in (tmp_path / "p").rglob("*.png")) == ["001.png", "001.png"]
-    with pytest.raises(NotEnoughData, match="1 boards"):
-        step.run(Silent())
-
-
-def test_a_picture_without_the_board_is_not_taken(boards: Any, tmp_path: Path) -> None:
-    step = BoardCalibration(board="checkerboard:9x6:0.02", folder=tmp_path / "p", out=tmp_path / "rig.yaml")
-    with refuses(BadImage, "left camera"):
-        step.accept(Pictures(boards.folder))  # type: ignore[arg-type]
-    assert step.samples == ()
-    assert not list((tmp_path / "p").rglob("*.png"))
-
-
-@pytest.mark.parametrize(("degrees", "tilted"), [(0.0, False), (35.0, True)])
-def test_tilt_is_seen_in_the_picture(degrees: float, tilted: bool) -> None:
-    board = parse_board("checkerboard:9x6:0.025")
-    turned = Rotation.from_euler("y", degrees, degrees=True).apply(board.xyz_m - [0.1, 0.06, 0.0])
-    points = turned + np.array([0.0, 0.0, 0.5])
-    view = BoardView(
-        uv_px=800.0 * points[:, :2] / points[:, 2:] + [640.0, 360.0],
-        index=np.arange(len(points)),
-        sigma_px=0.05,
-        width=1280,
-        height=720,
-        source="drawn",
-    )
-    assert (tilt(view, board) > 0.12) is tilted
-
-
 def turns(n: int, seed: int) -> Rotation:
     """Rotations of up to 50 degrees about all axes."""
     return Rotation.from_rotvec(np.random.default_rng(seed).uniform(-0.9, 0.9, (n, 3)))
@@ -210,15 +151,6 @@ def test_a_tip_is_found_where_the_target_was_turned_about_it(tmp_path: Path) -> 
     assert step.hint().what is Next.RUN
     assert step.run(Silent()).verdict.level == "good"
     np.testing.assert_allclose(read_tip(tmp_path / "tip.yaml").tip_m, tip, atol=1e-6)
-
-
-def test_poses_that_turn_about_one_axis_are_not_enough(tmp_path: Path) -> None:
-    turned = Rotation.from_rotvec(np.linspace(-0.8, 0.8, 40)[:, None] * [0.0, 0.0, 1.0])
-    station: Any = Poses([(np.zeros(3), turn) for turn in turned])
-    step = TipCalibrationStep(folder=tmp_path / "tip", out=tmp_path / "tip.yaml")
-    for _ in range(40):
-        step.accept(station)
-    assert step.hint().what is Next.TURN_TARGET
 
 
 @dataclass

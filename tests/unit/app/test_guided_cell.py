@@ -23,14 +23,14 @@ from armsight.console.state import Console
 from armsight.defaults import LOST_LOOKS
 from armsight.errors import DeviceFailed, DeviceLost, NotEnoughData, UsageError
 from armsight.ops.recording.recorder import RecordingState
-from armsight.records import Frame, JointReading, Motion, Silent, Spots
+from armsight.records import Frame, JointReading, Silent, Spots
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile
 from armsight.store.handeye_file import read_handeye
 from armsight.store.recording import ImageFormat, RecordingWriter, encode
-from armsight.store.tracks import read_joints, write_joints
+from armsight.store.tracks import read_joints
 from drawn_cell import FPS, SIDES, DrawnCell, drawn_cell
-from refusals import names_it, refuses
+from refusals import refuses
 
 SIDE = SideView(
     width=300, height=300, spots=[], epipolar=[], advice="good", background=0.0, brightest=None, sigma_px=None
@@ -74,14 +74,6 @@ def step_of(folder: Path, read: Callable[[], JointReading] | None = None, **file
     return CellStep(folder=folder, file_of=files.get, read_joints=read)
 
 
-def told(step: CellStep, n_lights: int = 4) -> CellWatch:
-    """Return what a recording of the step has seen, to be filled by hand; the recording goes on."""
-    step.recorder = SimpleNamespace(  # type: ignore[assignment]
-        watch=CellWatch(n_lights=n_lights), running=True, folder=step.folder / "cell-x", failure=""
-    )
-    return step.watch
-
-
 CROSS = np.array([[-9.0, 0.0], [9.0, 0.0], [0.0, -9.0], [0.0, 9.0]])
 
 
@@ -102,40 +94,6 @@ def test_moving_lights_cover_a_picture_and_lamps_that_stand_do_not() -> None:
         assert not watch.lost_side
         watch.add_pictures(shown(3.0 + k, lights(50.0, 50.0), lights(150.0, 150.0, 3)))
     assert watch.lost_side == "right"
-
-
-def test_ranges_of_the_joints_and_the_longest_gap_are_of_readings_taken_once() -> None:
-    watch = CellWatch()
-    for one in (reading(1.0, 0.0, 1.0), reading(1.0, 9.0, 9.0), reading(1.1, 0.4, 1.0), reading(1.5, -0.1, 1.2)):
-        watch.add_reading(one)
-    np.testing.assert_allclose(watch.ranges, [0.5, 0.2])
-    assert len(watch.readings) == 3 and watch.gap_s == pytest.approx(0.4)
-
-
-def test_what_is_missing_most_is_asked_for_next(tmp_path: Path) -> None:
-    step = step_of(tmp_path, lambda: reading(0.0))
-    assert step.hint().what is Next.RECORD_CELL
-    watch = told(step)
-    for k, place in enumerate([(50, 50), (150, 50), (250, 50), (50, 150), (150, 150), (250, 150), (50, 250)]):
-        watch.add_pictures(shown(float(k), lights(*place)))
-    watch.add_pictures(shown(8.0, lights(150, 250)))
-    watch.add_reading(reading(0.0, 0.0, 0.0))
-    watch.add_reading(reading(0.1, 1.0, 0.1))
-    hint = step.hint()
-    assert (hint.what, hint.axis, round(hint.share, 2)) == (Next.MOVE_JOINT, "2", 0.29)
-    watch.add_reading(reading(0.2, 1.0, 0.4))
-    hint = step.hint()
-    assert (hint.what, hint.side, hint.cell) == (Next.TO_PLACE, "left", (0, 0)), "the first picture is held to nothing"
-    watch.add_pictures(shown(9.0, lights(50, 50)))
-    assert step.hint().cell == (2, 2)
-    watch.add_pictures(shown(10.0, lights(250, 250)))
-    assert step.hint().what is Next.GO_ON
-    watch.add_pictures(shown(60.0, lights(50, 50)))
-    assert step.hint().what is Next.END_RECORDING
-    for k in range(LOST_LOOKS):
-        watch.add_pictures(shown(61.0 + k, lights(50, 50), lights(0.0, 0.0, 2)))
-    assert (step.hint().what, step.hint().side) == (Next.LIGHTS_BACK, "right")
-    assert ("joint 2", "23 of 20 deg") in step.spread()
 
 
 def test_pressed_twice_is_one_recording_with_the_readings_beside_it(tmp_path: Path) -> None:
@@ -270,24 +228,6 @@ def test_a_console_that_ends_closes_the_recording_and_keeps_the_readings(tmp_pat
     assert not step.recording and station.recording.file is None
     (log,) = tmp_path.glob("cell-*/joints.csv")
     assert len(read_joints(log).t_s) > 0
-
-
-def test_what_the_command_refuses_is_told_in_full_and_nothing_is_written(
-    drawn: DrawnCell, frames: Path, tmp_path: Path
-) -> None:
-    step = recorded(tmp_path, drawn, frames)
-    joints = read_joints(tmp_path / "joints.csv")
-    q = joints.q.copy()
-    q[:, 2] = q[0, 2]
-    write_joints(tmp_path / "joints.csv", Motion(t_s=joints.t_s, q=q))
-    runner = GuidedStepRunner(step)
-    runner.run_told()
-    why = runner.state.not_done
-    assert runner.state.result is None and names_it(why, "joint j3", "Record")
-    (folder,) = tmp_path.glob("cell-*")
-    assert [path.name for path in folder.iterdir()] == [FRAMES]
-    runner.look()
-    assert runner.state.not_done == why, "a look forgets nothing"
 
 
 def test_too_little_and_what_is_missing_are_told_before_anything_is_looked_for(

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 
 from armsight.app.guided.mirror_alignment import COARSE_RAD, MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
@@ -19,9 +17,8 @@ from armsight.app.live.measurement import LiveJob
 from armsight.console import texts
 from armsight.console.pages.mirrors import turn_words
 from armsight.console.state import Console, steps_of
-from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import BadImage, UsageError
 from armsight.ops.calibrate_mirrors import calibrate_mirrors
-from armsight.ops.simulation.run import simulate
 from armsight.optics import Camera
 from armsight.records import Silent
 from armsight.store import read_rig, write_camera
@@ -88,31 +85,6 @@ def test_it_leads_to_the_result_of_the_command(done: Any, mirror_boards: Any) ->
     assert rig.baseline_m == pytest.approx(mirror_boards.baseline_m, abs=2e-3)
 
 
-def test_live_standard_deviations_fall_as_boards_are_added(done: Any) -> None:
-    step, _, history, _, _ = done
-    assert {name for name, _ in step.spread()} >= {"baseline", "axes turn towards each other", "right view turned"}
-    curves = history.curves()
-    baseline = curves["± baseline", "mm"]
-    assert [n for n, _ in baseline] == [5, 6, 7, 8] and baseline[-1][1] < baseline[0][1]
-    assert 0.0 < curves["residual, RMS", "px"][-1][1] < 0.5
-    views = [view for one in step._views for view in one.pair]
-    hull = ConvexHull(np.concatenate([view.uv_px for view in views]))  # of a plane volume is the area
-    share = hull.volume / (views[0].width * views[0].height)
-    assert curves["picture covered", "%"][-1][1] == pytest.approx(100.0 * share, rel=1e-4)
-    assert min(step.coverage()[COMPLEX]) >= 0
-
-
-def test_a_dropped_sample_is_gone_with_its_picture(mirror_boards: Any, tmp_path: Path) -> None:
-    step, station = step_of(mirror_boards, tmp_path), OnePicture(mirror_boards.straight)
-    for _ in range(2):
-        step.accept(station)  # type: ignore[arg-type]
-    step.drop(0)
-    assert [one.name for one in step.samples] == ["001"]
-    assert [file.name for file in (tmp_path / "mirrors" / "image").iterdir()] == ["001.png"]
-    with pytest.raises(NotEnoughData, match="1 images"):
-        step.run(Silent())
-
-
 def test_a_picture_without_both_views_is_not_taken(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:
     step = step_of(mirror_boards, tmp_path)
     with pytest.raises(BadImage, match="once"):
@@ -120,25 +92,6 @@ def test_a_picture_without_both_views_is_not_taken(mirror_boards: Any, boards: A
     assert step.samples == () and not list(tmp_path.rglob("*.png"))
     with refuses(UsageError, "two cameras"):
         step.accept(OnePicture(mirror_boards.straight, names=("left", "right")))  # type: ignore[arg-type]
-
-
-def test_the_lit_target_needs_the_lens_and_the_baseline(mirror_boards: Any, tmp_path: Path) -> None:
-    """Three lights, each in both views, of the simulated rig; without the lens it is told what is missing."""
-    simulate("pachidis2005-static", tmp_path / "cell", frames=1, room="dark")
-    lit = CellMirrors(shown="target", baseline_m=0.12)
-    target, camera = tmp_path / "cell" / "target.yaml", tmp_path / "camera.yaml"
-    step = replace(step_of(mirror_boards, tmp_path), built=lit, target=target)
-    assert step.hint().what is Next.NEEDS_LENS
-    assert replace(step, target=None).hint().what is Next.NEEDS_TARGET
-    write_camera(camera, replace(read_rig(tmp_path / "cell" / "rig.yaml").left, plate=None))
-    step = replace(step, camera=camera)
-    assert replace(step, built=CellMirrors(shown="target")).hint().what is Next.NEEDS_BASELINE
-    assert step.hint().what is Next.SHOW_LIGHTS
-    sample = step.accept(OnePicture(tmp_path / "cell" / "image"))  # type: ignore[arg-type]
-    assert sample.detail.startswith("3 lights")
-    assert step.hint().what is Next.TURN_LIGHTS and step.figures() == ()
-    with pytest.raises(Inconsistent, match="640x480"):
-        step.accept(OnePicture(mirror_boards.straight))  # type: ignore[arg-type]
 
 
 def lens(mirror_boards: Any, folder: Path) -> Path:
@@ -167,27 +120,6 @@ def test_alignment_tells_which_mirror_to_turn_and_which_way(mirror_boards: Any, 
     told = replace(straight.check.change_std, drx_rad=2.0 * COARSE_RAD)
     vague = replace(straight, check=replace(straight.check, change_std=told))
     assert vague.unsure and not vague.done, "what is not known is not called good"
-
-
-def test_alignment_is_held_against_the_calibrated_rig(mirror_boards: Any, done: Any, tmp_path: Path) -> None:
-    alignment = MirrorAlignment(board=mirror_boards.board, built=CellMirrors(), folder=tmp_path, rig=done[3].file)
-    station: Any = OnePicture(mirror_boards.off)
-    stand = alignment.look(station)
-    assert stand.turns[0].mirror in (2, *stand.others) and not alignment.to_parallel
-    alignment.hold_against(parallel=True)
-    stand = alignment.look(station)
-    assert alignment.to_parallel and stand.turns[0].mirror == 2
-
-
-def test_a_board_that_is_not_seen_is_told(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:
-    built, board = CellMirrors(baseline_m=0.16), mirror_boards.board
-    alignment = MirrorAlignment(board=board, built=built, folder=tmp_path, camera=lens(mirror_boards, tmp_path))
-    stand = alignment.look(OnePicture(boards.folder / "left"))  # type: ignore[arg-type]
-    assert stand.check is None and "once" in stand.why and not stand.done
-    bare = MirrorAlignment(board=board, built=built, folder=tmp_path)
-    assert alignment.possible and not bare.possible
-    with refuses(UsageError, "hold"):
-        bare.look(OnePicture(mirror_boards.off))  # type: ignore[arg-type]
 
 
 def test_the_cell_keeps_how_the_mirrors_were_built(tmp_path: Path) -> None:

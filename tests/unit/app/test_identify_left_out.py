@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from armsight.app.operator.identify_run import FOLDER, IdentifyRequest, Range, entries, fits
-from armsight.cli.commands import app
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import presets
 from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
@@ -113,14 +111,6 @@ def test_the_first_joints_carry_the_tool_where_the_whole_arm_has_it() -> None:
     first = first_joints(arm, 4, held)
     for q in np.random.default_rng(2).uniform(-2.0, 2.0, (5, 4)):
         np.testing.assert_allclose(first.fk(q), arm.fk(np.concatenate([q, held])), atol=1e-12)
-
-
-def test_the_command_line_refuses_what_cannot_be_left_out(tmp_path: Path) -> None:
-    common = ["identify", "--live", "sim:kapucu2005-rrp", "--rig", "r", "--target", "t", "--left", "l", "--right", "r"]
-    result = CliRunner().invoke(app, [*common, "--limits=0:1,0:1,0:1", "--leave-out", "x", "-o", str(tmp_path / "a")])
-    assert result.exit_code == 2 and "names no joints" in result.stderr
-    result = CliRunner().invoke(app, ["identify", "--sweep", "s.csv", "--leave-out", "3", "-o", str(tmp_path / "a")])
-    assert result.exit_code == 2 and names_it(result.stderr, "--leave-out", "--live")
 
 
 def test_the_scene_shows_each_joint_s_arc_and_axis(done: Any, tmp_path: Path) -> None:

@@ -26,13 +26,7 @@ from armsight.errors import (
 )
 from armsight.ops.arm_files import given_arm
 from armsight.ops.identification.left_out import FirstJoints, read_limits
-from armsight.ops.identification.live import (
-    Known,
-    LiveSweeps,
-    OperatorCallbacks,
-    identify_live,
-    open_devices,
-)
+from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_live, open_devices
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.saving import write_with_page
 from armsight.ops.simulation.scenarios import load_scenario
@@ -344,28 +338,6 @@ def test_limits_and_devices_are_read_as_written(tmp_path: Path) -> None:
     for robot, left in (("sim:kapucu2005-rrp", "camera:0"), ("sim", "left/*.png")):
         with pytest.raises(UsageError):
             open_devices(RobotJob(robot=robot), (left, "x"), AUTOMATIC, target, ManualClock())
-
-
-def test_the_frames_show_where_the_robot_is_now(tmp_path: Path) -> None:
-    """Frames of the simulated pair follow the commands, and none is from before."""
-    cell = Cell(tmp_path)
-    with cell.robot, cell.pairs:
-        frames = iter(cell.pairs)
-
-        def column(frame: Frame) -> float:
-            image = frame.image.astype(float)
-            weight = np.clip(image - np.median(image) - 40.0, 0.0, None).sum(axis=0)
-            return float(weight @ np.arange(len(weight)) / weight.sum())
-
-        first = next(frames)
-        for _ in range(20):
-            cell.robot.step_joints(np.array([0.02, 0.0, 0.0]))
-            cell.clock.advance(cell.robot.cycle_s)
-        cell.clock.advance(1.0)
-        second, third = next(frames), next(frames)
-        assert second[0].t_s >= first[0].t_s + 1.3
-        assert abs(column(second[0]) - column(first[0])) > 5.0
-        assert abs(column(third[0]) - column(second[0])) < 0.5
 
 
 def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Path) -> None:

@@ -10,14 +10,12 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import Setup
-from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import fk, preset
 from armsight.ops.files import join
 from armsight.store import read_poses, write_poses
 from armsight.store.arm_points import read_arm_points
 from armsight.store.handeye_file import read_pairs
 from armsight.verify.pairing import bare_arm
-from refusals import refuses
 
 ARM = bare_arm(preset("ur10"))
 LEAD_S = 1_700_000_003.417
@@ -127,26 +125,3 @@ def test_covariances_go_along_in_the_axes_they_were_measured_in(run: Path, tmp_p
     k = round(C[0, 0, 1] / value["cov_x_y"])  # the mean is better by its number of rows, but for what repeats
     assert k >= 3 and value["cov_x_y"] == pytest.approx(C[0, 0, 1] / k, rel=1e-6)
     assert value["sx_m"] ** 2 == pytest.approx(C[0, 0, 0] / k + 1e-9, rel=1e-6)
-
-
-def test_an_offset_that_is_known_is_taken(run: Path, tmp_path: Path) -> None:
-    known = {"out": tmp_path / "p.csv", "joints": run / "joints.csv", "arm": "ur10"}
-    done = join(run / "poses.csv", offset_s=-LEAD_S, **known)
-    assert (done.offset_s, done.offset_std_s, done.by) == (-LEAD_S, None, "time")
-    check_points(tmp_path / "p.csv", 7e-4)
-    with refuses(NotEnoughData, "one run"):
-        join(run / "poses.csv", offset_s=100.0, **known)
-
-
-def test_wrong_calls_are_refused(run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out.csv"
-    for wrong in (
-        {"joints": run / "joints.csv"},
-        {"joints": run / "joints.csv", "robot_stream": run / "flange.csv", "arm": "ur10"},
-        {"robot_stream": run / "flange.csv"},
-        {"joints": run / "joints.csv", "arm": "ur10", "kind": "table"},
-        {"joints": run / "joints.csv", "arm": "stanford-rrp"},
-    ):
-        with pytest.raises(UsageError):
-            join(run / "points.csv", out=out, **wrong)
-    assert not out.exists()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +9,9 @@ import numpy as np
 import pytest
 
 from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredMoment
-from armsight.app.live.station import Snapshot
-from armsight.app.live.views import complex_view, drawn_ellipsoid, track_colours
+from armsight.app.live.views import complex_view
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
-from armsight.console.routes import picture_message
 from armsight.console.state import Console
 from armsight.errors import UsageError
 from armsight.ops.recording.recorder import Recorder
@@ -95,27 +91,6 @@ def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list
     assert view != complex_view(seen[0].view)
 
 
-def test_masks_count_before_there_is_a_rig(cell: Path) -> None:
-    bare = LiveMeasurement(LiveJob(cameras={COMPLEX: str(cell / "image")}), ManualClock())
-    assert len(complex_view(moments(bare)[0].view).spots) == 6
-    masked = LiveMeasurement(LiveJob(cameras={COMPLEX: str(cell / "image")}), ManualClock())
-    masked.look(DetectionSettings(masked={COMPLEX: ((0.0, 0.0, 5000.0, 5000.0),)}))
-    assert complex_view(moments(masked)[0].view).spots == []
-
-
-def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[MeasuredMoment], tmp_path: Path) -> None:
-    console = Console(folder=tmp_path)
-    message = picture_message(
-        console, Snapshot(pose=seen[0].pose, spots=seen[0].spots, view=seen[0].view, jpegs={COMPLEX: b"JPEG"}), COMPLEX
-    )
-    (length,) = struct.unpack("<I", message[:4])
-    told = json.loads(message[4 : 4 + length])
-    assert message[4 + length :] == b"JPEG"
-    assert {(spot["name"], spot["view"]) for spot in told["spots"]} == {
-        (n, s) for n in "ABC" for s in ("left", "right")
-    }
-
-
 def test_the_wrong_number_of_cameras_is_refused(cell: Path, scene: Any) -> None:
     with refuses(UsageError, "one picture", "left, right"):
         LiveMeasurement(
@@ -138,23 +113,6 @@ def test_a_recording_of_it_has_one_camera(seen: list[MeasuredMoment], tmp_path: 
         assert tuple(recording.cameras) == ("image",) and recording.count("/image/image") == FRAMES
         frames = list(recording.frames("image"))
     np.testing.assert_array_equal(frames[0].image, seen[0].frames[COMPLEX].image)
-
-
-def test_an_ellipsoid_is_drawn_large_enough_to_be_seen() -> None:
-    R = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-    drawn = drawn_ellipsoid(R @ np.diag([1e-5, 2e-5, 1e-4]) ** 2 @ R.T)
-    assert drawn is not None and np.linalg.det(drawn.R) == pytest.approx(1.0)
-    assert drawn.scale == 500.0 and drawn.semi_axes_m[2] == pytest.approx(0.05)
-    assert abs(drawn.R[:, 2] @ R[:, 2]) == pytest.approx(1.0)
-    assert drawn_ellipsoid(25.0 * np.eye(3)) is None, "it would hold the whole scene"
-    assert drawn_ellipsoid(np.zeros((3, 3))) is None and drawn_ellipsoid(np.full((3, 3), np.nan)) is None
-
-
-def test_a_tracks_colours_go_from_best_to_worst() -> None:
-    best, middle, worst, unknown = track_colours([1e-4, 2e-4, 3e-4, np.nan])
-    np.testing.assert_allclose(middle, 0.5 * (best + worst))
-    np.testing.assert_array_equal(best, unknown)
-    assert worst[0] > best[0] and best[2] > worst[2]
 
 
 def test_a_simulated_robot_with_a_mirror_rig_brings_its_one_camera(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.live.measurement import FollowedCell, FollowedPairs
 from armsight.app.operator.job_runner import JobRunner
 from armsight.app.operator.path_editor import PathEditor
-from armsight.app.operator.robot_cell import arm_points, flange_pose, prepare_simulated, read_placement, scenario_of
+from armsight.app.operator.robot_cell import prepare_simulated, read_placement
 from armsight.clock import ManualClock
 from armsight.control.session.channels import JointTrack
 from armsight.errors import DeviceFailed, DeviceLost, NotEnoughData, StaleData, UsageError
@@ -19,7 +19,7 @@ from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
-from armsight.store.cell_file import CellFile, read_cell, write_cell
+from armsight.store.cell_file import read_cell
 from armsight.store.path_file import write_path
 from refusals import refuses
 
@@ -39,18 +39,6 @@ def test_a_simulated_cell_brings_its_files_along(folder):
     assert cell.cameras == "standing"
     for name in (cell.rig, cell.target, cell.arm, cell.handeye):
         assert (folder / name).is_file()
-
-
-def test_a_folder_with_a_cell_and_a_real_robot_are_left_alone(tmp_path):
-    write_cell(tmp_path, CellFile(left="camera:0", right="camera:1"))
-    assert prepare_simulated(RobotJob(robot="sim:webcam-cell"), tmp_path) is None
-    assert prepare_simulated(RobotJob(robot="rtde:10.0.0.1"), tmp_path / "other") is None
-    assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
-
-
-@pytest.mark.parametrize(("robot", "scenario"), [("sim:webcam-cell", "webcam-cell"), ("rtde:10.0.0.1", None)])
-def test_only_simulated_robots_have_a_scenario(robot, scenario):
-    assert scenario_of(RobotJob(robot=robot)) == scenario
 
 
 def test_a_track_tells_joints_between_and_none_beyond():
@@ -104,16 +92,6 @@ def test_the_rig_is_where_hand_eye_says(folder):
     unplaced = cell.model_copy(update={"handeye": ""})
     assert read_placement(folder, unplaced).rig_pose(arm, HOME) is None
     assert read_placement(folder, cell).rig_pose(None, HOME) is None, "without an arm a base has no place"
-
-
-def test_the_drawn_arm_goes_from_base_to_tool(folder):
-    arm = read_arm(folder / "arm.yaml")
-    points = arm_points(arm, HOME)
-    assert points.shape == (2 * arm.n + 2, 3)
-    assert points[0] == pytest.approx(arm.T_world_base.translation)
-    assert points[-1] == pytest.approx(arm.fk(HOME)[:3, 3])
-    flange = flange_pose(arm, HOME) * arm.T_flange_tool
-    assert flange.translation == pytest.approx(points[-1])
 
 
 def line(n: int = 11) -> TaughtPath:

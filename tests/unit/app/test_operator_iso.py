@@ -14,7 +14,7 @@ from armsight.app.operator.iso_run import IsoRequest
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState, Sent
-from armsight.errors import DataRefused, DeviceFailed, NotEnoughData, UsageError
+from armsight.errors import DataRefused, NotEnoughData, UsageError
 from armsight.ops.requests.motion import RobotJob
 from armsight.records import JointReading, PoseStatus, Silent, TargetPose
 from armsight.store.arm_file import read_arm
@@ -172,26 +172,8 @@ def test_a_robot_that_does_not_go_on_is_told(cell):
 
 
 @pytest.mark.parametrize(
-    ("change", "error"),
-    [
-        ({"side_m": 0.9}, DataRefused),
-        ({"cycles": 1}, UsageError),
-        ({"speed_m_s": 0.0}, UsageError),
-    ],
+    ("change", "error"), [({"side_m": 0.9}, DataRefused), ({"cycles": 1}, UsageError), ({"speed_m_s": 0.0}, UsageError)]
 )
 def test_what_cannot_be_is_refused_before_anything_moves(cell, change, error):
     with pytest.raises(error):
         iso_run.plan(replace(cell.asked, **change), cell.robot)
-
-
-def test_the_cell_has_to_be_known(cell):
-    for change, error in (({"handeye": ""}, NotEnoughData), ({"cameras": "carried"}, UsageError)):
-        lacking = replace(cell.asked, cell=cell.asked.cell.model_copy(update=change))
-        with pytest.raises(error):
-            iso_run.plan(lacking, cell.robot)
-
-
-def test_a_station_that_ends_is_told():
-    station = SimpleNamespace(shown=None, failure="the left camera is gone")
-    with refuses(DeviceFailed, "left camera", "gone"):
-        iso_run.StationPoses(station, ManualClock()).observe("at P2")

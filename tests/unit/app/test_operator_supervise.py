@@ -83,11 +83,7 @@ class Cell:
 
     def supervised(self, warn_mm=2.0, stop_mm=5.0):
         run = StationSupervisor(
-            self.folder,
-            read_cell(self.folder),
-            self.robot,
-            lambda: self.station,
-            levels(warn_mm, stop_mm),
+            self.folder, read_cell(self.folder), self.robot, lambda: self.station, levels(warn_mm, stop_mm)
         )
         assert self.heard.wait(10.0)
         return run

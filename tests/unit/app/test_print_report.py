@@ -13,12 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 from armsight.cli.commands import app
-from armsight.errors import ArmsightError, BadFile, DeviceFailed, DeviceNotFound, UsageError
+from armsight.errors import DeviceFailed, DeviceNotFound
 from armsight.ops.print_report import BROWSERS, print_report
-from armsight.ops.sources.frames import recordings_in
 from armsight.records.result_parts import Verdict
 from armsight.report.figures import Figure, layout, points_in_space
-from armsight.report.html import Page, add_recordings
+from armsight.report.html import Page
 from refusals import refuses
 
 
@@ -72,26 +71,3 @@ def test_a_browser_that_does_not_print_is_told(
     with refuses(DeviceFailed, named):
         print_report(report)
     assert not report.with_suffix(".pdf").exists()
-
-
-def test_only_reports_are_printed_as_pdf_only(report: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ARMSIGHT_BROWSER", browser(tmp_path, "exit 0"))
-    other = tmp_path / "other.html"
-    other.write_text("<!doctype html><script src=https://example.org/x.js></script>")
-    refusals: list[tuple[type[ArmsightError], Path, Path | None]] = [
-        (BadFile, other, None),
-        (UsageError, report, tmp_path / "report.png"),
-    ]
-    for kind, page, out in refusals:
-        with pytest.raises(kind):
-            print_report(page, out)
-    assert CliRunner().invoke(app, ["report", str(report)]).exit_code == 2
-
-
-def test_a_report_tells_how_to_look_through_its_recording() -> None:
-    files = recordings_in("my run.mcap:left", "my run.mcap:right", "camera:0", None, "other.mcap")
-    assert files == ("my run.mcap", "other.mcap")
-    page = Page(title="", subtitle="", verdict=Verdict(level="good", headline="", reasons=[""], next=[""]), cards=())
-    add_recordings(page, files)
-    shown = page.html(created=datetime(2026, 1, 1))
-    assert "rerun &#x27;my run.mcap&#x27;" in shown and "rerun other.mcap" in shown and "Foxglove" in shown

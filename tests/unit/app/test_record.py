@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import numpy as np
@@ -62,11 +62,9 @@ def fakes(n: int) -> list[tuple[Frame, Frame]]:
     return [(frame(i), frame(i, 1)) for i in range(n)]
 
 
-@pytest.mark.parametrize("kind", [ImageFormat.RAW, ImageFormat.PNG])
-def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFormat) -> None:
-    path = tmp_path / "a.mcap"
-    pairs = fakes(30)
-    done = record_moments(RecordJob(out=path, kind=kind), Fake(pairs), live=False)
+def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path) -> None:
+    path, pairs = tmp_path / "a.mcap", fakes(30)
+    done = record_moments(RecordJob(out=path, kind=ImageFormat.PNG), Fake(pairs), live=False)
     assert (done.n_pairs, done.n_dropped) == (30, 0)
     assert done.pairs_per_s == pytest.approx(60.0)
     with open_rig(SIDES, str(path)) as back:
@@ -76,12 +74,6 @@ def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFor
         for one, two in zip(there, here, strict=True):
             np.testing.assert_array_equal(one.image, two.image)
             assert abs(one.t_s - two.t_s) < 1e-9
-
-
-@pytest.mark.parametrize("wrong", [{"cameras": {"left": "camera:0"}}, {"out": Path("run.avi")}])
-def test_what_contradicts_itself_is_not_recorded(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    with pytest.raises(UsageError):
-        record(RecordJob(**{"cell": "hand-cell", "limit": 1, "out": tmp_path / "run.mcap", **wrong}))
 
 
 def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path) -> None:
@@ -168,15 +160,6 @@ def test_a_camera_that_goes_leaves_what_was_recorded(tmp_path: Path) -> None:
         assert recording.count("/right/image") == 7
 
 
-def test_time_that_runs_backwards_ends_it_readably(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    pairs = [*fakes(5), (frame(5, t_s=0.01), frame(5, 1, t_s=0.01))]
-    with refuses(Inconsistent, "backwards"):
-        record_moments(RecordJob(out=path, kind=ImageFormat.RAW), Fake(pairs), live=False)
-    with open_rig(SIDES, str(path)) as back:
-        assert len(list(back)) == 5
-
-
 def test_a_file_size_limit_ends_it_with_exit_code_4(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource")
     path = tmp_path / "a.mcap"
@@ -190,12 +173,6 @@ def test_a_file_size_limit_ends_it_with_exit_code_4(tmp_path: Path) -> None:
     assert caught.value.exit_code == 4
     with Recording(path) as recording:
         assert recording.finished
-
-
-def test_no_pair_makes_no_file(tmp_path: Path) -> None:
-    with pytest.raises(NotEnoughData):
-        record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake([]), live=False)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_broken_recording_is_mended_in_its_place(tmp_path: Path) -> None:

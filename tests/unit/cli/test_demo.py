@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import csv
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from armsight.cli.command_ui import own_command
 
 
 def test_the_demo_compares_with_the_truth_and_its_frames_can_be_measured_again(armsight: Any, tmp_path: Path) -> None:
@@ -38,13 +35,6 @@ def test_the_demo_compares_with_the_truth_and_its_frames_can_be_measured_again(a
         assert len(list(csv.DictReader(file))) == 8
 
 
-def test_an_unknown_cell_is_answered_with_the_known_ones(armsight: Any, tmp_path: Path) -> None:
-    done = armsight("demo", "--cell", "nosuch", "-o", tmp_path / "demo")
-    assert done.code == 4
-    assert "hand-cell" in done.json["error"]["cure"]
-    assert not (tmp_path / "demo").exists()
-
-
 def test_doctor_tells_a_rig_s_resolution(armsight: Any, scene: Any) -> None:
     done = armsight("doctor", "--rig", scene.folder / "rig.yaml", "--depth", 1.0, "--depth", 2.0, "--sigma", 0.1)
     assert done.code == 0
@@ -55,25 +45,3 @@ def test_doctor_tells_a_rig_s_resolution(armsight: Any, scene: Any) -> None:
     assert far["sigma_depth_m"] == pytest.approx(4.0 * near["sigma_depth_m"], rel=0.02)
     assert near["sigma_lateral_m"][1] == pytest.approx(0.1 / (2**0.5 * 400.0), rel=0.02)
     assert "distance, m" in done.text
-
-
-def test_the_command_is_named_as_this_shell_can_call_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = tmp_path / ".venv" / "bin"
-    own.mkdir(parents=True)
-    for name in ("armsight", "python"):
-        (own / name).write_text("#!/bin/sh\n")
-        (own / name).chmod(0o755)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "executable", str(own / "python"))
-    monkeypatch.setenv("PATH", "/nowhere")
-    assert own_command() == ".venv/bin/armsight"  # after `make demo`
-    monkeypatch.setenv("PATH", str(own))
-    assert own_command() == "armsight"  # after `. .venv/bin/activate`
-    (tmp_path / "armsight").write_text("#!/bin/sh\n")
-    (tmp_path / "armsight").chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert own_command() == ".venv/bin/armsight"  # what the shell finds is another one
-    (own / "armsight").unlink()
-    assert own_command() == "armsight"
-    monkeypatch.setenv("PATH", "/nowhere")
-    assert own_command() == f"{own / 'python'} -m armsight"

@@ -39,22 +39,3 @@ def test_a_plan_is_told_and_given_to_programs(design, tmp_path: Path) -> None:
     told = json.loads(design(*CAMERAS, *BOARD, VOLUME, "--wanted-mm", "0.5", "--json", "--overwrite").stdout)
     assert told == json.loads((tmp_path / "out" / "design.json").read_text())
     assert told["focal_px"] == pytest.approx(1000.0) and told["wanted_m"] == 5e-4
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "named"),
-    [
-        ((*CAMERAS, *BOARD, "--volume=0.2:-0.1,-0.1:0.1,0.5:0.8"), 2, "reversed"),
-        ((*CAMERAS, *BOARD, "--volume=-0.1:0.2,-0.1:0.1,-0.8:-0.5"), 3, "behind"),
-        ((*CAMERAS, *BOARD, "--volume=-0.1:0.2,-0.1:0.1,500:800"), 2, "500mm"),
-        ((*CAMERAS, "--board", "checkerboard:9x6:0.025", "--views", "0", VOLUME), 3, "0 views"),
-        ((*CAMERAS, VOLUME), 2, "--board"),
-        ((*BOARD, VOLUME), 2, "--baseline"),
-    ],
-)
-def test_what_cannot_be_ends_with_its_code(
-    design, tmp_path: Path, words: tuple[str, ...], code: int, named: str
-) -> None:
-    done = design(*words)
-    assert done.exit_code == code and named in done.output
-    assert not (tmp_path / "out" / "design.json").exists()

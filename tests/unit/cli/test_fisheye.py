@@ -88,14 +88,3 @@ def test_from_pictures_to_poses_and_other_programs_files(armsight: Any, pictures
     done = armsight("measure", "--rig", rig, "--target", target, *sides, "-o", tmp_path / "out")
     assert done.code == 0, done.text
     assert done.json["n_ok"] == PAIRS
-
-
-def test_the_wrong_lens_is_told(armsight: Any, pictures: Path, tmp_path: Path) -> None:
-    words = ["calibrate", "camera", pictures / "left", "--board", BOARD, "-o", tmp_path / "camera.yaml"]
-    done = armsight(*words)
-    assert done.code == 3
-    assert "fisheye lens" in done.text
-    assert not (tmp_path / "camera.yaml").exists()
-    done = armsight(*words, "--lens", "fisheye,pinhole")
-    assert done.code == 2
-    assert "2 kinds of lens" in done.text

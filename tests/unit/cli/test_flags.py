@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,12 +14,10 @@ from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.flags import PartialRequest
 from armsight.errors import UsageError
-from armsight.fields import Bounds, Doc, Flag, known_hints, marks
+from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.flags import Table
-from armsight.ops.requests import motion
 from armsight.store.interpret import TableFormat
 from armsight.units import DEG, MM
-from armsight_lab.batch import request as batch
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -109,27 +106,3 @@ def test_the_help_tells_meaning_unit_and_default_and_the_first_text_of_a_flag_of
     text = " ".join(taken("--help")[0].output.split())
     assert "--plate-mm" in text and "[default: 3.0]" in text and "M|MM" in text
     assert "How long." in text and "Another text." not in text and "untold" not in text
-
-
-REQUESTS = [
-    kind
-    for module in (batch, motion)
-    for kind in vars(module).values()
-    if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind.__module__ == module.__name__
-]
-
-
-@pytest.mark.parametrize("kind", REQUESTS)
-def test_every_field_that_a_request_shows_has_a_meaning_that_ends(kind: Any) -> None:
-    for name, hint in known_hints(kind).items():
-        for doc in marks(hint, Doc):
-            assert doc.text and doc.text == doc.text.strip(), name
-
-
-def test_defaults_are_those_of_what_is_asked() -> None:
-    def default(kind: Any, name: str) -> Any:
-        return next(one.default for one in dataclasses.fields(kind) if one.name == name)
-
-    same: Mapping[tuple[Any, str], object] = {}
-    for (kind, name), value in same.items():
-        assert default(kind, name) == value, name

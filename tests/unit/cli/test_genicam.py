@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import subprocess
 from collections.abc import Iterator
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pytest
 
 from armsight.drivers import CameraSettings, aravis
 from armsight.drivers.aravis import AravisCamera, genicam_cameras
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
-from armsight.ops.measure import measure as run_measure
 from armsight.records import Frame
 from armsight.testing.genicam import ADDRESS, fake_genicam_camera, missing
 from refusals import refuses
 
-COUNT = 12
-CAMERA = f"camera:aravis:{ADDRESS}"
 MISSING = missing()
 needs_aravis = pytest.mark.skipif(bool(MISSING), reason=f"no GenICam camera can be played here: {MISSING}")
 
@@ -133,72 +125,3 @@ def test_stamps_follow_the_camera_s_clock_and_numbers_count_lost_frames() -> Non
 def test_a_camera_without_stamps_gives_times_of_arrival() -> None:
     stamps = aravis._Stamps("cam", 0.01)
     assert [stamps.of(0, n, t)[0] for n, t in ((1, 5.0), (2, 5.5))] == pytest.approx([4.995, 5.495])
-
-
-def side_by_side(scene: Any, folder: Path) -> list[Path]:
-    folder.mkdir()
-    paths = []
-    for i in range(COUNT):
-        both = [cv2.imread(str(scene.folder / side / f"frame{i}.png"), 0) for side in ("left", "right")]
-        paths.append(folder / f"frame{i}.png")
-        cv2.imwrite(str(paths[-1]), np.hstack(both))
-    return paths
-
-
-def poses(out: Path) -> list[tuple[str, ...]]:
-    with (out / "poses.csv").open(newline="") as file:
-        return [tuple(value for key, value in row.items() if key != "t_s") for row in csv.DictReader(file)]
-
-
-@needs_aravis
-def test_measured_live_poses_are_those_of_the_same_frames_as_files(armsight: Any, scene: Any, tmp_path: Path) -> None:
-    pictures = side_by_side(scene, tmp_path / "both")
-    common = [*scene.inputs, "--stills"]
-    done = armsight("measure", *common, "--image", tmp_path / "both", "-o", tmp_path / "files")
-    assert done.code == 0, done.text
-    with fake_genicam_camera(pictures):
-        words = ["--image", CAMERA, "--frames", COUNT, "--exposure", 0.004, "-o", tmp_path / "live"]
-        done = armsight("measure", *common, *words)
-    assert done.code == 0, done.text
-    files, live = poses(tmp_path / "files"), poses(tmp_path / "live")
-    assert len(live) == COUNT == done.json["n_ok"]
-    shown = [files.index(row) for row in live]  # every digit is the same; a busy machine may miss a frame
-    assert len(set(shown)) > 1
-
-
-class PullThePlug:
-    """Progress that kills the camera after some pairs."""
-
-    def __init__(self, process: subprocess.Popen[bytes], after: int) -> None:
-        self.process, self.after = process, after
-
-    def update(self, done: float, total: float, note: str = "") -> None:
-        if note == "measuring" and done >= self.after:
-            self.process.kill()
-
-    def cancelled(self) -> bool:
-        return False
-
-
-@needs_aravis
-def test_what_was_measured_before_the_camera_went_is_kept(scene: Any, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    job = {"rig": scene.folder / "rig.yaml", "target": scene.folder / "target.yaml", "out": out, "image": CAMERA}
-    with (
-        fake_genicam_camera(side_by_side(scene, tmp_path / "both")) as process,
-        refuses(DeviceLost, "no frame") as info,
-    ):
-        run_measure(**job, progress=PullThePlug(process, 5))
-    assert info.value.exit_code == 4
-    assert "poses of" in info.value.consequence
-    assert json.loads((out / "measure.json").read_text())["n_frames"] == len(poses(out)) >= 5
-
-
-def test_flags_of_live_cameras_with_files_are_wrong_usage(armsight: Any, scene: Any, tmp_path: Path) -> None:
-    for flags in (["--exposure", 0.004], ["--gain", 1], ["--focus", 1], ["--white-balance", 4600], ["--trigger", "L"]):
-        done = armsight("measure", *scene.inputs, *scene.sources(), *flags, "-o", tmp_path / "out")
-        assert done.code == 2 and flags[0] in done.json["error"]["cause"], flags
-    done = armsight(
-        "measure", *scene.inputs, "--left", "camera:0", "--right", "camera:1", "--exposure", "nan", "-o", "o"
-    )
-    assert done.code == 2

@@ -6,25 +6,21 @@ import csv
 import dataclasses
 import json
 import sqlite3
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
-from typer.testing import CliRunner
 
 import histories
-from armsight.cli.commands import app
 from armsight.ops.simulation.run import simulate
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.entry import Entry
 from armsight_lab.history.figures import figures_of, parameters_of
-from armsight_lab.history.filing import entry_of_result
 from armsight_lab.history.place import place_of
 
-Run = Callable[..., object]
 WEEK = timedelta(days=7)
 
 
@@ -109,24 +105,6 @@ def test_a_calibration_is_filed_with_inputs_numbers_and_deviations(armsight, his
         assert one["exceeds"] is False
 
 
-def test_the_json_that_a_command_printed_is_filed_too(armsight, history, pairs, tmp_path):
-    done = armsight("calibrate", "handeye", "--pairs", pairs, "-o", tmp_path / "handeye.yaml")
-    (tmp_path / "done.json").write_text(json.dumps(done.json))
-    words = ["history", "add", tmp_path / "done.json", "--cell", "a", "--created", "2026-03-01"]
-    added = armsight(*words)
-    assert (added.json["command"], added.json["created"][:10], added.json["new"]) == (
-        "calibrate handeye",
-        "2026-03-01",
-        True,
-    )
-    again = armsight(*words)
-    assert (again.json["run"], again.json["new"]) == (added.json["run"], False)
-    (tmp_path / "other.json").write_text('{"n": 1}')
-    refused = armsight("history", "add", tmp_path / "other.json", "--cell", "a")
-    assert refused.code == 3
-    assert "calibrate handeye" in refused.json["error"]["cure"]
-
-
 def test_a_history_that_fails_loses_neither_result_nor_run(armsight, history, pairs, tmp_path):
     """The result is there with its own exit code, the run is kept beside it, and filed later."""
     history.mkdir()
@@ -177,15 +155,6 @@ def test_an_arms_calibration_files_its_table_and_verify_its_zeros(armsight, hist
     assert [one["id"] for one in listed["runs"]] == [1]
 
 
-def test_a_plan_is_not_filed_and_a_refusal_neither(armsight, history, tmp_path):
-    planned = armsight("verify", "--plan", "--arm", "ur10e", "-o", tmp_path / "plan", "--cell", "a")
-    assert planned.code == 0
-    assert "Not filed" in planned.text
-    missing = tmp_path / "none.csv"
-    assert armsight("calibrate", "handeye", "--pairs", missing, "-o", tmp_path / "h.yaml", "--cell", "a").code == 3
-    assert not history.exists()
-
-
 def test_trend_finds_what_drifted_and_leaves_the_rest(armsight, history, tmp_path):
     n, start = 40, 32
     ramp = np.maximum(np.arange(n) - start + 1, 0) * 0.02 * histories.DEG
@@ -224,30 +193,6 @@ def test_trend_holds_turns_against_the_first_pose(armsight, history, tmp_path):
     assert (changed["handeye.ry_rad"]["since_run"], changed["handeye.ry_rad"]["state"]) == (21, "jump")
 
 
-def test_trend_since_leaves_a_repair_behind_and_rare_alarms_want_more(armsight, history, tmp_path):
-    moved = np.zeros((30, 3))
-    moved[20:, 2] = 0.0015
-    fill(history, handeyes("a", moved))
-    words = ["history", "trend", "--cell", "a", "-o", tmp_path / "t"]
-    assert armsight(*words).json["changed"] is True
-    since = (histories.START + 20 * WEEK - timedelta(hours=1)).isoformat()
-    assert armsight(*words, "--since", since).json["changed"] is False
-    often, rare = (armsight(*words, "--false-alarms", years).json["figures"][0] for years in (1, 10_000))
-    assert often["jump_limit"] < rare["jump_limit"]
-    assert often["drift_limit"] < rare["drift_limit"]
-
-
-def test_few_runs_one_run_and_none(armsight, history, tmp_path):
-    fill(history, list(histories.runs("one", 1)) + list(histories.runs("four", 4, seed=1)))
-    for cell in ("one", "four"):
-        done = armsight("history", "trend", "--cell", cell, "-o", tmp_path / cell)
-        assert done.code == 0
-        assert {one["state"] for one in done.json["figures"]} == {"few"}
-        assert "Too few" in done.json["verdict"]
-    none = armsight("history", "trend", "--cell", "one", "--since", "2030-01-01", "-o", tmp_path / "none")
-    assert (none.code, none.json["error"]["kind"]) == (3, "NotEnoughData")
-
-
 def test_nothing_is_steady_before_a_run_was_judged(armsight, history, tmp_path):
     for n, state in ((7, "few"), (8, "jump")):  # the last one is a metre off
         fill(
@@ -266,32 +211,6 @@ def test_numbers_that_no_chart_can_hold_are_refused_and_not_called_steady(armsig
     done = armsight("history", "trend", "--cell", "wide", "-o", tmp_path / "t")
     assert (done.code, done.json["error"]["kind"]) == (3, "Inconsistent")
     assert "baseline_m" in done.json["error"]["cause"]
-
-
-def test_a_change_after_few_runs_says_so(armsight, history, tmp_path):
-    for n, told in ((3, True), (9, False)):
-        fill(history, histories.baseline_runs(f"after {n}", [0.5] * n + [0.6] * 3, 1e-3))
-        notes = armsight("history", "trend", "--cell", f"after {n}", "-o", tmp_path / str(n)).json["notes"]
-        assert any(f"only {n} runs came before" in note for note in notes) is told
-
-
-def test_names_that_are_not_there_are_answered_with_the_nearest(armsight, history, tmp_path):
-    fill(history, list(histories.runs("weld-3", 2)))
-    for words, name in (
-        (["trend", "--cell", "wedl-3", "-o", tmp_path / "t"], "'weld-3'"),
-        (["trend", "--cell", "weld-3", "--figure", "joint-zero", "-o", tmp_path / "t"], "'joint-zeros'"),
-        (["trend", "--cell", "weld-3", "--figure", "after.rsm", "-o", tmp_path / "t"], "'after.rms_m'"),
-        (["trend", "--cell", "weld-3", "--figure", "theta", "-o", tmp_path / "t"], "'joint2.theta_rad'"),
-        (["list", "--command", "calibrat"], "'calibrate'"),
-        (["list", "--cell", "weld"], "'weld-3'"),
-        (["show", "7"], "1 to 2"),
-        (["compare", "1", "9"], "1 to 2"),
-        (["list", "--since", "yesterday"], "2026-11-26"),
-        (["export", "-o", tmp_path / "x.xlsx"], ".parquet"),
-    ):
-        refused = armsight("history", *words)
-        assert refused.code == 2, words
-        assert name in json.dumps(refused.json, ensure_ascii=False)
 
 
 def test_two_arms_in_one_cell_are_told_and_not_held_against_each_other(armsight, history, tmp_path):
@@ -333,27 +252,6 @@ def test_runs_that_doubt_themselves_wrong_clocks_and_numbers_that_are_none(armsi
     assert (figure["n"], figure["silent"]) == (11, 1)
     shown = armsight("history", "show", 12).json["run"]
     assert (shown["trusted"], shown["reason"]) == (False, "two axes of turning")
-
-
-def test_export_as_csv_parquet_and_lines(armsight, history, tmp_path, monkeypatch):
-    import pyarrow.parquet
-
-    fill(history, handeyes("a", np.zeros((2, 3))))
-    done = armsight("history", "export", "-o", tmp_path / "x.csv").json
-    rows = list(csv.DictReader((tmp_path / "x.csv").read_text().splitlines()))
-    assert (len(rows), done["n_runs"]) == (done["n_rows"], 2)
-    of_pose = [row for row in rows if row["name"] == "handeye.x_m"]
-    assert [(row["kind"], row["unit"]) for row in of_pose] == [("parameter", "m")] * 2
-    armsight("history", "export", "-o", tmp_path / "x.parquet")
-    table = pyarrow.parquet.read_table(tmp_path / "x.parquet").to_pylist()
-    assert [one["value"] for one in table] == [float(row["value"]) if row["value"] else None for row in rows]
-    assert [row["std"] for row in rows if row["name"] == "handeye.rx_rad"] == ["0.0001"] * 2
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    done = armsight("history", "export", "-o", tmp_path / "y.parquet").json
-    assert done["file"] == str(tmp_path / "y.jsonl")
-    assert "armsight[batch]" in done["notes"][0]
-    lines = [json.loads(line) for line in (tmp_path / "y.jsonl").read_text().splitlines()]
-    assert [one["value"] for one in lines] == [one["value"] for one in table]
 
 
 def test_numbers_find_their_deviations_wherever_a_result_tells_them():
@@ -409,23 +307,3 @@ def test_what_may_drift_has_one_name_whatever_found_it():
     ]
     joint = {"type": "revolute", "theta_rad": 0.1, "std": {"theta_rad": 1e-4}}
     assert parameters_of({"joints": [joint, {**joint, "type": "prismatic"}]}, None).joints == "RP"
-
-
-def test_tables_for_people(history, tmp_path):
-    moved = np.zeros((30, 3))
-    moved[20:, 2] = 0.0015
-    fill(history, handeyes("a", moved))
-    for words, texts in (
-        (["list"], ["Runs in", "calibrate handeye", "30 runs"]),
-        (["show", "1"], ["Run 1 of cell 'a'", "handeye.x", "mm"]),
-        (["compare", "1", "30"], ["BEYOND", "1 of 6"]),
-        (["trend", "--cell", "a", "-o", str(tmp_path / "t")], ["JUMP", "run 21", "To do", "100 cell-years"]),
-        (["export", "-o", str(tmp_path / "x.csv")], ["of 30 runs"]),
-    ):
-        done = CliRunner().invoke(app, ["history", *words])
-        assert done.exit_code == 0, done.stderr
-        assert done.stdout == ""
-        for text in texts:
-            assert text in done.stderr
-    entry = entry_of_result({}, parameters_of({}, None), (), command="verify", cell="a", created="2026-01-01")
-    assert (entry.trusted, entry.figures) == (True, ())

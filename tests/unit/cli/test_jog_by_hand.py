@@ -131,11 +131,6 @@ def test_the_arm_moves_while_the_key_is_held_and_stands_when_the_person_is_done(
     assert "Hold it." in asked[0]
 
 
-def test_the_tool_is_led_along_the_axes_of_the_base():
-    done, start, _ = moved(ended, by=0.005, frame="base")
-    assert np.abs(np.array(done.sent)[1:] - start[1:]).max() > 1e-3, "more than one joint moves the tool straight"
-
-
 def test_an_input_that_fails_brings_the_arm_to_rest_and_is_told():
     def gone() -> JogAxes:
         raise DeviceFailed("the gamepad is gone", consequence="The robot came to rest", cure="Plug it in")

@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, GuardState, JointLimit, Limits
-from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, StaleData, UsageError
+from armsight.errors import BadFile, Cancelled, Inconsistent, StaleData, UsageError
 from armsight.ops import robots
 from armsight.ops.robot.jog import _Watcher
 from armsight.ops.robot.opening import ClockedRobot, open_robot
-from armsight.records import JointReading, Silent
+from armsight.records import JointReading
 from armsight.store.limits_file import read_limits, write_limits
 from refusals import names_it, refuses
 from robot_runs import acted
@@ -114,37 +114,6 @@ def test_what_cannot_be_is_refused_before_anything_moves(job, error) -> None:
 
     with pytest.raises(error):
         jog(confirm=never, **job)
-
-
-def test_ctrl_c_lets_go_of_the_enable() -> None:
-    class Stopped(Silent):
-        def cancelled(self) -> bool:
-            return clock.now_s() > 0.3
-
-    clock = ManualClock()
-    with refuses(Cancelled, "came to rest"):
-        jog(clock, progress=Stopped(), joint=1, by=1.0)
-
-
-def test_a_link_that_is_lost_under_way_is_a_failure() -> None:
-    clock = ManualClock()
-    robot = open_robot(SIM, clock)
-
-    class Cut(Silent):
-        def cancelled(self) -> bool:
-            if clock.now_s() > 0.3:
-                robot.fault("link_lost")
-            return False
-
-    with pytest.raises(DeviceFailed):
-        jog(clock, yes, Cut(), robot=robot, joint=1, by=1.0)
-
-
-def test_a_box_in_the_way_ends_the_jog_before_it(tmp_path: Path) -> None:
-    wall = Box(lower_m=np.array([-2.0, -0.3, -1.0]), upper_m=np.array([0.0, -0.2, 1.0]), name="wall")
-    write_limits(tmp_path / "limits.yaml", Limits(forbidden=(wall,)))
-    with pytest.raises(Inconsistent, match="wall"):
-        jog(joint=1, by=0.5, limits=tmp_path / "limits.yaml", speed=1.0)
 
 
 def test_limits_come_back_as_they_were_written(tmp_path: Path) -> None:

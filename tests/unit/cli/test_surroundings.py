@@ -70,12 +70,10 @@ def shell(folder: Path, command: str, **environment: str) -> subprocess.Complete
     ("command", "code"),
     [
         (f"armsight {FK} > /dev/full", 4),
-        ("armsight --help > /dev/full", 4),
         (f"armsight {FK} 2> /dev/full", 0),
         (f"armsight {FK} <&- >&- 2>&-", 0),
         ("armsight kinematics fk --arm ur10 --joints joints.csv -o - > /dev/full", 4),
         ("mkdir gone && cd gone && rmdir ../gone && armsight kinematics fk --arm ur10 --joints q.csv -o poses.csv", 4),
-        (f"TERM=dumb COLUMNS=60 NO_COLOR=1 LANG=C armsight {FK}", 0),
         (f"python -O -m armsight {FK}", 0),
     ],
 )

@@ -10,29 +10,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
-from armsight.control.play import PathSource
 from armsight.drivers.jog_inputs import listening
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import presets
 from armsight.ops import motion
 from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.ops.simulation.run import simulate
-from armsight.ops.teach import teach
 from armsight.ops.teaching import TaughtBeside
-from armsight.records import PoseStatus, Silent, TargetPose, TaughtPath
+from armsight.records import PoseStatus, TargetPose, TaughtPath
 from armsight.store import read_poses, write_poses, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.path_file import read_path, write_path
 from armsight.store.recording import Recording
 from armsight.units import MM
-from refusals import names_it, refuses
-from robot_runs import acted, devices
+from refusals import refuses
+from robot_runs import acted
 
 SIM = "sim:webcam-cell"
 
@@ -100,27 +97,6 @@ def test_a_path_is_taught_before_cameras_that_stand(cell: Path, tmp_path: Path) 
     assert code == 2 and "right" in refused["error"]["cause"]
 
 
-@pytest.mark.parametrize(
-    ("args", "why"),
-    [
-        ((), "--rig, --target are needed"),
-        (("--robot", SIM, "--rig", "rig.yaml", "--target", "target.yaml"), "--handeye are needed"),
-        (("--from", "poses.csv", "--robot", SIM), "with --from, --robot means nothing"),
-        (("--rig", "rig.yaml", "--target", "target.yaml", "--hand", "circle"), "with no --robot, --hand means nothing"),
-        (("--from", "poses.csv", "--path-speed", "-1"), "is no speed"),
-    ],
-)
-def test_teaching_that_cannot_be_meant_is_refused(cell: Path, tmp_path: Path, monkeypatch, args, why: str) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("rig", "target"):
-        (tmp_path / f"{name}.yaml").symlink_to(cell / f"{name}.yaml")
-    write_poses(tmp_path / "poses.csv", [TargetPose(t_s=0.0, status=PoseStatus.LOST, parent="rig")])
-    code, refused, _ = command("teach", *args, "-o", tmp_path / "out")
-    assert code == 2
-    assert why in refused["error"]["cause"]
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_path_is_asked_for_run_and_recorded(path: Path) -> None:
     asked: list[str] = []
     done = played(path, confirm=lambda question: bool(asked.append(question)) or True)
@@ -136,15 +112,14 @@ def test_a_path_is_asked_for_run_and_recorded(path: Path) -> None:
         played(path)
 
 
-@pytest.mark.parametrize("weave", ["none", "sine:0.002:0.01"])
-def test_the_speed_that_is_told_is_the_largest_of_the_recording(path: Path, weave: str) -> None:
+def test_the_speed_that_is_told_is_the_largest_of_the_recording(path: Path) -> None:
     asked: list[str] = []
     tip = path.parent / "tip.yaml"  # its flange goes further than the tip where the tool turns
     write_text(tip, "format: armsight/tip\nversion: 1\ntip_m: [0.02, 0.0, 0.1]\n")
     turned = read_path(path).T_world_tip.copy()
     turned[:, :3, :3] = turned[:, :3, :3] @ Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()
     write_path(path, TaughtPath.of_poses(RigidTransform.from_matrix(turned), speed_m_s=0.03))
-    played(path, tip=tip, weave=weave, confirm=lambda question: bool(asked.append(question)) or True)
+    played(path, tip=tip, weave="sine:0.002:0.01", confirm=lambda question: bool(asked.append(question)) or True)
     told_mm_s = float(re.search(r"at up to ([0-9.]+) mm/s", asked[0])[1])
     with open_robot(SIM, ManualClock()) as robot:
         arm = arm_of(robot, None)
@@ -173,29 +148,10 @@ def test_speeds_and_lengths_in_millimetres_are_refused(path: Path, more: dict, w
     assert "mm" in str(refused.value.cure)
 
 
-def test_a_share_of_the_limits_slows_the_way_to_the_path_too(path: Path) -> None:
-    slow = played(path, speed=0.1)  # a share of the limits slows what was asked for, and refuses nothing
-    assert slow.finished and slow.planned_fastest_m_s < 0.01
-
-
 def test_nothing_is_written_or_moved_without_a_yes(path: Path) -> None:
     with pytest.raises(Cancelled):
         played(path, confirm=lambda _: False)
     assert not (path.parent / "out").exists()
-
-
-def test_the_operator_brings_it_to_rest(path: Path) -> None:
-    class LetGo(Silent):
-        def __init__(self) -> None:
-            self.sources: list[PathSource] = []
-
-        def cancelled(self) -> bool:
-            return any(source.progress.s_m > 0.002 for source in self.sources)
-
-    progress = LetGo()
-    done = played(path, progress=progress, begun=progress.sources.append)
-    assert done.stopped_by == "operator" and not done.finished and 0.0 < done.share < 1.0
-    assert done.state == "disabled"
 
 
 def test_files_of_another_arm_and_missing_ones_are_refused(cell: Path, path: Path, tmp_path: Path) -> None:
@@ -219,48 +175,6 @@ def test_files_of_another_arm_and_missing_ones_are_refused(cell: Path, path: Pat
     with refuses(Inconsistent, "run it"):
         played(tmp_path / "far.csv")
     assert not (path.parent / "out").exists()
-
-
-def test_cameras_that_see_the_tip_elsewhere_stop_the_arm(cell: Path, path: Path) -> None:
-    eyes = {name: cell / f"{name}.yaml" for name in ("rig", "target", "handeye")}
-    made = devices("webcam-cell", fps=20.0)
-    done = played(path, robot=made, **eyes, stop_m=0.0003)  # the nominal arm is off by more
-    assert names_it(done.stopped_by, "cameras", "0.3 mm")
-    assert done.state == "stopped" and not done.finished
-    assert done.measured is not None and 0.0003 < done.measured.max_m < 0.01
-
-
-def test_a_path_is_taught_while_the_arm_follows(tmp_path: Path) -> None:
-    files = tmp_path / "cell"
-    simulate("pachidis2005-static", files, frames=1, room="dark")
-    made = devices("pachidis2005-static", fps=1.0 / 0.07, hand="circle", speed_m_s=0.03)
-    named = {name: files / f"{name}.yaml" for name in ("rig", "target", "handeye")}
-    more = {"arm": files / "arm_true.yaml", "out": tmp_path / "out", "seconds_s": 3.0}
-    done = acted(teach, robot=made, **named, **more, confirm=lambda _: True)
-    assert done.state == "running" and done.stopped_by == "time" and done.servo.followed > 0.5
-    taught = read_path(tmp_path / "out" / "path.csv")
-    origin_s = made.origin_s()
-    true = np.array([made.pairs.target_at(t - origin_s).translation for t in taught.t_s])
-    off = np.abs(taught.xyz_m - true) / MM
-    assert len(taught) == done.n_rows > 20
-    assert (off.mean(axis=0) < np.array([0.2466, 0.4843, 0.3048]) / 3.0).all()  # Pachidis 2005, table 2, a third of it
-    assert (off.max(axis=0) < np.array([1.1477, 1.7052, 1.021]) / 3.0).all()
-    assert done.n_position_only + done.n_ok <= done.servo.n_frames
-
-
-def test_a_hand_eye_calibration_of_a_camera_mounted_otherwise_stops_a_servo(tmp_path: Path) -> None:
-    cell, turned = tmp_path / "cell", tmp_path / "turned.yaml"
-    simulate("pachidis2005-static", cell, frames=1, room="dark")
-    handeye = yaml.safe_load((cell / "handeye.yaml").read_text())
-    quat = Rotation.from_quat(handeye["T_flange_camera"]["quat_xyzw"]) * Rotation.from_euler("z", 180.0, degrees=True)
-    handeye["T_flange_camera"]["quat_xyzw"] = quat.as_quat().tolist()
-    turned.write_text(yaml.safe_dump(handeye))
-    files = ("--rig", cell / "rig.yaml", "--target", cell / "target.yaml", "--handeye", turned)
-    leads = ("--hand", "still", "--seconds", 6, "--yes", "-o", tmp_path / "out")
-    code, done, _ = command("servo", "--robot", "sim:pachidis2005-static", *files, *leads)
-    assert (code, done["state"], done["wrong_premise"]) == (3, "stopped", "hand-eye")
-    assert names_it(done["stopped_by"], "hand-eye", "180 deg about their z")
-    assert done["n_cycles"] < 100  # of 220
 
 
 def test_a_recorder_knows_no_place_before_the_servo_began() -> None:

@@ -13,7 +13,6 @@ import pytest
 
 from armsight.ops.calibration import spots_of_frames
 from armsight.records import Frame
-from armsight.store import read_rig
 
 Run = Callable[..., Any]
 FOCAL, CX, CY, WIDTH, HEIGHT, BASELINE = 400.0, 160.3, 119.6, 320, 240, 0.1  # of the scene's rig
@@ -71,32 +70,8 @@ def draw(uv: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def test_tables_give_the_timing_and_a_rig_with_it(armsight: Run, scene: Any, tables: Path, tmp_path: Path) -> None:
-    out = tmp_path / "timed.yaml"
-    spots = ["--left-spots", tables / "left.csv", "--right-spots", tables / "right.csv"]
-    done = armsight("calibrate", "timing", *scene.inputs, *spots, "-o", out)
-    assert done.code == 0, done.text
-    got = done.json
-    middle = got["middle_s"]
-    shift = got["delay_s"] - DELAY_S + 1e-6 * (got["drift_ppm"] - DRIFT_PPM) * middle
-    assert abs(shift) < min(2e-4, 4.0 * got["std_middle_s"])
-    assert got["n_frames"] == 2 * int(SECONDS * RATE)
-    assert got["lost"] == {"left": 0, "right": 0}
-    for side in ("left", "right"):
-        assert abs(got["readout_s"][side] - READOUT_S) < 4.0 * got["std"][f"{side}.readout_s"]
-    assert got["verdict"]
-    left, right = read_rig(out).timing
-    assert left is not None and right is not None
-    assert left.readout_s == got["readout_s"]["left"] and left.delay_s == 0.0
-    assert (right.delay_s, right.drift_ppm) == (got["delay_s"], got["drift_ppm"])
-    assert right.std["delay_s"] == pytest.approx(got["std"]["delay_s"])
-    before, after = read_rig(scene.folder / "rig.yaml"), read_rig(out)
-    assert after.left.is_close(before.left, tol=0.0)
-
-
-@pytest.mark.parametrize("lights", [1, 3])
-def test_frames_give_the_timing(armsight: Run, scene: Any, tmp_path: Path, lights: int) -> None:
-    rng = np.random.default_rng(2)
+def test_frames_give_the_timing(armsight: Run, scene: Any, tmp_path: Path) -> None:
+    rng, lights = np.random.default_rng(2), 3
     for side, name in enumerate(("left", "right")):
         (tmp_path / name).mkdir()
         for n, (_, uv) in enumerate(frames(side, lights)):
@@ -155,19 +130,3 @@ def test_live_cameras_are_read_side_by_side_for_a_while(
     shift = got["delay_s"] + 1e-6 * got["drift_ppm"] * got["middle_s"]  # the stamps have the frames' own times
     assert abs(shift) < max(2e-4, 4.0 * got["std_middle_s"])
     assert got["std_middle_s"] < 1e-3
-
-
-def test_the_call_must_say_which_frames(armsight: Run, scene: Any, tables: Path, tmp_path: Path) -> None:
-    rig = ["--rig", scene.folder / "rig.yaml", "-o", tmp_path / "x.yaml"]
-    assert armsight("calibrate", "timing", *rig).code == 2
-    assert armsight("calibrate", "timing", *rig, "--left-spots", tables / "left.csv").code == 2
-    live = armsight("calibrate", "timing", *rig, "--left", "camera:0", "--right", tables)
-    assert live.code == 2 and "armsight record" in live.json["error"]["cure"]
-    assert not (tmp_path / "x.yaml").exists()
-
-
-def test_one_recording_given_twice_is_refused(armsight: Run, scene: Any, tables: Path, tmp_path: Path) -> None:
-    spots = ["--left-spots", tables / "left.csv", "--right-spots", tables / "left.csv"]
-    done = armsight("calibrate", "timing", *scene.inputs, *spots, "-o", tmp_path / "x.yaml")
-    assert done.code == 3
-    assert done.json["error"]["cure"]

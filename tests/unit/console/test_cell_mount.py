@@ -11,7 +11,6 @@ import pytest
 
 from armsight.console import texts_cell
 from armsight.console.cell_mount import Lamp, mount_lamps
-from armsight.console.pages.cell import MOUNT, MOVE, RESULT, place_of
 from armsight.console.state import Console
 from armsight.errors import DeviceLost
 from armsight.kinematics import presets
@@ -70,10 +69,8 @@ def test_a_cell_that_is_ready_is_told_so_and_every_lamp_has_its_name(tmp_path: P
         ({"station": None}, "cameras", "bad", "Settings"),
         ({"station": station(failure="camera:1 is gone")}, "cameras", "bad", "camera:1 is gone"),
         ({"station": station(silent_s=4.0)}, "cameras", "bad", "4 s"),
-        ({"station": station(shown=None)}, "cameras", "idle", "opened"),
         ({"station": station(left=3)}, "lights", "bad", "3"),
         ({"station": station(right=6)}, "lights", "warn", "6"),
-        ({"robot": None}, "joints", "idle", "log"),
         ({"robot": robot(None)}, "joints", "bad", "loop does not run"),
         ({"robot": robot(7)}, "joints", "bad", "7"),
     ],
@@ -107,18 +104,3 @@ def test_files_that_are_wrong_or_gone_are_told_and_a_mended_one_is_seen(tmp_path
     assert lamp_of(console, "target").level == "bad" and "target.yaml" in lamp_of(console, "target").words
     cell(tmp_path)
     assert lamp_of(console, "arm").level == lamp_of(console, "target").level == "good"
-
-
-@pytest.mark.parametrize(
-    ("state", "recording", "level", "where"),
-    [
-        ({}, False, "bad", MOUNT),
-        ({}, False, "good", MOVE),
-        ({}, True, "bad", MOVE),
-        ({"busy": "run"}, False, "good", RESULT),
-        ({"not_done": "refused"}, False, "bad", RESULT),
-    ],
-)
-def test_the_step_that_a_person_is_at_is_marked(state: dict[str, Any], recording: bool, level: str, where: int) -> None:
-    known: Any = SimpleNamespace(**{"busy": "", "result": None, "not_done": "", "samples": (), "hint": None} | state)
-    assert place_of(known, (Lamp("cameras", level, ""),), SimpleNamespace(recording=recording)) == where  # type: ignore[arg-type]

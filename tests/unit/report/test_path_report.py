@@ -4,7 +4,6 @@ import base64
 import gzip
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -56,21 +55,3 @@ def test_a_fence_in_the_way_is_drawn_and_its_rows_are_named():
     assert named and f"rows {named[0].split()[1]} to" in text
     y = [value for value in around["fence"]["y"] if value is not None]
     assert abs(min(y) - 1e3 * fence.lower_m[1]) < 1e-3
-
-
-def test_a_path_in_base_is_drawn_in_the_world():
-    raised = replace(ARM, T_world_base=RigidTransform.from_translation([0.0, 0.0, 0.5]))
-    path = replace(line(), parent="base")
-    found = check_path(path, raised, Limits(), start=HOME)
-    text = path_report(path, raised, Limits(), found, name="seam")
-    figures = figures_of(text)
-    drawn = next(trace for trace in figures[0]["data"] if trace["name"] == "no trouble")
-    assert np.allclose(drawn["z"], 1e3 * (path.xyz_m[:, 2] + 0.5), atol=1e-3)
-
-
-def test_a_path_out_of_reach_from_the_start_has_a_page():
-    path = line()
-    T = path.T_world_tip.copy()
-    T[:, :3, 3] += 3.0
-    text, figures = page_of(replace(path, T_world_tip=T))
-    assert "out of reach" in text and "0 of 21" in text and len(figures) == 2

@@ -1,20 +1,15 @@
 """What the pages show: standard deviations of angles, thinned curves and bands, numbers for people, JSON."""
 
 import json
-from datetime import datetime
 
 import numpy as np
 import pytest
-from scipy.signal import savgol_coeffs
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.measure.series import Series, series_of
 from armsight.records import PoseStatus, TargetPose
-from armsight.records.result_parts import Verdict
-from armsight.report.figures import MAX_PLOTTED, band, fitted_scene, json_text, spread, thinned
-from armsight.report.html import Page
-from armsight.report.scene import chosen_views
-from armsight.report.track import NEIGHBOURS, PARABOLA, scatter_of
+from armsight.report.figures import MAX_PLOTTED, json_text, spread, thinned
+from armsight.report.track import scatter_of
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])
@@ -81,14 +76,6 @@ def test_thinning_keeps_extremes_and_ends():
     assert thinned(np.full(100_000, np.nan)).tolist() == [0, 99_999]
 
 
-def test_a_band_has_one_polygon_per_stretch():
-    low = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
-    trace = band(np.arange(5.0), low, low + 1.0)
-    nan = np.nan
-    assert np.array_equal(trace["x"], [0.0, 1.0, 1.0, 0.0, nan, 3.0, 4.0, 4.0, 3.0, nan], equal_nan=True)
-    assert np.array_equal(trace["y"], [1.0, 2.0, 1.0, 0.0, nan, 4.0, 5.0, 4.0, 3.0, nan], equal_nan=True)
-
-
 def test_numbers_for_people():
     assert figure_of(0.0, "px") == "0 px"
     assert figure_of(123.456) == "123"
@@ -107,11 +94,6 @@ def test_json_cannot_leave_its_script():
     text = json_text({"a": ["</script>&", np.float64(np.nan), np.arange(2.0) / 3]})
     assert not set("<>&") & set(text)
     assert json.loads(text) == {"a": ["</script>&", None, [0.0, 0.333333]]}
-
-
-def test_moments_on_a_clock_that_counts_from_1970_stay_apart():
-    t_s = 1.8e9 + np.array([0.0, 1.0 / 3.0, 2.0 / 3.0])
-    assert np.allclose(np.diff(json.loads(json_text(t_s))), 1.0 / 3.0, atol=3e-5)
 
 
 @pytest.mark.parametrize("moves", [True, False])
@@ -134,50 +116,6 @@ def test_too_few_frames_in_a_row_say_nothing_of_scatter():
     status = tuple(PoseStatus.OK if i % 10 else PoseStatus.LOST for i in range(60))
     series = Series(t_s=np.arange(60.0), status=status, values=np.zeros((60, 6)), std=np.ones((60, 6)))
     assert scatter_of(series) is None
-
-
-def test_boards_shown_are_the_worst_the_best_and_some_between():
-    rms = np.linspace(1.0, 0.1, 40)[np.random.default_rng(0).permutation(40)]
-    chosen = chosen_views(rms.tolist(), 12)
-    order = np.argsort(-rms).tolist()
-    assert len(set(chosen)) == 12
-    assert chosen[:4] == order[:4] and chosen[-4:] == order[-4:]
-    assert chosen_views([0.2, 0.3], 12) == [1, 0]
-
-
-def test_the_parabola_is_savitzkys_and_golays():
-    np.testing.assert_allclose(PARABOLA, savgol_coeffs(NEIGHBOURS, 2), atol=1e-12)
-
-
-@pytest.mark.parametrize("shape", [(1.0, 1.0, 1.0), (1.0, 0.01, 0.01), (0.01, 0.01, 1.0), (1.0, 0.6, 0.1)])
-@pytest.mark.parametrize("camera", [{}, {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}}])
-def test_a_view_in_space_holds_all_that_it_shows_and_is_filled_by_it(shape, camera):
-    ends = np.array([[0.0, 0.0, 0.0], shape])
-    trace = dict(zip("xyz", ends.T, strict=True), type="scatter3d")
-    scene = fitted_scene({"aspectmode": "data", "camera": camera}, [trace])
-    size = np.array([scene["aspectratio"][k] for k in "xyz"])
-    eye, up, centre = (np.array([scene["camera"][name][k] for k in "xyz"]) for name in ("eye", "up", "center"))
-    # a pinhole of 45 degrees from the eye to the centre, as WebGL draws it
-    ahead = (centre - eye) / np.linalg.norm(centre - eye)
-    right = np.cross(ahead, up) / np.linalg.norm(np.cross(ahead, up))
-    corners = size * np.array([(i, j, k) for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)]) - eye
-    depth = corners @ ahead * np.tan(np.pi / 8)
-    x, y = corners @ right / depth, corners @ np.cross(right, ahead) / depth
-    assert y.min() > -0.8 and y.max() < 0.95 and np.abs(x).max() < 1.35 and (depth > 0.0).all()
-    assert np.ptp(y) > 1.6 or np.ptp(x) > 2.4 or np.linalg.norm(size) > np.linalg.norm(eye - centre)
-    assert scene["wide"] == pytest.approx(np.abs(x).max())
-
-
-def test_what_is_wider_than_the_page_says_so_and_plus_or_minus_has_its_sign():
-    page = Page(
-        title="1 +- 2",
-        subtitle="",
-        verdict=Verdict(level="good", headline="", reasons=["off by 2 +-0.1 mm"], next=["Go on."]),
-        cards=(),
-    )
-    shown = page.html(created=datetime(2026, 1, 1))
-    assert "2 ± 0.1 mm" in shown and "+-" not in shown.split("</main>")[0]
-    assert "scroll sideways" in shown and "toggle('more'" in shown
 
 
 def test_a_name_loses_its_unit_and_keeps_its_number() -> None:

@@ -20,21 +20,14 @@ from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.kinematics import preset
 from armsight.measure.results import grounds_of, measure_verdict
-from armsight.measure.series import errors_of, losses_of
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
 from armsight.records.result_parts import Difference, Verdict
-from armsight.report import (
-    MeasureRun,
-    Sample,
-    calibration_report,
-    measure_report,
-)
+from armsight.report import MeasureRun, Sample, calibration_report, measure_report
 from armsight.report.arm_view import arm_report
 from armsight.report.compare_report import Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Page
-from armsight.report.measure import ranges
 from armsight.report.run import BoardPicture, BoardViews
 from armsight.report.scene import add_boards
 from armsight.units import figure_of
@@ -247,13 +240,6 @@ def test_a_page_is_complete_in_itself_and_runs_nothing_that_names_say(make):
     assert_figures_hold_together(tags.figures)
 
 
-def test_plotly_gets_no_markup_from_names():
-    figures = Tags(calibration_page()).figures
-    text = json.dumps(figures)
-    assert "<script" not in text
-    assert "<img" not in text
-
-
 def test_figures_of_a_run_are_in_the_page():
     poses, truth = poses_and_truth(200)
     page = Tags(measure_report(full_run(poses=poses, truth=truth)))
@@ -339,28 +325,6 @@ def test_a_long_run_stays_small_and_keeps_its_outlier():
     assert y == pytest.approx(50.0, abs=0.2)  # mm, the outlier of the error in y
 
 
-def test_losses_are_grouped_by_reason():
-    poses, _ = poses_and_truth(30, lost=(3, 4, 5, 12, 28), position=(20,))
-    lost, position = losses_of(poses)
-    assert (lost.status, lost.frames) == (PoseStatus.LOST, (3, 4, 5, 12, 28))
-    assert names_it(lost.why, "left frame", "3 px")
-    assert position.frames == (20,)
-    assert ranges(lost.frames) == "3–5, 12, 28"
-    assert names_it(ranges(range(0, 40, 2), limit=2), "0, 2", "18 more")
-    text = Tags(measure_report(full_run(poses=poses, truth=None))).text
-    assert "3–5, 12, 28" in text
-    assert "16.7 %" in text
-
-
-def test_errors_are_those_of_the_geometry():
-    poses, truth = poses_and_truth(10, lost=(4,), position=(5,))
-    errors = errors_of(poses, truth)
-    assert np.isnan(errors.values[[4, 5]]).all()
-    want = pose_difference(poses[0].pose, truth[0])
-    assert np.allclose(errors.values[0], want / np.array([1e-3] * 3 + [np.pi / 180] * 3))
-    assert errors.distance2[0] == pytest.approx(np.sum((want / STD) ** 2))
-
-
 def test_a_truth_of_another_length_is_refused():
     with refuses(Inconsistent, "3 true poses", "40"):
         full_run(truth=poses_and_truth(3)[1], verdict=judged(()))
@@ -387,18 +351,6 @@ def test_the_verdict_on_a_calibration(case):
     assert reason in verdict.reasons[0] and len(doubts) == (0 if not reason else 2 if case == "left out badly" else 1)
     page = Tags(calibration_page(verdict_=verdict)).text
     assert all(part in page for part in (verdict.headline, *verdict.reasons, *verdict.next))
-
-
-def test_a_calibration_without_points_still_makes_a_page():
-    none = np.empty((0, 2))
-    bare = {"clouds": lambda: dict.fromkeys(("left", "right"), (none, none)), "sources": [], "view_rms_px": []}
-    text = Tags(calibration_page(**bare, rejected=(), metric={}, holdout_rms_px=None)).text
-    assert "every image" in text
-
-
-def test_one_bar_per_pair():
-    figure = Tags(calibration_page()).figures[0]
-    assert [trace["fill"] for trace in figure["data"]] == ["toself"]
 
 
 CHROMIUM = Path("/usr/bin/chromium")
@@ -453,6 +405,7 @@ def test_pages_fit_a_telephone_and_draw_without_an_error(tmp_path):
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox", "--disable-gpu"])
         tab = browser.new_page(viewport={"width": 390, "height": 800}, color_scheme="dark")
+        tab.set_default_timeout(150_000)  # of a busy computer
         troubles = []
         tab.on("pageerror", lambda error: troubles.append(str(error)))
         for name, make in PAGES.items():
@@ -468,13 +421,3 @@ def test_pages_fit_a_telephone_and_draw_without_an_error(tmp_path):
             assert undrawn == 0, name
         browser.close()
     assert troubles == []
-
-
-def test_single_shots_have_no_track_no_seconds_and_nothing_to_scatter_about():
-    poses, _ = poses_and_truth(lost=(7,), position=(11,))
-    text = measure_report(full_run(poses=poses, truth=None, stills=True, timed=False, title="Measurement"))
-    for told in ("Track", "over time", "scatters by", "smooth track", " s:"):
-        assert told not in text, told
-    assert "single shots" in text and "axes of" in text and "each shot" in text
-    tracked = measure_report(full_run(poses=poses, truth=None, title="Measurement"))
-    assert "axes of" in tracked and "Deviation" in tracked
