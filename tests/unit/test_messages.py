@@ -183,10 +183,7 @@ MESSAGES: dict[type[errors.ArmsightError], tuple[Callable[[], object], Sequence[
         lambda: JointHistory(0.01).at(0.0),
         ("fewer than two joint readings have come.", "Where the arm is is not known."),
     ),
-    errors.Cancelled: (
-        lambda: fit(progress=Impatient()),
-        ("the fit was stopped.", "No result was kept."),
-    ),
+    errors.Cancelled: (lambda: fit(progress=Impatient()), ("the fit was stopped.", "No result was kept.")),
 }
 
 

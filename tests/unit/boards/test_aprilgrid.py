@@ -80,8 +80,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Target:
 
 
 @pytest.mark.parametrize(
-    ("turn", "t_m", "border"),
-    [((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2), ((-0.4, 0.1, 2.0), (0.01, 0.0, 0.35), 1)],
+    ("turn", "t_m", "border"), [((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2), ((-0.4, 0.1, 2.0), (0.01, 0.0, 0.35), 1)]
 )
 def test_its_corners_are_where_they_were_drawn(board: Target, turn, t_m, border: int) -> None:
     image, truth = picture(turn, t_m, border)

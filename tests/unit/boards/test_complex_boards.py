@@ -109,13 +109,7 @@ def test_one_three_none_and_half_are_refused_with_the_reason() -> None:
         find_two_boards(picture(*(light for light, _ in half)), BOARD)
 
 
-@pytest.mark.parametrize(
-    ("size", "unseen"),
-    [
-        ((8, 6), Unseen.BEYOND_SIZE),
-        ((9, 7), Unseen.OTHER),
-    ],
-)
+@pytest.mark.parametrize(("size", "unseen"), [((8, 6), Unseen.BEYOND_SIZE), ((9, 7), Unseen.OTHER)])
 def test_another_size_is_refused(size: tuple[int, int], unseen: Unseen) -> None:
     image = picture(*(light for light, _ in both(*VIEWS[0])))
     with refuses(BadImage, "{}x{}".format(*size), unseen=unseen):

@@ -30,11 +30,7 @@ SIZE = np.array([1280.0, 1024.0])
 
 
 def seen(
-    lens: Lens,
-    rng: np.random.Generator,
-    n: int = 14,
-    baseline_m: float | None = None,
-    other: Lens | None = None,
+    lens: Lens, rng: np.random.Generator, n: int = 14, baseline_m: float | None = None, other: Lens | None = None
 ) -> list[list[BoardView]]:
     """Return views of boards all over the image; with a baseline those of a second camera to the right, too.
 

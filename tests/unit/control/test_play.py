@@ -213,10 +213,7 @@ def test_a_place_that_the_guard_refuses_again_and_again_is_given_up_until_it_is_
         (through([[0.0, 0.0, 0.0], [0.001, 0.0, 0.0], [0.002, 0.0, 0.0], [0.1, 0.0, 0.0]]), ("jumps", "98 mm")),
         (through([[0.001 * k, 0.02 * (k == 12), 0.0] for k in range(30)]), ("jumps", "20 mm", "back", "row 12")),
         (through([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]), "run it"),
-        (
-            through([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]], turn=Rotation.from_rotvec([0.0, 3.0, 0.0])),
-            "run",
-        ),
+        (through([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]], turn=Rotation.from_rotvec([0.0, 3.0, 0.0])), "run"),
     ],
 )
 def test_what_cannot_be_run_is_refused_before_any_motion(path: TaughtPath, why: str) -> None:

@@ -130,10 +130,7 @@ def test_times_replace_the_rate_and_must_be_as_many_as_the_frames(tmp_path: Path
             pass
     video = video_of(tmp_path / "film.avi", 5)
     for count in (4, 6):
-        with (
-            open_source(str(video), times_s=np.arange(count)) as frames,
-            refuses(Inconsistent, "time stamps"),
-        ):
+        with open_source(str(video), times_s=np.arange(count)) as frames, refuses(Inconsistent, "time stamps"):
             list(frames)
 
 

@@ -119,10 +119,7 @@ def test_a_lost_frame_at_60_a_second_does_not_shift_all_later_pairs(lost: int) -
 def test_cameras_that_never_meet_are_a_failure_and_not_a_pair() -> None:
     left = Scripted("left", [0.1 * i for i in range(100)])
     right = Scripted("right", [0.1 * i + 0.05 for i in range(100)])
-    with (
-        TimedMoments(left, right, max_skew_s=0.010) as pairs,
-        refuses(DeviceFailed, "partner", "10 ms"),
-    ):
+    with TimedMoments(left, right, max_skew_s=0.010) as pairs, refuses(DeviceFailed, "partner", "10 ms"):
         list(pairs)
 
 

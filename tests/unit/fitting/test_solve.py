@@ -63,9 +63,7 @@ def two_views(rng: np.random.Generator, sigma: float, guess_error: float) -> tup
         r = (shared[0] * e + local - y) / sigma  # (G, m)
         js = np.stack([e, -shared[0] * x * e], axis=1) / sigma  # (m, 2)
         return Evaluation(
-            residuals=r,
-            shared=np.broadcast_to(js, (6, x.size, 2)),
-            local=np.full((6, x.size, 1), 1 / sigma),
+            residuals=r, shared=np.broadcast_to(js, (6, x.size, 2)), local=np.full((6, x.size, 1), 1 / sigma)
         )
 
     problem = Problem(

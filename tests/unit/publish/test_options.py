@@ -96,11 +96,7 @@ def test_foxglove_is_served_to_this_machine_where_nothing_else_is_said():
 
 @pytest.mark.parametrize(
     ("given", "why"),
-    [
-        ({}, "has no certificate"),
-        ({"certificate": 0}, "needs its key"),
-        ({"certificate": 0, "key": 1}, "names nobody"),
-    ],
+    [({}, "has no certificate"), ({"certificate": 0}, "needs its key"), ({"certificate": 0, "key": 1}, "names nobody")],
 )
 def test_opc_ua_without_what_keeps_others_out_is_refused(keys, given, why):
     files = {name: keys.server[number] for name, number in given.items()}

@@ -251,8 +251,5 @@ def test_nobody_answers(url):
 
 
 def test_a_port_that_is_taken(service, url):
-    with (
-        refuses(DeviceFailed, "listen"),
-        background(service, ServeOptions(port=int(url.rpartition(":")[2]))),
-    ):
+    with refuses(DeviceFailed, "listen"), background(service, ServeOptions(port=int(url.rpartition(":")[2]))):
         pass

@@ -48,10 +48,7 @@ def test_callers_that_say_nothing_or_speak_tls_are_not_in_the_way() -> None:
     ):
         page.listener.settimeout(10)
         page.listener.accept()[0].close()
-        with (
-            pytest.raises(DeviceFailed, match="--port"),
-            listening("127.0.0.1", page.listener.getsockname()[1]),
-        ):
+        with pytest.raises(DeviceFailed, match="--port"), listening("127.0.0.1", page.listener.getsockname()[1]):
             pass
 
 

@@ -252,11 +252,7 @@ WRONG: dict[str, tuple[str, Callable[[dict[str, Any]], Any], str]] = {
         lambda m: m["cameras"]["right"]["T_rig_camera"].update(xyz_m=[0.0, 0.0, 0.0]),
         "T_rig_camera",
     ),
-    "two lights in one place": (
-        "webcam-cell",
-        lambda m: m["target"]["spots_m"].update(B=[-0.04, 0.0, 0.0]),
-        "spots_m",
-    ),
+    "two lights in one place": ("webcam-cell", lambda m: m["target"]["spots_m"].update(B=[-0.04, 0.0, 0.0]), "spots_m"),
     "limits swapped": ("kapucu2005-rrp", lambda m: m["arm"]["joints"][2].update(lower=2.0), r"joints\[2\].*lower"),
     "a sweep beyond the range": (
         "kapucu2005-rrp",

@@ -86,11 +86,7 @@ def test_distance_needs_no_common_frame_but_its_components_do():
 
 @pytest.mark.parametrize(
     ("stamps", "times", "why"),
-    [
-        (Stamps.ARRIVAL, True, "arrival times"),
-        (Stamps.ABSENT, True, "no times"),
-        (Stamps.SAMPLING, False, "no times"),
-    ],
+    [(Stamps.ARRIVAL, True, "arrival times"), (Stamps.ABSENT, True, "no times"), (Stamps.SAMPLING, False, "no times")],
 )
 def test_velocity_and_stabilisation_need_sampling_times(stamps, times, why):
     runs = line(t=times)
