@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import BadImage, Inconsistent, Unseen
+from armsight.errors import BadImage, Unseen
 from armsight.measure.boards import find_two_boards
 from armsight.records import BoardView, TargetKind, board_target
 from armsight_sim.boards import Board, board_light, corner_rays
@@ -114,15 +114,3 @@ def test_another_size_is_refused(size: tuple[int, int], unseen: Unseen) -> None:
     image = picture(*(light for light, _ in both(*VIEWS[0])))
     with refuses(BadImage, "{}x{}".format(*size), unseen=unseen):
         find_two_boards(image, board_target(TargetKind.CHECKERBOARD, *size, 0.02))
-
-
-def test_boards_whose_corners_fall_on_one_another_are_refused() -> None:
-    image = picture(*(light for light, _ in both((-0.4, 0.3, -0.25), (0.02, 0.01, 0.66))))
-    with refuses(BadImage, "fall"):
-        find_two_boards(image, BOARD)
-
-
-def test_only_checkerboards() -> None:
-    image = picture(one_view(-1, *VIEWS[0])[0])
-    with refuses(Inconsistent, "Give", "checkerboard"):
-        find_two_boards(image, board_target(TargetKind.CIRCLES, 7, 5, 0.02))

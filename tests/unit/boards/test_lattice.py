@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from armsight.measure.boards.kernels.lattice import fullest
 from armsight.measure.boards.lattice import MOST_PLACES, Dots, Grid, lattices, placements, round_dots
 
 
@@ -60,17 +59,6 @@ def test_a_board_that_fits_anywhere_on_a_larger_lattice_is_tried_so_often_only_a
     ways = placements(lattice, dots, grid(5, 4))
     assert 0 < len(ways) <= 8 * MOST_PLACES
     assert all(way.beyond for way in ways)
-
-
-def test_the_fullest_windows_are_those_of_all_windows() -> None:
-    rng = np.random.default_rng(3)
-    places = np.array([(0, 0), (0, 2), (1, 1), (2, 0), (2, 3)])
-    for share in (0.3, 0.7, 1.0):
-        table = np.where(rng.uniform(size=(9, 11)) < share, 1, -1)
-        held = np.array([[(table[i + places[:, 0], j + places[:, 1]] >= 0).sum() for j in range(8)] for i in range(7)])
-        most, corners = fullest(table, places, 2.5)
-        assert most == (held.max() if held.max() >= 3 else 0)
-        assert (corners == np.argwhere((held == held.max()) & (held >= 3))).all()
 
 
 def test_the_smallest_dots_are_seen_among_speckles() -> None:

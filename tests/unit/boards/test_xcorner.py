@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.measure.boards import find_board, xcorner_corners
+from armsight.measure.boards import xcorner_corners
 from armsight.measure.boards.xcorner import order_squares, segment
-from armsight.records import TargetKind, board_target
 from armsight_sim.boards import Board, board_light, corner_rays
 from armsight_sim.lens import Lens
 
@@ -59,15 +58,6 @@ def test_boards_of_any_size_tilted_and_unevenly_lit(
     assert off.max() < 1.5
 
 
-def test_fitted_afterwards_the_corners_are_those_of_the_other_detectors() -> None:
-    board = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
-    image, truth = view(Board(), (0.25, -0.3, 0.1), 0.42, 2)
-    ours, auto = (find_board(image, board, detector=name) for name in ("xcorner", "auto"))
-    assert (ours.index == auto.index).all()
-    assert np.abs(ours.uv_px - auto.uv_px).max() < 0.01
-    assert np.sqrt(np.mean((ours.uv_px - truth[ours.index]) ** 2)) < 2.0 * ours.sigma_px
-
-
 def test_corner_of_one_square_lies_between_its_inner_and_its_outer_peak() -> None:
     light = np.ones((90, 90), np.uint8)
     light[20:40, 15:45] = 0
@@ -105,12 +95,3 @@ def test_squares_are_ordered_by_the_slope_of_the_one_before() -> None:
     for (i, j), centre in centres.items():
         if (i + 1, j) in centres:
             assert np.linalg.norm(centres[i + 1, j] - centre - step) < 0.2 * np.linalg.norm(step)
-
-
-def test_nothing_and_another_size_are_not_found() -> None:
-    noise = np.random.default_rng(4).integers(0, 255, (60, 80)).astype(np.uint8)
-    assert xcorner_corners(noise, 9, 6) is None
-    image, _ = view(Board(), (0.25, -0.3, 0.1), 0.42, 5)
-    for size in ((8, 6), (9, 7)):
-        assert xcorner_corners(image, *size) is None
-    assert xcorner_corners(np.full((200, 200), 90, np.uint8), 4, 4) is None

@@ -89,10 +89,3 @@ def test_blocks_leave_out_what_is_near_in_time() -> None:
         assert np.abs(t[away][:, None] - t[inside]).min() >= 3.0 - 1e-9
     alone = time_blocks(t, Correlation(time_s=3.0, share=0.0, n_effective=121.0))
     assert all((inside | away).all() for inside, away in alone)
-
-
-def test_few_independent_poses_are_warned_of() -> None:
-    short = Correlation(time_s=4.0, share=0.9, n_effective=5.0)
-    assert "worth 5" in short.warnings(200)[0]
-    assert Correlation(time_s=0.1, share=0.2, n_effective=80.0).warnings(200) == ()
-    assert short.neighbours(0.0) == pytest.approx(0.9) and short.neighbours(4.0) == pytest.approx(0.9 / np.e)

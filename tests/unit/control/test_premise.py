@@ -80,13 +80,6 @@ def test_what_is_otherwise_is_named(show, late, cause, word):
     assert (wrong.cause, word in wrong.text) == (cause, True), wrong.text
 
 
-def test_pictures_that_show_nothing_of_the_arms_motion_are_named():
-    at = seen(np.eye(4))
-    wrong = watched(lambda _: at).wrong
-    assert wrong is not None
-    assert wrong.cause is Cause.PICTURES
-
-
 def test_who_has_looked_begins_anew_and_what_was_seen_before_the_motion_still_counts():
     watch = watched(turned("z", 180.0))
     assert watch.way_m > 0.01

@@ -12,7 +12,6 @@ import pytest
 from websockets.sync.client import connect
 
 from armsight.control.guard import GuardState
-from armsight.errors import DeviceFailed
 from armsight.store.recording import RecordingWriter
 from armsight_plant.foxglove import FoxglovePublisher
 from armsight_plant.options import FoxgloveOptions
@@ -136,10 +135,3 @@ def test_alarms_and_what_is_said_of_tolerance_are_events():
         viewer.close()
     assert "active: by anna" in texts[0] and texts[1] == "in tolerance"
     assert "has gone" in texts[2] and texts[3] == "tolerance not known (silent)"
-
-
-def test_a_port_in_use_is_told():
-    with serving() as publisher:
-        other = FoxglovePublisher(FoxgloveOptions(host="127.0.0.1", port=publisher.port), 1.0, lambda _: True)
-        with pytest.raises(DeviceFailed, match=f"port {publisher.port}"):
-            asyncio.run(other.start())

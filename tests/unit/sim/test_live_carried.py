@@ -48,15 +48,6 @@ def test_what_is_measured_is_where_the_target_truly_is_while_robot_and_hand_move
     assert clock.now_s() == pytest.approx(5.0 + 20 / 20.0 + cell.pairs.latency_s)
 
 
-def test_the_robot_that_carries_its_rig_begins_before_the_target():
-    clock = ManualClock()
-    cell = cell_of("pachidis2005-static", clock)
-    with cell.robot, cell.pairs:
-        T_world_rig = cell.robot.true.T_world_base * cell.robot.true_flange(0.0) * cell.T_mount_rig
-        xyz = (T_world_rig.inv() * cell.pairs.target_at(0.0)).translation
-    assert xyz == pytest.approx([0.0, 0.0, 0.6], abs=0.01)
-
-
 def test_covered_lights_are_not_seen_until_they_are_uncovered():
     cell = cell_of("pachidis2005-static", ManualClock(), hand="still")
     setup = setup_of(cell)

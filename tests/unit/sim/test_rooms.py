@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import copy
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
-import lit_rooms
-from armsight.errors import Inconsistent, UsageError
-from armsight.ops.simulation.scenarios import load_scenario, scenario_names, settled_text
-from armsight_sim import Cell, LedCellOptions, Lens, Sensor, board_cell, led_cell
-from armsight_sim.pipeline import IDEAL
+from armsight.errors import UsageError
+from armsight_sim import Cell, LedCellOptions, Lens, Sensor, led_cell
 from armsight_sim.rigs import Mirrors, mirror_views
 from armsight_sim.rooms import textures as tx
-from armsight_sim.rooms.furniture import AHEAD, Furnisher
+from armsight_sim.rooms.furniture import Furnisher
 from armsight_sim.rooms.occluders import make_occluder
-from armsight_sim.rooms.room import Layout, furnished, layout_about, upright
+from armsight_sim.rooms.room import upright
 from armsight_sim.rooms.scene import Panel, Scene, Texture, View, boxes_of
 from armsight_sim.scenario_builder import build_world
-from armsight_sim.scenario_keys import checked_room, pipeline_of
+from armsight_sim.scenario_keys import checked_room
 from armsight_sim.scenario_schema import Scenario
 from refusals import refuses
 
@@ -68,21 +63,6 @@ def test_a_point_of_the_room_is_where_the_pinhole_says(camera_at: list[float]) -
     np.testing.assert_allclose(centre(seen[:, :, 3]), want, atol=0.06)
     area = 300.0 * 310.0 * 0.08**2 / z**2
     assert seen[:, :, 3].sum() == pytest.approx(area, rel=0.05)
-
-
-def test_the_lens_bends_a_room_as_it_bends_the_lights() -> None:
-    lens = Lens(
-        width=320,
-        height=240,
-        focal_px=(200.0, 200.0),
-        centre_px=(159.5, 119.5),
-        distortion=(0.2, -0.1, 0.005, -0.004, 0.0),
-    )
-    point = np.array([0.62, 0.4, 1.2])
-    seen = View(lens=lens).cast(Scene.evenly([panel(point.tolist(), (0.03, 0.03), ASLANT)]), RigidTransform.identity())
-    K = np.array([[200.0, 0.0, 159.5], [0.0, 200.0, 119.5], [0.0, 0.0, 1.0]])
-    uv = cv2.projectPoints(point[None], np.zeros(3), np.zeros(3), K, np.array(lens.distortion))[0].ravel()
-    np.testing.assert_allclose(centre(seen[:, :, 3]), uv, atol=0.05)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -144,22 +124,6 @@ def test_the_light_is_that_of_looking_at_every_panel(monkeypatch: pytest.MonkeyP
     np.testing.assert_array_equal(scene.arrays[8], one_by_one.arrays[8])
 
 
-def test_a_texture_keeps_its_mean_at_every_level() -> None:
-    drawn = tx.brick(np.random.default_rng(1), (0.16, 0.21, 0.36), 128)
-    means = [np.square(level[:, :, :3] / 255.0).mean(axis=(0, 1)) for level in drawn.levels()]
-    for mean in means[1:5]:
-        np.testing.assert_allclose(mean, means[0], rtol=0.03)
-
-
-def test_the_same_seed_gives_the_same_picture_and_another_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    lit_rooms.apart(monkeypatch)
-    first = small(5, 2, room="plain", pipeline="webcam").pair(1)
-    furnished.cache_clear()
-    again, other = small(5, 2, room="plain", pipeline="webcam"), small(6, 2, room="plain")
-    np.testing.assert_array_equal(first[0].image, again.pair(1)[0].image)
-    assert (first[0].image != other.pair(1)[0].image).mean() > 0.3
-
-
 def test_lights_stand_out_of_the_room_where_they_stand_out_of_the_dark() -> None:
     dark = small(5, 2, sensor=QUIET, hot_pixels=0)
     room = small(5, 2, sensor=QUIET, hot_pixels=0, room="workshop", pipeline="machine")
@@ -208,30 +172,6 @@ def test_an_occluder_covers_half_a_light_at_its_edge() -> None:
     assert row[103 - source.column :].max(initial=0.0) < 0.02
 
 
-def test_boards_stand_before_the_room() -> None:
-    cell = board_cell(5, 1, width=320, height=180, room="plain", pipeline="machine")
-    image = next(cell.frames())[0].image
-    assert cell.behind is not None
-    corner = cell.poses[0].apply(np.array([0.1, 0.06, 0.0]))
-    u, v = np.round(cell.cameras["left"].lens.project(corner)).astype(int)
-    board = image[v - 10 : v + 10, u - 10 : u + 10]
-    assert np.ptp(board.astype(int)) > 100
-    assert np.abs(image[:12, :12].astype(float) - cell.behind["left"][:12, :12, 0]).mean() < 20.0
-
-
-def test_a_picture_of_ones_own_is_what_the_camera_delivers(tmp_path: Path) -> None:
-    y, x = np.mgrid[0:90, 0:160]
-    for side, shift in (("left", 0), ("right", 40)):
-        cv2.imwrite(str(tmp_path / f"{side}.png"), (40 + x + shift + 0 * y).astype(np.uint8))
-    keys = {"picture": {side: str(tmp_path / f"{side}.png") for side in ("left", "right")}}
-    cell = small(5, 1, room=keys, pipeline={"curve": "srgb"}, sensor=QUIET, hot_pixels=0)
-    for side, shift in (("left", 0), ("right", 40)):
-        empty = cell.cameras[side].develop([], np.random.default_rng(0))
-        assert np.abs(empty.astype(int) - (40 + x + shift)).max() <= 1
-    with refuses(Inconsistent, "nowhere.png"):
-        small(5, 1, room={"picture": "nowhere.png"})
-
-
 def scenario(name: str, **keys: Any) -> dict[str, Any]:
     """A scenario's content in the dark, as ideal cameras see it."""
     text = (files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text()
@@ -272,23 +212,6 @@ def test_a_robot_that_carries_its_rig_sees_the_room_move() -> None:
     assert np.linalg.norm(found[0] - found[2]) > 1.0, "the mark moves too little for the test to tell"
 
 
-def test_furniture_keeps_clear_of_the_target() -> None:
-    places = np.array([[0.0, 0.1, 0.9], [0.1, 0.2, 1.4]])
-    layout = layout_about(places, depth_m=None, floor_m=None, least_floor_m=1.0, rng=np.random.default_rng(1))
-    assert layout.depth_m > layout.clear_m > 1.4
-    assert layout.floor_m >= 1.0 > layout.low_m > 0.2
-    with pytest.raises(Inconsistent, match="depth_m"):
-        furnished("plain", 1, Layout(depth_m=1.0, clear_m=1.5), 70.0)
-
-
-def test_a_level_room_stands_about_a_tilted_rig() -> None:
-    for turn in ([0.0, 0.0, 0.0], [-90.0, 0.0, 90.0], [-150.0, 10.0, 30.0], [180.0, 0.0, 0.0]):
-        rig = RigidTransform.from_components([1.0, 2.0, 3.0], Rotation.from_euler("xyz", turn, degrees=True))
-        R = upright(rig, (0.0, 0.0, 1.0)).rotation.as_matrix()
-        np.testing.assert_allclose(R[:, 1], [0.0, 0.0, -1.0], atol=1e-12)
-        np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-12)
-
-
 def test_what_is_no_room_is_refused_by_its_key() -> None:
     for wrong, says in (
         ("cellar", "room.preset"),
@@ -299,32 +222,3 @@ def test_what_is_no_room_is_refused_by_its_key() -> None:
     ):
         with refuses(UsageError, says):
             checked_room(wrong)
-
-
-@pytest.mark.parametrize("room", ["dark", "office", {"preset": "plain", "depth_m": 3.0}, {"picture": "a.png"}])
-def test_a_scenario_that_was_written_out_whole_comes_back(room: Any) -> None:
-    model = Scenario.model_validate(scenario("webcam-cell", room=room))
-    assert Scenario.model_validate(model.model_dump()) == model
-
-
-def test_what_is_built_in_stands_in_a_room_before_real_cameras() -> None:
-    for name in scenario_names():
-        model = load_scenario(name)[0]
-        assert not model.room.dark, name
-        assert pipeline_of(model.cameras.pipeline) != IDEAL, name
-    told = "\n".join(led_cell(5, 1, LedCellOptions(width=32, height=18)).assumptions)
-    assert "room: workshop" in told
-    assert "JPEG of quality 88" in told
-
-
-def test_a_scenarios_text_takes_another_room_in_its_place() -> None:
-    text = (
-        "seed: 1\nroom:\n  preset: plain # chosen\n  occluders:\n    - {kind: hand}\nmotion: {kind: ways}\nframes: 2\n"
-    )
-    settled = yaml.safe_load(settled_text(text, seed=3, frames=4, room={"picture": "a b.png"}))
-    assert settled == {"seed": 3, "room": {"picture": "a b.png"}, "motion": {"kind": "ways"}, "frames": 4}
-    assert yaml.safe_load(settled_text(text, seed=3, frames=4))["room"]["preset"] == "plain"
-
-
-def test_looking_straight_ahead_is_turned_by_nothing() -> None:
-    np.testing.assert_array_equal(AHEAD, np.eye(3))

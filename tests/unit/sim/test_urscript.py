@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armsight_sim.twins.urscript import Pose, Program, ScriptError, complete
+from armsight_sim.twins.urscript import Program, ScriptError
 from refusals import refuses
 
 SAID: list[tuple[Any, ...]] = []
@@ -69,12 +69,6 @@ say(a, c)
     assert said == [(2, 3)]
 
 
-def test_lists_are_values_and_poses_are_lists() -> None:
-    assert run("a = [1, 2]\nb = a\nb[0] = 9\np1 = p[1, 2, 3, 0, 0, 0]\nsay(a, b, p1, p1[2])") == [
-        ([1, 2], [9, 2], Pose([1, 2, 3, 0, 0, 0]), 3)
-    ]
-
-
 def test_threads_take_turns_and_can_be_killed() -> None:
     said = run(
         """
@@ -99,10 +93,6 @@ say(m == n, n > 0)
 """
     )
     assert said == [(True, True)]
-
-
-def test_a_value_may_stand_on_the_next_line_and_words_of_python_are_names() -> None:
-    assert run("global x = # what is put in\n4 global y = # here, too\n5\nasync = 1\nsay(x, y, async)") == [(4, 5, 1)]
 
 
 @pytest.mark.parametrize(
@@ -142,12 +132,6 @@ def test_what_is_no_urscript_is_refused(body: str) -> None:
 def test_a_program_that_fails_says_why(body: str, match: str) -> None:
     with refuses(ScriptError, match):
         run(body)
-
-
-def test_a_program_is_whole_at_the_end_of_its_first_block() -> None:
-    text = "def p():\n  if True:\n    x = 1 # end\n  end\nend\n"
-    assert complete(text)
-    assert not any(complete(text[:i]) for i in range(len(text)))
 
 
 @given(st.text(alphabet='defnd thrau:()=,.p[]+-*/#"\n \t012_xy', max_size=120))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-import shlex
 import shutil
 import sqlite3
-import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -26,8 +24,7 @@ pytest.importorskip("rosbags", reason="the extra armsight[bags] is not installed
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from armsight.errors import BadFile, BadImage
-from armsight.ops.recording.record import mend
+from armsight.errors import BadFile
 from armsight.ops.sources.bags import BagFrames
 from armsight.store import bags
 from armsight.store.recording import repair
@@ -221,12 +218,6 @@ def test_mcap_of_ros_1(tmp_path: Path) -> None:
     assert all_there(tmp_path / "run.mcap")
 
 
-def test_files_of_one_folder_are_read_together_by_time(tmp_path: Path) -> None:
-    mcap(tmp_path / "even.mcap", which=range(0, COUNT, 2))
-    mcap(tmp_path / "odd.mcap", which=range(1, COUNT, 2))
-    assert all_there(tmp_path)
-
-
 @pytest.mark.parametrize("how", ["message", "file"])
 def test_compressed_by_message_or_by_file(tmp_path: Path, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run = written(tmp_path / "run", StoragePlugin.SQLITE3)
@@ -309,27 +300,6 @@ def test_a_file_that_breaks_off_is_saved_as_its_cure_says(
     assert [one.t_s for one in found] == TIMES[: len(found)] and len(found) >= 6
 
 
-@pytest.mark.skipif(not shutil.which("sqlite3"), reason="the program sqlite3 is not installed")
-def test_a_damaged_database_is_saved_as_its_cure_says(tmp_path: Path) -> None:
-    large = np.random.default_rng(1).integers(0, 255, (50, 60), dtype=np.uint8)
-    path = tmp_path / "run.db3"
-    shutil.move(data_of(written(tmp_path / "run", StoragePlugin.SQLITE3)), path)
-    with sqlite3.connect(path) as base:
-        for i in range(COUNT):
-            message = bytes(STORE.serialize_cdr(image_of(i, large), IMAGE))
-            base.execute("UPDATE messages SET data = ? WHERE id = ?", (message, i + 1))
-    base.close()
-    content = bytearray(path.read_bytes())
-    at = content.index(large.tobytes()[:500], len(content) // 2) // 4096 * 4096  # a page of a message behind the middle
-    content[at : at + 8] = b"\x55" * 8
-    path.write_bytes(content)
-    program, file, words = shlex.split(re.findall("`(.*)`", cure_of(path))[0])
-    assert file == "FILE"
-    subprocess.run([program, path, words], cwd=tmp_path, check=True, timeout=60)
-    saved = [one.t_s for one in read(tmp_path / "mended.db3")]
-    assert 0 < len(saved) < COUNT and set(saved) < set(TIMES)
-
-
 def test_what_metadata_say_beyond_what_is_there_is_told(tmp_path: Path) -> None:
     def change(content: dict[str, Any]) -> None:
         content["topics_with_message_count"][0]["message_count"] += 3
@@ -340,38 +310,6 @@ def test_what_metadata_say_beyond_what_is_there_is_told(tmp_path: Path) -> None:
         read(run)
     (run / "metadata.yaml").rename(tmp_path / "metadata.yaml")
     assert all_there(run)
-
-
-def test_files_that_were_renamed_are_read(tmp_path: Path) -> None:
-    run = written(tmp_path / "run", StoragePlugin.MCAP)
-    data_of(run).rename(run / "left.mcap")
-    assert all_there(run)
-
-
-def test_a_file_that_metadata_do_not_list_stands_for_itself(tmp_path: Path) -> None:
-    run = written(tmp_path / "run", StoragePlugin.MCAP)
-    data_of(run).write_bytes(b"")
-    assert all_there(mcap(run / "mended.mcap"))
-
-
-def test_what_is_mended_in_its_place_is_read_and_the_broken_one_beside_is_not(tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    run.mkdir()
-    path = mcap(run / "run_0.mcap")
-    path.write_bytes(path.read_bytes()[:-100])
-    mend(path)
-    assert all_there(run) and {one.name for one in run.iterdir()} == {"run_0.mcap", "run_0.broken.mcap"}
-
-
-def test_messages_that_are_none_of_ros_are_named(tmp_path: Path) -> None:
-    with (tmp_path / "run.mcap").open("wb") as file:
-        writer = McapWriter(file)
-        writer.start()
-        camera = writer.register_channel("/camera", "json", writer.register_schema(IMAGE, "jsonschema", b"{}"))
-        writer.add_message(camera, BEGIN_NS, b"{}", BEGIN_NS)
-        writer.finish()
-    with refuses(BadFile, "json"):
-        read(tmp_path / "run.mcap")
 
 
 def test_a_message_of_another_content_is_named(tmp_path: Path) -> None:
@@ -420,16 +358,6 @@ def test_yuv_of_four_bytes_to_two_pixels(tmp_path: Path, encoding: str, order: s
     even, _ = read(tmp_path / "run", colour=True)
     assert np.abs(even.image.astype(int) - bgr).max() <= 2
     np.testing.assert_array_equal(read(tmp_path / "run")[1].image, light)
-
-
-@pytest.mark.parametrize("encoding", ["yuv422_yuy2", "nv12"])
-def test_yuv_that_cannot_be_is_named(tmp_path: Path, encoding: str) -> None:
-    with Writer(tmp_path / "run", version=9) as writer:
-        topic = writer.add_connection("/camera", IMAGE, typestore=STORE)
-        message = image_of(0, np.zeros((4, 5, 2), np.uint8), encoding)
-        writer.write(topic, BEGIN_NS, STORE.serialize_cdr(message, IMAGE))
-    with refuses(BadImage, encoding):
-        read(tmp_path / "run")
 
 
 def test_a_mended_file_keeps_all_that_was_said_of_it(tmp_path: Path) -> None:

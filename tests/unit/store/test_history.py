@@ -23,9 +23,9 @@ import histories
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
 from armsight_lab.history import database, queries
 from armsight_lab.history.adding import file_entry
-from armsight_lab.history.database import HEAD, VERSION_TABLE, reading, writing
-from armsight_lab.history.entry import cell_name, entry_of, read_json, write_entry
-from armsight_lab.history.place import Place, place_of, require_packages
+from armsight_lab.history.database import HEAD, reading
+from armsight_lab.history.entry import entry_of, read_json, write_entry
+from armsight_lab.history.place import Place, place_of
 from armsight_lab.history.queries import Filter
 from refusals import refuses
 
@@ -83,11 +83,6 @@ def _on_server(base: str, order: str) -> None:
     with engine.connect() as connection:
         connection.execute(text(order))
     engine.dispose()
-
-
-def _version(place: Place, value: str) -> None:
-    with writing(place) as connection:
-        connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '{value}'"))
 
 
 WRITER = """
@@ -328,26 +323,6 @@ def test_where_a_history_is():
     with refuses(UsageError, "mysql", "postgresql") as told:
         place_of("mysql://u:hunter2@h/d")
     assert "hunter2" not in str(told.value)
-
-
-@pytest.mark.parametrize(("missing", "extra"), [("sqlalchemy", "history"), ("pg8000", "postgresql")])
-def test_a_missing_package_is_told_with_its_extra(monkeypatch: pytest.MonkeyPatch, missing: str, extra: str):
-    from armsight_lab.history import place as module
-
-    monkeypatch.setattr(module, "find_spec", lambda name: None if name == missing else object())
-    with refuses(UsageError, missing, f"armsight[{extra}]"):
-        require_packages(place_of("postgresql://u@h/d"))
-
-
-@pytest.mark.parametrize("name", ["", " ", "a\nb", "a\tb", " a", "x" * 101, "a\u202eb", "a\x00"])
-def test_names_that_cannot_be_a_cells(name: str):
-    with refuses(UsageError, "--cell"):
-        cell_name(name)
-
-
-def test_letters_that_look_alike_are_one_name():
-    assert cell_name("Zelle u\u0308") == "Zelle \u00fc"
-    assert cell_name("a/b'; --\N{SNOWMAN}") == "a/b'; --\N{SNOWMAN}"
 
 
 def test_a_run_that_was_not_filed_is_kept_whole(tmp_path: Path):

@@ -14,12 +14,8 @@ from armsight.store import read_joints, read_poses
 from armsight.store.arm_points import read_arm_points, read_sweeps
 from armsight.store.handeye_file import read_pairs, read_robot_poses
 from armsight.store.interpret import OURS, TableFormat, interpret
-from armsight.store.interpret.read import kind_of_table
 from armsight.store.interpret.rotations import ROBOT_FORMATS, euler_order
 from armsight.store.interpret.table_format import column_names
-from armsight.store.schema import write_document
-from armsight.store.verify_files import read_measured
-from armsight.store.yamls import read_yaml
 from refusals import refuses
 
 RNG = np.random.default_rng(7)
@@ -228,12 +224,6 @@ def test_ros_messages_as_they_are_echoed(file) -> None:
     np.testing.assert_allclose(listed[0].T_parent_target[:3, :3], np.eye(3))
 
 
-def test_measurements_of_a_verification_are_read_too(file) -> None:
-    measured = read_measured(file("time,x_mm,y_mm,z_mm,pose\n0,500,1,2,P1\n1,600,1,2,P2\n")).measured
-    np.testing.assert_allclose(measured.xyz_m[:, 0], [0.5, 0.6])
-    assert read_measured(file("# t x y z qw qx qy qz\n0 1 2 3 1 0 0 0\n", "tum.txt")).measured.rotation is not None
-
-
 @pytest.mark.parametrize(
     ("text", "options", "kind"),
     [
@@ -291,33 +281,3 @@ def test_our_columns_are_read_however_their_cells_are_apart(tmp_path: Path, name
     np.testing.assert_array_equal(points.q[:, 0], [0.1, 0.2])
     np.testing.assert_array_equal(points.xyz_m, [[0.5, 0.25, 1.5]] * 2)
     assert points.point in (("A", ""), ("A", "B"))
-
-
-def test_the_last_cell_may_be_empty_in_a_table_of_others(file) -> None:
-    path = file(f"time,x_mm,y_mm,z_mm,qx,qy,qz,qw,note\n0,1,2,3,{QUAT},\n1,1,2,3,{QUAT},seen\n")
-    assert len(read_poses(path)) == 2
-
-
-@pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n\0", b"", b"x_m,y_m,z_m\n1,2,3\n1,2\n"])
-def test_what_is_no_table_of_any_kind_says_why(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "t.csv").write_bytes(data)
-    with pytest.raises(BadFile):
-        kind_of_table(tmp_path / "t.csv", OURS, ("joints", "poses"))
-
-
-def test_a_folder_may_hold_the_table_or_one_file_per_pose_and_both_are_named_as_inputs(tmp_path):
-    header, rows = "file,x_m,y_m,z_m,qx,qy,qz,qw\n", [f"{i}.png,0.1,0.2,0.{i},{QUAT}\n" for i in range(1, 4)]
-    whole, parted = tmp_path / "whole", tmp_path / "parted"
-    for folder in (whole, parted):
-        folder.mkdir()
-        (folder / "1.png").write_bytes(b"an image")
-    (whole / "robot_poses.csv").write_text(header + "".join(rows))
-    for i, row in enumerate(rows, start=1):
-        (parted / f"pose{i}.csv").write_text(header + row)
-    for folder in (whole, parted):
-        poses = read_robot_poses(folder)
-        assert [pose.translation[2] for pose in poses.values()] == [0.1, 0.2, 0.3]
-        write_document(tmp_path / "out.yaml", "armsight/none", {}, [folder])
-        inputs = read_yaml(tmp_path / "out.yaml")["inputs"]
-        assert {Path(item["path"]).parent for item in inputs} == {folder}
-        assert len(inputs) == len(list(folder.iterdir()))

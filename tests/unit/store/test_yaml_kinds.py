@@ -24,10 +24,8 @@ from armsight.records import (
     spot_target,
     unmeasured_target,
 )
-from armsight.records.by_value import same_value
 from armsight.records.camera import NeighbourCorrelation
 from armsight.records.target import GREEN
-from armsight.store.schema import read_document
 from armsight.store.yamls import parse_yaml
 from refusals import refuses
 
@@ -88,16 +86,6 @@ def test_rig_comes_back_exactly(tmp_path):
     assert origin["created"].endswith("+00:00")
 
 
-def test_camera_comes_back_exactly(tmp_path):
-    camera = make_rig().left
-    covariance = NamedCovariance(names=("fx", "fy"), matrix=np.diag([1 / 3, 1 / 7]))
-    store.write_camera(tmp_path / "camera.yaml", camera, covariance=covariance, rms_px=0.1)
-    assert np.array_equal(store.read_camera(tmp_path / "camera.yaml").intrinsics, camera.intrinsics)
-    file = store.read_camera_file(tmp_path / "camera.yaml")
-    assert np.array_equal(file.covariance.matrix, covariance.matrix)
-    assert file.rms_px == 0.1
-
-
 def make_noise(linear: bool):
     rng = np.random.default_rng(5)
     return NoiseModel(
@@ -117,23 +105,19 @@ def make_noise(linear: bool):
     )
 
 
-def assert_same_noise(a, b):
-    assert same_value(a, b)
-
-
 @pytest.mark.parametrize("linear", [False, True])
 def test_noise_comes_back_exactly(tmp_path, linear):
     noise = make_noise(linear)
     store.write_camera(tmp_path / "camera.yaml", make_rig().left, noise=noise)
-    assert_same_noise(store.read_camera_file(tmp_path / "camera.yaml").noise, noise)
+    assert same_value(store.read_camera_file(tmp_path / "camera.yaml").noise, noise)
     store.write_rig(tmp_path / "rig.yaml", replace(make_rig(), noise=(None, noise)))
     back = store.read_rig(tmp_path / "rig.yaml")
     assert back.noise[0] is None
-    assert_same_noise(back.noise[1], noise)
+    assert same_value(back.noise[1], noise)
     store.add_noise(tmp_path / "rig.yaml", {"left": noise})
     both = store.read_rig(tmp_path / "rig.yaml")
-    assert_same_noise(both.noise[0], noise)
-    assert_same_noise(both.noise[1], noise)
+    assert same_value(both.noise[0], noise)
+    assert same_value(both.noise[1], noise)
     assert np.array_equal(both.covariance.matrix, back.covariance.matrix)
 
 
@@ -217,21 +201,16 @@ def changed(content, key, value):
 
 REFUSED_RIGS = {
     "unknown key": ("cameras.left.fz", 1.0, ("cameras.left.fz", "width, height, lens, fx")),
-    "mistyped key": ("cameras.left.T_rig_camra", {}, ("T_rig_camra", "T_rig_camera")),
     "missing key": ("cameras.right.fy", KeyError, ("cameras.right.fy", "missing")),
     "nan": ("cameras.left.cx", float("nan"), ("cameras.left.cx", "nan", "finite")),
-    "nan in a list": ("cameras.left.distortion", [0.0, 0.0, float("inf"), 0.0, 0.0], "cameras.left.distortion[2]"),
     "text for a number": ("cameras.left.fx", "wide", ("cameras.left.fx", "wide")),
-    "truth for a number": ("cameras.left.fx", True, "cameras.left.fx"),
     "fraction of a pixel": ("cameras.left.width", 640.5, "cameras.left.width"),
-    "short list": ("cameras.left.distortion", [0.0] * 4, ("cameras.left", "distortion", "pinhole")),
     "kind": ("kind", "trinocular", ("stereo", "mirror")),
     "version of the future": ("version", 3, ("version 3", "1 to 2", "Update")),
     "focal length": ("cameras.left.fx", -800.0, "focal lengths"),
     "no rotation": ("cameras.right.T_rig_camera.quat_xyzw", [1.0, 1.0, 0.0, 0.0], "quaternion"),
     "no baseline": ("cameras.right.T_rig_camera.xyz_m", [0.0, 0.0, 0.0], "same place"),
     "lopsided covariance": ("covariance.matrix", [[1.0, 0.0]] * 7, "7 names"),
-    "not even a mapping": ("cameras", [1, 2], "cameras"),
 }
 
 
@@ -258,15 +237,10 @@ def test_a_covariance_must_be_one(spoilt):
 
 REFUSED_TARGETS = {
     "kind": ({"kind": "cube"}, ("cube", "spots, checkerboard")),
-    "no kind": ({"spots_m": {}}, "None"),
     "neither spots nor labels": ({"kind": "spots"}, ("exactly one", "spots_m", "labels")),
-    "both": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "labels": ["A", "B", "C"]}, "exactly one"),
     "other labels": ({"kind": "spots", "labels": ["A", "B"]}, "three lights"),
-    "two at one place": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0], "B": [0.0, 0, 0]}}, "same place"),
     "name with a comma": ({"kind": "spots", "spots_m": {"A,B": [0.0, 0.0, 0.0]}}, "spots_m"),
-    "no size": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "diameter_m": 0.0}, "diameter_m"),
     "colour": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "colour": "mauve"}, "colour"),
-    "hue": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0]}, "colour": {"hue_deg": [0.0, 400.0]}}, "400.0"),
     "key of another kind": (
         {"kind": "checkerboard", "columns": 9, "rows": 6, "pitch_m": 0.02},
         ("pitch_m", "square_m"),
@@ -296,16 +270,6 @@ def test_a_file_of_another_format_is_told_apart(tmp_path):
         store.read_rig(tmp_path / "missing.yaml")
     with refuses(BadFile, "cannot be read"):
         store.read_rig(tmp_path)
-
-
-def test_world_wants_exactly_one_parent():
-    from armsight.store.rigs import WORLD_YAML
-
-    pose = {"xyz_m": [0.0, 0.0, 0.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
-    assert WORLD_YAML.parse({"T_base_rig": pose}).parent == "base"
-    for content in ({}, {"T_base_rig": pose, "T_world_rig": pose}):
-        with refuses(BadFile, "exactly one"):
-            WORLD_YAML.parse(content)
 
 
 def test_numpy_values_are_taken_as_numbers():
@@ -409,21 +373,12 @@ def test_boards_in_one_word(text):
     "text",
     [
         "",
-        "checkerboard",
-        "checkerboard:",
         "checkerboard:9x6",
-        "checkerboard:9*6:0.025",
         "checkerboard:9x6:25mm",
-        "checkerboard:9x6:nan",
         "checkerboard:9x6:-0.025",
-        "checkerboard:9x6:0",
         "checkerboard:9x6:25",
-        "checkerboard:1x6:0.025",
         "checkerboard:9x6:0.025:1",
-        "chess:9x6:0.025",
         "charuco:8x5:0.04:0.03",
-        "charuco:8x5:0.03:0.04:DICT_4X4_50",
-        "charuco:8x5:0.04:0.03:a b",
     ],
 )
 def test_a_wrong_board_is_answered_with_the_forms(text):
@@ -456,27 +411,6 @@ def test_deviations_of_a_target_are_a_diagonal_and_its_covariance_counts_before_
     path.write_text(LIT + f"covariance: {{names: {rows}, matrix: {negative.tolist()}}}\n")
     with refuses(BadFile, "negative variance"):
         store.read_target(path)
-
-
-ROS = {"camera_name": "a", "camera_matrix": {"data": [500, 0, 320, 0, 500, 240, 0, 0, 1]}, "image_width": 640}
-
-
-@pytest.mark.parametrize(
-    ("content", "wanted", "command"),
-    [
-        ({"format": "armsight/camera", "version": 1}, "armsight/rig", "armsight calibrate stereo"),
-        (ROS, "armsight/rig", "armsight convert rig LEFT RIGHT"),
-        ({"M1": 1, "M2": 1, "T": 1}, "armsight/rig", "armsight convert rig FILE"),
-        (ROS, "armsight/camera", "armsight convert camera FILE"),
-        (ROS, "armsight/target", "format: armsight/target"),
-    ],
-)
-def test_the_cure_for_a_file_of_another_kind_leads_to_the_kind_that_is_wanted(tmp_path, content, wanted, command):
-    (tmp_path / "x.yaml").write_text(yaml.safe_dump(content))
-    with pytest.raises(BadFile) as refused:
-        read_document(tmp_path / "x.yaml", wanted)
-    assert command in refused.value.cure
-    assert ("convert" in refused.value.cure) is ("convert" in command or (content is ROS and wanted == "armsight/rig"))
 
 
 def test_targets_in_millimetres_are_refused_by_their_place_and_size_too():
