@@ -8,14 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.clock import ManualClock
-from armsight.drivers import OpenCvCamera, usb
 from armsight.drivers.usb import UNTOLD_MBIT_S, crowd_of, crowded_buses, picture_mbit_s, usb_cameras
-from armsight.errors import DeviceLost
-from armsight.ops.doctor import looked_at
-from refusals import refuses
 
-CONTROLLER = "devices/pci0000:00/0000:00:14.0"
 DEVICE = bytes([18, 1, 0, 2, 239, 2, 1, 64]) + bytes(10)
 
 
@@ -104,31 +98,3 @@ def test_a_bus_that_cannot_carry_its_cameras_is_told_with_them(tree: Tree) -> No
     assert "Other" not in told
     assert crowd_of("4", tree.path) == crowd_of("/dev/video4", tree.path) == told
     assert crowd_of("6", tree.path) == ""
-
-
-def test_it_is_said_where_a_camera_does_not_start_and_by_doctor(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Starved:
-        def isOpened(self) -> bool:
-            return True
-
-        def read(self) -> tuple[bool, None]:
-            return False, None
-
-        def release(self) -> None:
-            pass
-
-        def get(self, key: int) -> float:
-            return 0.0
-
-    monkeypatch.setattr(usb, "SYS", tree.path)
-
-    def camera() -> OpenCvCamera:
-        return OpenCvCamera("4", clock=ManualClock(), open_capture=lambda _: Starved())  # type: ignore[arg-type,return-value]
-
-    with refuses(DeviceLost, "camera:4", "plug"), camera() as source:
-        list(source)
-    for socket in (1, 2, 3):
-        tree.plug(f"0000:00:14.0/usb1/1-{socket}", webcam())
-    with refuses(DeviceLost, "camera:4", "USB bus", "another controller"), camera() as source:
-        list(source)
-    assert any("442 Mbit/s" in problem for problem in looked_at(None, ()).problems)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armsight.errors import Cancelled, Inconsistent, NotConverged, Undetermined
+from armsight.errors import Inconsistent, NotConverged, Undetermined
 from armsight.fitting import Evaluation, Loss, LossKind, Prior, Problem, Settings, StopReason, solve
 from armsight.fitting.kernels import invert_spd, solve_damped
 from refusals import refuses
@@ -170,18 +170,6 @@ def test_why_it_stopped_is_told() -> None:
 
     with refuses(NotConverged, "evaluated", "starting guess"):
         solve(Problem(names=("p",), guess=np.zeros(1), evaluate=impossible, n_residuals=3))
-
-
-def test_cancelling_stops_it() -> None:
-    class Impatient:
-        def update(self, done: float, total: float, note: str = "") -> None: ...
-
-        def cancelled(self) -> bool:
-            return True
-
-    x = np.linspace(0, 1, 10)
-    with pytest.raises(Cancelled):
-        solve(line_problem(x, x, 0.1), progress=Impatient())
 
 
 def test_the_compiled_core_solves_what_numpy_solves() -> None:

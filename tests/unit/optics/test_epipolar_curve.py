@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import Inconsistent
-from armsight.optics import Camera, PackedRig, Rig, RigKind, epipolar_chi2, epipolar_distance
+from armsight.optics import Camera, Rig, RigKind
 from armsight.optics.triangulate import epipolar_curve
 
 LENS = (0.08, -0.17, 0.0007, -0.0004, 0.04)
@@ -39,12 +38,3 @@ def test_behind_the_other_camera_there_is_nothing() -> None:
     curve = epipolar_curve(made, "left", [645.0, 355.0], [0.5, 2.0])
     assert np.isnan(curve[0]).all()
     assert np.isfinite(curve[1]).all()
-
-
-def test_pixels_that_are_no_pairs() -> None:
-    made, uv, noise = rig(), np.full((3, 2), 300.0), np.tile(np.eye(2), (3, 1, 1))
-    for left, right in ((uv, uv[:2]), (uv[:, :1], uv), (uv, uv.T)):
-        with pytest.raises(Inconsistent):
-            epipolar_distance(made, left, right)
-    with pytest.raises(Inconsistent, match="cov_right_px2"):
-        epipolar_chi2(PackedRig.of(made), uv, noise, uv, noise[:2])

@@ -156,14 +156,6 @@ def test_toe_in_counts_the_second_angle_in_the_other_sense() -> None:
         assert abs((m1 * m2 * 0.1 + m1 * F * u2 - m2 * F * u1) / (m1 * wrong - m2 * n1) - p[2]) > 1e-3
 
 
-def test_parallel_rays_are_refused() -> None:
-    view = [SensorView(sensor_m=[x, 0.0, 0.0], beta_rad=0.0, focal_m=3e-3) for x in (-0.05, 0.05)]
-    with pytest.raises(Degenerate):
-        triangulate_converged(view[0], view[1], (1e-3, 0.0), (1e-3, 0.0))
-    with pytest.raises(Degenerate):
-        triangulate_parallel(3e-3, 0.1, (1e-3, 0.0), (1e-3, 0.0))
-
-
 def test_named_rigs_see_what_they_should() -> None:
     camera = Camera.pinhole(1280, 720, 1131.0, 1131.0, 640.0, 360.0)
     left, right = parallel_rig(camera, 0.1).project([0.0, 0.0, 0.5])

@@ -6,7 +6,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-
 from armsight.control.guard import GuardState
 from armsight.errors import DeviceFailed
 from armsight_plant.options import FoxgloveOptions, PlantOptions
