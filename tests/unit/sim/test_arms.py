@@ -12,10 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.kinematics import pose
 from armsight.store.arm_file import arm_from_mapping
 from armsight_sim.arms import Drive, FlangeLimits, Servo, SimArm, covering
-from armsight_sim.motions import Drawn, HandJitter, Jumping
 from armsight_sim.scenario_builder import robotics
 from armsight_sim.scenario_schema import Scenario
-from armsight_sim.scene import Rest
 
 NAMES = ("korayem2018-circle", "kapucu2005-rrp", "webcam-cell", "pachidis2005-static")
 
@@ -105,19 +103,3 @@ def test_a_servo_keeps_its_speed_limit_and_holds_commands_for_their_time() -> No
     assert servo.at(0.1)[0, 0] == 0.0
     assert servo.at(1.1)[0, 0] == pytest.approx(0.5, abs=1e-9)
     assert servo.at(2.9)[0, 0] == 1.0
-
-
-def test_a_drawn_path_keeps_its_speed_on_edges_and_rounds_corners() -> None:
-    path = Drawn([[0, 0, 0], [0.4, 0, 0], [0.4, 0.2, 0]], Rotation.identity(), 0.1, 0.05, 1.0)
-    xyz = np.asarray(path(np.array([0.0, 2.0, 3.0, 5.0, 60.0])).translation)
-    assert np.abs(xyz - [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.4, 0, 0], [0.4, 0.2, 0]])[[0, 1, 2, 4]].max() < 1e-6
-    assert 1e-3 < np.linalg.norm(xyz[3] - [0.4, 0.0, 0.0]) < 0.1 * 0.05
-
-
-def test_a_hand_shakes_as_much_as_it_is_told_and_a_jump_ends() -> None:
-    rest = Rest(T_world_target=RigidTransform.identity())
-    shaken = HandJitter(rest, 1e-3, 0.01, np.random.default_rng(5))(np.linspace(0.0, 400.0, 20_000))
-    assert np.asarray(shaken.translation).std(axis=0) == pytest.approx(np.full(3, 1e-3), rel=0.05)
-    assert shaken.rotation.as_rotvec().std(axis=0) == pytest.approx(np.full(3, 0.01), rel=0.05)
-    jump = Jumping(path=rest, by_m=np.array([0.1, 0.0, 0.0]), start_s=1.0, end_s=2.0)
-    assert np.asarray(jump(np.array([0.9, 1.0, 1.9, 2.0])).translation)[:, 0] == pytest.approx([0.0, 0.1, 0.1, 0.0])

@@ -5,18 +5,13 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import pytest
 import yaml
 
 from armsight.errors import BadFile
-from armsight.ops.simulation.run import simulate
 from armsight.ops.simulation.scenarios import build_world, scenario_model
-from armsight.store import read_rig
 from armsight_sim.world import World
 from refusals import refuses
 
@@ -97,34 +92,6 @@ def test_what_was_told_to_happen_happens_to_the_camera_named() -> None:
     made = world(covered)
     assert {(one.camera, one.light) for one in made.sights(0) if one.hidden_by == "event"} == {("far-left", "A")}
     assert {(one.camera, one.light) for one in made.sights(6) if one.hidden_by == "event"} == {(n, "B") for n in NAMES}
-
-
-@pytest.mark.parametrize("names", [NAMES[:1], NAMES[:3]])
-def test_fewer_of_the_cameras_see_the_same(names: tuple[str, ...]) -> None:
-    def fewer(keys: dict[str, Any]) -> None:
-        cameras = keys["cameras"]
-        cameras["others"] = {name: one for name, one in cameras["others"].items() if name in names}
-        if "right" not in names:
-            del cameras["right"]
-
-    def steady(keys: dict[str, Any]) -> None:
-        keys["motion"]["amplitude"] = 6 * [0.0]
-
-    made, whole = world(lambda keys: (fewer(keys), steady(keys))), world(steady)
-    assert made.views == names and whole.views == NAMES
-    for frame, view in zip(next(made.frames()), names, strict=True):
-        np.testing.assert_array_equal(frame.image, whole.frame(0, view).image)
-
-
-def test_its_files_have_a_folder_for_every_camera_and_a_rig_of_all(tmp_path: Path) -> None:
-    done = simulate("arm-cell", tmp_path, frames=2, seed=3, room="dark")
-    assert tuple(done.views or ()) == NAMES
-    for name in NAMES:
-        assert cv2.imread(str(tmp_path / name / "000001.png"), cv2.IMREAD_GRAYSCALE).shape == (720, 1280)
-    assert read_rig(tmp_path / "rig.yaml", any_cameras=True).names == NAMES
-    header, *rows = (tmp_path / "truth_lights.csv").read_text().splitlines()
-    assert header == "t_s,camera,light,u_px,v_px,hidden_by" and len(rows) == 2 * len(NAMES) * 6
-    assert not (tmp_path / "truth_lights.csv").read_text().count("nan")
 
 
 def test_what_cannot_be_a_rig_or_a_camera_is_refused_by_its_key() -> None:

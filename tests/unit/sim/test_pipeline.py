@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import Inconsistent, UsageError
 from armsight_sim import Lens, Light, Patch, Rest, Sensor, SimCamera, ambient
 from armsight_sim.pipeline import PIPELINES, LensLosses, Pipeline
-from armsight_sim.scenario_keys import checked_pipeline
 
 QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
 WIDTH, HEIGHT = 96, 64
@@ -92,15 +90,3 @@ def test_a_light_behind_a_machine_camera_is_where_the_pinhole_says() -> None:
     v, u = np.mgrid[j - 8 : j + 9, i - 8 : i + 9]
     found = np.array([(window * u).sum(), (window * v).sum()]) / window.sum()
     np.testing.assert_allclose(found, want, atol=0.01)
-
-
-def test_pipelines_that_cannot_be_are_refused() -> None:
-    for wrong in ({"vignetting": 1.0}, {"glare": -0.1}, {"jpeg_quality": 0}, {"gamma": 0.0}, {"sharpening": -1.0}):
-        with pytest.raises(Inconsistent):
-            Pipeline(**wrong)  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="jpeg"):
-        checked_pipeline({"preset": "webcam", "jpeg": 3})
-    with pytest.raises(UsageError, match="pipeline"):
-        checked_pipeline("phone")
-    assert checked_pipeline({"preset": "webcam", "jpeg_quality": "none"}).jpeg_quality is None
-    assert checked_pipeline("machine") == PIPELINES["machine"]

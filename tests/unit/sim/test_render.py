@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import Inconsistent
 from armsight_sim import Lens, Light, Rest, Sensor, SimCamera, SmoothTrajectory, ambient
 
 
@@ -121,19 +120,3 @@ def test_colours_stay_in_their_channels_and_grey_cameras_take_the_mean():
     assert image[:, :, 0].max() == 0.0
     np.testing.assert_allclose(image[:, :, 1], 0.5 * image[:, :, 2], atol=1e-5)
     np.testing.assert_allclose(grey.light([light], path, 0.0)[:, :, 0], image.mean(axis=2), atol=1e-5)
-
-
-def test_what_cannot_be_is_refused():
-    with pytest.raises(Inconsistent):
-        spot(sigma_px=0.0)
-    with pytest.raises(Inconsistent):
-        spot(diameter_m=-1.0)
-    with pytest.raises(Inconsistent):
-        Lens(width=10, height=10, focal_px=(0.0, 1.0), centre_px=(0.0, 0.0))
-    with pytest.raises(Inconsistent):
-        SimCamera(
-            lens=Lens(width=10, height=10, focal_px=(9.0, 9.0), centre_px=(5.0, 5.0)),
-            T_world_camera=RigidTransform.identity(),
-            sensor=Sensor(),
-            backdrop=ambient(11, 10, 0.0),
-        )

@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-import copy
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import UsageError
-from armsight_sim import Cell, LedCellOptions, Lens, Sensor, led_cell
+from armsight_sim import Cell, LedCellOptions, Lens, led_cell
 from armsight_sim.rigs import Mirrors, mirror_views
 from armsight_sim.rooms import textures as tx
 from armsight_sim.rooms.furniture import Furnisher
-from armsight_sim.rooms.occluders import make_occluder
-from armsight_sim.rooms.room import upright
-from armsight_sim.rooms.scene import Panel, Scene, Texture, View, boxes_of
-from armsight_sim.scenario_builder import build_world
-from armsight_sim.scenario_keys import checked_room
-from armsight_sim.scenario_schema import Scenario
-from refusals import refuses
-
-QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
+from armsight_sim.rooms.scene import Panel, Scene, Texture, View
 
 
 def small(seed: int, frames: int, *, room: Any = "dark", pipeline: Any = "ideal", **options: Any) -> Cell:
@@ -104,39 +92,6 @@ def test_lamps_light_what_they_see_and_boxes_throw_shadows() -> None:
     assert on_floor[rows // 2, columns // 2] < 0.75 * on_floor[rows // 2, 1]
 
 
-def test_the_light_is_that_of_looking_at_every_panel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bit by bit: boxes about the panels spare looks and change nothing."""
-
-    def lit() -> tuple[Scene, int]:
-        rng = np.random.default_rng(3)
-        made = Furnisher(rng)
-        made.panel((0.0, 1.0, 2.0), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), (2.0, 2.0), white())
-        made.tube((0.0, -1.0, 2.0), 0.6, 20.0)
-        for place in rng.uniform((-0.8, 0.3, 1.2), (0.8, 1.0, 2.8), (30, 3)):
-            made.any_box(tuple(place), (0.15, 0.1, 0.2), float(rng.uniform(0.0, 90.0)))
-        return Scene.lit(made.panels, rng), len(boxes_of(made.panels, range(len(made.panels)))[0])
-
-    scene, boxes = lit()
-    monkeypatch.setattr("armsight_sim.rooms.scene.BOX_PANELS", 1000)
-    monkeypatch.setattr("armsight_sim.rooms.scene.WALL_M2", np.inf)
-    one_by_one, alone = lit()
-    assert boxes > 50 and alone == 2
-    np.testing.assert_array_equal(scene.arrays[8], one_by_one.arrays[8])
-
-
-def test_lights_stand_out_of_the_room_where_they_stand_out_of_the_dark() -> None:
-    dark = small(5, 2, sensor=QUIET, hot_pixels=0)
-    room = small(5, 2, sensor=QUIET, hot_pixels=0, room="workshop", pipeline="machine")
-    assert room.pair(0)[0].image.mean() > dark.pair(0)[0].image.mean() + 10
-    for side, camera in room.cameras.items():
-        extra = (camera.light(room.lights, room.path, 0.0) - camera.still)[:, :, 0]
-        for name, uv in dark.centres_px(0, side).items():
-            i, j = np.round(uv).astype(int)
-            window = np.zeros_like(extra)
-            window[j - 4 : j + 5, i - 4 : i + 5] = extra[j - 4 : j + 5, i - 4 : i + 5]
-            np.testing.assert_allclose(centre(window), uv, atol=0.02, err_msg=name)
-
-
 def hand(**keys: Any) -> dict[str, Any]:
     crossing = {"kind": "card", "at_s": 0.0, "for_s": 1.0, "from_m": [-0.2, 0.0, 0.4], "to_m": [0.4, 0.0, 0.4]}
     return {"preset": "dark", "occluders": [{**crossing, "size_m": 0.5, **keys}]}
@@ -154,71 +109,3 @@ def test_an_occluder_hides_the_lights_behind_it_and_is_gone_afterwards() -> None
     beyond = small(5, 90, room=hand(from_m=[-0.2, 0.0, 3.0], to_m=[0.4, 0.0, 3.0], size_m=4.0))
     assert len(beyond.centres_px(25, "left")) == 3
     assert beyond.cameras["left"].light(cell.lights, cell.path, 25 / 60).max() > 120.0
-
-
-def test_an_occluder_covers_half_a_light_at_its_edge() -> None:
-    lens = Lens(width=200, height=120, focal_px=(200.0, 200.0), centre_px=(99.5, 59.5))
-    card = make_occluder(
-        "card", size_m=0.2, from_m=np.array([-0.1, 0.0, 0.5]), to_m=np.array([-0.1, 0.0, 0.5]),
-        first_s=0.0, last_s=1.0, level=80.0, seed=1,
-    )  # fmt: skip
-    source = card.source(lens, RigidTransform.identity(), 0.5, 1)
-    assert source is not None
-    places = np.array([[-0.05, 0.0, 1.0], [0.05, 0.0, 1.0], [-0.05, 0.0, 0.4]])
-    assert card.covers(lens, RigidTransform.identity(), places, 0.5).tolist() == [True, False, False]
-    row = source.share[source.share.shape[0] // 2]  # the card ends at x = 0, in the middle of pixel 99.5
-    assert row.sum() == pytest.approx(200.0 * 0.2 / 0.5, abs=0.6)
-    assert row[95 - source.column] == pytest.approx(1.0, abs=1e-3)
-    assert row[103 - source.column :].max(initial=0.0) < 0.02
-
-
-def scenario(name: str, **keys: Any) -> dict[str, Any]:
-    """A scenario's content in the dark, as ideal cameras see it."""
-    text = (files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text()
-    mapping: dict[str, Any] = copy.deepcopy(yaml.safe_load(text))
-    mapping["cameras"]["pipeline"] = "ideal"
-    mapping["room"] = "dark"
-    mapping.update(keys)
-    return mapping
-
-
-def test_a_robot_that_carries_its_rig_sees_the_room_move() -> None:
-    """A mark of the room, behind a moving camera's mirrors: where its views project it, in every frame."""
-    mark = {"surface": "paint", "colour": [1.0, 1.0, 1.0], "glow": 8.0, "size_m": [0.02, 0.02]}
-    mapping = scenario("pachidis2005-circle", frames=200, fps=5.0)
-    mapping["arm"]["vibration"]["amplitude_m"] = 0.0
-    plain = build_world(Scenario.model_validate(mapping))
-    start = plain.target_path(np.zeros(1))[0]
-    T_world_room = upright(plain.rig_path(np.zeros(1))[0], (0.0, 0.0, 1.0))
-    place = (T_world_room.inv() * start).apply([0.0, 0.03, 0.05])
-    turn = ((T_world_room.inv() * start).rotation * ASLANT).as_euler("xyz", degrees=True)
-    mark["T_room_panel"] = {"xyz_m": place.tolist(), "turn_deg": turn.tolist()}
-    mapping["room"] = {"preset": "plain", "panels": [mark], "floor_m": 2.0}
-    made = build_world(Scenario.model_validate(mapping))
-    assert made.moving is not None
-    found = []
-    for t_s in (0.0, 4.0):
-        T_world_rig = made.rig_path(np.array([t_s]))[0]
-        light = made.moving.light("image", T_world_rig)[:, :, 0]
-        point = (T_world_rig.inv() * T_world_room).apply(place)
-        for side in ("left", "right"):
-            uv = made.cameras[side].lens.project(point)
-            i, j = np.round(uv).astype(int)
-            window = np.zeros_like(light)
-            part = light[j - 30 : j + 31, i - 30 : i + 31]
-            window[j - 30 : j + 31, i - 30 : i + 31] = np.maximum(part - 100.0, 0.0)
-            np.testing.assert_allclose(centre(window), uv, atol=0.5)  # one ray for two pixels
-            found.append(uv)
-    assert np.linalg.norm(found[0] - found[2]) > 1.0, "the mark moves too little for the test to tell"
-
-
-def test_what_is_no_room_is_refused_by_its_key() -> None:
-    for wrong, says in (
-        ("cellar", "room.preset"),
-        ({"preset": "plain", "sede": 3}, "room.sede"),
-        ({"preset": "plain", "picture": "a.png"}, "room"),
-        ({"seed": 3}, "seed"),
-        ({"preset": "plain", "occluders": [{"kind": "ghost"}]}, "room.occluders.0.kind"),
-    ):
-        with refuses(UsageError, says):
-            checked_room(wrong)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import socket
 import struct
@@ -113,59 +112,6 @@ def test_what_cannot_be_is_answered_as_the_guide_says(server: RtdeServer) -> Non
         assert second.ask("I", b"input_int_register_0,input_int_register_1") == b"\0IN_USE,INT32"
     with Client(server) as third:
         assert third.ask("I", b"input_int_register_0") == b"\1INT32"
-
-
-def test_an_uploaded_program_moves_the_arm_and_the_watchdog_ends_it(server: RtdeServer) -> None:
-    with Client(server) as client, Client(server, 30003) as script:
-        client.ask("I", b"input_int_register_0,input_double_register_0")
-        client.ask("S")
-        half = len(SERVO) // 2
-        for part in (SERVO[:half], SERVO[half:]):
-            script.link.sendall(part.encode())
-            script.look()
-        assert server.controller.running
-        for i in range(100):
-            client.send("U", struct.pack(">Bid", 1, 1, HOME[0] + 0.001 * min(i, 50)))
-            server.cycle()
-        assert server.controller.q[0] == pytest.approx(HOME[0] + 0.05, abs=1e-6)
-        for _ in range(20):
-            server.cycle()
-        assert not server.controller.running
-        assert any("nothing was written" in message for message in server.controller.messages)
-        client.send("U", struct.pack(">Bid", 1, 1, 3.0))
-        for _ in range(20):
-            server.cycle()
-        assert server.controller.q[0] == pytest.approx(HOME[0] + 0.05, abs=1e-6)
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, 7.0])
-def test_a_goal_that_cannot_be_ends_the_program_and_moves_nothing(server: RtdeServer, value: float) -> None:
-    with Client(server) as client:
-        client.ask("I", b"input_int_register_0,input_double_register_0")
-        client.ask("S")
-        server.controller.play(SERVO)
-        client.send("U", struct.pack(">Bid", 1, 1, value))
-        for _ in range(5):
-            server.cycle()
-        assert not server.controller.running
-        assert np.abs(server.controller.q - HOME).max() < 1e-9
-
-
-def test_the_dashboard_answers(server: RtdeServer) -> None:
-    with Client(server, 29999) as client:
-        lines = client.link.makefile("r")
-        assert lines.readline().startswith("Connected")
-        for command, answer in (
-            ("robotmode", "Robotmode: RUNNING"),
-            ("running", "Program running: false"),
-            ("stop", "Stopped"),
-            ("is in remote control", "true"),
-            ("nonsense", 'Could not understand: "nonsense"'),
-        ):
-            client.link.sendall(f"{command}\n".encode())
-            client.look()
-            assert lines.readline() == f"{answer}\n"
-        lines.close()
 
 
 def test_garbage_ends_a_connection_at_most(server: RtdeServer) -> None:

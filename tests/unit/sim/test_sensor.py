@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from armsight_sim import Patch, Sensor, ambient, with_clutter, with_hot_pixels
+from armsight_sim import Sensor, ambient
 
 SIZE = 600  # 360,000 pixels: a variance is known to 0.24 %, a correlation to 0.0017
 N = SIZE * SIZE
@@ -50,32 +50,3 @@ def test_light_beyond_saturation_clips_and_none_falls_below_zero():
     assert dark.mean() == pytest.approx(
         2.0 / np.sqrt(2 * np.pi), abs=0.05
     )  # half of a normal; rounding shifts a little
-
-
-def test_a_patch_replaces_the_light_where_it_lies():
-    still = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
-    light, patch = ambient(7, 5, 10.0), Patch(row=1, column=4, light=np.full((2, 3, 1), 99.0, np.float32))
-    image = still.develop(light, np.random.default_rng(0), patch)
-    want = np.full((5, 7), 10)
-    want[1:3, 4:] = 99
-    np.testing.assert_array_equal(image, want)
-    colour = still.develop(
-        ambient(7, 5, 10.0, bgr=(1.0, 2.0, 3.0)),
-        np.random.default_rng(0),
-        Patch(row=1, column=4, light=np.full((2, 3, 3), 99.0, np.float32)),
-    )
-    assert colour.shape == (5, 7, 3)
-    np.testing.assert_array_equal(colour[0, 0], [10, 20, 30])
-    np.testing.assert_array_equal(colour[:, :, 1], np.where(want == 99, 99, 20))
-
-
-def test_hot_pixels_and_clutter_are_where_the_seed_puts_them():
-    plain = ambient(64, 48, 10.0, bgr=(1.0, 1.0, 1.0))
-    hot = with_hot_pixels(plain, 9, (50.0, 60.0), np.random.default_rng(0)) - plain
-    assert (hot > 0).sum() == 9
-    assert 50.0 <= hot[hot > 0].min() <= hot.max() <= 60.0
-    room = with_clutter(plain, 5, (20.0, 30.0), np.random.default_rng(0))
-    assert room.dtype == np.float32
-    assert room.min() >= 10.0
-    assert (room.max(axis=(0, 1)) > 11.0).all()
-    np.testing.assert_array_equal(room, with_clutter(plain, 5, (20.0, 30.0), np.random.default_rng(0)))

@@ -52,49 +52,6 @@ end
     assert said == [(2, "text with # and end"), (6, "text with # and end")]
 
 
-def test_globals_are_shared_and_locals_are_not() -> None:
-    said = run(
-        """
-global a = 1
-def change():
-  a = 2
-  local b = 5
-  c = 7
-end
-c = 3
-change()
-say(a, c)
-"""
-    )
-    assert said == [(2, 3)]
-
-
-def test_threads_take_turns_and_can_be_killed() -> None:
-    said = run(
-        """
-global n = 0
-thread count():
-  while True:
-    enter_critical
-    n = n + 1
-    exit_critical
-    sync()
-  end
-end
-t = run count()
-sync()
-sync()
-kill t
-sync()
-m = n
-sync()
-sync()
-say(m == n, n > 0)
-"""
-    )
-    assert said == [(True, True)]
-
-
 @pytest.mark.parametrize(
     "body",
     [

@@ -14,7 +14,7 @@ from armsight.kinematics import Arm, fk, in_convention, moved, parameter_names, 
 from armsight.kinematics.presets import PRESETS
 from armsight.records import NamedCovariance
 from armsight.store.arm_file import arm_from_mapping, arm_mapping, read_arm, write_arm
-from armsight.store.urdf import arm_from_urdf, read_urdf, urdf_text, write_urdf
+from armsight.store.urdf import arm_from_urdf, urdf_text, write_urdf
 from refusals import refuses
 
 ALL = sorted(PRESETS)
@@ -66,18 +66,6 @@ def test_urdf_and_back_gives_the_same_poses(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_urdf_and_back_gives_the_same_rows_where_they_are_unique(name: str) -> None:
-    for arm in (in_convention(arm, "standard") for arm in variants(name)[:2]):
-        back = arm_from_urdf(urdf_text(arm))
-        if not np.allclose(arm.T_base_frame0.as_matrix(), np.eye(4)):
-            continue  # the place of the first frame along and about the first axis is anyone's choice
-        for joint, other in zip(arm.joints, back.joints, strict=True):
-            for key in KEYS:
-                assert getattr(other, key) == pytest.approx(getattr(joint, key), abs=1e-12), (joint.name, key)
-        np.testing.assert_allclose(back.T_flange_tool.as_matrix(), arm.T_flange_tool.as_matrix(), atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ALL)
 def test_arm_yaml_and_back_is_the_same_arm(name: str, tmp_path: Path) -> None:
     for k, arm in enumerate(variants(name)):
         path = tmp_path / f"{k}.yaml"
@@ -114,12 +102,8 @@ def mapping(**joint: object) -> dict[str, object]:
     [
         (mapping(type="ball"), ("ball", "revolute, prismatic")),
         (mapping(lower=1.0, upper=-1.0), "swapped"),
-        (mapping(a_m=float("nan")), ("joints[0].a_m", "nan")),
-        (mapping(a_mm=3.0), ("a_mm", "a_m")),
         (mapping(sign=0.0), "sign"),
         ({**mapping(), "convention": "proximal"}, "convention"),
-        ({**mapping(), "joints": []}, "one joint"),
-        ({"format": "armsight/arm", "convention": "standard"}, ("joints", "missing")),
         (mapping(std={"a_m": -1.0}), "negative"),
     ],
 )
@@ -147,21 +131,16 @@ def robot(*joints: dict[str, str], links: int = 4, head: str = "") -> str:
     ("text", "words"),
     [
         (robot({"type": "floating"}, {}, {}), ("j0", "floating")),
-        (robot({}, {"type": "planar"}, {}), ("j1", "planar", "revolute, continuous, prismatic and fixed")),
-        (robot({}, {"type": "ball"}, {}), ("j1", "ball")),
         (robot({}, {"parent": "l0"}, links=3), ("branches", "l0", "j0, j1")),
         (robot({}, {"child": "l1"}, links=3), ("l1", "two joints")),
         (robot({}, {"parent": "l3", "child": "l2"}, links=4), ("2 root links", "l0, l3", "--base")),
         (robot({"parent": "l1", "child": "l0"}, {"parent": "l0", "child": "l1"}, links=2), "loop"),
         (robot({"type": "prismatic", "more": '<axis xyz="0 0 2"/>' + LIMIT}, links=2), ("j0", "length 2")),
-        (robot({"more": '<axis xyz="0 0 0"/>' + LIMIT}, links=2), "length 0"),
-        (robot({"more": '<axis xyz="0 nan 1"/>' + LIMIT}, links=2), "3 finite"),
         (robot({"more": '<limit lower="1" upper="-1"/>'}, links=2), "swapped"),
         (robot({"more": ""}, links=2), "no <limit>"),
         (robot({"more": LIMIT + '<mimic joint="j9"/>'}, links=2), "mimics"),
         (robot({"more": LIMIT + '<origin xyz="1 2" rpy="0 0 0"/>'}, links=2), "origin xyz"),
         (robot({"child": "l7"}, links=2), ("j0", "l7")),
-        (robot({"type": "fixed"}, links=2), "moves"),
         (robot({}, links=2, head='<!DOCTYPE r [<!ENTITY a "aaaa">]>'), "entities"),
         ("<robot", "XML"),
         ("<sdf/>", "<robot>"),
@@ -235,14 +214,3 @@ def test_a_scale_has_no_place_in_urdf(tmp_path: Path) -> None:
     scaled = dataclasses.replace(arm, joints=(dataclasses.replace(arm.joints[0], sign=1.01), *arm.joints[1:]))
     with pytest.raises(Inconsistent, match=r"scale 1\.01"):
         write_urdf(tmp_path / "a.urdf", scaled)
-
-
-def test_urdf_files(tmp_path: Path) -> None:
-    path = tmp_path / "arm.urdf"
-    write_urdf(path, preset("irb120"))
-    assert read_urdf(path).n == 6
-    path.write_bytes(b"\xff\xfe\x00")
-    with refuses(BadFile, "UTF-8"):
-        read_urdf(path)
-    with refuses(BadFile, "cannot be read"):
-        read_urdf(tmp_path / "none.urdf")

@@ -205,19 +205,6 @@ def test_an_mcap_file_alone(tmp_path: Path, how: dict[str, Any]) -> None:
     assert all_there(mcap(tmp_path / "run.mcap", **how))
 
 
-def test_mcap_of_ros_1(tmp_path: Path) -> None:
-    with (tmp_path / "run.mcap").open("wb") as file:
-        writer = McapWriter(file)
-        writer.start(profile="ros1")
-        number = writer.register_schema("sensor_msgs/Image", "ros1msg", b"")
-        camera = writer.register_channel("/camera", "ros1", number)
-        for i in range(COUNT):
-            data = bytes(STORE.cdr_to_ros1(cdr(i), IMAGE))
-            writer.add_message(camera, BEGIN_NS + i * STEP_NS, data, BEGIN_NS + i * STEP_NS)
-        writer.finish()
-    assert all_there(tmp_path / "run.mcap")
-
-
 @pytest.mark.parametrize("how", ["message", "file"])
 def test_compressed_by_message_or_by_file(tmp_path: Path, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run = written(tmp_path / "run", StoragePlugin.SQLITE3)

@@ -24,7 +24,6 @@ from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
 from armsight_lab.history import database, queries
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.database import HEAD, reading
-from armsight_lab.history.entry import entry_of, read_json, write_entry
 from armsight_lab.history.place import Place, place_of
 from armsight_lab.history.queries import Filter
 from refusals import refuses
@@ -300,35 +299,3 @@ def test_a_history_is_read_where_nothing_can_be_written(tmp_path: Path, monkeypa
     monkeypatch.setattr(database, "_opened", open_)
     with reading(place) as connection:
         assert queries.count(connection, Filter()) == 1
-
-
-def test_on_a_file_system_of_a_network_there_is_no_write_ahead_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    for shared, mode in ((True, "delete"), (False, "wal")):
-        monkeypatch.setattr(database, "on_network", lambda _, shared=shared: shared)
-        place = place_of(str(tmp_path / f"{mode}.sqlite"))
-        file_entry(place, next(histories.runs("a", 1)))
-        with contextlib.closing(sqlite3.connect(place.path)) as held:
-            assert held.execute("PRAGMA journal_mode").fetchone() == (mode,)
-
-
-def test_where_a_history_is():
-    home = {"HOME": "/home/a"}
-    assert place_of(None, home).path == Path("/home/a/.local/share/armsight/history.sqlite")
-    assert place_of(None, {**home, "XDG_DATA_HOME": "/data"}).path == Path("/data/armsight/history.sqlite")
-    assert place_of(None, {**home, "XDG_DATA_HOME": "relative"}) == place_of(None, home)
-    assert place_of(None, {**home, "ARMSIGHT_HISTORY": "/x.sqlite"}).path == Path("/x.sqlite")
-    assert place_of("here.sqlite", {**home, "ARMSIGHT_HISTORY": "/x.sqlite"}).path == Path("here.sqlite")
-    assert place_of("postgresql://u:p@h/d").url == "postgresql+pg8000://u:p@h/d"
-    assert str(place_of("postgresql://u:p@ss@h/d")) == "postgresql://u:***@h/d"
-    with refuses(UsageError, "mysql", "postgresql") as told:
-        place_of("mysql://u:hunter2@h/d")
-    assert "hunter2" not in str(told.value)
-
-
-def test_a_run_that_was_not_filed_is_kept_whole(tmp_path: Path):
-    entry = next(histories.runs("a", 1))
-    write_entry(tmp_path / "run.json", entry)
-    content = read_json(tmp_path / "run.json")
-    assert entry_of(content, "run.json") == entry
-    with refuses(BadFile, "created"):
-        entry_of({key: value for key, value in content.items() if key != "created"}, "run.json")

@@ -45,16 +45,12 @@ POSES = np.hstack([XYZ, QUAT])
 FILLS = {
     "empty": lambda rows, i: [""] * 7,
     "nan": lambda rows, i: ["nan"] * 7,
-    "words": lambda rows, i: ["MISSING"] * 7,
     "zeros": lambda rows, i: ["0"] * 7,
-    "zeros with decimals": lambda rows, i: ["0.000000"] * 7,
     "identity": lambda rows, i: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-    "no rotation": lambda rows, i: [*rows[i][:3], "", "", "", ""],
     "rotation of zeros": lambda rows, i: [*rows[i][:3], 0.0, 0.0, 0.0, 0.0],
     "no position": lambda rows, i: ["", "", "", *rows[i][3:]],
     "one cell": lambda rows, i: [*rows[i][:1], "", *rows[i][2:]],
     "-9999": lambda rows, i: ["-9999"] * 7,
-    "no number of NDI": lambda rows, i: ["-3.697314E28"] * 7,
     "the last pose": lambda rows, i: rows[i - 1],
 }
 
@@ -79,7 +75,6 @@ def test_a_lost_frame_is_lost_to_every_reader(tmp_path, name, by):
 JOINT_FILLS = {
     "empty": lambda rows, i: [""] * 6,
     "one cell": lambda rows, i: [*rows[i][:5], "nan"],
-    "zeros": lambda rows, i: [0.0] * 6,
     "one joint zero": lambda rows, i: [*rows[i][:1], 0.0, *rows[i][2:]],
     "the last reading": lambda rows, i: rows[i - 1],
 }

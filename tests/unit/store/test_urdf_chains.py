@@ -17,7 +17,7 @@ from armsight.ops import kinematics
 from armsight.ops.arm_files import arm_file, load_arm
 from armsight.ops.kinematics_results import read_values
 from armsight.store.urdf import arm_from_urdf
-from refusals import names_it, refuses
+from refusals import refuses
 
 LIMIT = '<limit lower="-2" upper="2"/>'
 
@@ -50,15 +50,6 @@ TWO_ARMS = robot(
     joint("r2", "r_upper", "r_hand", "0.5 0 0"),
     joint("neck", "torso", "head", kind="floating"),
 )
-
-
-def test_a_branch_without_a_tip_is_refused_with_the_tips() -> None:
-    with refuses(BadFile, "branches", "hand", "finger1, finger2") as error:
-        arm_from_urdf(GRIPPER)
-    assert names_it(error.value, "--tip", "hand (2 joints)", "camera (2 joints)", "left (3 joints)", "right (3 joints)")
-    with refuses(BadFile, "branches", "torso", "l1, r1, neck") as error:
-        arm_from_urdf(TWO_ARMS)
-    assert "r_hand (3 joints)" in str(error.value)
 
 
 def test_a_mimicking_joint_matters_only_inside_the_chain() -> None:
@@ -139,13 +130,6 @@ def test_a_log_needs_no_column_of_a_joint_that_mimics(tmp_path: Path, names: tup
     words = ["verify", "--measured", tmp_path / "poses.csv", "--joints", tmp_path / "q.csv", "-o", tmp_path / "v"]
     done = CliRunner().invoke(app, [str(word) for word in (*words, "--arm", tmp_path / "arm.urdf")])
     assert done.exit_code == 0, done.output
-
-
-def test_a_log_by_names_that_are_not_the_arms_is_told_what_they_are(tmp_path: Path) -> None:
-    (tmp_path / "q.csv").write_text("pan,tilt\n0.1,0.2\n")
-    with refuses(BadFile, "q1") as error:
-        read_values(arm_from_urdf(FOLLOWING), tmp_path / "q.csv")
-    assert names_it(error.value, "turn", "lift", "rod", "roll")
 
 
 def urdf_of(joints: list[tuple[str, str, str, str, str, str]]) -> str:

@@ -4,26 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
-import armsight
 from armsight import store
 from armsight.columns import POSE6
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.geometry import is_close
 from armsight.optics import Camera, Rig, RigKind
-from armsight.records import (
-    Colour,
-    LinearNoise,
-    NamedCovariance,
-    NoiseModel,
-    Target,
-    TargetKind,
-    board_target,
-    spot_target,
-    unmeasured_target,
-)
+from armsight.records import LinearNoise, NamedCovariance, NoiseModel, Target, TargetKind, board_target, spot_target
 from armsight.records.camera import NeighbourCorrelation
 from armsight.records.target import GREEN
 from armsight.store.yamls import parse_yaml
@@ -66,26 +54,6 @@ def rig_content():
     return store.rig_mapping(make_rig())
 
 
-def test_rig_comes_back_exactly(tmp_path):
-    rig, path, source = make_rig(), tmp_path / "rig.yaml", tmp_path / "left01.png"
-    source.write_bytes(b"abc")
-    store.write_rig(path, rig, inputs=[source])
-    back = store.read_rig(path)
-    assert back.kind is rig.kind
-    assert back.rms_px == rig.rms_px
-    for side in ("left", "right"):
-        assert np.array_equal(back.camera(side).intrinsics, rig.camera(side).intrinsics)
-        assert (back.camera(side).width, back.camera(side).height) == (1280, 720)
-        assert is_close(back.T_rig_camera(side), rig.T_rig_camera(side), tol_m=0.0, tol_rad=1e-15)
-    assert back.covariance.names == rig.covariance.names
-    assert np.array_equal(back.covariance.matrix, rig.covariance.matrix)
-    origin = yaml.safe_load(path.read_text())  # another reader reads it as well
-    assert (origin["format"], origin["version"]) == ("armsight/rig", 1)
-    assert origin["software"] == f"armsight {armsight.__version__}"
-    assert origin["inputs"][0]["sha256"].startswith("ba7816bf")
-    assert origin["created"].endswith("+00:00")
-
-
 def make_noise(linear: bool):
     rng = np.random.default_rng(5)
     return NoiseModel(
@@ -105,33 +73,13 @@ def make_noise(linear: bool):
     )
 
 
-@pytest.mark.parametrize("linear", [False, True])
-def test_noise_comes_back_exactly(tmp_path, linear):
-    noise = make_noise(linear)
-    store.write_camera(tmp_path / "camera.yaml", make_rig().left, noise=noise)
-    assert same_value(store.read_camera_file(tmp_path / "camera.yaml").noise, noise)
-    store.write_rig(tmp_path / "rig.yaml", replace(make_rig(), noise=(None, noise)))
-    back = store.read_rig(tmp_path / "rig.yaml")
-    assert back.noise[0] is None
-    assert same_value(back.noise[1], noise)
-    store.add_noise(tmp_path / "rig.yaml", {"left": noise})
-    both = store.read_rig(tmp_path / "rig.yaml")
-    assert same_value(both.noise[0], noise)
-    assert same_value(both.noise[1], noise)
-    assert np.array_equal(both.covariance.matrix, back.covariance.matrix)
-
-
 @pytest.mark.parametrize(
     ("change", "told"),
     [
         ({"levels": [1.0, 0.5, 200.0]}, "increasing"),
-        ({"levels": [1.0, 2.0, 300.0]}, ("levels", "255")),
-        ({"variance_levels2": [1.0, 2.0]}, "variance_levels2"),
         ({"variance_levels2": [1.0, -2.0, 1.0]}, "negative"),
         ({"correlation": {"x": [1.5, 0.0], "y": [0.0, 0.0]}}, ("correlation", "-1")),
-        ({"correlation": {"x": [0.5], "y": [0.0, 0.0]}}, "correlation.x"),
         ({"linear": {"read_noise_levels": 1.0, "gain_levels": 0.0}}, "gain"),
-        ({"gain": 3.0}, "cameras.left.noise.gain"),
     ],
 )
 def test_noise_that_cannot_be_is_refused(change, told):
@@ -146,11 +94,7 @@ TARGETS = {
     "spots": spot_target(SPOTS, diameter_m=0.005),
     "spots and how well they are known": spot_target(SPOTS, covariance=1e-9 * (np.eye(9) / 3 + np.ones((9, 9)) / 7)),
     "beacon by name of colour": spot_target({"beacon": (0.0, 0.0, 0.0)}, colour=GREEN),
-    "beacon by hue": spot_target({"1": (0.0, 0.0, 0.0)}, colour=Colour(hue_deg=(300.0, 310.5), min_value=0.9)),
-    "unmeasured": unmeasured_target(diameter_m=0.01),
     "checkerboard": board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025),
-    "circles": board_target(TargetKind.CIRCLES, 10, 10, 0.02482),
-    "acircles": board_target(TargetKind.ACIRCLES, 4, 11, 0.02),
     "charuco": board_target(TargetKind.CHARUCO, 8, 5, 0.04, marker_m=0.03, dictionary="DICT_4X4_50"),
 }
 
@@ -272,27 +216,14 @@ def test_a_file_of_another_format_is_told_apart(tmp_path):
         store.read_rig(tmp_path)
 
 
-def test_numpy_values_are_taken_as_numbers():
-    content = rig_content()
-    content["cameras"]["left"]["distortion"] = np.zeros(5)
-    content["cameras"]["left"]["width"] = np.int64(1280)
-    content["rms_px"] = np.float32(0.25)
-    assert store.rig_from_mapping(content).rms_px == 0.25
-
-
 YAML_VALUES = {
     "a: 1e-5": 1e-5,  # YAML 1.1 readers make a text of it
     "a: 1.0e-05": 1e-5,
-    "a: 1.": 1.0,
-    "a: .5": 0.5,
     "a: 0x10": 16,
-    "a: 010": 10,
     "a: 12:30": "12:30",
-    "a: no": "no",
     "a: 2026-11-20": "2026-11-20",
     "a: true": True,
     "a: ~": None,
-    "a: '1e5'": "1e5",
     "a: *x\nb: 1": BadFile,
     "\ufeffa: 1": 1,
 }
