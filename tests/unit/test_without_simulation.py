@@ -19,14 +19,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from typer.main import get_command
 
 import armsight
 from armsight._version import __version__
-from armsight.cli.commands import app
 from armsight.kinematics import fk, presets
 from armsight.ops.simulation.run import simulate
-from armsight.registry import COMMANDS, known
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -214,18 +211,3 @@ def test_a_distribution_asks_for_no_other_version_of_what_both_need(other: str) 
     )
     its.pop("armsight")
     assert its and its.items() <= core.items()
-
-
-def test_the_overview_is_the_same_without_them(bare: dict[str, Any]) -> None:
-    assert {"batch", "design", "history"} <= set(bare["--help"][1].split())
-
-
-@pytest.mark.parametrize("name", known(COMMANDS))
-def test_the_overview_tells_of_a_command_what_its_own_help_begins_with(name: str) -> None:
-    """It is written twice, for the overview loads none of them."""
-    parser: Any = get_command(app)
-    for word in name.split("."):
-        parser = parser.commands[word]
-    told = parser.help
-    _ = parser.params
-    assert told == parser.help.partition("\n\n")[0].replace("\n", " ")

@@ -53,7 +53,7 @@ def test_sixteen_bits_are_refused_and_colour_is_kept_on_request(tmp_path: Path) 
     assert read_image(path).shape == (60, 80)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.floats(0.0, 1.0, exclude_max=True), value=st.integers(0, 255), suffix=st.sampled_from([".png", ".jpg"]))
 def test_a_flipped_byte_never_crashes_the_reader(tmp_path: Path, place: float, value: int, suffix: str) -> None:
     data = bytearray(cv2.imencode(suffix, NOISE)[1].tobytes())

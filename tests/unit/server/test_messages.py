@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from typing import get_args
 
 import numpy as np
@@ -11,7 +10,6 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import GuardState
 from armsight.control.session.loop_host import LoopEvent
-from armsight.control.session.loop_side import STATUS_BYTES
 from armsight.control.setpoints import Heartbeat, Taken, logged
 from armsight.control.status import RobotStatus
 from armsight.drivers import RobotState
@@ -89,9 +87,3 @@ def test_an_answer_tells_where_the_command_leads():
 def test_an_event_is_cut_to_what_the_protocol_takes():
     event = LoopEvent(t_s=1.0, level="info", message="x" * 2 * LONGEST_EVENT)
     assert len(event_message(event).message) == LONGEST_EVENT
-
-
-def test_the_longest_status_finds_room_between_the_processes():
-    limits = tuple(f"{what} of joint {j}" for what in ("acceleration", "velocity", "range") for j in range(16))
-    longest = status(say.MAX_JOINTS, why="\U0001f916" * 500, limited=limits, source="client")
-    assert len(pickle.dumps(longest, protocol=5)) < STATUS_BYTES

@@ -132,7 +132,7 @@ NEARLY = st.fixed_dictionaries(
 SAID = st.text(max_size=60) | (VALUES | NEARLY).map(json.dumps)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(said=SAID)
 def test_whatever_is_said_nothing_is_raised_and_nothing_moves_without_the_enable(service, host, said):
     host.told.clear()

