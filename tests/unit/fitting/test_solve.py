@@ -131,7 +131,7 @@ def test_parameters_that_cannot_be_told_apart_are_named() -> None:
     assert np.isfinite(fit.std()["offset"])
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_they_are_named_to_whichever_side_of_zero_rounding_falls(seed: int) -> None:
     design = np.random.default_rng(seed).normal(size=(20, 2))
     J = np.column_stack([design, design @ [0.3, 1.7], np.ones(20)])  # the third is made of the first two

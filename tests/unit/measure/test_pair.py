@@ -14,20 +14,9 @@ from armsight.geometry import pose_difference
 from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.moments import TargetTracker
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
-from armsight.measure.settings import LIVE_S, Pace, SpotSettings
+from armsight.measure.settings import LIVE_S, Pace
 from armsight.optics import Camera, converged_rig, parallel_rig
-from armsight.records import (
-    BoardView,
-    Frame,
-    LinearNoise,
-    NoiseModel,
-    PoseStatus,
-    TargetKind,
-    board_target,
-    spot_target,
-    unmeasured_target,
-)
-from armsight.records.camera import NeighbourCorrelation
+from armsight.records import BoardView, Frame, PoseStatus, TargetKind, board_target, spot_target, unmeasured_target
 from refusals import names_it, refuses
 
 CAMERA = Camera.pinhole(640, 480, 560.0, 562.0, 322.0, 236.0, distortion=(-0.1, 0.02, 0.0, 0.0, 0.0))
@@ -233,21 +222,6 @@ def test_a_wrong_corner_is_left_out_by_name() -> None:
     measured = pose_of_views(BOARD_SETUP, left, wrong, 0.0)
     assert_pose(measured, BOARD_POSE)
     assert measured.notes == (f"{BOARD.names[17]} left out: it does not fit the others",)
-
-
-def test_the_gain_of_a_camera_s_known_noise_is_used_unless_one_is_asked_for() -> None:
-    noise = NoiseModel(
-        levels=np.array([10.0, 200.0]),
-        variance_levels2=np.array([2.0, 21.0]),
-        std_levels2=np.array([0.1, 0.5]),
-        correlation=NeighbourCorrelation(x=np.zeros(2), y=np.zeros(2)),
-        n_frames=10,
-        linear=LinearNoise(read_noise_levels=1.0, gain_levels=0.1),
-    )
-    known = replace(RIG, noise=(noise, None))
-    setup = Setup(known, spot_target(TRIANGLE))
-    assert setup.sides[0].gain == 0.1 and setup.sides[1].gain is None
-    assert Setup(known, spot_target(TRIANGLE), SpotSettings(gain=0.3)).sides[0].gain == 0.3
 
 
 def test_a_hot_pixel_on_the_epipolar_line_of_a_single_light_is_told_by_the_light_s_size() -> None:

@@ -47,7 +47,7 @@ def make_rig(names, seed=1, share=1.0):
     return replace(rig, covariance=NamedCovariance(names=tuple(free), matrix=A @ A.T * np.outer(scale, scale)))
 
 
-@pytest.mark.parametrize("V", range(1, 9))
+@pytest.mark.parametrize("V", [1, 2, 3, 8])
 def test_of_every_camera_parameters_arrays_and_pixels(V):
     rig = make_rig(NAMES[:V])
     packed = PackedRig.of(rig)

@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from armsight.errors import BadFile
 from armsight.ops.simulation.scenarios import build_world, scenario_model
 from armsight_sim.world import World
-from refusals import refuses
 
 NAMES = ("left", "right", "far-left", "far-right")
 BEHIND = {"home": [0.0, -60.0, 90.0, -30.0, -90.0, 0.0], "amplitude": 6 * [0.0]}
@@ -92,23 +90,3 @@ def test_what_was_told_to_happen_happens_to_the_camera_named() -> None:
     made = world(covered)
     assert {(one.camera, one.light) for one in made.sights(0) if one.hidden_by == "event"} == {("far-left", "A")}
     assert {(one.camera, one.light) for one in made.sights(6) if one.hidden_by == "event"} == {(n, "B") for n in NAMES}
-
-
-def test_what_cannot_be_a_rig_or_a_camera_is_refused_by_its_key() -> None:
-    def other(name: str, **changed: Any) -> Callable[[dict[str, Any]], object]:
-        one = content()["cameras"]["others"]["far-left"] | changed
-        return lambda keys: keys["cameras"]["others"].update({name: one})
-
-    with refuses(BadFile, "cameras", "rig"):
-        world(other("rig"))
-    with refuses(BadFile, "cameras.others.9th"):
-        world(other("9th"))
-    with refuses(BadFile, "far-left and second", "one place"):
-        world(other("second"))
-    with refuses(BadFile, "at most"):
-        places = {f"c{k}": {"xyz_m": [0.1 * k, 0.5, 0.0]} for k in range(1, 6)}
-        world(lambda keys: [other(name, T_rig_camera=at)(keys) for name, at in places.items()])
-    with refuses(BadFile, "top", "far-left"):
-        world(lambda keys: keys.update(events=[{"kind": "frozen", "at_s": 0.0, "for_s": 1.0, "side": "top"}]))
-    with refuses(BadFile, "facing"):
-        world(lambda keys: keys["target"]["facing"].pop("A"))

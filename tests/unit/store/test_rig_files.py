@@ -128,10 +128,9 @@ def make_rig(V, seed=1, plain=False):
     return rig if plain else replace(rig, covariance=NamedCovariance(names=names, matrix=A @ A.T))
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("V", range(1, 9))
-def test_any_number_of_cameras_comes_back(tmp_path, V, seed):
-    rig = make_rig(V, seed)
+@pytest.mark.parametrize("V", [1, 2, 3, 8])
+def test_any_number_of_cameras_comes_back(tmp_path, V):
+    rig = make_rig(V)
     text = written(tmp_path / "rig.yaml", rig)
     assert text.splitlines()[:3] == (
         ["format: armsight/rig", "version: 1", "kind: stereo"]
@@ -210,7 +209,7 @@ def test_a_camera_is_a_rig_of_one(tmp_path):
         store.read_rig(tmp_path / "c.yaml")
 
 
-@pytest.mark.parametrize("V", range(1, 9))
+@pytest.mark.parametrize("V", [1, 2, 4])
 def test_kalibrs_chain_of_any_length_comes_back(tmp_path, V):
     rig = make_rig(V, plain=True)
     rig_to_kalibr(tmp_path / "chain.yaml", rig)

@@ -153,63 +153,23 @@ FINGER = [
     ("to_tool", "fixed", "flange", "tool", "xyz='0 0 0.1'", "1 0 0"),
     ("finger", "revolute", "flange", "jaw", "xyz='0 0.02 0.05'", "0 0 1"),
 ]
-SO101 = [  # as TheRobotStudio's Simulation/SO101/so101_new_calib.urdf has them
-    (
-        "shoulder_pan",
-        "revolute",
-        "base_link",
-        "shoulder_link",
-        "xyz='0.0388353 -8.97657e-09 0.0624' rpy='3.14159 4.18253e-17 -3.14159'",
-        "0 0 1",
+SO101_LINKS = ("base_link", "shoulder_link", "upper_arm_link", "lower_arm_link", "wrist_link", "gripper_link")
+SO101_ORIGINS = {  # xyz and rpy, as TheRobotStudio's Simulation/SO101/so101_new_calib.urdf has them
+    "shoulder_pan": ("0.0388353 -8.97657e-09 0.0624", "3.14159 4.18253e-17 -3.14159"),
+    "shoulder_lift": ("-0.0303992 -0.0182778 -0.0542", "-1.5708 -1.5708 0"),
+    "elbow_flex": ("-0.11257 -0.028 1.73763e-16", "-3.63608e-16 8.74301e-16 1.5708"),
+    "wrist_flex": ("-0.1349 0.0052 3.62355e-17", "4.02456e-15 8.67362e-16 -1.5708"),
+    "wrist_roll": ("5.55112e-17 -0.0611 0.0181", "1.5708 0.0486795 3.14159"),
+}
+JAW = ("moving_jaw_so101_v1_link", "xyz='0.0202 0.0188 -0.0234' rpy='1.5708 -5.24284e-08 -1.41553e-15'")
+BETWEEN = ("gripper_frame_link", "xyz='-0.0079 -0.000218121 -0.0981274' rpy='0 3.14159 0'")
+SO101 = [
+    *(
+        (name, "revolute", parent, child, f"xyz='{xyz}' rpy='{rpy}'", "0 0 1")
+        for (name, (xyz, rpy)), parent, child in zip(SO101_ORIGINS.items(), SO101_LINKS, SO101_LINKS[1:], strict=False)
     ),
-    (
-        "shoulder_lift",
-        "revolute",
-        "shoulder_link",
-        "upper_arm_link",
-        "xyz='-0.0303992 -0.0182778 -0.0542' rpy='-1.5708 -1.5708 0'",
-        "0 0 1",
-    ),
-    (
-        "elbow_flex",
-        "revolute",
-        "upper_arm_link",
-        "lower_arm_link",
-        "xyz='-0.11257 -0.028 1.73763e-16' rpy='-3.63608e-16 8.74301e-16 1.5708'",
-        "0 0 1",
-    ),
-    (
-        "wrist_flex",
-        "revolute",
-        "lower_arm_link",
-        "wrist_link",
-        "xyz='-0.1349 0.0052 3.62355e-17' rpy='4.02456e-15 8.67362e-16 -1.5708'",
-        "0 0 1",
-    ),
-    (
-        "wrist_roll",
-        "revolute",
-        "wrist_link",
-        "gripper_link",
-        "xyz='5.55112e-17 -0.0611 0.0181' rpy='1.5708 0.0486795 3.14159'",
-        "0 0 1",
-    ),
-    (
-        "gripper",
-        "revolute",
-        "gripper_link",
-        "moving_jaw_so101_v1_link",
-        "xyz='0.0202 0.0188 -0.0234' rpy='1.5708 -5.24284e-08 -1.41553e-15'",
-        "0 0 1",
-    ),
-    (
-        "gripper_frame_joint",
-        "fixed",
-        "gripper_link",
-        "gripper_frame_link",
-        "xyz='-0.0079 -0.000218121 -0.0981274' rpy='0 3.14159 0'",
-        "0 0 0",
-    ),
+    ("gripper", "revolute", "gripper_link", *JAW, "0 0 1"),
+    ("gripper_frame_joint", "fixed", "gripper_link", *BETWEEN, "0 0 0"),
 ]
 
 
