@@ -19,18 +19,6 @@ from refusals import refuses
 ALL = ("irb120", "korayem6r", "stanford-rrp", "ur10")
 PLACE = ["a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad"]
 KEYS = [*PLACE, "sign", "lower", "upper", "max_speed", "stall_effort", "type"]
-    "a_m",
-    "alpha_rad",
-    "d_m",
-    "theta_rad",
-    "beta_rad",
-    "sign",
-    "lower",
-    "upper",
-    "max_speed",
-    "stall_effort",
-    "type",
-]
 
 
 def variants(name: str) -> list[Arm]:
