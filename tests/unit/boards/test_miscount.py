@@ -59,6 +59,12 @@ def test_corners_of_a_part_are_refused(columns: int, rows: int) -> None:
         refine_corners(printed(), board(columns, rows), at(i, j), "a.png")
 
 
+def test_a_grid_across_the_squares_is_refused() -> None:
+    i, j = np.meshgrid(np.arange(5), np.arange(3))
+    with refuses(BadImage, "5x3", "squares"):
+        refine_corners(printed(), board(5, 3), at(i + j, 2 * j), "a.png")
+
+
 def test_a_row_of_which_nothing_is_seen_is_refused() -> None:
     covered = printed().copy()
     i, j = np.meshgrid(np.arange(9), np.arange(6))

@@ -48,11 +48,7 @@ def test_an_image_of_another_size_stops_the_source_and_names_both(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("left", "right", "text"),
-    [
-        ((1, 2, 3), (1, 2), ("3 images", "2", "shot3.png")),
-        ((1, 3), (1, 2, 3), ("2 images", "3", "shot2.png")),
-        ((1, 2, 4), (1, 2, 3), ("partner", "shot3.png")),
-    ],
+    [((1, 2, 3), (1, 2), ("3 images", "2", "shot3.png")), ((1, 2, 4), (1, 2, 3), ("partner", "shot3.png"))],
 )
 def test_unpaired_images_are_refused_before_anything_is_read(tmp_path: Path, left, right, text) -> None:
     pairs = FileMoments(folder_of(tmp_path / "left", numbered(*left)), folder_of(tmp_path / "right", numbered(*right)))

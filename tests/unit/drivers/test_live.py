@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 from armsight.clock import ManualClock
 from armsight.drivers import OpenCvCamera, TimedMoments
-from armsight.drivers import live as live_module
 from armsight.errors import DeviceLost
 from armsight.records import Frame
 from refusals import refuses
@@ -64,23 +62,6 @@ def test_a_camera_unplugged_midway_is_lost_after_its_last_frames() -> None:
     assert got[-1] == 5
     assert wire.released
     assert "cable" in info.value.cure
-
-
-def test_a_silent_camera_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = threading.Event()
-
-    class Hanging(Wire):
-        def read(self):
-            asked.wait()
-            return False, None
-
-    monkeypatch.setattr(live_module, "SILENCE_S", 0.05)
-    try:
-        camera = OpenCvCamera("0", open_capture=lambda _: Hanging(1))
-        with refuses(DeviceLost, "no frame"), camera:
-            next(iter(camera))
-    finally:
-        asked.set()
 
 
 def test_frames_are_paired_with_the_nearest_and_the_skew_is_told() -> None:

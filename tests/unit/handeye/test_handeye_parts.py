@@ -11,6 +11,7 @@ from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
 from armsight.calibrate.handeye.known_noise import restricted_variances
 from armsight.fitting import Evaluation, Problem, solve
+from armsight.geometry.kernels import rotvec_of
 
 SETUPS = (Setup.EYE_IN_HAND, Setup.EYE_TO_HAND)
 
@@ -63,6 +64,16 @@ def test_derivatives_are_those_of_finite_differences(setup: Setup) -> None:
         step[k] = h
         high, low = (raw(arrays, moved(x, s * step[:12]), 1.1 + s * step[12])[0] for s in (1.0, -1.0))
         assert J[:, k] == pytest.approx((high - low) / (2 * h), abs=2e-8)
+
+
+def test_the_logarithm_holds_up_to_half_a_turn() -> None:
+    rng = np.random.default_rng(2)
+    out = np.empty(3)
+    for angle in (0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-7):
+        axis = rng.normal(size=3)
+        for w in (angle * axis / np.linalg.norm(axis), -angle * axis / np.linalg.norm(axis)):
+            rotvec_of(Rotation.from_rotvec(w).as_matrix(), out)
+            assert out == pytest.approx(w, abs=1e-8)
 
 
 @pytest.mark.parametrize("setup", SETUPS)

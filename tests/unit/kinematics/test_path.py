@@ -94,11 +94,3 @@ def test_limits_are_told_with_joint_and_row() -> None:
     assert issue.joint == "j1"
     assert issue.limit == 1.0
     assert path.q[issue.first, 0] > 1.0 >= path.q[issue.first - 1, 0]
-
-
-def test_without_a_start_the_branch_with_the_least_trouble_is_taken() -> None:
-    arm = preset("irb120")
-    q = swing(arm, HOME + np.array([0.5, 0.2, -0.3, 0.4, 0.5, -1.0]))
-    path = track_path(arm, fk(arm, q), t_s=np.linspace(0, 4, 80))
-    assert path.complete
-    assert not [issue for issue in path.issues if issue.trouble in (Trouble.JUMP, Trouble.LIMITS)]

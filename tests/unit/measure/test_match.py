@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import Inconsistent
+from armsight.errors import Inconsistent, Unseen
 from armsight.geometry import pose_difference
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Measured, Setup, Track
@@ -130,6 +130,18 @@ def test_isosceles_triangle_out_of_the_plane_of_z_is_not_guessed() -> None:
     T = RigidTransform.from_components([0.02, -0.01, 0.6], Rotation.from_rotvec([0.1, np.pi / 2, 0.0]))
     measured = measure(spot_target(upright), points_of(upright, T))
     assert measured.pose.status is PoseStatus.POSITION_ONLY and len(measured.alternatives) == 2
+
+
+def test_a_target_whose_file_mirrors_it_is_refused() -> None:
+    mirrored = {name: (x, -y, z) for name, (x, y, z) in SCALENE.items()}
+    measured = measure(spot_target(mirrored), points_of(SCALENE))
+    assert measured.pose.status is PoseStatus.LOST and measured.cause is Unseen.WRONG_TARGET
+    assert "from behind" in measured.pose.why
+
+
+def test_isosceles_triangle_is_seen_from_its_front() -> None:
+    measured = measure(spot_target(ISOSCELES), points_of(ISOSCELES))
+    assert_pose(measured, POSE)
 
 
 @pytest.mark.parametrize("rig", [RIG, parallel_rig(CAMERA, 0.12)], ids=["converged", "parallel"])

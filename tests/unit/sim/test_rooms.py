@@ -9,9 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight_sim import Cell, LedCellOptions, Lens, led_cell
-from armsight_sim.rigs import Mirrors, mirror_views
 from armsight_sim.rooms import textures as tx
-from armsight_sim.rooms.furniture import Furnisher
 from armsight_sim.rooms.scene import Panel, Scene, Texture, View
 
 
@@ -53,15 +51,6 @@ def test_a_point_of_the_room_is_where_the_pinhole_says(camera_at: list[float]) -
     assert seen[:, :, 3].sum() == pytest.approx(area, rel=0.05)
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_both_paths_of_a_mirror_rig_see_the_room_where_they_see_lights(side: str) -> None:
-    lens = Lens(width=384, height=288, focal_px=(500.0, 500.0), centre_px=(191.5, 143.5))
-    view = mirror_views(lens, Mirrors(baseline_m=0.12, plate_m=0.002))[side]
-    point = np.array([0.02, 0.03, 0.8])
-    seen = View(lens=view).cast(Scene.evenly([panel(point.tolist(), (0.04, 0.04), ASLANT)]), RigidTransform.identity())
-    np.testing.assert_allclose(centre(seen[:, :, 3]), view.project(point), atol=0.06)
-
-
 def test_the_nearer_thing_hides_the_farther_one_and_is_seen_from_the_front_only() -> None:
     lens = Lens(width=60, height=40, focal_px=(50.0, 50.0), centre_px=(29.5, 19.5))
     near, far = panel([0.0, 0.0, 1.0], (0.2, 0.2)), panel([0.0, 0.0, 2.0], (1.0, 1.0))
@@ -77,19 +66,6 @@ def test_the_nearer_thing_hides_the_farther_one_and_is_seen_from_the_front_only(
         assert seen[20, 36, :3].tolist() == [3.0, 3.0, 3.0]
     behind = RigidTransform.from_components([0.0, 0.0, 4.0], Rotation.from_rotvec([0.0, np.pi, 0.0]))
     assert View(lens=lens).cast(Scene.evenly([near, far]), behind).max() == 0.0
-
-
-def test_lamps_light_what_they_see_and_boxes_throw_shadows() -> None:
-    rng = np.random.default_rng(0)
-    made = Furnisher(rng)
-    floor = made.panel((0.0, 1.0, 2.0), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), (2.0, 2.0), white())
-    made.tube((0.0, -1.0, 2.0), 0.6, 20.0)
-    made.box((0.0, 0.3, 2.0), (0.5, 0.02, 0.5), white())
-    scene = Scene.lit(made.panels, rng)
-    assert made.panels[0] is floor
-    first, columns, rows = scene.arrays[5][0]
-    on_floor = scene.arrays[8][first : first + columns * rows, 1].reshape(rows, columns)
-    assert on_floor[rows // 2, columns // 2] < 0.75 * on_floor[rows // 2, 1]
 
 
 def hand(**keys: Any) -> dict[str, Any]:

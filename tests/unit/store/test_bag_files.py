@@ -108,18 +108,7 @@ def untouched(folder: Path) -> dict[str, str]:
 @pytest.mark.parametrize("plugin", PLUGINS)
 @pytest.mark.parametrize(
     ("version", "profiles"),
-    [
-        (5, yaml.safe_dump([{**PROFILE, "reliability": 2}])),
-        (8, ""),
-        (8, "[]"),
-        (9, [{**NAMED, "reliability": "reliable"}]),
-        (9, [NAMED, PROFILE]),
-        (9, [{**NAMED, "deadline": -1, "lifespan": "infinite", "liveliness_lease_duration": {"sec": -1, "nsec": -1}}]),
-        (9, [{"reliability": "reliable"}]),
-        (9, "reliable"),
-        (9, None),
-        (10, []),
-    ],
+    [(5, yaml.safe_dump([{**PROFILE, "reliability": 2}])), (8, ""), (9, [NAMED, PROFILE]), (9, None)],
 )
 def test_what_is_said_of_quality_of_service_changes_nothing(
     tmp_path: Path, plugin: StoragePlugin, version: int, profiles: Any
@@ -132,14 +121,7 @@ def test_what_is_said_of_quality_of_service_changes_nothing(
 
 
 @pytest.mark.parametrize("plugin", PLUGINS)
-@pytest.mark.parametrize("identifier", ["", None, "my_storage"])
-def test_the_files_say_how_they_are_stored(tmp_path: Path, plugin: StoragePlugin, identifier: str | None) -> None:
-    run = edited(written(tmp_path / "run", plugin), lambda content: content.update(storage_identifier=identifier))
-    assert all_there(run)
-
-
-@pytest.mark.parametrize("plugin", PLUGINS)
-@pytest.mark.parametrize("text", [None, "", "rosbag2_bagfile_information:\n  version: 9\n  relative_", "- 1\n"])
+@pytest.mark.parametrize("text", [None, "rosbag2_bagfile_information:\n  version: 9\n  relative_", "- 1\n"])
 def test_a_folder_whose_metadata_were_never_written(tmp_path: Path, plugin: StoragePlugin, text: str | None) -> None:
     run = written(tmp_path / "run", plugin)
     (run / "metadata.yaml").unlink()
