@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import BadImage
 from armsight.measure.boards import find_board
-from armsight.records import Target, TargetKind
-from armsight.records.views import symmetries
-from armsight.store.targets import board_text, parse_board, read_target, target_from_mapping, target_mapping
+from armsight.records import Target
+from armsight.store.targets import read_target
 
 CODES = (
     *(0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC),
@@ -108,16 +107,3 @@ def test_it_may_be_seen_in_part_but_not_mirrored_and_other_tags_are_none(board: 
         find_board(np.ascontiguousarray(image[:, ::-1]), board)
     with pytest.raises(BadImage, match="0 tags"):
         find_board(np.full_like(image, 90) + (np.arange(WIDTH) % 64).astype(np.uint8), board)
-
-
-def test_its_file_is_kalibrs_and_so_is_its_order(board: Target) -> None:
-    assert board.kind is TargetKind.APRILGRID and len(board.names) == 4 * COLUMNS * ROWS
-    pitch = TAG_M * (1.0 + SPACING)
-    expected = [(0.0, 0.0), (TAG_M, 0.0), (pitch, 0.0), (pitch + TAG_M, 0.0)]
-    np.testing.assert_allclose(board.xyz_m[:4, :2], expected)
-    np.testing.assert_allclose(board.xyz_m[2 * COLUMNS, :2], (0.0, TAG_M))
-    assert len(symmetries(board)) == 1
-    text = board_text(board)
-    assert text == "aprilgrid:4x3:0.04:0.3"
-    for again in (parse_board(text), target_from_mapping(target_mapping(board))):
-        np.testing.assert_array_equal(again.xyz_m, board.xyz_m)

@@ -1,7 +1,6 @@
 """Path tools against numbers worked out by hand, and the check of a path for an arm."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,15 +27,6 @@ def test_resampled_rows_are_even_and_the_corner_is_kept():
     made = resampled(L_SHAPE, 0.03)  # legs of 0.1 m: four steps of 0.025 m each
     x = [0, 0.025, 0.05, 0.075, 0.1, 0.1, 0.1, 0.1, 0.1]
     assert np.allclose(made.xyz_m, np.stack([x, x[:1] * 5 + [0.025, 0.05, 0.075, 0.1], [0] * 9], axis=1), atol=1e-15)
-
-
-def test_resampled_rotations_are_slerped_and_tags_stay():
-    turns = Rotation.from_rotvec([[0, 0, 0], [0, 0, 0.8], [0, 0, 0.8]])
-    path = replace(path_through([[0, 0, 0], [0.04, 0, 0], [0.07, 0, 0]], turns), tags=("", "weld_on", ""))
-    made = resampled(path, 0.02)
-    assert np.allclose(made.xyz_m[:, 0], [0, 0.02, 0.04, 0.055, 0.07])
-    assert np.allclose(made.poses.rotation.as_rotvec()[:, 2], [0, 0.4, 0.8, 0.8, 0.8])
-    assert made.tags == ("", "", "weld_on", "", "")
 
 
 def test_corners_of_a_trapezium_are_found_through_noise():
@@ -115,10 +105,3 @@ def test_a_singular_path_is_told():
     q[:, 4] = np.linspace(0.1, -0.1, 11)
     check = check_path(TaughtPath.of_poses(pose(ARM, q)), ARM, Limits(), start=q[0])
     assert PathTrouble.SINGULAR in troubles(check)
-
-
-def test_the_world_is_moved_into_the_base():
-    T = RigidTransform.from_components([0.0, 0.0, 5.0], Rotation.identity())
-    path = TaughtPath.of_poses(T * line().poses)
-    assert PathTrouble.UNREACHED in troubles(check_path(path, ARM, Limits(), start=HOME))
-    assert check_path(path, ARM, Limits(), T_base_world=T.inv(), start=HOME).ok

@@ -5,10 +5,9 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from armsight.drivers.usb import UNTOLD_MBIT_S, crowd_of, crowded_buses, picture_mbit_s, usb_cameras
+from armsight.drivers.usb import UNTOLD_MBIT_S, crowd_of, crowded_buses, usb_cameras
 
 DEVICE = bytes([18, 1, 0, 2, 239, 2, 1, 64]) + bytes(10)
 
@@ -77,14 +76,6 @@ def test_cameras_are_found_with_their_bus_and_what_they_need(tree: Tree) -> None
     assert [one.needs_mbit_s for one in found] == pytest.approx([147.456, UNTOLD_MBIT_S, 90.0], abs=0.01)
     assert (found[0].product, found[1].product) == ("HD Webcam", "video2")
     assert usb_cameras(tree.path / "nothing") == ()
-
-
-def test_descriptors_that_break_off_or_make_no_sense_are_taken_as_far_as_they_go() -> None:
-    whole = webcam()
-    needs = [picture_mbit_s(whole[:cut]) for cut in range(len(whole))]
-    told = [each for each in needs if each is not None]
-    assert needs[0] is None and told and set(np.round(told)) == {221.0, 147.0} and needs[-1] == told[-1] < 148.0
-    assert picture_mbit_s(bytes(50)) is None and picture_mbit_s(bytes([3, 36]) * 9) is None
 
 
 def test_a_bus_that_cannot_carry_its_cameras_is_told_with_them(tree: Tree) -> None:

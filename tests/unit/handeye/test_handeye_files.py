@@ -12,15 +12,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
-from armsight.calibrate.handeye import PosePairs, Setup
+from armsight.calibrate.handeye import PosePairs
 from armsight.calibrate.tooltip import calibrate_tooltip
 from armsight.cli.commands import app
-from armsight.errors import BadFile
 from armsight.ops.calibrate_robot import calibrate_tool_tip
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses
-from armsight.store.handeye_file import read_handeye, read_pairs, read_robot_poses, write_pairs
-from refusals import refuses
+from armsight.store.handeye_file import read_pairs, write_pairs
 
 
 def run(*words: object) -> Any:
@@ -100,47 +98,6 @@ def test_a_tip_from_a_file_is_that_of_the_poses_in_memory(tmp_path: Path) -> Non
     old = calibrate_tool_tip(tmp_path / "old.csv", out=tmp_path / "old.yaml")
     assert any("uncorrelated" in note for note in old.notes)
     assert np.abs(np.array(old.tip_m) - memory.tip_m).max() > 1e-6
-
-
-@pytest.mark.parametrize("to_hand", [False, True])
-def test_the_contract(tmp_path: Path, to_hand: bool) -> None:
-    write_pairs(tmp_path / "pairs.csv", recording(to_hand=to_hand))
-    setup = "eye-to-hand" if to_hand else "eye-in-hand"
-    out = tmp_path / "handeye.yaml"
-    done = run("handeye", "--pairs", tmp_path / "pairs.csv", "--setup", setup, "-o", out, "--propose", 2, "--json")
-    assert done.exit_code == 0, done.stderr
-    content = json.loads(done.stdout)
-    poses = ("T_base_camera", "T_flange_target") if to_hand else ("T_flange_camera", "T_base_target")
-    for name in poses:
-        assert set(content[name]) == {"xyz_m", "quat_xyzw"}
-    assert set(content["std"]) == {"x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"}
-    for key in ("residual_rms_m", "residual_rms_rad", "loo_rms_m", "loo_rms_rad"):
-        assert 0.0 < content[key] < 0.01
-    assert content["setup"] == setup
-    assert (content["n_pairs"], content["n_used"], content["rejected"]) == (14, 14, [])
-    assert content["loo_rms_m"] > content["residual_rms_m"]
-    assert content["T_flange_target" if to_hand else "T_base_target"]["xyz_m"] == pytest.approx(
-        [0.6, 0.1, 0.0], abs=2e-3
-    )
-    assert isinstance(content["advice"], list)
-    assert content["noise"]["robot_m"]["value"] is None
-    assert len(content["proposals"]) == 2
-    file = read_handeye(out)
-    assert file.setup is Setup(setup)
-    assert file.T_parent_camera.translation == pytest.approx(content[poses[0]]["xyz_m"], abs=1e-15)
-    assert file.covariance is not None
-    page = (tmp_path / "handeye.report.html").read_text(encoding="utf-8")
-    for part in ("Poses in space", "Residuals", "Turns of the hand", "Whose noise it is", "known to"):
-        assert part in page
-
-
-def test_robot_poses_are_read_by_the_images_name(tmp_path: Path) -> None:
-    path = tmp_path / "robot_poses.csv"
-    path.write_text("file,x_m,y_m,z_m,qx,qy,qz,qw\nfolder/a.png,1,2,3,0,0,0,1\nb.png,1,2,4,0,0,1,0\n")
-    assert read_robot_poses(path)["a.png"].translation.tolist() == [1.0, 2.0, 3.0]
-    path.write_text("file,x_m,y_m,z_m,qx,qy,qz,qw\na.png,1,2,3,0,0,0,1\nx/a.png,1,2,4,0,0,1,0\n")
-    with refuses(BadFile, "twice"):
-        read_robot_poses(path)
 
 
 def test_angles_in_another_order_are_told_with_the_order_that_fits(tmp_path: Path) -> None:

@@ -136,22 +136,6 @@ def test_a_recording_keeps_of_a_pose_what_poses_csv_keeps(tmp_path: Path) -> Non
             assert (a is None) == (b is None) and (a is None or np.array_equal(a, b))
 
 
-def test_a_chunk_is_written_by_the_clock_even_where_nothing_follows(tmp_path: Path) -> None:
-    clock = ManualClock()
-    writer = RecordingWriter(tmp_path / "a.mcap", clock=clock)
-    writer.frame("left", frame(0))
-    before = writer.size
-    writer.tick()
-    assert writer.size == before
-    clock.advance(mcapfile.CHUNK_S)
-    writer.tick()
-    assert writer.size > before
-    with Recording(tmp_path / "a.mcap") as recording:  # still being written
-        assert not recording.finished
-        assert len(list(recording.frames("left"))) == 1
-    writer.close()
-
-
 def test_cut_off_anywhere_it_is_readable_up_to_there_and_can_be_mended(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write(path)

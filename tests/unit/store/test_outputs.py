@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -73,16 +72,3 @@ def test_one_table_goes_to_the_standard_output(tmp_path: Path) -> None:
     assert done.stderr.endswith(" of ur10: -\n"), "no name of a file that is gone"
     assert CliRunner().invoke(app, [*words, "-", "--json"]).exit_code == 2
     assert CliRunner().invoke(app, ["convert", "arm", "ur10", "-o", "-"]).exit_code == 2
-
-
-def test_no_result_names_a_file_that_is_gone(tmp_path: Path) -> None:
-    arm, t_s = library.presets.ur10(), np.linspace(0.0, 4.0, 400)
-    q = np.outer(np.sin(1.3 * t_s), np.linspace(0.2, 0.5, 6)) + np.array([0.0, -1.0, 1.0, 1.0, 2.0, 0.0])
-    joined = library.join((t_s + 0.3, arm.fk(q)), joints=(t_s, q), arm=arm)
-    assert joined.file is None
-    assert "file" not in joined.to_json()
-    kept = library.join((t_s + 0.3, arm.fk(q)), joints=(t_s, q), arm=arm, out=tmp_path / "joined.csv")
-    assert kept.file == str(tmp_path / "joined.csv")
-    arm.save(tmp_path / "arm.yaml")
-    done = library.compare(arm, tmp_path / "arm.yaml")
-    assert (done.a, done.b) == ("a", str(tmp_path / "arm.yaml"))
