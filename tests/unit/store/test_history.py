@@ -281,21 +281,3 @@ def test_a_database_that_another_holds_is_told_after_a_while(tmp_path: Path, mon
             file_entry(place, next(histories.runs("b", 1)))
         with reading(place) as connection:  # readers need not wait for it
             assert queries.count(connection, Filter()) == 1
-
-
-def test_a_history_is_read_where_nothing_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """SQLite needs a file beside that of a write-ahead log; here the system refuses to make it."""
-    place = place_of(str(tmp_path / "history.sqlite"))
-    file_entry(place, next(histories.runs("a", 1)))
-    opened = database._opened
-
-    class Refusing(sqlite3.Connection):
-        def execute(self, *words: object) -> sqlite3.Cursor:
-            raise sqlite3.OperationalError("unable to open database file")
-
-    def open_(path: Path, how: str) -> sqlite3.Connection:
-        return opened(path, how) if "immutable" in how else sqlite3.connect(":memory:", factory=Refusing)
-
-    monkeypatch.setattr(database, "_opened", open_)
-    with reading(place) as connection:
-        assert queries.count(connection, Filter()) == 1

@@ -14,8 +14,6 @@ from armsight.store import read_joints, read_poses
 from armsight.store.arm_points import read_arm_points, read_sweeps
 from armsight.store.handeye_file import read_pairs, read_robot_poses
 from armsight.store.interpret import OURS, TableFormat, interpret
-from armsight.store.interpret.rotations import ROBOT_FORMATS, euler_order
-from armsight.store.interpret.table_format import column_names
 from refusals import refuses
 
 RNG = np.random.default_rng(7)
@@ -242,14 +240,6 @@ def test_what_cannot_be_read_is_refused(file, text: str, options: dict[str, str]
         read_poses(file(text, "t.txt"), format_=TableFormat(**options), timed=False)
 
 
-def test_words_on_the_command_line() -> None:
-    assert column_names("q1..q3_deg,xyz_mm,-") == ("q1_deg", "q2_deg", "q3_deg", "x_mm", "y_mm", "z_mm", "-")
-    assert column_names("quat_wxyz") == ("qw", "qx", "qy", "qz")
-    assert column_names("base_flange_T_mm")[3] == "base_flange_m03_mm" and len(column_names("T12")) == 12
-    assert str(euler_order("ZYX")) == "zyx-rotating"
-    assert all(maker.source for maker in ROBOT_FORMATS.values())
-
-
 def test_a_table_of_ours_is_left_as_it_is(file) -> None:
     text = "t_s,q1,q2\n0,1,2\n"
     found = interpret(file(text), "joints", OURS)
@@ -262,8 +252,6 @@ def test_a_table_of_ours_is_left_as_it_is(file) -> None:
     ("name", "text"),
     [
         ("commas.csv", "q1,x_m,y_m,z_m,point\n0.1,0.5,0.25,1.5,A\n0.2,0.5,0.25,1.5,\n"),
-        ("cr.csv", "q1,x_m,y_m,z_m,point\r0.1,0.5,0.25,1.5,A\r0.2,0.5,0.25,1.5,\r"),
-        ("semicolons.csv", "q1;x_m;y_m;z_m;point\n0,1;0,5;0,25;1,5;A\n0,2;0,5;0,25;1,5;\n"),
         ("marked.csv", "q1;x_m;y_m;z_m;point;\n0,1;0,5;0,25;1,5;A;\n0,2;0,5;0,25;1,5;;\n"),
         ("records.json", '[{"q1": 0.1, "x_m": 0.5, "y_m": 0.25, "z_m": 1.5, "point": "A"},'
          ' {"q1": 0.2, "x_m": 0.5, "y_m": 0.25, "z_m": 1.5, "point": "B"}]'),

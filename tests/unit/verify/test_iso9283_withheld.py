@@ -15,9 +15,6 @@ from armsight.verify.iso9283 import (
 )
 from refusals import names_it
 
-SYMBOLS = {"AP_m", "AP_a_rad", "RP_m", "RP_c_rad", "vAP_m", "vAP_a_rad", "AD_m", "RD_m", "E_m", "t_s", "OV_m", "AT_m"}
-SYMBOLS |= {"RT_m", "AT_b_rad", "RT_b_rad", "CR_m", "CO_m", "AV_ratio", "RV_ratio", "FV_m_s"}
-
 
 def visits(n=10, *, pose="P1", seed=0, **more):
     xyz = np.random.default_rng(seed).normal(0.0, 1e-4, (n, 3))

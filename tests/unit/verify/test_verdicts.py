@@ -19,7 +19,6 @@ def verified(**more):
 @pytest.mark.parametrize(
     ("cause", "kind", "level", "said"),
     [
-        ("none", None, "good", "Nothing"),
         ("measurement", None, "good", "Correct nothing in the arm"),
         ("several joints", None, "bad", "armsight calibrate arm"),
         ("model", None, "care", "armsight calibrate arm"),
