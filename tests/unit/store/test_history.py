@@ -23,7 +23,7 @@ import histories
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
 from armsight_lab.history import database, queries
 from armsight_lab.history.adding import file_entry
-from armsight_lab.history.database import HEAD, reading
+from armsight_lab.history.database import HEAD, reading, writing
 from armsight_lab.history.place import Place, place_of
 from armsight_lab.history.queries import Filter
 from refusals import refuses
@@ -281,3 +281,6 @@ def test_a_database_that_another_holds_is_told_after_a_while(tmp_path: Path, mon
             file_entry(place, next(histories.runs("b", 1)))
         with reading(place) as connection:  # readers need not wait for it
             assert queries.count(connection, Filter()) == 1
+    other = sqlite3.connect(place.path, timeout=0.0, isolation_level=None)
+    with contextlib.closing(other), writing(place), pytest.raises(sqlite3.OperationalError):
+        other.execute("BEGIN IMMEDIATE")  # held from its beginning: else of two that read first one fails
