@@ -10,83 +10,20 @@ from armsight import store
 from armsight.columns import POSE6
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.geometry import is_close
-from armsight.optics import Camera, Rig, RigKind
-from armsight.records import LinearNoise, NamedCovariance, NoiseModel, Target, TargetKind, board_target, spot_target
-from armsight.records.camera import NeighbourCorrelation
+from armsight.optics import Camera, parallel_rig
+from armsight.records import NamedCovariance, Target, TargetKind, board_target, spot_target
 from armsight.records.target import GREEN
 from armsight.store.yamls import parse_yaml
 from refusals import refuses
 
 
-def awkward(rng, shape):
-    """Floats with all 53 bits in use, over many decades."""
-    return rng.standard_normal(shape) * 10.0 ** rng.integers(-12, 3, shape)
-
-
-def make_rig(seed=1):
-    rng = np.random.default_rng(seed)
-
-    def camera():
-        return Camera.pinhole(
-            1280,
-            720,
-            *(np.array([1100.0, 1099.0, 640.0, 360.0]) + rng.standard_normal(4)),
-            skew=float(rng.standard_normal() * 1e-7),
-            distortion=awkward(rng, 5),
-        )
-
-    A = awkward(rng, (7, 7))
-    names = ("left.fx", "left.fy", "right.fx", "right.tx", "right.rx", "right.ry", "right.rz")
-    return Rig(
-        kind=RigKind.STEREO,
-        left=camera(),
-        right=camera(),
-        T_rig_left=RigidTransform.identity(),
-        T_rig_right=RigidTransform.from_components(
-            rng.standard_normal(3) / 7, Rotation.from_rotvec(rng.standard_normal(3) / 9)
-        ),
-        covariance=NamedCovariance(names=names, matrix=A @ A.T),
-        rms_px=1.0 / 7.0,
-    )
-
-
 def rig_content():
-    return store.rig_mapping(make_rig())
-
-
-def make_noise(linear: bool):
-    rng = np.random.default_rng(5)
-    return NoiseModel(
-        levels=[1.0, 50.0 + 1 / 3, 200.0],
-        variance_levels2=rng.random(3) * 7,
-        std_levels2=rng.random(3) / 7,
-        correlation=NeighbourCorrelation(
-            x=rng.random(2) / 3,
-            y=rng.random(2) / 3,
-            diagonal=-1 / 7,
-            std_x=rng.random(2) / 300,
-            std_y=rng.random(2) / 300,
-            std_diagonal=1 / 700,
-        ),
-        n_frames=20,
-        linear=LinearNoise(read_noise_levels=1 / 3, gain_levels=0.1) if linear else None,
+    rig = parallel_rig(
+        Camera.pinhole(1280, 720, 1100.0, 1099.0, 640.0, 360.0, distortion=(-0.1, 0.05, 0.0, 0.0, 0.0)), 0.1
     )
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"levels": [1.0, 0.5, 200.0]}, "increasing"),
-        ({"variance_levels2": [1.0, -2.0, 1.0]}, "negative"),
-        ({"correlation": {"x": [1.5, 0.0], "y": [0.0, 0.0]}}, ("correlation", "-1")),
-        ({"linear": {"read_noise_levels": 1.0, "gain_levels": 0.0}}, "gain"),
-    ],
-)
-def test_noise_that_cannot_be_is_refused(change, told):
-    content = store.rig_mapping(replace(make_rig(), noise=(make_noise(True), None)))
-    content["cameras"]["left"]["noise"].update(change)
-    with refuses(BadFile, told):
-        store.rig_from_mapping(content)
+    names = ("left.fx", "left.fy", "right.fx", "right.tx", "right.rx", "right.ry", "right.rz")
+    known = NamedCovariance(names=names, matrix=np.diag(np.arange(7.0) + 1.0) / 7 + 0.01)
+    return store.rig_mapping(replace(rig, covariance=known, rms_px=1 / 7))
 
 
 SPOTS = {"A": (0.1 + 0.2, -1e-5, 1e-17), "B": (1 / 3, 2.0, 0.0), "e1": (0.0, 0.0, 1.0)}
@@ -254,13 +191,10 @@ BROKEN_YAML = {
     "billion laughs": (LAUGHS.encode(), "values"),
     "snake": (b"a: &a [*a]", "contains itself"),
     "deep": (b"[\n" * 20_000, "deeply"),
-    "long": (b"a: [" + b"1, " * 40_000 + b"]", "values"),
-    "deep mapping": (b"{a: " * 5_000, "deeply"),
     "huge integer": (b"a: " + b"9" * 10_000, "x.yaml"),
     "impossible letter": (b'a: "\\UFFFFFFFF"', "x.yaml"),
     "half a letter": (b'a: "\\ud800"', "half"),
     "list as a key": (b"? [1, 2]\n: 3", "single value"),
-    "two documents": (b"a: 1\n---\nb: 2\n", "line 2"),
 }
 
 
