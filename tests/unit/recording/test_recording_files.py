@@ -14,7 +14,7 @@ from armsight.clock import ManualClock
 from armsight.errors import BadFile, DeviceFailed, Inconsistent, NotEnoughData
 from armsight.records import Frame, JointReading, PoseStatus, Spots, TargetPose
 from armsight.store import write_poses
-from armsight.store.recording import ImageFormat, Recording, RecordingWriter, encode, mcapfile, repair
+from armsight.store.recording import Recording, RecordingWriter, mcapfile, repair
 from refusals import refuses
 
 ORIGIN_NS = 1_700_000_000_000_000_000
@@ -35,25 +35,6 @@ def write(path: Path, n: int = 40, *, chunk_bytes: int = 2000, close: bool = Tru
     if close:
         writer.close()
     return writer
-
-
-@pytest.mark.parametrize("kind", [ImageFormat.RAW, ImageFormat.PNG])
-@pytest.mark.parametrize("colour", [False, True])
-def test_frames_come_back_bit_for_bit(tmp_path: Path, kind: ImageFormat, colour: bool) -> None:
-    path = tmp_path / "a.mcap"
-    frames = [frame(i, colour=colour) for i in range(5)]
-    with RecordingWriter(path, origin_ns=ORIGIN_NS) as writer:
-        for each in frames:
-            writer.frame("left", each, encode(each.image, kind))
-    with Recording(path) as recording:
-        assert recording.finished
-        assert recording.cameras == ("left",)
-        assert recording.count("/left/image") == 5
-        for there, back in zip(frames, recording.frames("left"), strict=True):
-            np.testing.assert_array_equal(back.image, there.image)
-            assert abs(back.t_s - there.t_s) < 1e-9
-            assert back.sequence == there.sequence
-        assert back.exposure_s == 0.004
 
 
 def test_records_come_back_exactly(tmp_path: Path) -> None:

@@ -89,24 +89,3 @@ def test_motion_over_the_exposure_widens_by_a_twelfth_of_its_square(length_px):
     direction = np.array([np.cos(angle), np.sin(angle)])
     want = (s**2 + 1 / 12) * np.eye(2) + length_px**2 / 12 * np.outer(direction, direction)
     np.testing.assert_allclose(second, want[[0, 0, 1], [0, 1, 1]], rtol=2e-4, atol=2e-4)
-
-
-@pytest.mark.parametrize(
-    ("tilt", "distortion"), [((0, 0, 0), (0,) * 5), ((0.5, -0.6, 0.2), (0.3, -0.2, 0.01, -0.02, 0))]
-)
-def test_a_disc_is_the_projection_of_a_lit_disc(tilt, distortion):
-    """Area and centre against rays cast back onto the disc on a grid of 1/25 px: no ellipse, no outline."""
-    cam = camera(f=300.0, distortion=distortion)
-    pose = RigidTransform.from_components([0.03, -0.01, 0.5], Rotation.from_rotvec(tilt))
-    radius = 0.015
-    image = cam.light([spot(diameter_m=2 * radius, sigma_px=0.8)], Rest(T_world_target=pose), 0.0)[:, :, 0]
-    total, mean, _ = moments(image)
-
-    u, v = np.meshgrid(np.arange(46, 70, 0.04) + 0.02, np.arange(10, 36, 0.04) + 0.02)
-    rays = cam.lens.rays(np.stack([u, v], axis=-1))
-    rays = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
-    normal, centre = pose.rotation.apply([0.0, 0.0, 1.0]), np.asarray(pose.translation)
-    hits = rays * ((centre @ normal) / (rays @ normal))[..., None]
-    inside = ((hits - centre) ** 2).sum(axis=-1) < radius**2
-    assert total / 100.0 == pytest.approx(inside.sum() * 0.04**2, rel=2e-4)
-    np.testing.assert_allclose(mean, [u[inside].mean(), v[inside].mean()], atol=1e-3)

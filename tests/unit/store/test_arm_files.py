@@ -142,63 +142,6 @@ def test_urdf_that_is_refused(text: str, words: str) -> None:
     assert "my.urdf" in str(error.value)
 
 
-def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
-    """Two frames on the flange, a camera on the forearm: of several behind the last joint the flange counts."""
-    text = """
-    <robot name="r"><link name="world"/><link name="base"/><link name="a"/><link name="cam"/><link name="b"/>
-    <link name="flange"/><link name="tool"/><link name="side"/>
-    <joint name="f0" type="fixed"><parent link="world"/><child link="base"/><origin xyz="0 0 1"/></joint>
-    <joint name="j1" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/></joint>
-    <joint name="fc" type="fixed"><parent link="a"/><child link="cam"/></joint>
-    <joint name="j2" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0.5 0 0"/><axis xyz="1 0 0"/>
-      <limit lower="0" upper="2" effort="5" velocity="0.5"/></joint>
-    <joint name="f1" type="fixed"><parent link="b"/><child link="flange"/><origin rpy="0 1.5707963267948966 0"/></joint>
-    <joint name="f2" type="fixed"><parent link="flange"/><child link="tool"/><origin xyz="0 0 0.1"/></joint>
-    <joint name="f3" type="fixed"><parent link="b"/><child link="side"/></joint></robot>
-    """
-    flange = arm_from_urdf(text)
-    assert (flange.base_link, flange.tool_link) == ("base", "flange")
-    np.testing.assert_allclose(fk(flange, [np.pi / 2, 0.25])[:3, 3], [0, 0.75, 1], atol=1e-15)
-    arm = arm_from_urdf(text, tip="tool")
-    T = fk(arm, [np.pi / 2, 0.25])
-    np.testing.assert_allclose(T[:3, 3], [0, 0.85, 1], atol=1e-15)
-    np.testing.assert_allclose(T[:3, 2], [0, 1, 0], atol=1e-15)
-    assert (arm.joints[1].max_speed, arm.joints[1].stall_effort) == (0.5, 5.0)
-    side = arm_from_urdf(text, tip="side")
-    np.testing.assert_allclose(fk(side, [0, 0])[:3, 3], [0.5, 0, 1], atol=1e-15)
-    with refuses(BadFile, "hand", "base, cam, flange"):
-        arm_from_urdf(text, tip="hand")
-
-
-def test_a_random_urdf_keeps_its_poses() -> None:
-    """Axes in any direction, links anywhere: against the product of the URDF's own transforms."""
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        n = 5
-        xyz, rpy = rng.normal(size=(n, 3)), rng.uniform(-3, 3, (n, 3))
-        axes = rng.normal(size=(n, 3))
-        axes /= np.linalg.norm(axes, axis=1)[:, None]
-        text = robot(
-            *(
-                {
-                    "type": "prismatic" if k == 2 else "revolute",
-                    "more": f'<origin xyz="{" ".join(map(repr, x.tolist()))}" rpy="{" ".join(map(repr, r.tolist()))}"/>'
-                    f'<axis xyz="{" ".join(map(repr, a.tolist()))}"/>{LIMIT}',
-                }
-                for k, (x, r, a) in enumerate(zip(xyz, rpy, axes, strict=True))
-            ),
-            links=n + 1,
-        )
-        arm = arm_from_urdf(text)
-        q = rng.uniform(-1, 1, n)
-        T = RigidTransform.identity()
-        for k in range(n):
-            T = T * RigidTransform.from_components(xyz[k], Rotation.from_euler("xyz", rpy[k]))
-            move = RigidTransform.from_translation(q[k] * axes[k])
-            T = T * (move if k == 2 else RigidTransform.from_rotation(Rotation.from_rotvec(q[k] * axes[k])))
-        np.testing.assert_allclose(fk(arm, q), T.as_matrix(), atol=1e-11)  # d of the common normal may be long
-
-
 def test_a_scale_has_no_place_in_urdf(tmp_path: Path) -> None:
     arm = preset("ur10")
     scaled = dataclasses.replace(arm, joints=(dataclasses.replace(arm.joints[0], sign=1.01), *arm.joints[1:]))

@@ -115,15 +115,6 @@ def test_roll_pitch_yaw_are_ros_angles_and_said_to_be(file) -> None:
     assert any("ROS" in text for text in told)
 
 
-@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
-def test_the_header_says_where_w_stands(file, order: str) -> None:
-    values = dict(zip("xyzw", Rotation.from_rotvec([0.1, 0.2, 0.3]).as_quat(), strict=True))
-    names, cells = ",".join(f"q{letter}" for letter in order), ",".join(repr(float(values[a])) for a in order)
-    pose = read_poses(file(f"t_s,x_m,y_m,z_m,{names}\n0,0.5,0.2,0.3,{cells}\n"))[0]
-    want = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
-    np.testing.assert_allclose(pose.T_parent_target[:3, :3], want, atol=1e-12)
-
-
 def test_matrices_say_themselves_how_they_are_flattened(file) -> None:
     T = RigidTransform.from_components([0.5, 0.2, 0.3], Rotation.from_rotvec([0.4, -0.2, 1.0])).as_matrix()
     for flat in (T.ravel(), T.T.ravel(), T[:3].ravel()):
@@ -137,16 +128,6 @@ def test_matrices_say_themselves_how_they_are_flattened(file) -> None:
     broken[0, 0] += 0.1
     with refuses(BadFile, "line 1", "nine"):
         read_poses(file(rows(broken.ravel()[None])), timed=False)
-
-
-def test_joints_by_their_own_names_need_the_arm(file) -> None:
-    path = file("t_s,elbow_joint,shoulder_pan_joint\n0,1,2\n1,3,4\n")
-    with pytest.raises(BadFile):
-        read_joints(path)
-    motion = read_joints(path, TableFormat(joints=("shoulder_pan_joint", "elbow_joint")))
-    assert motion.q.tolist() == [[2.0, 1.0], [4.0, 3.0]]
-    with pytest.raises(BadFile):  # one joint of the arm is not there
-        read_joints(path, TableFormat(joints=("shoulder_pan_joint", "elbow_joint", "wrist")))
 
 
 def test_two_columns_for_one_coordinate_are_not_guessed(file) -> None:
@@ -196,15 +177,6 @@ def test_poses_the_other_way_round_are_inverted_where_the_names_say_so(file) -> 
     pairs = read_pairs(file(f"{header}\n" + 4 * f"{cells},{cells}\n"))
     np.testing.assert_allclose(pairs.T_base_flange[0].as_matrix(), T.as_matrix(), atol=1e-12)
     np.testing.assert_allclose(pairs.T_camera_target[0].as_matrix(), T.inv().as_matrix(), atol=1e-12)
-
-
-def test_samples_of_easy_handeye_depend_on_where_the_camera_is(file) -> None:
-    one = "    translation: {x: 0.1, y: 0.2, z: 0.3}\n    rotation: {x: 0, y: 0, z: 0, w: 1}\n"
-    path = file("samples:\n" + 4 * f"- robot:\n{one}  optical:\n{one}", "cell.yaml")
-    for on_hand, sign in ((True, 1.0), (None, 1.0), (False, -1.0)):
-        pairs = read_pairs(path, TableFormat(on_hand=on_hand))
-        np.testing.assert_allclose(pairs.T_base_flange[0].translation, sign * np.array([0.1, 0.2, 0.3]))
-        np.testing.assert_allclose(pairs.T_camera_target[0].translation, [0.1, 0.2, 0.3])
 
 
 def test_ros_messages_as_they_are_echoed(file) -> None:

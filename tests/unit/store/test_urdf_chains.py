@@ -5,17 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from armsight._files import arm_source
-from armsight.cli.commands import app
 from armsight.errors import BadFile, UsageError
 from armsight.kinematics import fk, preset
-from armsight.ops import kinematics
 from armsight.ops.arm_files import arm_file, load_arm
-from armsight.ops.kinematics_results import read_values
 from armsight.store.urdf import arm_from_urdf
 from refusals import refuses
 
@@ -96,42 +91,6 @@ def test_a_chain_is_named_with_the_file(tmp_path: Path) -> None:
     assert load_arm(str(odd)).n == 1
 
 
-FOLLOWING = robot(
-    joint("turn", "base", "upper", "0 0 0.3"),
-    joint("lift", "upper", "fore", "0.4 0 0"),
-    joint("rod", "fore", "wrist", "0.3 0.1 0", more='<mimic joint="lift" multiplier="-1.2" offset="0.1"/>'),
-    joint("roll", "wrist", "hand", "0.2 0 0.1"),
-)
-
-
-@pytest.mark.parametrize(
-    ("names", "columns"),
-    [
-        (("turn", "lift", "roll"), (0, 1, 3)),
-        (("roll", "rod", "turn", "lift"), (3, 2, 0, 1)),
-        (("q1", "q2", "q4"), (0, 1, 3)),
-    ],
-)
-def test_a_log_needs_no_column_of_a_joint_that_mimics(tmp_path: Path, names: tuple[str, ...], columns: tuple[int, ...]):
-    (tmp_path / "arm.urdf").write_text(FOLLOWING)
-    arm = arm_from_urdf(FOLLOWING)
-    values = np.random.default_rng(3).uniform(-1.5, 1.5, (30, 4))
-    values[:, 2] = -1.2 * values[:, 1] + 0.1
-    np.savetxt(tmp_path / "q.csv", values[:, columns], "%.12g", ",", header=",".join(names), comments="")
-    turns = np.cumsum(values, axis=1)  # all joints turn about z
-    links = (0.4, 0.3 + 0.1j, 0.2)
-    places = sum(link * np.exp(1j * turn) for link, turn in zip(links, turns.T[:3], strict=True))
-    motion = read_values(arm, tmp_path / "q.csv")
-    found = np.array([fk(arm, q) for q in motion.q])
-    np.testing.assert_allclose(found[:, 0, 3] + 1j * found[:, 1, 3], places, atol=1e-9)
-    np.testing.assert_allclose(np.exp(1j * turns[:, 3]), found[:, 0, 0] + 1j * found[:, 1, 0], atol=1e-9)
-
-    kinematics.fk(tmp_path / "arm.urdf", tmp_path / "q.csv", tmp_path / "poses.csv")
-    words = ["verify", "--measured", tmp_path / "poses.csv", "--joints", tmp_path / "q.csv", "-o", tmp_path / "v"]
-    done = CliRunner().invoke(app, [str(word) for word in (*words, "--arm", tmp_path / "arm.urdf")])
-    assert done.exit_code == 0, done.output
-
-
 def urdf_of(joints: list[tuple[str, str, str, str, str, str]]) -> str:
     """A URDF of joints: name, type, parent, child, origin, axis."""
     links = sorted({link for joint in joints for link in joint[2:4]})
@@ -180,14 +139,6 @@ def test_a_finger_beside_a_fixed_tool_is_no_joint_of_the_arm_unasked() -> None:
     assert arm_from_urdf(urdf_of(FINGER), tip="jaw").n == 3
     with refuses(BadFile, "gripper_frame_link (5 joints)", "moving_jaw_so101_v1_link (6 joints)"):
         arm_from_urdf(urdf_of(SO101))
-
-
-def test_what_is_fixed_beside_a_joint_is_no_branch_where_the_arms_end_is_named_or_it_is_a_name_more() -> None:
-    camera = ("to_camera", "fixed", "a", "camera", "xyz='0.1 0 0'", "1 0 0")
-    named = [*FINGER[:2], camera, ("t", "fixed", "flange", "tool0", "xyz='0 0 0.1'", "1 0 0")]
-    assert arm_from_urdf(urdf_of(named)).tool_link == "tool0"
-    same = [*FINGER[:3], ("a_shape", "fixed", "a", "a_visual", "xyz='0 0 0'", "1 0 0")]
-    assert arm_from_urdf(urdf_of(same)).n == 2
 
 
 def test_the_so101_preset_is_its_makers_urdf_up_to_the_tool_between_the_jaws() -> None:
