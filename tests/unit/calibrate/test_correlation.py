@@ -46,18 +46,6 @@ def test_each_models_fit_is_that_of_whole_matrices() -> None:
     assert found.correlation.n_effective == pytest.approx(weight @ worth, rel=1e-9)
 
 
-def test_what_is_claimed_of_a_mean_holds_where_errors_drift_altogether() -> None:
-    t = np.arange(400.0)
-    kept, z = np.exp(-1.0 / 40.0), []
-    for seed in range(40):
-        r = np.random.default_rng(seed).normal(size=(len(t), 3))
-        for i in range(1, len(t)):
-            r[i] = kept * r[i - 1] + np.sqrt(1.0 - kept**2) * r[i]
-        found = fit_averaged(r, np.tile(np.eye(3), (len(t), 1, 1)), t)
-        z.extend(found.step / np.sqrt(np.diag(found.C)))
-    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.2  # 1.5 where each model has white noise beside its drift
-
-
 def test_the_order_of_rows_plays_no_part_and_a_prior_counts_for_what_it_is() -> None:
     r, J, t, _ = drifting(1, 0.8, 2.0)
     order = np.random.default_rng(2).permutation(N)

@@ -15,8 +15,8 @@ from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.moments import TargetTracker
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import LIVE_S, Pace
-from armsight.optics import Camera, converged_rig, parallel_rig
-from armsight.records import BoardView, Frame, PoseStatus, TargetKind, board_target, spot_target, unmeasured_target
+from armsight.optics import Camera, converged_rig
+from armsight.records import BoardView, Frame, PoseStatus, TargetKind, board_target, spot_target
 from refusals import names_it, refuses
 
 CAMERA = Camera.pinhole(640, 480, 560.0, 562.0, 322.0, 236.0, distortion=(-0.1, 0.02, 0.0, 0.0, 0.0))
@@ -85,27 +85,6 @@ def test_a_jump_out_of_the_windows_falls_back_to_the_whole_frame() -> None:
     assert_pose(measured, jumped)
 
 
-def test_a_turn_that_the_motion_before_rules_out_is_refused_once_and_then_believed() -> None:
-    """What a lamp beside a light looks like: three spots that fit the target, turned by 18 degrees within 1/30 s."""
-    turned = Rotation.from_rotvec([np.deg2rad(18.0), 0.0, 0.0])
-
-    def turned_at(number: int) -> RigidTransform:
-        T = pose_at(number)
-        return RigidTransform.from_components(T.translation, turned * T.rotation)
-
-    track: Track | None = None
-    poses = {n: turned_at(n) if n in (8, 12, 13) else pose_at(n) for n in range(15)}
-    told = {}
-    for number, T in poses.items():
-        measured = measure_pair(SETUP, *frames(T.apply(X), number), track)
-        told[number], track = measured.pose.status, measured.track
-        if measured.pose.status is PoseStatus.OK:
-            assert_pose(measured, T)
-        else:
-            assert measured.cause is Unseen.MOTION
-    assert [number for number, status in told.items() if status is not PoseStatus.OK] == [8, 12, 14]
-
-
 def test_lights_exchanged_in_the_windows_are_noticed() -> None:
     """Half a turn of an arrangement whose lights land in each other's windows: the fit refuses, the search finds it."""
     first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))
@@ -154,19 +133,6 @@ def test_what_a_deadline_leaves_no_time_to_look_at_is_refused_with_its_reason() 
         assert names_it(measured.pose.why, "time", "mask")
     quiet = measure_pair(replace(SETUP, pace=Pace(deadline_s=1e-3)), *frames(pose_at(0).apply(X), 0))
     assert_pose(quiet, pose_at(0))
-
-
-@pytest.mark.parametrize("seed", [165, 180])
-def test_three_blobs_of_noise_that_pair_up_are_no_target_of_unknown_geometry(seed: int) -> None:
-    rng, images = np.random.default_rng(seed), []
-    for _ in range(2):
-        grey = cv2.GaussianBlur(rng.normal(0.0, 1.0, (480, 640)), (0, 0), 24.0)
-        images.append(np.clip(110.0 + 45.0 * grey / grey.std(), 0, 255).astype(np.uint8))
-    rig = parallel_rig(Camera.pinhole(640, 480, 600.0, 600.0, 320.0, 240.0), 0.12)
-    pair = [Frame(image=image, t_s=0.0, sequence=0, source="noise") for image in images]
-    measured = measure_pair(Setup(rig, unmeasured_target()), pair[0], pair[1])
-    assert len(measured.left_seen) == len(measured.right_seen) == 3, "or nothing is tested"
-    assert measured.pose.status is PoseStatus.LOST and measured.cause is Unseen.CROWD
 
 
 def test_a_tracker_goes_on_after_what_shows_nothing() -> None:
