@@ -41,15 +41,18 @@ def small(tmp_path: Path) -> Path:
     return tmp_path / "small"
 
 
-@pytest.mark.parametrize(("new", "found"), [("return 2", "tests/test_planted.py::test_one"), ("return 1.0", "")])
-def test_what_became_of_a_fault_is_told(tool: ModuleType, small: Path, tmp_path: Path, new: str, found: str) -> None:
-    fault = tool.Fault(
-        name="a", file="src/planted.py", old="return 1", new=new, breaks="", tests=("tests/test_planted.py",)
-    )
-    assert not tool.misfits([fault], small)
+def test_what_became_of_a_fault_is_told(tool: ModuleType, small: Path, tmp_path: Path) -> None:
+    planted = {"return 2": "tests/test_planted.py::test_one", "return 1.0": ""}
+    faults = [
+        tool.Fault(
+            name=new, file="src/planted.py", old="return 1", new=new, breaks="", tests=("tests/test_planted.py",)
+        )
+        for new in planted
+    ]
+    assert not tool.misfits(faults, small)
     before = {path: path.read_bytes() for path in small.rglob("*") if path.is_file()}
-    ((_, outcome),) = tool.try_faults([fault], tmp_path / "copies", small)
-    assert outcome.found_by == found
+    found = {fault.name: outcome.found_by for fault, outcome in tool.try_faults(faults, tmp_path / "copies", small)}
+    assert found == planted
     assert before == {path: path.read_bytes() for path in small.rglob("*") if path.is_file()}
 
 
