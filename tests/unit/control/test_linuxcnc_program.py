@@ -175,6 +175,30 @@ def test_what_linuxcnc_cannot_be_told_is_not_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_what_is_refused_is_written_once_its_cure_is_followed(tmp_path: Path, seam: LinuxcncPlan) -> None:
+    arm, bounds = puma(), joint_bounds(puma(), LIMITS)
+    T = np.repeat(arm.fk(HOME)[None], 2, axis=0)
+    T[1, :3, 3] += [0.0, 0.02, 0.0]
+    short = TaughtPath.of_poses(T)
+    with refuses(UsageError, "(arm)", "limits"):
+        export(None, replace(short, parent="base"), tmp_path, frame="base", start=None)
+    assert export(arm, short, tmp_path).joints
+    first, second, *others = arm.joints
+    leaning = replace(arm, joints=(first, replace(second, beta_rad=0.002), *others))
+    with refuses(UsageError, "genserkins", "controller"):
+        export(leaning, short, tmp_path)
+    assert export(leaning, short, tmp_path, controller=arm).joints
+    T[1, :3, 3] += [0.0, 0.0, 1.5]
+    with refuses(Inconsistent, "branch", "elsewhere", "--start"):
+        planned(arm, TaughtPath.of_poses(T), 0.2, 0.0)
+    require_kept(seam, arm, bounds, 0.0)  # elsewhere
+    tight = replace(bounds, speed=0.99 * seam.speed, acceleration=0.99 * seam.acceleration)
+    with refuses(Inconsistent, "run at", "accelerate at", "--speed-m-s", "--acceleration-m-s2"):
+        require_kept(seam, arm, tight, 0.0)
+    slow = Axes(acceleration_m_s2=0.2 * AXES.acceleration_m_s2, acceleration_rad_s2=0.2 * AXES.acceleration_rad_s2)
+    require_kept(planned(arm, bow(arm), 0.02, 1e-3, axes=slow), arm, tight, 0.0)
+
+
 def test_a_calibrated_arm_is_written_in_the_controllers_own_geometry(tmp_path: Path) -> None:
     """Poses are those of genserkins' table at the joints that bring the calibrated arm's tip to the path."""
     nominal = puma()

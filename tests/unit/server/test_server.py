@@ -14,7 +14,7 @@ from websockets.sync.client import connect
 
 from armsight.drivers.remote import Link, ServerAddress
 from armsight.drivers.remote import protocol as say
-from armsight.errors import DeviceFailed, DeviceLost
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.server.application import CROWDED, WATCHERS_PER_ADDRESS
 from armsight.server.connections import UNKNOWN_PER_ADDRESS
 from armsight.server.limited import QUIET
@@ -174,3 +174,11 @@ def test_a_server_started_anew_is_told_apart(service, host, log):
         link = Link(ServerAddress(url=url), say.STREAM_PATH)
         assert link.open().instance != first
         link.close()
+
+
+def test_nobody_answers(url):
+    with refuses(DeviceNotFound, "robot server"):
+        Link(ServerAddress(url="ws://127.0.0.1:1"), say.STREAM_PATH).open()
+    link = Link(ServerAddress(url=url), say.STREAM_PATH)
+    link.open()
+    link.close()

@@ -155,6 +155,23 @@ def test_the_diameter_tells_the_beacon_from_other_lights_where_lamps_are_masked(
     assert before_a_room.pose.status is PoseStatus.LOST and names_it(before_a_room.pose.why, "2 lights", "colour")
 
 
+def without(place: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return the mask that hides a place from both cameras, 60 px about it."""
+    hidden = np.zeros((HEIGHT, WIDTH), np.uint8)
+    for uv in RIG.project(place[None]):
+        cv2.circle(hidden, (round(uv[0][0]), round(uv[0][1])), 60, 1, -1)
+    return hidden == 0
+
+
+@pytest.mark.parametrize("target", [BEACON, COLOUR_ALONE])
+def test_of_lights_that_look_alike_the_one_that_a_mask_leaves_is_the_beacon(target: Target) -> None:
+    """A size would not tell them apart, and is not asked for."""
+    both = ((PLACE, LED, 170.0, 3.0), (np.array([-0.2, 0.1, 1.2]), LED, 170.0, 3.0))
+    told = seen(*both, target=target)
+    assert not found(told) and names_it(told.pose.why, "2 lights", "--mask") and "give diameter_m" not in told.pose.why
+    assert found(seen(*both, target=target, settings=SpotSettings(mask=without(both[1][0]))))
+
+
 def test_claimed_ellipses_hold_before_uneven_grounds() -> None:
     rng, chi2 = np.random.default_rng(8), 0.0
     for seed in range(30):

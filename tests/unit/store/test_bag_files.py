@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
+import shlex
 import shutil
 import sqlite3
+import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -249,6 +251,27 @@ def test_a_file_that_breaks_off_is_saved_as_its_cure_says(
     assert armsight(*command[1:]).code == 0
     found = read(Path(command[5]))
     assert [one.t_s for one in found] == TIMES[: len(found)] and len(found) >= 6
+
+
+@pytest.mark.skipif(not shutil.which("sqlite3"), reason="the program sqlite3 is not installed")
+def test_a_damaged_database_is_saved_as_its_cure_says(tmp_path: Path) -> None:
+    large = np.random.default_rng(1).integers(0, 255, (50, 60), dtype=np.uint8)
+    path = tmp_path / "run.db3"
+    shutil.move(data_of(written(tmp_path / "run", StoragePlugin.SQLITE3)), path)
+    with sqlite3.connect(path) as base:
+        for i in range(COUNT):
+            message = bytes(STORE.serialize_cdr(image_of(i, large), IMAGE))
+            base.execute("UPDATE messages SET data = ? WHERE id = ?", (message, i + 1))
+    base.close()
+    content = bytearray(path.read_bytes())
+    at = content.index(large.tobytes()[:500], len(content) // 2) // 4096 * 4096  # a page of a message behind the middle
+    content[at : at + 8] = b"\x55" * 8
+    path.write_bytes(content)
+    program, file, words = shlex.split(re.findall("`(.*)`", cure_of(path))[0])
+    assert file == "FILE"
+    subprocess.run([program, path, words], cwd=tmp_path, check=True, timeout=60)
+    saved = [one.t_s for one in read(tmp_path / "mended.db3")]
+    assert 0 < len(saved) < COUNT and set(saved) < set(TIMES)
 
 
 def test_what_metadata_say_beyond_what_is_there_is_told(tmp_path: Path) -> None:
