@@ -31,7 +31,7 @@ $(VERSIONS:%=test-%): test-%: install
 	.venv-$*/bin/pytest -n $(WORKERS) --dist worksteal -m "not alone"
 	.venv-$*/bin/pytest -m alone
 
-check: types style
+check: types style docs
 
 types: install
 	$(BIN)/mypy

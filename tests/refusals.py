@@ -1,8 +1,7 @@
 """How a test states which refusal it expects: by its class, its fields, and the names that a person has to find in it.
 
 A name is what the data or the call bring along (a file, a flag, a joint, a row, a figure) or, where refusals of one
-class are near each other, the word that tells them apart. It is never the sentence: tests/unit/test_messages.py holds
-whole messages.
+class are near each other, the word that tells them apart. It is never the sentence: tests/cures holds those.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 import armsight
@@ -31,6 +32,21 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, content in pages.items():
         files.append(File.generated(config, name, content=content))
     return files
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Refuse a reference that lacks a public name, and pages that need a network."""
+    pages = {path: path.read_text(encoding="utf-8") for path in Path(config.site_dir).rglob("*.html")}
+    reference = pages[Path(config.site_dir) / "reference" / "index.html"]
+    missing = [
+        name
+        for name, module in armsight._places().items()
+        if not module.startswith("armsight._")
+        if f'id="{module}.{name}"' not in reference and f">{name}<" not in reference
+    ]
+    outside = [path.name for path, text in pages.items() if 'src="https://' in text]
+    if missing or outside:
+        raise PluginError(f"the reference lacks {missing}; a network is needed by {outside}")
 
 
 def made_by(tool: str) -> str:

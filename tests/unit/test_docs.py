@@ -14,11 +14,9 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 
 import warm_python
 from loading import module_of
-from refusals import refuses
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
@@ -100,16 +98,6 @@ def test_every_benchmark_with_figures_has_a_headline_a_script_and_tables() -> No
             for one in run["tables"]:
                 head, _, *rows = tool.markdown(one["rows"]).splitlines()
                 assert {row.count(" | ") for row in rows} == {head.count(" | ")}, (name, one["title"])
-
-
-def test_what_a_benchmark_printed_is_kept() -> None:
-    tool = module_of(ROOT / "tools" / "benchmark_results.py")
-    printed = "2026-11-29, a machine, 2 cores\n\n### Times\n\n| what | ms |\n|---|---|\n| a, b | 1.5 |\n"
-    run = yaml.safe_load(tool.dumped("python benchmarks/x.py", printed, "0123abcd"))["runs"][0]
-    assert run["date"] == "2026-11-29" and run["machine"] == "a machine, 2 cores" and run["commit"] == "0123abcd"
-    assert run["tables"] == [{"title": "Times", "rows": 'what,ms\n"a, b",1.5\n'}]
-    with refuses(SystemExit, "date", "table"):
-        tool.dumped("python benchmarks/x.py", "nothing", "0123abcd")
 
 
 def test_the_tests_of_what_was_tried_are_there() -> None:

@@ -6,8 +6,6 @@ import inspect
 import pickle
 import re
 
-import pytest
-
 from armsight import errors
 
 CLASSES = [
@@ -35,21 +33,6 @@ def drawn() -> dict[str, tuple[str, int]]:
 
 def test_the_drawing_is_the_tree() -> None:
     assert drawn() == {cls.__name__: (cls.__bases__[0].__name__, cls.exit_code) for cls in CLASSES}
-
-
-@pytest.mark.parametrize(
-    ("cls", "code"),
-    [
-        (errors.UsageError, 2),
-        (errors.BadFile, 3),
-        (errors.Ambiguous, 3),
-        (errors.Degenerate, 3),
-        (errors.DeviceLost, 4),
-        (errors.Cancelled, 130),
-    ],
-)
-def test_exit_codes_follow_the_branch(cls: type[errors.ArmsightError], code: int) -> None:
-    assert cls.exit_code == code
 
 
 def test_the_message_says_cause_consequence_and_cure() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -49,36 +48,3 @@ def test_what_stands_in_and_what_cannot_run_is_in_the_guides(tool):
     for page, parts in tool.STAND_INS.items():
         own = [step.text for step in commands(tool) if step.page == page]
         assert any(part in text for part in parts for text in own), page
-
-
-@pytest.mark.parametrize(
-    ("command", "what"), [("true", "run"), ("armsight-there-is-none", "failed"), ("pip install x", "not here")]
-)
-def test_what_became_of_a_command_is_told(tool, tmp_path, command, what):
-    reader = tool.Reader(tmp_path / "page")
-    outcome = reader.follow(tool.Step(page="x", line=1, kind="shell", text=command))
-    assert outcome.what == what
-    counts = {"run": "1 | 0 | 0", "failed": "0 | 1 | 0", "not here": "0 | 0 | 1"}[what]
-    assert f"| all | 1 | {counts} |" in tool.table([outcome])
-
-
-def test_a_place_gone_to_holds_for_the_next_command(tool, tmp_path):
-    reader = tool.Reader(tmp_path / "page")
-    for text in ("mkdir inside", "cd inside", "touch here"):
-        assert reader.follow(tool.Step(page="x", line=1, kind="shell", text=text)).what == "run"
-    assert (tmp_path / "page" / "inside" / "here").exists()
-
-
-SERVER = "exec python -u -m http.server 0 --bind 127.0.0.1"
-
-
-@pytest.mark.parametrize(("script", "told"), [(SERVER, ""), ("exit 3", "ended by itself with exit code 3")])
-def test_a_server_is_asked_and_ended(tool, tmp_path, script, told):
-    reader = tool.Reader(tmp_path / "page")
-    step = tool.Step(page="x", line=1, kind="shell", text="armsight serve")
-    running = reader.begin(step, script, subprocess.DEVNULL)
-    reader.services.append((step, running))
-    assert reader.asked(running, 0) == told
-    ended = reader.finish()
-    assert running.poll() is not None
-    assert ended == ("armsight serve had ended by itself with exit code 3" if told else "")

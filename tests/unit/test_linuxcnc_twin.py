@@ -11,8 +11,7 @@ import pytest
 
 from armsight.drivers.linuxcnc.__main__ import set_up
 from armsight.drivers.linuxcnc_bridge.ini import describe
-from armsight.errors import DeviceFailed, DeviceNotFound, UsageError
-from armsight_sim.twins import linuxcnc
+from armsight.errors import UsageError
 from armsight_sim.twins.base import small_arm_mapping
 from armsight_sim.twins.linuxcnc import LinuxcncTwin
 from armsight_sim.twins.linuxcnc_files import ini, machine_hal, rows_of, without_tcp
@@ -41,30 +40,6 @@ def test_an_arm_that_genserkins_cannot_hold_is_refused(wrong: Callable[[dict[str
     wrong(arm)
     with refuses(UsageError, named, "LinuxCNC"):
         LinuxcncTwin(arm=arm)
-
-
-@pytest.mark.parametrize(
-    ("flags", "named"), [({"port": "x"}, "x"), ({"port": "70000"}, "70000"), ({"connect": "a:1"}, "port")]
-)
-def test_flags_that_cannot_be_are_refused(flags: dict[str, str], named: str) -> None:
-    with refuses(UsageError, named):
-        LinuxcncTwin(**flags)  # type: ignore[arg-type]
-
-
-def test_without_linuxcnc_the_line_that_installs_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(linuxcnc.shutil, "which", lambda *_, **__: None)
-    with refuses(DeviceNotFound, "apt-get install --no-install-recommends linuxcnc-uspace"):
-        LinuxcncTwin()
-
-
-def test_another_instance_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    lock = tmp_path / "linuxcnc.lock"
-    lock.touch()
-    monkeypatch.setattr(linuxcnc, "LOCK", lock)
-    monkeypatch.setattr(linuxcnc, "missing", str)
-    with refuses(DeviceFailed, lock, "another LinuxCNC"), LinuxcncTwin():
-        pass
-    assert lock.exists()
 
 
 def test_the_files_hold_the_arm_in_linuxcncs_units(tmp_path: Path) -> None:

@@ -4,19 +4,16 @@ corners, tag 0 at the lower left, y up) and traced through a lens; nothing of Op
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from armsight.errors import BadFile, BadImage, UsageError
+from armsight.errors import BadImage
 from armsight.measure.boards import find_board
-from armsight.records import Target, TargetKind
-from armsight.records.views import symmetries
-from armsight.store.targets import board_text, parse_board, read_target, target_from_mapping, target_mapping
-from refusals import refuses
+from armsight.records import Target
+from armsight.store.targets import read_target
 
 CODES = (
     *(0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC),
@@ -80,8 +77,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Target:
 
 
 @pytest.mark.parametrize(
-    ("turn", "t_m", "border"),
-    [((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2), ((-0.4, 0.1, 2.0), (0.01, 0.0, 0.35), 1)],
+    ("turn", "t_m", "border"), [((0.2, -0.3, 0.1), (0.0, 0.0, 0.30), 2), ((-0.4, 0.1, 2.0), (0.01, 0.0, 0.35), 1)]
 )
 def test_its_corners_are_where_they_were_drawn(board: Target, turn, t_m, border: int) -> None:
     image, truth = picture(turn, t_m, border)
@@ -111,30 +107,3 @@ def test_it_may_be_seen_in_part_but_not_mirrored_and_other_tags_are_none(board: 
         find_board(np.ascontiguousarray(image[:, ::-1]), board)
     with pytest.raises(BadImage, match="0 tags"):
         find_board(np.full_like(image, 90) + (np.arange(WIDTH) % 64).astype(np.uint8), board)
-
-
-def test_its_file_is_kalibrs_and_so_is_its_order(board: Target) -> None:
-    assert board.kind is TargetKind.APRILGRID and len(board.names) == 4 * COLUMNS * ROWS
-    pitch = TAG_M * (1.0 + SPACING)
-    expected = [(0.0, 0.0), (TAG_M, 0.0), (pitch, 0.0), (pitch + TAG_M, 0.0)]
-    np.testing.assert_allclose(board.xyz_m[:4, :2], expected)
-    np.testing.assert_allclose(board.xyz_m[2 * COLUMNS, :2], (0.0, TAG_M))
-    assert len(symmetries(board)) == 1
-    text = board_text(board)
-    assert text == "aprilgrid:4x3:0.04:0.3"
-    for again in (parse_board(text), target_from_mapping(target_mapping(board))):
-        np.testing.assert_array_equal(again.xyz_m, board.xyz_m)
-
-
-@pytest.mark.parametrize("wrong", [("'aprilgrid'", "'checkerboard'"), ("tagSize", "tagsize"), ("0.3", "3")])
-def test_files_that_are_not_of_an_aprilgrid_are_refused(tmp_path: Path, wrong: tuple[str, str]) -> None:
-    path = tmp_path / "other.yaml"
-    path.write_text(KALIBR.replace(*wrong))
-    with pytest.raises(BadFile):
-        parse_board(str(path))
-
-
-@pytest.mark.parametrize("text", ["aprilgrid:6x6:0.088", "aprilgrid:6x6:0.088:30", "aprilgrid:6:0.088:0.3"])
-def test_words_that_are_no_aprilgrid_are_refused(text: str) -> None:
-    with refuses(UsageError, "aprilgrid:6x6:0.088:0.3"):
-        parse_board(text)

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.measure.boards import find_board, xcorner_corners
-from armsight.measure.boards.xcorner import order_squares, segment
-from armsight.records import TargetKind, board_target
+from armsight.measure.boards import xcorner_corners
 from armsight_sim.boards import Board, board_light, corner_rays
 from armsight_sim.lens import Lens
 
@@ -57,60 +55,3 @@ def test_boards_of_any_size_tilted_and_unevenly_lit(
     # pixels that are black or white place a corner to 1/sqrt(12) px; up to four squares are averaged
     assert np.sqrt(np.mean(off**2)) < 0.5
     assert off.max() < 1.5
-
-
-def test_fitted_afterwards_the_corners_are_those_of_the_other_detectors() -> None:
-    board = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
-    image, truth = view(Board(), (0.25, -0.3, 0.1), 0.42, 2)
-    ours, auto = (find_board(image, board, detector=name) for name in ("xcorner", "auto"))
-    assert (ours.index == auto.index).all()
-    assert np.abs(ours.uv_px - auto.uv_px).max() < 0.01
-    assert np.sqrt(np.mean((ours.uv_px - truth[ours.index]) ** 2)) < 2.0 * ours.sigma_px
-
-
-def test_corner_of_one_square_lies_between_its_inner_and_its_outer_peak() -> None:
-    light = np.ones((90, 90), np.uint8)
-    light[20:40, 15:45] = 0
-    squares = segment(light, 4)
-    dark = squares.corners[squares.colour == -1]
-    assert len(dark) == 1
-    corners = dark[0][np.lexsort(dark[0].T)]
-    # the inner peak is one pixel, the outer one three round the corner: their mean lies a sixth inside the edge, which
-    # the squares on the other side of a corner make good
-    sixth = 1.0 / 6.0
-    left, right, top, bottom = 14.5 + sixth, 44.5 - sixth, 19.5 + sixth, 39.5 - sixth
-    wanted = np.array([[left, top], [right, top], [left, bottom], [right, bottom]])
-    assert np.abs(corners - wanted).max() < 1e-9
-    assert squares.score[squares.colour == -1].min() == 1.0
-
-
-def test_seed_needs_the_whole_cross_and_squares_that_touch_stay_two() -> None:
-    light = np.ones((80, 80), np.uint8)
-    light[10:30, 10:30] = light[30:50, 30:50] = 0  # meet in one point, ...
-    light[28:32, 28:32] = 0  # ... run together by blur
-    light[60:66, 60:66] = 0  # too small for a cross of 9 x 9
-    for cross, count in ((4, 2), (2, 3)):
-        squares = segment(light, cross)
-        assert np.count_nonzero(squares.colour == -1) == count
-
-
-def test_squares_are_ordered_by_the_slope_of_the_one_before() -> None:
-    image, _ = view(Board(columns=4, rows=3), (0.0, 0.0, 0.4), 0.3, 3)
-    squares = segment((image > 80).astype(np.uint8), 4)
-    used = np.zeros(len(squares), bool)
-    start = int(np.argmin(np.linalg.norm(squares.corners.mean(1) - LENS.centre_px, axis=1)))
-    placed = order_squares(squares, start, used)
-    centres = {cell: squares.corners[place[0]].mean(0) for cell, place in placed.items()}
-    step = centres[1, 0] - centres[0, 0] if (1, 0) in centres else centres[0, 0] - centres[-1, 0]
-    for (i, j), centre in centres.items():
-        if (i + 1, j) in centres:
-            assert np.linalg.norm(centres[i + 1, j] - centre - step) < 0.2 * np.linalg.norm(step)
-
-
-def test_nothing_and_another_size_are_not_found() -> None:
-    noise = np.random.default_rng(4).integers(0, 255, (60, 80)).astype(np.uint8)
-    assert xcorner_corners(noise, 9, 6) is None
-    image, _ = view(Board(), (0.25, -0.3, 0.1), 0.42, 5)
-    for size in ((8, 6), (9, 7)):
-        assert xcorner_corners(image, *size) is None
-    assert xcorner_corners(np.full((200, 200), 90, np.uint8), 4, 4) is None

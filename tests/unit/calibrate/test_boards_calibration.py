@@ -11,11 +11,11 @@ import pytest
 
 from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, problem_of
-from armsight.calibrate.cameras.kernels import move_poses, poses_of
+from armsight.calibrate.cameras.kernels import move_poses
 from armsight.calibrate.cameras.observations import pack
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import LensKind
-from armsight.records import BoardView, Target, TargetKind, board_target, spot_target
+from armsight.records import BoardView, Target, TargetKind, board_target
 from refusals import refuses
 
 SIZE = (1280, 720)
@@ -91,28 +91,6 @@ def turned(v: BoardView) -> BoardView:
 # what is recovered
 
 
-def test_stereo_finds_the_rig_within_its_claims() -> None:
-    left, right = pairs(14, 1)
-    found = calibrate_stereo(left, right, BOARD)
-    std = {**found.rig.covariance.std(), "baseline_m": found.baseline_std_m}
-    for side, truth in (("left", LEFT), ("right", RIGHT)):
-        got = found.rig.camera(side).intrinsics[[0, 1, 2, 3, 5, 6, 7, 8]]
-        for name, value, true in zip(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"), got, truth, strict=False):
-            assert abs(value - true) < 4.5 * std[f"{side}.{name}"], f"{side}.{name}"
-    assert abs(found.rig.baseline_m - np.linalg.norm(T_M)) < 4.5 * std["baseline_m"]
-    assert np.asarray(found.rig.T_rig_left.translation).tolist() == [0.0, 0.0, 0.0]
-    assert found.n_used == found.n_pairs == 14
-    assert found.rejected == ()
-    # noise of 0.1 px a coordinate is 0.141 px a point; held-out views add the doubt of the calibration
-    assert found.rms_px == pytest.approx(0.141, rel=0.06)
-    assert found.rms_px < found.holdout_rms_px < 0.17
-    assert found.metric_is_left_out
-    assert found.metric["expected_m"] == pytest.approx(0.03)
-    assert abs(found.metric["mean_m"] - 0.03) < 2e-5
-    assert 0.0 < found.metric["rms_m"] < 3e-4
-    assert found.alignment.convergence_rad == pytest.approx(0.25, abs=0.005)
-
-
 def test_camera_with_a_strong_third_term_gets_it_and_one_without_does_not() -> None:
     bent = LEFT.copy()
     bent[[4, 5, 8]] = -0.35, 0.15, -0.25
@@ -133,18 +111,6 @@ def test_fixed_parameters_stay_and_every_name_is_known() -> None:
     assert set(found.std) == {"fx_px", "fy_px", "k1", "k2"}
     with refuses(UsageError, "fx", "fy", "cx"):
         BoardOptions(fixed=frozenset({"focal"}))
-
-
-def test_half_seen_boards_count_for_what_is_seen() -> None:
-    left, right = pairs(12, 4)
-    rng = np.random.default_rng(5)
-    for views in (left, right):
-        for g in range(0, 12, 2):
-            keep = np.sort(rng.choice(54, 30, replace=False))
-            views[g] = view(views[g].uv_px[keep], views[g].source, keep)
-    found = calibrate_stereo(left, right, BOARD)
-    assert abs(found.rig.baseline_m - np.linalg.norm(T_M)) < 4.5 * found.std["baseline_m"]
-    assert found.rms_px == pytest.approx(0.141, rel=0.08)
 
 
 def test_symmetric_board_half_a_turn_off_in_some_views_is_turned_back() -> None:
@@ -191,22 +157,6 @@ def test_wrong_pair_and_wrong_corner_are_left_out_and_named() -> None:
     assert abs(found.rig.baseline_m - np.linalg.norm(T_M)) < 4.5 * found.std["baseline_m"]
 
 
-def test_board_that_moved_between_the_exposures_is_left_out() -> None:
-    left, right = pairs(14, 9)
-    right[3] = replace(right[3], uv_px=right[3].uv_px + np.array([4.0, 2.0]))
-    found = calibrate_stereo(left, right, BOARD, QUICK)
-    assert [name for name, _ in found.rejected] == ["l03.png / r03.png"]
-    assert "other views" in found.rejected[0][1]
-
-
-def test_nothing_is_left_out_where_told_so() -> None:
-    left, _ = pairs(10, 10)
-    uv = left[2].uv_px.copy()
-    uv[0] += 5.0
-    left[2] = view(uv, "l02.png")
-    assert calibrate_camera(left, BOARD, BoardOptions(folds=0, reject=False)).uv_px.shape == (540, 2)
-
-
 # what is refused
 
 
@@ -245,8 +195,6 @@ def one_corner(board: Target) -> list[BoardView]:
     ("views", "kind", "why"),
     [
         (lambda: pairs(2, 14)[0], NotEnoughData, ("2 different poses", "3")),
-        (list, NotEnoughData, "no image"),
-        (lambda: [pairs(1, 15)[0][0]] * 6, NotEnoughData, ("6 views", "1 different poses")),
         (lambda: no_tilt(BOARD), Degenerate, "never"),
         (lambda: one_tilt(BOARD), Degenerate, "always"),
         (lambda: one_corner(BOARD), Degenerate, "seen around"),
@@ -260,33 +208,12 @@ def test_set_that_cannot_carry_a_camera_is_refused(
     assert "othing was calibrated" in str(caught.value)
 
 
-def test_images_of_unequal_size_are_refused_by_name() -> None:
-    left, _ = pairs(6, 16)
-    left[3] = replace(left[3], width=640, height=480)
-    with refuses(Inconsistent, "l03.png", "640x480", "l00.png", "1280x720"):
-        calibrate_camera(left, BOARD)
-
-
-def test_board_smaller_than_what_was_seen_is_refused() -> None:
-    left, _ = pairs(6, 17)
-    with refuses(Inconsistent, "point 53", "48"):
-        calibrate_camera(left, EVEN)
-
-
-def test_lights_are_no_board() -> None:
-    with refuses(Inconsistent, "lights"):
-        calibrate_camera([], spot_target({"A": (0.0, 0.0, 0.0)}))
-
-
 @pytest.mark.parametrize(
     ("arrange", "why"),
     [
-        (lambda a, b: (a, b[:-1]), ("10 left", "9 right")),
         (lambda a, b: (b, a), "swapped"),
         (lambda a, b: (a[1:], b[:-1]), ("out of step", "1 later")),
-        (lambda a, b: (a[:-2], b[2:]), ("out of step", "2 earlier")),
         (lambda a, b: (a, mirrored(b)), ("right camera are", "mirrored")),
-        (lambda a, b: (mirrored(a), b), ("left camera are", "mirrored")),
         (lambda a, b: (mirrored(a), mirrored(b)), ("swapped", "mirrored")),
         (lambda a, b: (a, [b[i] for i in (5, 2, 8, 0, 9, 1, 7, 3, 6, 4)]), "belong"),
     ],
@@ -357,25 +284,3 @@ def test_poses_move_by_the_exponential_from_the_left_also_through_half_a_turn() 
     for a, d, b in zip(start, step, out, strict=True):
         want = cv2.Rodrigues(d[3:])[0] @ cv2.Rodrigues(a[3:])[0]
         assert np.abs(cv2.Rodrigues(b[3:])[0] - want).max() < 1e-8
-
-
-def test_point_behind_a_camera_is_impossible_not_a_number() -> None:
-    left, _ = pairs(3, 22)
-    observations = pack([left], BOARD)
-    local = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (3, 1))
-    start = Bundle(k=np.r_[LEFT[:4], 0.0, LEFT[4:]][None], poses=local)
-    problem = problem_of(observations, start, frozenset())
-    assert np.isnan(problem.evaluate(problem.guess, local).residuals).all()
-
-
-def test_closed_form_poses_are_exact_without_noise() -> None:
-    rng = np.random.default_rng(23)
-    w, t = rng.normal(size=(60, 3)), np.column_stack([rng.normal(size=(60, 2)) * 0.2, rng.uniform(0.5, 1.0, 60)])
-    w[0], w[1], w[2] = 0.0, [np.pi, 0.0, 0.0], [0.0, 0.0, np.pi - 1e-7]
-    for turn, place in zip(w, t, strict=True):
-        R = cv2.Rodrigues(turn)[0]
-        H = np.diag([1.2, 1.1, 1.0]) @ np.column_stack([R[:, 0], R[:, 1], place])
-        got = np.empty((1, 6))
-        poses_of(np.ascontiguousarray(H[None] / H[2, 2]), 1.2, 1.1, got)
-        assert np.abs(got[0, :3] - place).max() < 1e-12
-        assert np.abs(cv2.Rodrigues(got[0, 3:])[0] - R).max() < 1e-7

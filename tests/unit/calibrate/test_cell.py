@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cell.assignment import moves, tracklets
 from armsight.calibrate.cell.fit import WAVES, CellData, blocks_of, fit_cell
-from armsight.calibrate.cell.knowledge import ArmTolerance, default_knowledge, pair_slopes
+from armsight.calibrate.cell.knowledge import ArmTolerance, default_knowledge
 from armsight.calibrate.cell.model import BlockNormals, CellModel, start_vector
 from armsight.calibrate.cell.observations import Spots, recording_of
 from armsight.calibrate.cell.result import tip_slopes
@@ -183,18 +183,6 @@ def test_no_joint_rises_under_the_arms_weight_and_the_arm_that_is_written_is_the
     np.testing.assert_allclose(fk(arm, arm.values(q)), model.flange(found.x, q), rtol=0.0, atol=1e-9)
 
 
-def test_the_commanded_tip_strays_with_the_joints(cell):
-    model, x = cell
-    q, at = moving(np.array([14.0])), np.array([0.0, 0.02, 0.1])
-    slopes = tip_slopes(model, x, q, RigidTransform.identity(), at, (0.1, 0.1))
-    columns = np.array([model.names.index(f"{joint.name}.theta_rad") for joint in model.arm.arm.joints])
-    std = np.array([1e-4, 2e-4, 3e-4, 4e-4, 5e-4, 6e-4])
-    arm = preset("ur5e")
-    point = np.append(at, 1.0)
-    tips = [((fk(arm, q + step)[0] - fk(arm, q)[0]) @ point)[:3] for step in np.diag(std)]
-    np.testing.assert_allclose(slopes.strayed_m(columns, std)[0], np.transpose(tips) @ tips, rtol=1e-2, atol=1e-10)
-
-
 def test_eliminating_the_straying_is_generalised_least_squares():
     rng = np.random.default_rng(3)
     b, m, P, n = 6, 8, 5, 2
@@ -224,22 +212,6 @@ def test_eliminating_the_straying_is_generalised_least_squares():
     np.testing.assert_allclose(left[:, 0], flat.T @ W @ every, rtol=1e-8, atol=1e-8)
     assert reduced.square == pytest.approx(every @ W @ every, rel=1e-8)
     assert reduced.logdet == pytest.approx(np.linalg.slogdet(V)[1], rel=1e-8)
-
-
-def test_the_right_camera_moves_in_the_left_ones_axes_as_both_do():
-    rng = np.random.default_rng(4)
-    T = [RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng)) for _ in range(2)]
-    step = rng.normal(0.0, 1e-6, 12)
-
-    def stepped(T, s):
-        turn = Rotation.from_rotvec(s[3:]) * T.rotation
-        return RigidTransform.from_components(np.asarray(T.translation) + s[:3], turn)
-
-    before, after = T[0].inv() * T[1], stepped(T[0], step[:6]).inv() * stepped(T[1], step[6:])
-    moved = np.concatenate(
-        [after.translation - before.translation, (after.rotation * before.rotation.inv()).as_rotvec()]
-    )
-    np.testing.assert_allclose(moved, pair_slopes(*T) @ step, rtol=1e-4, atol=1e-11)
 
 
 def test_lights_that_pass_each_other_are_not_mixed_up():
@@ -274,19 +246,3 @@ def test_a_lamp_that_jumps_where_a_camera_is_hit_does_not_move_as_the_arm_does()
     assert not moves(lamp)
     assert moves(on_arm)
     assert not moves(lamp[:450])
-
-
-def test_the_lights_are_on_the_flange_whatever_tool_the_arms_file_has(cell):
-    model, x = cell
-    armed = replace(preset("ur5e"), T_flange_tool=RigidTransform.from_components([0.0, 0.1, 0.2], Rotation.identity()))
-    track = SpotTrack(
-        t_s=np.arange(0.0, 30.0, 1.0 / 30.0),
-        frame=np.zeros(0, np.intp),
-        names=(),
-        uv_px=np.zeros((0, 2)),
-        covariance_px2=np.zeros((0, 2, 2)),
-    )
-    log_s = np.arange(0.0, 32.0, 0.008)
-    other = recording_of(armed, Motion(t_s=log_s, q=moving(log_s)), (track, track), (SIZE, SIZE))
-    q = moving(np.array([3.0, 7.0]))
-    np.testing.assert_allclose(fk(other.arm, q), model.flange(x, q), atol=1e-12)

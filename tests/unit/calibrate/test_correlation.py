@@ -46,18 +46,6 @@ def test_each_models_fit_is_that_of_whole_matrices() -> None:
     assert found.correlation.n_effective == pytest.approx(weight @ worth, rel=1e-9)
 
 
-def test_what_is_claimed_of_a_mean_holds_where_errors_drift_altogether() -> None:
-    t = np.arange(400.0)
-    kept, z = np.exp(-1.0 / 40.0), []
-    for seed in range(40):
-        r = np.random.default_rng(seed).normal(size=(len(t), 3))
-        for i in range(1, len(t)):
-            r[i] = kept * r[i - 1] + np.sqrt(1.0 - kept**2) * r[i]
-        found = fit_averaged(r, np.tile(np.eye(3), (len(t), 1, 1)), t)
-        z.extend(found.step / np.sqrt(np.diag(found.C)))
-    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.2  # 1.5 where each model has white noise beside its drift
-
-
 def test_the_order_of_rows_plays_no_part_and_a_prior_counts_for_what_it_is() -> None:
     r, J, t, _ = drifting(1, 0.8, 2.0)
     order = np.random.default_rng(2).permutation(N)
@@ -89,10 +77,3 @@ def test_blocks_leave_out_what_is_near_in_time() -> None:
         assert np.abs(t[away][:, None] - t[inside]).min() >= 3.0 - 1e-9
     alone = time_blocks(t, Correlation(time_s=3.0, share=0.0, n_effective=121.0))
     assert all((inside | away).all() for inside, away in alone)
-
-
-def test_few_independent_poses_are_warned_of() -> None:
-    short = Correlation(time_s=4.0, share=0.9, n_effective=5.0)
-    assert "worth 5" in short.warnings(200)[0]
-    assert Correlation(time_s=0.1, share=0.2, n_effective=80.0).warnings(200) == ()
-    assert short.neighbours(0.0) == pytest.approx(0.9) and short.neighbours(4.0) == pytest.approx(0.9 / np.e)

@@ -91,7 +91,3 @@ def test_a_point_in_millimetres_is_refused_beside_poses_in_metres() -> None:
 @pytest.mark.parametrize("name", ["arm", "robot-world", "verify", "identify"])
 def test_an_arm_of_twenty_metres_is_none_in_millimetres(name: str) -> None:
     CASES[name](20.0)
-
-
-def test_a_tracker_far_from_a_map_s_origin_is_no_reason_to_refuse() -> None:
-    Measured(xyz_m=points(1.0).xyz_m + np.array([500e3, 5e6, 100.0]))

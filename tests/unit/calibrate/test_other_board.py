@@ -63,24 +63,9 @@ def test_gaps_of_an_aprilgrid_are_named_and_the_cure_works(true, said):
     assert found.camera.intrinsics[0] == pytest.approx(800.0, rel=5e-3)
 
 
-def test_markers_numbered_as_opencv_does_are_no_aprilgrid():
-    said = parse_board("aprilgrid:6x5:0.04:0.3")
-    grid = said.xyz_m.reshape(10, 6, 2, 3)[:, ::-1]
-    with refuses(Inconsistent, "GridBoard", "--board charuco"):
-        calibrate_camera(views(grid.reshape(-1, 3)), said, QUICK)
-    charuco = parse_board("charuco:8x6:0.04:0.03:DICT_4X4_50")
-    assert calibrate_camera(views(charuco.xyz_m), charuco, QUICK).rms_px < 0.06
-
-
 def test_points_that_are_no_such_board_are_refused_by_what_they_miss():
     board = parse_board("checkerboard:9x6:0.03")
     bent = board.xyz_m + np.random.default_rng(1).normal(0.0, 0.005, board.xyz_m.shape) * [1.0, 1.0, 0.0]
     with refuses(Inconsistent, "--board", "0.03 px"):
         calibrate_camera(views(bent), board, QUICK)
     assert calibrate_camera(views(board.xyz_m), board, QUICK).rms_px < 0.06
-
-
-def test_a_print_that_is_off_by_its_usual_share_is_calibrated():
-    board = parse_board("checkerboard:9x6:0.03")
-    off = board.xyz_m + np.random.default_rng(1).normal(0.0, 1.5e-4, board.xyz_m.shape) * [1.0, 1.0, 0.0]
-    assert calibrate_camera(views(off * [1.0, 1.0005, 1.0]), board, QUICK).n_used == 14

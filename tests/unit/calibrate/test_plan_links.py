@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from armsight.kinematics import PRESETS, Arm, Joint, JointType, in_convention, link_frames, preset
+from armsight.kinematics import Arm, Joint
 from armsight_lab.links import Links, Wall, _from_box
 from armsight_lab.links import apart as distance_apart
 
@@ -51,18 +50,6 @@ def test_distances_are_those_of_points_along_the_parts() -> None:
     assert np.allclose(found, apart, atol=4e-3) and (found < apart + 1e-9).all()
 
 
-@pytest.mark.parametrize("name", sorted(PRESETS))
-def test_the_chain_goes_through_the_frames_of_the_joints_along_the_axis_first(name: str) -> None:
-    arm = preset(name)
-    made = links(arm)
-    for q in np.random.default_rng(4).uniform(-1.0, 1.0, (3, arm.n)):
-        frames = link_frames(in_convention(arm.based(), "standard"), arm.values(q))[:-1]
-        chain = made.chain(q[None])[0]
-        assert np.allclose(chain[::2], frames[:, :3, 3], atol=1e-12)
-        along = chain[1::2] - chain[:-1:2]
-        assert np.abs(np.cross(along, frames[:-1, :3, 2])).max() < 1e-12
-
-
 def test_a_box_at_the_elbow_alone_is_kept_clear_of_and_the_link_is_named() -> None:
     up = np.array([0.0, HALF_PI, -HALF_PI, 0.0])  # upper arm upright, the elbow 0.9 m high, forearm level
     post = box((0.0, 0.0, 0.99), 0.04)
@@ -95,10 +82,3 @@ def test_an_arm_that_folds_onto_itself_is_told_and_what_is_next_to_each_other_is
     assert named(made, folded, 0) == {"base", "shoulder", "wrist", "flange"}
     assert made(np.array([STRAIGHT, folded])).tolist() == [True, False]
     assert links(radius_m=1e-3)(folded[None])[0]
-
-
-def test_a_joint_that_slides_takes_its_link_along() -> None:
-    slide = Joint(name="slide", type=JointType.PRISMATIC, alpha_rad=HALF_PI, upper=1.0)
-    arm = Arm(name="portal", joints=(slide, Joint(name="turn", a_m=0.5)))
-    made = links(arm, box((0.5, 0.0, 0.8), 0.05))
-    assert made(np.array([[0.2, 0.0], [0.8, 0.0]])).tolist() == [True, False]

@@ -35,8 +35,3 @@ def test_independent_rows_are_believed_as_they_are() -> None:
 def test_what_a_model_leaves_out_widens_what_is_believed() -> None:
     ratio = [np.sqrt(b[0, 0] / a[0, 0]) for a, b, _ in (fitted(seed, 6.0) for seed in range(20))]
     assert np.median(ratio) > 1.3
-
-
-def test_few_rows_are_believed_as_they_are() -> None:
-    a, b, _ = fitted(0, 6.0, rows=20)
-    assert np.array_equal(a, b)

@@ -71,9 +71,3 @@ def test_exchanged_columns_are_named_and_exchanging_them_is_the_cure():
     first, second = (int(name[1:]) - 1 for name in re.findall(r"j\d", caught.value.cure))
     read[:, [first, second]] = read[:, [second, first]]
     assert calibrate_arm(arm, ArmPoints(q=read, xyz_m=seen)).before.mean_m < 3e-4
-
-
-def test_rows_out_of_step_are_no_exchange():
-    arm = preset("ur5e")
-    q, seen = rows_of(arm)
-    assert other_senses(arm, ArmPoints(q=np.roll(q, 1, axis=0), xyz_m=seen)) is None

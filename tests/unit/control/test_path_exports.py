@@ -1,7 +1,6 @@
 """Programs for controllers: numbers worked out by hand, and read back by small parsers that share no code with them."""
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.paths import Program, krl, program_moves, python_module, rapid, urscript, with_approach
-from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.records import TaughtPath
 
 XYZ = [[0.4, 0.0, 0.2], [0.4, 0.1, 0.2], [0.404, 0.1, 0.2], [0.4, 0.1, -0.25]]
@@ -128,53 +127,6 @@ def test_rapid():
     assert text.replace("\r\n", "\n").replace("[9E9,9E9,9E9,9E9,9E9,9E9]", "AXES") == RAPID
 
 
-def turned(axis, angle):
-    """Rotation matrix about an axis by name, or (3, 3) of a rotation vector by Rodrigues' formula."""
-    if isinstance(axis, str):
-        axis = np.eye(3)["xyz".index(axis)]
-    K = np.cross(np.eye(3), axis)  # K v = axis x v
-    return np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
-
-
-def parsed_urscript(text):
-    for found in re.finditer(r"movel\(p\[([^]]*)\]", text):
-        values = np.array([float(part) for part in found[1].split(",")])
-        angle = np.linalg.norm(values[3:])
-        yield values[:3], turned(values[3:] / angle, angle) if angle else np.eye(3)
-
-
-def parsed_krl(text):
-    for line in text.splitlines():
-        if line.startswith("LIN"):
-            x, y, z, a, b, c = (float(part.split()[1]) for part in re.search(r"{(.*)}", line)[1].split(","))
-            a, b, c = np.radians([a, b, c])
-            yield np.array([x, y, z]) / 1e3, turned("z", a) @ turned("y", b) @ turned("x", c)
-
-
-def parsed_rapid(text):
-    for found in re.finditer(r"MoveL \[\[([^]]*)\],\[([^]]*)\]", text):
-        w, x, y, z = (float(part) for part in found[2].split(","))
-        assert abs(w * w + x * x + y * y + z * z - 1) < 1e-8
-        R = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-        yield np.array([float(part) for part in found[1].split(",")]) / 1e3, np.array(R)
-
-
-@pytest.mark.parametrize(("written", "parsed"), [(urscript, parsed_urscript), (krl, parsed_krl), (rapid, parsed_rapid)])
-def test_what_is_written_reads_back(written, parsed):
-    turns = Rotation.random(200, random_state=3)
-    turns = Rotation.concatenate([turns, Rotation.from_euler("ZYX", [[30, 90, 0], [0, -90, 20], [0, 0, 180]], True)])
-    xyz = np.random.default_rng(3).uniform(-2, 2, (len(turns), 3))
-    path = TaughtPath.of_poses(RigidTransform.from_components(xyz, turns), parent="base")
-    found = list(parsed(written(program(path, tool="t" if written is rapid else "1"))))
-    assert len(found) == len(path)
-    assert np.allclose([place for place, _ in found], xyz, rtol=0, atol=6e-7)
-    assert np.allclose([R for _, R in found], path.T_world_tip[:, :3, :3], rtol=0, atol=3e-6)
-
-
 def test_a_python_module_makes_the_same_path():
     made = {}
     exec(python_module(example(t_s=np.array([0.0, 0.1, np.nan, 0.3]))), made)
@@ -198,19 +150,12 @@ def test_an_approach_comes_slowly_along_the_tool():
     "wrong",
     [
         lambda: program_moves(replace(example(), parent="world"), speed_m_s=0.1),
-        lambda: program_moves(example()),
         lambda: program_moves(example(), speed_m_s=-1.0),
-        lambda: program_moves(example(), speed_m_s=0.1, blend_m=math.nan),
         lambda: program(name="1st"),
-        lambda: program(name="x" * 25),
         lambda: program(acceleration_m_s2=0.0),
-        lambda: program(acceleration_m_s2=500.0),
-        lambda: with_approach(example(), -0.1),
         lambda: krl(program(tool=None)),
-        lambda: krl(program(tool="torch")),
         lambda: krl(program(weld_output="arc")),
         lambda: rapid(program(tool="1")),
-        lambda: rapid(program(tool="t", weld_output="1;x")),
         lambda: urscript(program(weld_output="8")),
     ],
 )
@@ -219,24 +164,7 @@ def test_wrong_calls_are_refused(wrong):
         wrong()
 
 
-def test_paths_without_motion_are_refused():
-    one = TaughtPath.of_poses(example().poses[:1], parent="base")
-    with pytest.raises(NotEnoughData):
-        with_approach(one, 0.1)
-    with pytest.raises(Inconsistent):
-        program_moves(one, speed_m_s=0.1)
-
-
 def test_a_weld_that_is_never_switched_off_is_refused():
     assert program_moves(replace(example(), tags=("weld_on", "weld_off", "", "")), speed_m_s=0.1)
     with pytest.raises(Inconsistent):
         program_moves(replace(example(), tags=("weld_on", "weld_off", "weld_on", "")), speed_m_s=0.1)
-
-
-def test_tags_of_other_alphabets_become_ascii():
-    text = krl(program(program_path_with_tag("schweißen")))
-    assert text.isascii() and "; schwei?en" in text
-
-
-def program_path_with_tag(tag):
-    return replace(example(), tags=(tag, "", "", ""))

@@ -1,64 +1,53 @@
-"""Path tools against numbers worked out by hand, and the check of a path for an arm."""
+"""Path tools against numbers worked out by hand and the path before noise was put on it, and the check for an arm."""
 
+import itertools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard import Box, JointLimit, Limits
-from armsight.control.paths import PathTrouble, check_path, corners, filleted, resampled
-from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.control.paths import (
+    PathTrouble,
+    check_path,
+    corners,
+    filleted,
+    joined,
+    moved_by,
+    offset_along_tool,
+    outliers,
+    resampled,
+    reversed_path,
+    smoothed,
+    tilted,
+    without_rows,
+)
+from armsight.errors import Inconsistent, NotEnoughData
 from armsight.kinematics import pose, preset
 from armsight.records import TaughtPath
-from refusals import refuses
 
 DOWN = Rotation.from_rotvec([math.pi, 0.0, 0.0])
+TAGS = ("", "weld_on", "weld_off")
+LEGS = np.array([[0, 0, 0], [0.2, 0, 0], [0.15, 0.1, 0], [0.05, 0.1, 0], [0, 0, 0]])
 
 
-def path_through(xyz, rotation=None, **more):
-    xyz = np.asarray(xyz, float)
-    turns = Rotation.from_quat(np.tile(DOWN.as_quat(), (len(xyz), 1))) if rotation is None else rotation
-    return TaughtPath.of_poses(RigidTransform.from_components(xyz, turns), **more)
+def path_through(xyz, rotation=DOWN, **more):
+    turns = Rotation.from_quat(np.tile(rotation.as_quat(), (len(xyz), 1)))
+    path = TaughtPath.of_poses(RigidTransform.from_components(np.asarray(xyz, float), turns))
+    return replace(path, **more)
 
 
 L_SHAPE = path_through([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]])
+ALONG_X = path_through([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], tags=TAGS)
 
 
 def test_resampled_rows_are_even_and_the_corner_is_kept():
     made = resampled(L_SHAPE, 0.03)  # legs of 0.1 m: four steps of 0.025 m each
     x = [0, 0.025, 0.05, 0.075, 0.1, 0.1, 0.1, 0.1, 0.1]
     assert np.allclose(made.xyz_m, np.stack([x, x[:1] * 5 + [0.025, 0.05, 0.075, 0.1], [0] * 9], axis=1), atol=1e-15)
-
-
-def test_resampled_rotations_are_slerped_and_tags_stay():
-    turns = Rotation.from_rotvec([[0, 0, 0], [0, 0, 0.8], [0, 0, 0.8]])
-    path = replace(path_through([[0, 0, 0], [0.04, 0, 0], [0.07, 0, 0]], turns), tags=("", "weld_on", ""))
-    made = resampled(path, 0.02)
-    assert np.allclose(made.xyz_m[:, 0], [0, 0.02, 0.04, 0.055, 0.07])
-    assert np.allclose(made.poses.rotation.as_rotvec()[:, 2], [0, 0.4, 0.8, 0.8, 0.8])
-    assert made.tags == ("", "", "weld_on", "", "")
-
-
-def test_a_spline_is_nearer_to_a_circle_than_lines():
-    angle = np.linspace(0, math.pi, 13)
-    path = path_through(0.1 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1))
-    off = [np.abs(np.linalg.norm(resampled(path, 0.005, spline=s).xyz_m, axis=1) - 0.1).max() for s in (False, True)]
-    assert off[0] > 5e-4 and off[1] < 1e-4  # sagitta of 15 deg: 0.1 (1 - cos 7.5 deg) = 0.86 mm
-
-
-def test_corners_of_a_trapezium_are_found_through_noise():
-    legs = np.array([[0, 0, 0], [0.2, 0, 0], [0.15, 0.1, 0], [0.05, 0.1, 0], [0, 0, 0]])
-    dense = resampled(path_through(legs), 0.002, keep=(1, 2, 3))
-    noise = np.random.default_rng(4).normal(0, 1e-4, dense.xyz_m.shape)
-    found = corners(path_through(dense.xyz_m + noise))
-    assert len(found) == 3
-    assert np.linalg.norm(dense.xyz_m[list(found)] - legs[1:4], axis=1).max() < 0.005
-
-
-def test_a_straight_path_has_no_corner():
-    assert corners(path_through([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])) == ()
 
 
 def test_a_fillet_of_a_right_angle():
@@ -70,32 +59,133 @@ def test_a_fillet_of_a_right_angle():
     assert np.allclose(np.linalg.norm(arc - [0.08, 0.02, 0], axis=1), 0.02)
 
 
-def test_a_fillet_that_does_not_fit_is_refused():
-    with pytest.raises(Inconsistent, match="row 1"):
-        filleted(L_SHAPE, 0.11)
-    with pytest.raises(Inconsistent, match="overlap"):
-        filleted(path_through([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]), 0.06)
+def test_offset_goes_along_the_tool():
+    made = offset_along_tool(ALONG_X, -0.01)  # the tool points down: back is up
+    assert np.allclose(made.xyz_m, np.add(ALONG_X.xyz_m, [0, 0, 0.01])) and made.tags == TAGS
 
 
-def test_a_tag_at_a_corner_stays_on_the_arc():
-    made = filleted(replace(L_SHAPE, tags=("", "weld_on", "weld_off")), 0.02)
-    assert made.tags.index("weld_on") == 10 and made.tags[-1] == "weld_off"  # the middle of 19 rows
+def test_a_travel_angle_points_the_tool_ahead_and_keeps_the_tip():
+    made = tilted(ALONG_X, travel_rad=math.radians(15))
+    assert np.allclose(made.T_world_tip[:, :3, 2], [math.sin(math.radians(15)), 0, -math.cos(math.radians(15))])
+    assert np.array_equal(made.xyz_m, ALONG_X.xyz_m) and made.tags == TAGS
 
 
-@pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf])
-def test_a_step_that_is_no_length_is_refused(step):
-    with pytest.raises(UsageError):
-        resampled(L_SHAPE, step)
+def test_a_work_angle_turns_about_the_path():
+    made = tilted(ALONG_X, work_rad=math.radians(30))  # about +x: -z goes to +y
+    assert np.allclose(made.T_world_tip[:, :3, 2], [0, 0.5, -math.sqrt(0.75)])
 
 
-def test_paths_that_stand_are_refused():
-    with refuses(Inconsistent, "rows 0", "1"):
-        resampled(path_through([[0, 0, 0], [0, 0, 0], [1, 0, 0]]), 0.1)
+def test_reversal_welds_the_same_stretch_at_the_same_speed():
+    path = replace(ALONG_X, speed_m_s=np.array([0.1, 0.02, 0.1]), t_s=np.array([0.0, 1.0, 2.0]))
+    made = reversed_path(path)
+    assert made.tags == ("weld_on", "weld_off", "")
+    assert made.speed_m_s[:2].tolist() == [0.02, 0.1]  # the stretch from 0.1 to 0.2 m is still passed at 0.02 m/s
+    assert np.array_equal(made.xyz_m, path.xyz_m[::-1]) and np.isnan(made.t_s).all()
+
+
+def test_joining_leaves_the_double_row_out():
+    second = replace(path_through([[0.2, 0, 0], [0.2, 0.1, 0]]), tags=("", "end"))
+    made = joined(ALONG_X, second)
+    assert made.xyz_m.tolist() == [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.2, 0.1, 0]]
+    assert made.tags == (*TAGS, "end")
+
+
+@pytest.mark.parametrize(
+    "second",
+    [
+        path_through([[0.202, 0, 0], [0.3, 0, 0]]),
+        path_through([[0.2, 0, 0], [0.3, 0, 0]], Rotation.identity()),
+        replace(path_through([[0.2, 0, 0], [0.3, 0, 0]]), parent="base"),
+        replace(path_through([[0.2, 0, 0], [0.3, 0, 0]]), tags=("weld_on", "")),
+    ],
+    ids=["apart", "turned", "other frame", "two tags"],
+)
+def test_ends_that_do_not_meet_are_refused(second):
+    with pytest.raises(Inconsistent):
+        joined(ALONG_X, second)
+
+
+def circle(rows=400):
+    angle = np.linspace(0.0, 1.8 * math.pi, rows)
+    return path_through(0.1 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
+
+
+def trapezium():
+    return resampled(path_through(LEGS), 0.002, keep=(1, 2, 3))
+
+
+def noisy(path, sigma_m, sigma_rad=0.0, seed=5):
+    rng = np.random.default_rng(seed)
+    T = path.T_world_tip.copy()
+    T[:, :3, 3] += rng.normal(0.0, sigma_m, (len(path), 3))
+    turn = Rotation.from_rotvec(rng.normal(0.0, sigma_rad, (len(path), 3)))
+    T[:, :3, :3] = (path.poses.rotation * turn).as_matrix()
+    return replace(path, T_world_tip=T)
+
+
+def error_m(path, truth):
+    """RMS distance of the rows from the truth's line; noise along the line is no error of its shape."""
+    line = np.concatenate([np.linspace(a, b, 200, endpoint=False) for a, b in itertools.pairwise(truth.xyz_m)])
+    return math.sqrt(np.mean(cKDTree(line).query(path.xyz_m)[0] ** 2))
+
+
+@pytest.mark.parametrize("truth", [circle(), trapezium()], ids=["circle", "trapezium"])
+def test_smoothing_brings_a_path_nearer_to_the_truth(truth):
+    taught = noisy(truth, 1e-4, 2e-3)
+    made = smoothed(taught)
+    assert error_m(made, truth) < 0.6 * error_m(taught, truth)
+    assert np.mean(moved_by(truth, made)[1] ** 2) < 0.36 * np.mean(moved_by(truth, taught)[1] ** 2)
+
+
+@pytest.mark.parametrize("bound_m", [5e-4, 1e-4, 3e-5])
+def test_no_row_moves_or_turns_beyond_the_bounds(bound_m):
+    taught = noisy(trapezium(), 2e-4, 5e-3)
+    way, turn = moved_by(taught, smoothed(taught, bound_m=bound_m, bound_rad=2e-3))
+    assert 0.0 < way.max() <= bound_m * (1 + 1e-9) and 0.0 < turn.max() <= 2e-3 * (1 + 1e-9)
+
+
+def test_corners_stay_sharp():
+    made = smoothed(noisy(trapezium(), 1e-4))
+    rows = corners(made)
+    assert len(rows) == 3
+    for row, corner in zip(rows, LEGS[1:4], strict=True):
+        assert np.linalg.norm(made.xyz_m[row] - corner) < 5e-4  # a corner rounded over the window would be 2 mm off
+
+
+def spoiled(path, rows, by_m=0.0, by_rad=0.0):
+    T = path.T_world_tip.copy()
+    T[rows, :3, 3] += [0.0, 0.6 * by_m, 0.8 * by_m]
+    T[rows, :3, :3] = T[rows, :3, :3] @ Rotation.from_rotvec([by_rad, 0.0, 0.0]).as_matrix()
+    return replace(path, T_world_tip=T)
+
+
+@pytest.mark.parametrize("truth", [circle(), trapezium()], ids=["circle", "trapezium"])
+def test_outliers_are_found_and_no_other_row(truth):
+    rows = [0, 40, 41, 90, 150]  # an end, two in a row, one alone, one more
+    found = outliers(spoiled(noisy(truth, 1e-4), rows, by_m=5e-3))
+    assert [outlier.row for outlier in found] == rows
+    assert all(4e-3 < outlier.off_m < 6e-3 for outlier in found) and "row 40 is" in found[1].text
+
+
+def test_a_start_after_a_stop_is_no_outlier():
+    s = np.concatenate([np.zeros(30), 0.004 * np.arange(60)])
+    path = noisy(path_through(np.stack([s, 0 * s, 0 * s], axis=1)), 5e-5)
+    assert outliers(replace(path, t_s=0.03 * np.arange(90))) == ()
+
+
+def test_rows_taken_out_leave_their_tags():
+    path = replace(circle(12), tags=("",) * 4 + ("weld_on",) + ("",) * 7)
+    made = without_rows(path, [4])
+    assert len(made) == 11 and made.tags[3] == "weld_on"
+    with pytest.raises(Inconsistent):
+        without_rows(replace(path, tags=("",) * 3 + ("weld_off", "weld_on") + ("",) * 7), [4])
     with pytest.raises(NotEnoughData):
-        resampled(path_through([[0, 0, 0]]), 0.1)
+        without_rows(path, range(11))
 
 
 ARM = preset("irb120")
+
+
 HOME = np.array([0.1, 0.2, 0.1, 0.2, 0.9, 0.3])
 
 
@@ -153,17 +243,3 @@ def test_a_singular_path_is_told():
     q[:, 4] = np.linspace(0.1, -0.1, 11)
     check = check_path(TaughtPath.of_poses(pose(ARM, q)), ARM, Limits(), start=q[0])
     assert PathTrouble.SINGULAR in troubles(check)
-
-
-def test_the_world_is_moved_into_the_base():
-    T = RigidTransform.from_components([0.0, 0.0, 5.0], Rotation.identity())
-    path = TaughtPath.of_poses(T * line().poses)
-    assert PathTrouble.UNREACHED in troubles(check_path(path, ARM, Limits(), start=HOME))
-    assert check_path(path, ARM, Limits(), T_base_world=T.inv(), start=HOME).ok
-
-
-def test_wrong_calls_are_refused():
-    with pytest.raises(UsageError):
-        check_path(line(), ARM, Limits(), speed_m_s=-1.0)
-    with pytest.raises(UsageError):
-        check_path(replace(line(), parent="camera"), ARM, Limits())

@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.clock import ManualClock
-from armsight.control.guard import Guard, Limits
-from armsight.control.loop import ControlLoop
+from armsight.control.guard import Limits
 from armsight.control.play import CameraPlacement, PathSource, PlaySettings, PlayWatch, Weave, plan_path
-from armsight.control.play.timing import StraightSegment
 from armsight.control.servo import Mount
 from armsight.control.setpoints import CycleState, Finished, Hold, ToolPose
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import presets
-from armsight.ops.robot.opening import arm_of, open_robot
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 from refusals import refuses
 
@@ -88,12 +84,6 @@ def test_weaves() -> None:
     assert not Weave.parse("none").offset_m(s).any()
 
 
-@pytest.mark.parametrize("text", ["", "sine", "sine:1", "sine:a:b", "circle:1:2", "none:1:2", "sine:0.001:0"])
-def test_what_is_no_weave_is_refused(text: str) -> None:
-    with pytest.raises(UsageError):
-        Weave.parse(text)
-
-
 def test_the_tip_goes_to_the_start_along_the_tools_axis_then_along_the_path_and_ends() -> None:
     source = planned(through([[0.02, 0.0, 0.03], [0.05, 0.0, 0.03]]))
     follower = Follower(source)
@@ -109,15 +99,15 @@ def test_the_tip_goes_to_the_start_along_the_tools_axis_then_along_the_path_and_
     assert source.progress.stage == "finished" and source.progress.share == 1.0
 
 
-def test_a_pause_rests_on_the_path_and_an_override_slows_it() -> None:
-    source = planned(override=0.5)
+def test_a_pause_rests_on_the_path_with_the_weld_off_and_an_override_slows_it() -> None:
+    source = planned(replace(LINE, tags=("weld_on", "")), override=0.5)
     follower = Follower(source)
     follower.until(lambda _: source.progress.s_m > 0.01)
-    assert source.progress.speed_m_s == pytest.approx(0.025, rel=1e-3)
+    assert source.progress.speed_m_s == pytest.approx(0.025, rel=1e-3) and source.progress.welding
     source.pause()
     follower.until(lambda _: source.progress.speed_m_s == 0.0)
     rests_at = source.progress.s_m
-    assert 0.01 < rests_at < 0.02 and source.progress.paused
+    assert 0.01 < rests_at < 0.02 and source.progress.paused and not source.progress.welding
     for _ in range(20):
         follower.cycle()
     assert source.progress.s_m == rests_at
@@ -147,22 +137,6 @@ def test_after_a_hold_the_tip_comes_back_to_the_path_before_it_goes_on() -> None
     assert np.abs(tips[back:, 1]).max() < 1e-6
 
 
-def test_an_arm_that_lags_behind_makes_the_path_wait() -> None:
-    source = planned()
-    follower = Follower(source)
-    follower.until(lambda _: source.progress.s_m > 0.01)
-    stuck = follower.T
-    for _ in range(100):
-        follower.cycle()
-        follower.T = stuck
-    waits_at = source.progress.s_m
-    assert source.progress.waiting and waits_at < 0.025
-    follower.cycle()
-    follower.T = stuck
-    assert source.progress.s_m == waits_at
-    follower.until(lambda wanted: isinstance(wanted, Finished))
-
-
 def test_an_arm_far_from_the_path_is_not_brought_back() -> None:
     source = planned()
     follower = Follower(source)
@@ -172,19 +146,6 @@ def test_an_arm_far_from_the_path_is_not_brought_back() -> None:
     follower.running, follower.T = True, follower.T * RigidTransform.from_translation([0.0, 0.0, -0.05])
     wanted = follower.cycle()
     assert isinstance(wanted, Hold) and "50 mm" in wanted.why
-
-
-def test_an_enable_that_is_let_go_of_again_and_again_is_no_refusal() -> None:
-    source = planned()
-    follower = Follower(source)
-    follower.until(lambda _: source.progress.s_m > 0.01)
-    follower.refused = False
-    for _ in range(20):
-        follower.running = not follower.running
-        wanted = follower.cycle()
-        assert not (isinstance(wanted, Hold) and wanted.why)
-    follower.running = True
-    follower.until(lambda wanted: isinstance(wanted, Finished))
 
 
 def test_a_place_that_the_guard_refuses_again_and_again_is_given_up_until_it_is_resumed() -> None:
@@ -210,13 +171,8 @@ def test_a_place_that_the_guard_refuses_again_and_again_is_given_up_until_it_is_
 @pytest.mark.parametrize(
     ("path", "why"),
     [
-        (through([[0.0, 0.0, 0.0], [0.001, 0.0, 0.0], [0.002, 0.0, 0.0], [0.1, 0.0, 0.0]]), ("jumps", "98 mm")),
-        (through([[0.001 * k, 0.02 * (k == 12), 0.0] for k in range(30)]), ("jumps", "20 mm", "back", "row 12")),
         (through([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]), "run it"),
-        (
-            through([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]], turn=Rotation.from_rotvec([0.0, 3.0, 0.0])),
-            "run",
-        ),
+        (through([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]], turn=Rotation.from_rotvec([0.0, 3.0, 0.0])), "run"),
     ],
 )
 def test_what_cannot_be_run_is_refused_before_any_motion(path: TaughtPath, why: str) -> None:
@@ -241,17 +197,6 @@ def test_a_turn_over_is_refused_and_one_place_is_no_path() -> None:
         plan_path(along, ARM, Limits(), Q, replace(FAST, weave=Weave.parse("sine:0.001:0.01")))
 
 
-def test_corners_are_rounded_by_what_the_plan_tells_and_ends_stay() -> None:
-    corner = through([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.03, 0.03, 0.0]])
-    plan = plan_path(corner, ARM, Limits(), Q, replace(FAST, blend_m=0.004))
-    places = STAND.inv().apply(plan.paced_m)
-    off = np.linalg.norm(places - [0.03, 0.0, 0.0], axis=1).min()
-    assert 2e-4 < plan.rounded_m < 8e-4
-    assert off == pytest.approx(plan.rounded_m, rel=0.03)  # between two samples
-    assert np.allclose(places[[0, -1]], [[0.0, 0.0, 0.0], [0.03, 0.03, 0.0]], atol=1e-12)
-    assert plan.speed_m_s.min() < 0.9 * 0.05 and "mm/s at 0.0" in plan.slowest  # slower about the corner
-
-
 def test_the_weave_is_between_weld_on_and_weld_off() -> None:
     tags = ("", "weld_on", "weld_off", "")
     path = through([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.06, 0.0, 0.0], [0.08, 0.0, 0.0]], tags=tags)
@@ -266,45 +211,6 @@ def test_the_weave_is_between_weld_on_and_weld_off() -> None:
     assert source.progress.welding
     follower.until(lambda _: source.progress.s_m > 0.065)
     assert not source.progress.welding
-
-
-def test_a_leg_turns_evenly() -> None:
-    end = STAND * RigidTransform.from_components([0.01, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.0, 1.0]))
-    leg = StraightSegment(STAND, end, 0.02)
-    assert leg.length_m == pytest.approx(0.1)  # ARM_M for a radian
-    assert np.allclose(leg.pose(leg.duration_s).as_matrix(), end.as_matrix())
-    assert (leg.pose(0.5 * leg.duration_s).rotation * STAND.rotation.inv()).magnitude() == pytest.approx(0.5)
-    speed = [leg.along(t_s)[1] for t_s in np.linspace(0.0, leg.duration_s, 101)]
-    assert max(speed) == pytest.approx(0.02) and speed[0] == speed[-1] == 0.0
-
-
-def test_a_weave_on_the_true_arm_is_within_a_third_of_a_millimetre() -> None:
-    clock = ManualClock()
-    tip = RigidTransform.from_translation([0.0, 0.0, 0.1])
-    with open_robot("sim:webcam-cell", clock) as robot:
-        clock.advance(0.04)
-        robot.true = robot.nominal  # an arm that is calibrated without a rest: what is left is the drives'
-        arm = replace(arm_of(robot, None), T_flange_tool=tip)
-        q = robot.step_joints(np.zeros(6)).q
-        stand = arm.T_world_base.inv() * RigidTransform.from_matrix(arm.fk(arm.values(q)))
-        path = through([[0.0, 0.0, 0.02], [0.03, 0.0, 0.02]], stand=stand)
-        settings = PlaySettings(speed_m_s=0.01, retract_m=0.01, weave=Weave.parse("sine:0.002:0.01"))
-        plan = plan_path(path, arm, Limits(), q, settings)
-        source = PathSource(plan)
-        loop = ControlLoop(robot, Guard(arm, Limits(), robot.cycle_s), source, clock, enabled=lambda: True)
-        tips, states = [], set()
-
-        def until(status) -> bool:
-            states.add((status.guard.value, status.limited))
-            if 0.002 < source.progress.s_m < 0.0299:
-                tips.append((robot.true_flange(status.t_s) * tip).translation)
-            return status.finished
-
-        loop.run(for_s=30.0, until=until)
-    off = np.array([np.linalg.norm(plan.tip_m - place, axis=1).min() for place in tips])
-    assert np.sqrt(np.mean(off**2)) < 3e-4
-    assert states == {("running", ())}  # just so, at every cycle
-    assert source.progress.stage == "finished"
 
 
 def swung(mount: Mount, wrong: RigidTransform, late_s: float = 0.0) -> tuple[PlayWatch, float]:
@@ -358,7 +264,6 @@ def swung(mount: Mount, wrong: RigidTransform, late_s: float = 0.0) -> tuple[Pla
     ("axis", "deg", "late_s", "cause", "word"),
     [
         ("z", 180.0, 0.0, "hand-eye", "180 deg about their z"),
-        ("y", 90.0, 0.0, "hand-eye", "90 deg about their y"),
         ("x", 20.0, 0.0, "hand-eye", "deg about their"),
         ("x", 0.0, 0.5, "pictures", ""),
         ("x", 0.5, 0.03, None, ""),  # as good as hand-eye calibrations and --latency are

@@ -7,11 +7,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.teach import CarriedRig, PathRecorder, StandingRig, Teaching
-from armsight.errors import NotEnoughData, StaleData, UsageError
+from armsight.errors import StaleData
 from armsight.kinematics import presets
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
-from refusals import refuses
 
 T_WORLD_RIG = RigidTransform.from_components([1.0, 2.0, 0.5], Rotation.from_rotvec([0.0, 0.0, np.pi / 2]))
 TIP = RigidTransform.from_translation([0.0, 0.0, 0.1])
@@ -44,21 +43,6 @@ def test_the_tip_is_told_in_world() -> None:
     assert path.parent == "world"
     assert np.allclose(recorder.targets()[1].T_parent_target[:3, 3], [1.0, 2.1, 1.1])
     assert np.allclose(recorder.tip.translation, [1.0, 2.1, 1.2])
-
-
-def test_frames_without_a_whole_pose_are_counted_and_not_recorded() -> None:
-    recorder = standing()
-    led(recorder, [0.0])  # before the start
-    recorder.start()
-    led(recorder, [0.1, 0.2])
-    led(recorder, [0.3], status=PoseStatus.POSITION_ONLY)
-    led(recorder, [0.4, 0.5], status=PoseStatus.LOST)
-    led(recorder, [0.55], status=PoseStatus.DOUBTFUL)
-    led(recorder, [0.6])
-    counts = recorder.counts
-    assert recorder.path().t_s.tolist() == [0.1, 0.2, 0.6]
-    assert (counts.ok, counts.position_only, counts.lost, counts.unplaced) == (3, 1, 2, 0)
-    assert counts.doubtful == 1
 
 
 def test_a_vector_is_the_last_of_its_frames_or_their_mean_and_spans_no_lost_one() -> None:
@@ -106,18 +90,6 @@ def test_tags_are_of_the_row_where_the_tip_is() -> None:
     led(recorder, [0.3, 0.4])
     recorder.tag("end")
     assert recorder.path().tags == ("", "weld_on", "weld_off", "next", "end")
-
-
-def test_what_is_no_path_is_refused() -> None:
-    recorder = standing()
-    recorder.start()
-    led(recorder, [0.0])
-    with pytest.raises(NotEnoughData, match="1 poses"):
-        recorder.path()
-    with refuses(UsageError, "one word"):
-        recorder.tag("two words")
-    with pytest.raises(UsageError, match="every 0"):
-        standing(every=0)
 
 
 def test_a_carried_rig_is_where_the_joints_were_at_the_exposure() -> None:

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import CameraSettings, OpenCvCamera, open_source
+from armsight.drivers import CameraSettings, OpenCvCamera
 from armsight.drivers.live import SETTLED
-from armsight.errors import DeviceFailed, UsageError
-from armsight.ops.sources.cameras import open_rig
-from armsight.optics import SIDES
+from armsight.errors import DeviceFailed
 from refusals import refuses
 
 ALL = CameraSettings(exposure_s=0.004, gain=20.0, focus=35.0, white_balance_k=4600.0)
@@ -81,22 +79,12 @@ def test_everything_asked_for_is_set_with_its_automatic_off() -> None:
     }
 
 
-def test_nothing_is_touched_where_nothing_is_asked_for() -> None:
-    wire = Wire()
-    with camera(wire, CameraSettings()) as source:
-        next(iter(source))
-    assert wire.sets == 0
-
-
 @pytest.mark.parametrize(
     ("stubborn", "flag"),
     [
         ({cv2.CAP_PROP_AUTO_EXPOSURE: 3.0}, "--exposure stays automatic"),
         ({cv2.CAP_PROP_EXPOSURE: 333.0}, "--exposure reads back 0.0333"),
-        ({cv2.CAP_PROP_GAIN: 64.0}, "--gain reads back 64 where 20"),
-        ({cv2.CAP_PROP_AUTOFOCUS: 1.0}, "--focus stays automatic"),
         ({cv2.CAP_PROP_FOCUS: 0.0}, "--focus reads back 0"),
-        ({cv2.CAP_PROP_AUTO_WB: 1.0}, "--white-balance stays automatic"),
         ({cv2.CAP_PROP_WB_TEMPERATURE: -1.0}, "--white-balance reads back -1"),
     ],
 )
@@ -114,49 +102,3 @@ def test_a_camera_that_takes_to_its_automatic_while_it_runs_is_found_out() -> No
     wire = Wire(later={cv2.CAP_PROP_AUTO_EXPOSURE: 3.0})
     with refuses(DeviceFailed, "--exposure", "automatic"), camera(wire) as source:
         list(islice(source, SETTLED + 1))
-
-
-def test_exposures_between_two_steps_of_the_driver_are_taken() -> None:
-    wire = Wire()
-    with camera(wire, CameraSettings(exposure_s=0.00026)):
-        pass
-    assert wire.values[cv2.CAP_PROP_EXPOSURE] == 3.0
-
-
-def test_an_exposure_is_refused_where_its_unit_is_not_known() -> None:
-    wire = Wire()
-    wire.getBackendName = lambda: "MSMF"  # type: ignore[method-assign]
-    with refuses(DeviceFailed, "MSMF"), camera(wire):
-        pass
-    assert wire.sets == 0
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"exposure_s": 0.0},
-        {"exposure_s": float("nan")},
-        {"gain": float("inf")},
-        {"zoom": float("nan")},
-        {"white_balance_k": -1.0},
-    ],
-)
-def test_values_that_no_camera_has_are_wrong_usage(wrong: dict[str, float]) -> None:
-    with refuses(UsageError, f"{next(iter(wrong.values())):g}"):
-        CameraSettings(**wrong)
-
-
-def test_settings_that_a_driver_has_not_are_wrong_usage_that_names_those_it_has() -> None:
-    with pytest.raises(UsageError, match="--trigger") as info:
-        OpenCvCamera("0", settings=CameraSettings(trigger="Line1"))
-    assert "--exposure, --gain, --focus, --white-balance" in info.value.cure
-    with pytest.raises(UsageError, match="--exposure"):
-        open_source("camera:sim:webcam-cell:left", settings=CameraSettings(exposure_s=0.004))
-
-
-def test_files_have_no_settings() -> None:
-    for text in ("folder", "film.avi"):
-        with refuses(UsageError, "--gain", "live"):
-            open_source(text, settings=CameraSettings(gain=1.0))
-    with refuses(UsageError, "--gain", "live"):
-        open_rig(SIDES, "left", "right", settings=CameraSettings(gain=1.0))

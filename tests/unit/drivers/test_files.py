@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.drivers import FileMoments, ImageFolder, OneImage, VideoFile, open_source, ordered_map
-from armsight.errors import BadImage, Inconsistent, UsageError
+from armsight.drivers import FileMoments, ImageFolder, VideoFile, open_source, ordered_map
+from armsight.errors import BadImage, Inconsistent
 from armsight.ops.sources.cameras import open_rig
 from armsight.optics import SIDES
 from refusals import refuses
@@ -46,38 +46,13 @@ def test_an_image_of_another_size_stops_the_source_and_names_both(tmp_path: Path
             next(frames)
 
 
-def test_frames_before_a_truncated_one_are_delivered(tmp_path: Path) -> None:
-    source = folder_of(tmp_path / "a", numbered(*range(6)))
-    (tmp_path / "a" / "shot4.png").write_bytes(b"\x89PNG")
-    got = []
-    with pytest.raises(BadImage, match="shot4"), source:
-        got.extend(frame.sequence for frame in source)
-    assert got == [0, 1, 2, 3]
-
-
 @pytest.mark.parametrize(
     ("left", "right", "text"),
-    [
-        ((1, 2, 3), (1, 2), ("3 images", "2", "shot3.png")),
-        ((1, 3), (1, 2, 3), ("2 images", "3", "shot2.png")),
-        ((1, 2, 4), (1, 2, 3), ("partner", "shot3.png")),
-    ],
+    [((1, 2, 3), (1, 2), ("3 images", "2", "shot3.png")), ((1, 2, 4), (1, 2, 3), ("partner", "shot3.png"))],
 )
 def test_unpaired_images_are_refused_before_anything_is_read(tmp_path: Path, left, right, text) -> None:
     pairs = FileMoments(folder_of(tmp_path / "left", numbered(*left)), folder_of(tmp_path / "right", numbered(*right)))
     with refuses(Inconsistent, text), pairs:
-        pass
-
-
-def test_names_with_nothing_in_common_are_paired_by_position(tmp_path: Path) -> None:
-    left = folder_of(tmp_path / "left", ["1700000001.png", "1700000101.png"])
-    right = folder_of(tmp_path / "right", ["1700000003.png", "1700000104.png"])
-    with FileMoments(left, right) as pairs:
-        assert len(list(pairs)) == 2
-    with (
-        refuses(Inconsistent, "2 images", "1"),
-        open_rig(SIDES, str(tmp_path / "left"), str(tmp_path / "right" / "*03.png")),
-    ):
         pass
 
 
@@ -130,31 +105,8 @@ def test_times_replace_the_rate_and_must_be_as_many_as_the_frames(tmp_path: Path
             pass
     video = video_of(tmp_path / "film.avi", 5)
     for count in (4, 6):
-        with (
-            open_source(str(video), times_s=np.arange(count)) as frames,
-            refuses(Inconsistent, "time stamps"),
-        ):
+        with open_source(str(video), times_s=np.arange(count)) as frames, refuses(Inconsistent, "time stamps"):
             list(frames)
-
-
-def test_an_image_of_both_views_must_have_the_rig_s_size(tmp_path: Path) -> None:
-    source = folder_of(tmp_path / "a", numbered(1))
-    with OneImage(source, (30, 40), (30, 40)) as pairs:
-        ((left, right),) = list(pairs)
-    assert left.image.shape == right.image.shape == (40, 30)
-    with OneImage(source, (40, 40), (40, 40)) as pairs, refuses(Inconsistent, "60x40", "80x40"):
-        list(pairs)
-
-
-def test_sources_that_cannot_be_what_is_meant_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="both"):
-        open_rig(SIDES, "a", "a")
-    with refuses(UsageError, "camera:0", "put together", "live"):
-        open_rig(SIDES, "camera:0", "a")
-    with refuses(UsageError, "time stamps"):
-        open_source("camera:0", times_s=[1.0])
-    with pytest.raises(UsageError, match="recording"):
-        open_source("run.mcap")
 
 
 def test_ordered_map_keeps_order_bounds_what_waits_and_raises_in_place() -> None:

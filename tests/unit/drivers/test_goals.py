@@ -65,9 +65,3 @@ def test_nonsense_is_refused(step: np.ndarray, kind: type[ArmsightError]) -> Non
     with refuses(kind, "step") as refused:
         goals(np.zeros(3)).step(step, np.zeros(3))
     assert refused.value.consequence.startswith("Nothing was")
-
-
-@pytest.mark.parametrize(("lower", "speed"), [([0.0, 0.0, 2.0], 1.0), ([0.0, 0.0], 1.0), ([0.0, 0.0, 0.0], 0.0)])
-def test_limits_that_cannot_be_are_refused(lower: list[float], speed: float) -> None:
-    with pytest.raises(UsageError):
-        JointLimits(lower=np.array(lower), upper=np.ones(3), max_speed=np.full(3, speed))

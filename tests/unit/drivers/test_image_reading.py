@@ -12,9 +12,6 @@ from armsight.drivers import ImageReading, open_source
 from armsight.drivers.images import read_image
 from armsight.errors import BadImage, UsageError
 from armsight.ops.calibration.board_images import see_board
-from armsight.ops.sources.cameras import open_rig
-from armsight.ops.sources.frames import open_source as open_any
-from armsight.optics import SIDES
 from armsight.records import NotSeen, TargetKind, board_target
 from refusals import names_it, refuses
 
@@ -53,15 +50,6 @@ def test_bits_are_asked_for_and_checked_against_the_image(tmp_path: Path) -> Non
             ImageReading(bits=bits)
 
 
-def test_bits_are_for_image_files(tmp_path: Path) -> None:
-    reading = ImageReading(bits=12)
-    for text in ("camera:0", "film.avi", "run.mcap", "bag:run.bag:/left"):
-        with refuses(UsageError, "--bits", "image files"):
-            open_any(text, reading=reading)
-    with refuses(UsageError, "--bits", "image files"):
-        open_rig(SIDES, "camera:0", "camera:1", reading=reading)
-
-
 @pytest.mark.parametrize("broken", [0, 1])
 def test_a_file_among_others_that_cannot_be_read_says_so_and_the_rest_goes_on(tmp_path: Path, broken: int) -> None:
     for i in range(3):
@@ -79,22 +67,3 @@ def test_a_file_among_others_that_cannot_be_read_says_so_and_the_rest_goes_on(tm
     assert names_it(seen.why, "whole image", "breaks off")
     with open_source(str(tmp_path)) as source, refuses(BadImage, "whole image"):
         list(source)
-
-
-def test_nothing_but_files_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "a.png").write_bytes(b"nothing")
-    with open_source(str(tmp_path), reading=LENIENT) as source, refuses(BadImage, "whole image"):
-        list(source)
-
-
-def test_depth_that_is_not_told_stops_even_a_lenient_run(tmp_path: Path) -> None:
-    deep(tmp_path / "a.png", 12)
-    with open_source(str(tmp_path), reading=LENIENT) as source, refuses(BadImage, "says"):
-        list(source)
-
-
-def test_only_the_files_named_are_opened(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "a.png"), np.full((48, 64), 90, np.uint8))
-    (tmp_path / "notes.png").write_bytes(b"nothing")
-    with open_source(str(tmp_path), reading=ImageReading(only=frozenset({"a.png"}))) as source:
-        assert [Path(frame.source).name for frame in source] == ["a.png"]

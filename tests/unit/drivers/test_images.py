@@ -10,10 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from armsight.drivers import list_images, read_image
+from armsight.drivers import read_image
 from armsight.drivers.images import natural_key
-from armsight.errors import BadFile, BadImage, DataRefused, NotEnoughData
-from refusals import refuses
+from armsight.errors import BadImage, DataRefused
 
 NOISE = np.random.default_rng(5).integers(0, 256, (60, 80), dtype=np.uint8)
 
@@ -31,17 +30,6 @@ def test_natural_order() -> None:
     ]
 
 
-def test_a_folder_and_a_pattern_list_only_images(tmp_path: Path) -> None:
-    for name in ("b2.png", "b10.PNG", "a.jpg", "notes.txt", ".hidden.png"):
-        (tmp_path / name).write_bytes(b"")
-    assert [path.name for path in list_images(str(tmp_path))] == ["a.jpg", "b2.png", "b10.PNG"]
-    assert [path.name for path in list_images(str(tmp_path / "b*"))] == ["b2.png", "b10.PNG"]
-    with refuses(NotEnoughData, "no image"):
-        list_images(str(tmp_path / "c*"))
-    with refuses(BadFile, "neither"):
-        list_images(str(tmp_path / "c"))
-
-
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tiff", ".webp", ".pgm"])
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.97])
 def test_a_truncated_image_is_refused_by_name(tmp_path: Path, suffix: str, share: float) -> None:
@@ -55,18 +43,6 @@ def test_a_truncated_image_is_refused_by_name(tmp_path: Path, suffix: str, share
     assert "again" in info.value.cure
 
 
-def test_a_jpeg_with_a_preview_inside_is_still_found_truncated(tmp_path: Path) -> None:
-    preview = cv2.imencode(".jpg", NOISE[:8, :8])[1].tobytes()
-    data = cv2.imencode(".jpg", NOISE)[1].tobytes()
-    block = b"\xff\xe5" + (len(preview) + 2).to_bytes(2, "big") + preview
-    path = tmp_path / "telephone.jpg"
-    path.write_bytes(data[:2] + block + data[2:])
-    assert read_image(path).shape == NOISE.shape
-    path.write_bytes((data[:2] + block + data[2:])[:-40])
-    with pytest.raises(BadImage):
-        read_image(path)
-
-
 def test_sixteen_bits_are_refused_and_colour_is_kept_on_request(tmp_path: Path) -> None:
     path = tmp_path / "deep.png"
     cv2.imwrite(str(path), NOISE.astype(np.uint16) * 16)
@@ -77,26 +53,7 @@ def test_sixteen_bits_are_refused_and_colour_is_kept_on_request(tmp_path: Path) 
     assert read_image(path).shape == (60, 80)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    head=st.sampled_from(
-        [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"BM", b"II*\x00", b"RIFF\x10\x00\x00\x00WEBP"]
-    ),
-    body=st.binary(max_size=400),
-    suffix=st.sampled_from([".png", ".jpg", ".tif"]),
-)
-def test_bytes_by_chance_never_crash_the_reader(tmp_path: Path, head: bytes, body: bytes, suffix: str) -> None:
-    path = tmp_path / f"chance{suffix}"
-    path.write_bytes(head + body)
-    try:
-        image = read_image(path)
-    except DataRefused as error:
-        assert str(path) in error.cause
-    else:
-        assert image.dtype == np.uint8
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.floats(0.0, 1.0, exclude_max=True), value=st.integers(0, 255), suffix=st.sampled_from([".png", ".jpg"]))
 def test_a_flipped_byte_never_crashes_the_reader(tmp_path: Path, place: float, value: int, suffix: str) -> None:
     data = bytearray(cv2.imencode(suffix, NOISE)[1].tobytes())

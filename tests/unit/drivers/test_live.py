@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import OpenCvCamera, TimedMoments, known, load
-from armsight.drivers import live as live_module
-from armsight.drivers.opening import CAMERAS
-from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
+from armsight.drivers import OpenCvCamera, TimedMoments
+from armsight.errors import DeviceLost
 from armsight.records import Frame
 from refusals import refuses
 
@@ -67,33 +64,6 @@ def test_a_camera_unplugged_midway_is_lost_after_its_last_frames() -> None:
     assert "cable" in info.value.cure
 
 
-def test_a_camera_that_is_not_there_is_answered_with_those_that_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_module, "cameras_there", lambda: ("camera:0", "camera:2"))
-    wire = Wire(0, opened=False)
-    camera = OpenCvCamera("9", open_capture=lambda _: wire)
-    with refuses(DeviceNotFound, "camera:9") as info, camera:
-        pass
-    assert "camera:0, camera:2" in info.value.cure
-    assert wire.released
-
-
-def test_a_silent_camera_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = threading.Event()
-
-    class Hanging(Wire):
-        def read(self):
-            asked.wait()
-            return False, None
-
-    monkeypatch.setattr(live_module, "SILENCE_S", 0.05)
-    try:
-        camera = OpenCvCamera("0", open_capture=lambda _: Hanging(1))
-        with refuses(DeviceLost, "no frame"), camera:
-            next(iter(camera))
-    finally:
-        asked.set()
-
-
 def test_frames_are_paired_with_the_nearest_and_the_skew_is_told() -> None:
     left = Scripted("left", [0.000, 0.033, 0.066, 0.100, 0.133])
     right = Scripted("right", [0.003, 0.036, 0.103, 0.136])  # one frame was dropped
@@ -114,20 +84,3 @@ def test_a_lost_frame_at_60_a_second_does_not_shift_all_later_pairs(lost: int) -
     with TimedMoments(Scripted("left", times), right) as pairs:
         late = [one.t_s for one, two in pairs if two.t_s - one.t_s > 0.002]
     assert len(late) <= 2 and all(t_s <= times[2] for t_s in late)  # until the period is known
-
-
-def test_cameras_that_never_meet_are_a_failure_and_not_a_pair() -> None:
-    left = Scripted("left", [0.1 * i for i in range(100)])
-    right = Scripted("right", [0.1 * i + 0.05 for i in range(100)])
-    with (
-        TimedMoments(left, right, max_skew_s=0.010) as pairs,
-        refuses(DeviceFailed, "partner", "10 ms"),
-    ):
-        list(pairs)
-
-
-def test_an_unknown_driver_is_answered_with_the_known_ones() -> None:
-    with pytest.raises(DeviceNotFound, match="nosuch") as info:
-        load(CAMERAS, "nosuch")
-    for name in known(CAMERAS):
-        assert name in info.value.cure

@@ -19,7 +19,7 @@ from armsight.drivers import (
     TimedMoments,
     open_moments,
 )
-from armsight.errors import DeviceLost, Inconsistent, UsageError
+from armsight.errors import DeviceLost, Inconsistent
 from armsight.ops.flags import cameras_of as read_cameras
 from armsight.ops.sources.cameras import cameras_of, named_cameras, open_cameras
 from armsight.records import Frame
@@ -72,13 +72,6 @@ def test_a_frame_that_is_missing_is_a_missing_view() -> None:
     assert skew.n_pairs == 5
 
 
-def test_a_moment_knows_its_time_and_its_views() -> None:
-    frames = [Frame(image=np.zeros((4, 6), np.uint8), t_s=t, sequence=0, source="x") for t in (1.0, 1.5)]
-    moment = Moment([frames[0], None, frames[1]])
-    assert (moment.t_s, moment.there, len(moment)) == (1.25, tuple(frames), 3)
-    assert Moment(frames) == tuple(frames)
-
-
 @pytest.mark.parametrize("k", [0, 1, 2])
 def test_a_camera_that_is_lost_is_told_at_once_and_the_others_go_on(k: int) -> None:
     told: list[str] = []
@@ -106,13 +99,6 @@ def test_the_run_ends_where_too_few_are_left_and_of_a_pair_at_once() -> None:
     assert len(told) == 1
     alone = TimedMoments(Camera("0", ticks(3)), names=("a",))
     assert read(alone) == [(0,), (1,), (2,)]
-
-
-def test_a_camera_that_ends_before_the_others_is_told() -> None:
-    told: list[str] = []
-    cameras = [Camera(str(j), ticks(n)) for j, n in enumerate((9, 4, 10))]
-    assert len(read(TimedMoments(*cameras, names=NAMES, tell=told.append))) == 9
-    assert [("b" in text, "0.1 s" in text) for text in told] == [(True, True)]
 
 
 def test_a_clock_seconds_apart_is_told_or_refused() -> None:
@@ -161,43 +147,6 @@ def test_images_are_put_together_by_their_numbers(tmp_path: Path) -> None:
     got = [tuple(None if frame is None else int(frame.image[0, 0]) for frame in one) for one in read]
     assert [{frame.t_s for frame in one.there} for one in read] == [{k / 30.0} for k in range(7)]
     assert got == [(1, 1, None), (2, 2, 2), (3, 3, 3), (4, None, 4), (5, 5, 5), (6, 6, 6), (7, 7, 7)]
-
-
-def test_images_that_nothing_tells_apart_are_refused(tmp_path: Path) -> None:
-    folders = [
-        folder_of(tmp_path / name, each) for name, each in zip(NAMES, ((1, 2), (11, 12, 13), (7, 8)), strict=True)
-    ]
-    with refuses(Inconsistent, "a 2, b 3, c 2", "Number"), FileMoments(*folders, names=NAMES):
-        pass
-
-
-def test_an_image_that_cannot_be_read_is_a_missing_view(tmp_path: Path) -> None:
-    folders = [folder_of(tmp_path / name, (1, 2, 3, 4), (2,) if name == "b" else ()) for name in NAMES]
-    with FileMoments(*folders, names=NAMES) as moments:
-        there = [tuple(frame is not None for frame in one) for one in moments]
-    assert there == [(True,) * 3, (True, False, True), (True,) * 3, (True,) * 3]
-
-
-GIVEN = {
-    "twice": (lambda: read_cameras(["a=x", "a=y"]), ("camera a", "x", "y")),
-    "no source": (lambda: read_cameras(["a"]), ("NAME=SRC", "rig.yaml")),
-    "no name": (lambda: named_cameras({"1st": "x"}), ("'1st'", "letter")),
-    "beside its short form": (lambda: named_cameras({"left": "x"}, "y"), ("left", "twice", "--left")),
-    "one source": (lambda: named_cameras({"top": "x", "left": "x"}), ("top", "left", "depth")),
-    "nine": (lambda: named_cameras({f"n{k}": str(k) for k in range(9)}), ("9 cameras", "one to 8")),
-    "not the rig's": (lambda: cameras_of(("left", "right"), {"left": "x", "top": "y"}), ("top", "left, right")),
-    "one missing": (lambda: cameras_of(("left", "right"), {"right": "x"}), ("left", "--left SRC")),
-    "two kinds": (lambda: open_cameras({"a": "camera:0", "b": "x", "c": "y"}), ("camera:0", "live")),
-}
-
-
-@pytest.mark.parametrize("case", GIVEN)
-def test_cameras_that_cannot_be_meant_are_refused(case: str) -> None:
-    call, told = GIVEN[case]
-    with refuses((UsageError, Inconsistent), told) as caught:
-        call()
-    assert caught.value.consequence
-    assert caught.value.cure
 
 
 def test_cameras_are_taken_by_name_in_the_rigs_order(tmp_path: Path) -> None:

@@ -5,17 +5,10 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from armsight.clock import ManualClock
-from armsight.drivers import OpenCvCamera, usb
-from armsight.drivers.usb import UNTOLD_MBIT_S, crowd_of, crowded_buses, picture_mbit_s, usb_cameras
-from armsight.errors import DeviceLost
-from armsight.ops.doctor import looked_at
-from refusals import refuses
+from armsight.drivers.usb import UNTOLD_MBIT_S, crowd_of, crowded_buses, usb_cameras
 
-CONTROLLER = "devices/pci0000:00/0000:00:14.0"
 DEVICE = bytes([18, 1, 0, 2, 239, 2, 1, 64]) + bytes(10)
 
 
@@ -85,14 +78,6 @@ def test_cameras_are_found_with_their_bus_and_what_they_need(tree: Tree) -> None
     assert usb_cameras(tree.path / "nothing") == ()
 
 
-def test_descriptors_that_break_off_or_make_no_sense_are_taken_as_far_as_they_go() -> None:
-    whole = webcam()
-    needs = [picture_mbit_s(whole[:cut]) for cut in range(len(whole))]
-    told = [each for each in needs if each is not None]
-    assert needs[0] is None and told and set(np.round(told)) == {221.0, 147.0} and needs[-1] == told[-1] < 148.0
-    assert picture_mbit_s(bytes(50)) is None and picture_mbit_s(bytes([3, 36]) * 9) is None
-
-
 def test_a_bus_that_cannot_carry_its_cameras_is_told_with_them(tree: Tree) -> None:
     for socket in (1, 2):
         tree.plug(f"0000:00:14.0/usb1/1-{socket}", webcam())
@@ -104,31 +89,3 @@ def test_a_bus_that_cannot_carry_its_cameras_is_told_with_them(tree: Tree) -> No
     assert "Other" not in told
     assert crowd_of("4", tree.path) == crowd_of("/dev/video4", tree.path) == told
     assert crowd_of("6", tree.path) == ""
-
-
-def test_it_is_said_where_a_camera_does_not_start_and_by_doctor(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Starved:
-        def isOpened(self) -> bool:
-            return True
-
-        def read(self) -> tuple[bool, None]:
-            return False, None
-
-        def release(self) -> None:
-            pass
-
-        def get(self, key: int) -> float:
-            return 0.0
-
-    monkeypatch.setattr(usb, "SYS", tree.path)
-
-    def camera() -> OpenCvCamera:
-        return OpenCvCamera("4", clock=ManualClock(), open_capture=lambda _: Starved())  # type: ignore[arg-type,return-value]
-
-    with refuses(DeviceLost, "camera:4", "plug"), camera() as source:
-        list(source)
-    for socket in (1, 2, 3):
-        tree.plug(f"0000:00:14.0/usb1/1-{socket}", webcam())
-    with refuses(DeviceLost, "camera:4", "USB bus", "another controller"), camera() as source:
-        list(source)
-    assert any("442 Mbit/s" in problem for problem in looked_at(None, ()).problems)

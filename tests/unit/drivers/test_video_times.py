@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from armsight.drivers import VideoFile, open_source
-from armsight.errors import Inconsistent
 from armsight.ops.sources.cameras import open_rig
 from armsight.optics import SIDES
-from refusals import refuses
 
 PERIOD_MS = 40
 
@@ -76,13 +74,6 @@ def test_frames_lost_at_different_places_leave_pairs_of_one_moment(tmp_path):
         assert sum(1 for _ in by_number) == 27
 
 
-def test_videos_of_other_clocks_are_refused(tmp_path):
-    left = video(tmp_path / "left.mkv", *moments(set()))
-    right = video(tmp_path / "right.mkv", [t + 15_000 for t in moments(set())[0]], moments(set())[1])
-    with open_rig(SIDES, left, right, max_skew_s=1e-3) as pairs, refuses(Inconsistent, "--fps"):
-        list(pairs)
-
-
 def test_a_rate_that_varies_or_a_late_beginning_is_no_file_that_broke_off(tmp_path):
     for at_ms in ([40, 80, 400, 440, 480, 900, 1600, 2400], [2000, 2040, 2080, 2120, 2160, 2200]):
         path = video(tmp_path / "a.mkv", at_ms, range(0, 8 * len(at_ms), 8))
@@ -127,12 +118,6 @@ def test_a_repeated_stamp_costs_its_frame_and_no_other(tmp_path, at):
     assert [k for k, frame in enumerate(frames) if frame.unreadable] == [at]
     assert all(frame.t_s == stamps[k] for k, frame in enumerate(frames) if k != at)
     assert (np.diff([frame.t_s for frame in frames]) > 0.0).all()
-
-
-def test_a_container_without_stamps_has_its_rate(tmp_path):
-    (tmp_path / "a.mp4").touch()
-    with VideoFile(str(tmp_path / "a.mp4"), open_capture=lambda _: Stamped([0.0] * 8)) as source:
-        np.testing.assert_allclose([frame.t_s for frame in source], np.arange(8) / 10.0)
 
 
 def test_pictures_are_not_turned_as_a_player_would(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armsight.errors import Cancelled, Inconsistent, NotConverged, Undetermined
+from armsight.errors import Inconsistent, NotConverged, Undetermined
 from armsight.fitting import Evaluation, Loss, LossKind, Prior, Problem, Settings, StopReason, solve
 from armsight.fitting.kernels import invert_spd, solve_damped
 from refusals import refuses
@@ -63,9 +63,7 @@ def two_views(rng: np.random.Generator, sigma: float, guess_error: float) -> tup
         r = (shared[0] * e + local - y) / sigma  # (G, m)
         js = np.stack([e, -shared[0] * x * e], axis=1) / sigma  # (m, 2)
         return Evaluation(
-            residuals=r,
-            shared=np.broadcast_to(js, (6, x.size, 2)),
-            local=np.full((6, x.size, 1), 1 / sigma),
+            residuals=r, shared=np.broadcast_to(js, (6, x.size, 2)), local=np.full((6, x.size, 1), 1 / sigma)
         )
 
     problem = Problem(
@@ -133,7 +131,7 @@ def test_parameters_that_cannot_be_told_apart_are_named() -> None:
     assert np.isfinite(fit.std()["offset"])
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_they_are_named_to_whichever_side_of_zero_rounding_falls(seed: int) -> None:
     design = np.random.default_rng(seed).normal(size=(20, 2))
     J = np.column_stack([design, design @ [0.3, 1.7], np.ones(20)])  # the third is made of the first two
@@ -172,18 +170,6 @@ def test_why_it_stopped_is_told() -> None:
 
     with refuses(NotConverged, "evaluated", "starting guess"):
         solve(Problem(names=("p",), guess=np.zeros(1), evaluate=impossible, n_residuals=3))
-
-
-def test_cancelling_stops_it() -> None:
-    class Impatient:
-        def update(self, done: float, total: float, note: str = "") -> None: ...
-
-        def cancelled(self) -> bool:
-            return True
-
-    x = np.linspace(0, 1, 10)
-    with pytest.raises(Cancelled):
-        solve(line_problem(x, x, 0.1), progress=Impatient())
 
 
 def test_the_compiled_core_solves_what_numpy_solves() -> None:

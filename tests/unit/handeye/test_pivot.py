@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.tooltip import TipRecording
-from armsight.errors import NotEnoughData
-from armsight.ops.calibrate_robot import calibrate_pivot
 from armsight.ops.calibration.pivot import pivoted
 from armsight.records import PoseStatus, TargetPose
 
@@ -59,26 +55,3 @@ def test_poses_are_taken_until_the_tip_is_known_well_enough() -> None:
     error = np.abs(recording.latest.tip_m - TIP)
     assert (error < 5.0 * recording.std_m).all()
     assert "good enough" in heard.notes[-1] and "mm" in heard.notes[-1]
-
-
-def test_a_tool_that_hardly_turns_is_told_why() -> None:
-    heard = Heard()
-    recording, _ = pivoted(stream(np.random.default_rng(1), 20, spread_rad=0.03), TipRecording(good_m=1e-4), heard)
-    assert recording.latest is None
-    assert recording.waiting in heard.notes[-1]
-
-
-def test_frames_without_pivoting_are_refused(tmp_path: Path, armsight_cell: Path) -> None:
-    cell, out = armsight_cell, tmp_path / "tip.yaml"
-    with pytest.raises(NotEnoughData, match="poses"):
-        calibrate_pivot(cell / "rig.yaml", cell / "target.yaml", cell / "left", cell / "right", out=out)
-    assert not (tmp_path / "tip.yaml").exists()
-
-
-@pytest.fixture
-def armsight_cell(tmp_path: Path) -> Path:
-    """A few frames of a simulated target that does not pivot."""
-    from armsight.ops.simulation.run import simulate
-
-    simulate("led-cell", tmp_path / "cell", seed=1, frames=3, room="dark")
-    return tmp_path / "cell"

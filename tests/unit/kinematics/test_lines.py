@@ -52,13 +52,6 @@ def test_coincident_lines_keep_the_direction_asked_for() -> None:
     assert link.d_m == pytest.approx(0.3)
 
 
-def test_intersecting_lines() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        T = frame(rng)
-        check(T, T[:3, 3] + 0.4 * T[:3, 2], Rotation.random(rng=rng).as_matrix()[:, 0], "intersecting")
-
-
 @pytest.mark.parametrize("angle", [1e-10, 1e-6, 1e-3, 0.019])
 @pytest.mark.parametrize("sense", PARALLEL)
 def test_nearly_parallel_lines_get_a_beta_and_no_runaway_d(angle: float, sense: str) -> None:
@@ -74,13 +67,3 @@ def test_nearly_parallel_lines_get_a_beta_and_no_runaway_d(angle: float, sense: 
         assert link.d_m == 0.0
         assert abs(link.a_m) < 10.0
         assert abs(link.beta_rad) <= 1.01 * angle
-
-
-def test_a_slide_may_stand_anywhere_and_is_put_through_the_origin() -> None:
-    rng = np.random.default_rng(5)
-    T = frame(rng)
-    direction = Rotation.random(rng=rng).as_matrix()[:, 0]
-    link = link_to_line(T, rng.normal(size=3), direction, prismatic=True)
-    assert link.a_m == pytest.approx(0.0, abs=1e-12)
-    assert link.d_m == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose((T @ link.matrix())[:3, 2], direction, atol=1e-12)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from armsight.kinematics import Arm, Effort, Joint, Stop, fk, ik, preset, solve_numeric, solve_numeric_many
-from armsight.kinematics.forward_kinematics import ALL_CORES_FROM
 from armsight.kinematics.presets import PRESETS
 
 
@@ -35,32 +34,6 @@ def test_newton_raphson_solves_the_rrp_arm_of_kapucu() -> None:
     assert attempt.converged
     assert attempt.steps <= 5
     np.testing.assert_allclose(attempt.q, q, atol=1e-5)
-
-
-def test_newton_says_that_the_jacobian_is_singular() -> None:
-    straight = preset("korayem6r")
-    stretched = solve_numeric(straight, fk(straight, [0, 0.5, 0.5, 0, 1, 0]), np.zeros(6), method="newton")
-    assert stretched.stopped is Stop.SINGULAR  # elbow and wrist straight at the start
-
-
-def test_newton_gives_the_closest_values_where_its_steps_run_out() -> None:
-    """From afar the first steps overshoot: what comes nearest is kept, and it is told."""
-    arm = preset("stanford-rrp")
-    target, start = fk(arm, [0.4, 1.1, 0.8]), np.array([1.4, 0.3, 0.1])
-    attempt = solve_numeric(arm, target, start, method="newton", effort=Effort(max_steps=2))
-    assert not attempt.converged and attempt.stopped is not Stop.SINGULAR
-
-    def away_m(q: np.ndarray) -> float:
-        return float(np.linalg.norm(fk(arm, q)[:3, 3] - target[:3, 3]))
-
-    assert away_m(attempt.closest_q) <= away_m(start)
-
-
-def test_batches_on_all_cores_are_those_on_one() -> None:
-    """Also where the last chunk is a single row."""
-    arm = preset("puma761")
-    q = np.random.default_rng(3).uniform(-1.0, 1.0, (ALL_CORES_FROM + 1, arm.n))
-    np.testing.assert_array_equal(fk(arm, q), fk(arm, q, all_cores=False))
 
 
 def test_the_position_alone_leaves_the_orientation_free() -> None:
@@ -99,23 +72,6 @@ def test_the_closed_forms_answers_beyond_either_limit_are_told_apart(room: tuple
     assert not tight.within_limits(np.array([one.q for one in answer.beyond_limits])).any()
 
 
-def test_solutions_beyond_limits_are_told_apart() -> None:
-    T = fk(preset("korayem6r"), [0.3, -0.5, 0.8, 0.2, 0.6, 0.7])
-    answer = ik(limited(2.9), T)
-    assert answer.status == "limits"
-    assert answer.solutions == ()
-    assert len(answer.beyond_limits) in (2, 4, 6, 8)
-    assert "j" in answer.why
-
-
-def test_whole_turns_bring_joints_into_range_and_near() -> None:
-    arm = preset("ur10")  # +-360 degrees
-    q = np.array([5.5, -4.0, 1.2, -5.9, 0.9, 6.1])
-    answer = ik(arm, fk(arm, q), q)
-    np.testing.assert_allclose(answer.solutions[0].q, q, atol=1e-9)
-    assert arm.within_limits(np.array([solution.q for solution in answer.solutions])).all()
-
-
 def test_restarts_find_a_pose_far_from_the_start_and_the_same_seed_gives_the_same_answer() -> None:
     arm = preset("irb120")
     q = np.array([-2.0, 1.2, -1.4, 2.0, -1.5, 3.0])
@@ -136,17 +92,6 @@ def test_an_arm_with_too_many_joints_gets_one_solution() -> None:
     assert len(answer.solutions) == 1
     assert not answer.complete
     assert answer.solutions[0].error_m <= 1e-6
-
-
-def test_the_rrp_arm_has_two_postures() -> None:
-    arm = preset("stanford-rrp")
-    for q in ([0.4, 1.1, 0.8], [-1.0, 2.0, 0.5]):
-        answer = ik(arm, fk(arm, q), q, task="position")
-        assert answer.status == "ok"
-        np.testing.assert_allclose(answer.solutions[0].q, q, atol=1e-8)
-        assert len(answer.solutions) == 2
-        whole = ik(arm, fk(arm, q), q)  # the other posture turns the tool otherwise
-        np.testing.assert_allclose([one.q for one in whole], [q], atol=1e-8)
 
 
 def test_half_a_turn_of_error_is_solved() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import Ambiguous, DataRefused, Degenerate, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.measure.correspondence import PatchSettings, StereoViews, find_in_other_view
 from armsight.optics import Camera, Rig, RigKind
 from refusals import refuses
@@ -67,10 +67,6 @@ def stripes(points):
 def edge_along(points):
     """One edge along the baseline."""
     return 128 + 60 * np.tanh(points[:, 1] / 0.002)
-
-
-def edge_across(points):
-    return 128 + 60 * np.tanh((points[:, 0] - 0.01) / 0.004)
 
 
 @lru_cache
@@ -134,35 +130,3 @@ def test_the_pick_s_own_error_moves_the_point_along_the_surface(textured):
 def test_what_cannot_be_told_is_refused(texture, px, kind, why):
     with refuses(kind, why):
         find_in_other_view(views(texture), "left", np.array(px, float), SETTINGS)
-
-
-def test_an_edge_across_the_line_is_enough():
-    scene = views(edge_across)
-    u = next(u for u in np.arange(100.0, 250.0, 0.25) if on_plane(np.array([[u, 120.0]]), "left")[0, 0] > 0.01)
-    one = find_in_other_view(scene, "left", np.array([u, 120.0]), SETTINGS)
-    assert abs(one.xyz_m[2] - on_plane(np.array([[u, 120.0]]), "left")[0, 2]) < 4 * math.sqrt(one.covariance_m2[2, 2])
-
-
-def test_other_pictures_are_refused():
-    other = rendered(lambda points: waves(points, seed=9), "right")
-    with pytest.raises((NotEnoughData, Ambiguous)):
-        find_in_other_view(
-            StereoViews(rig=RIG, left=rendered(waves, "left"), right=other), "left", (160, 120), SETTINGS
-        )
-
-
-def test_a_point_outside_the_depths_is_refused(textured):
-    with pytest.raises(DataRefused):
-        find_in_other_view(textured, "left", (160, 120), PatchSettings(near_m=1.0, far_m=3.0))
-
-
-def test_wrong_calls_are_refused(textured):
-    for wrong in ({"half_px": 1}, {"near_m": -1.0}, {"pick_std_px": math.nan}):
-        with pytest.raises(UsageError):
-            PatchSettings(**wrong)
-    with pytest.raises(UsageError):
-        find_in_other_view(textured, "left", (160, 120), PatchSettings(near_m=2.0, far_m=1.0))
-    with pytest.raises(UsageError):
-        find_in_other_view(textured, "middle", (160, 120))
-    with pytest.raises(Inconsistent):
-        StereoViews(rig=RIG, left=textured.left[:100], right=textured.right)

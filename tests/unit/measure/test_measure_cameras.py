@@ -15,7 +15,6 @@ from tests.truth.test_views import draw, setup_of
 
 import armsight
 from armsight.errors import Inconsistent, UsageError
-from armsight.optics import Rig
 from armsight.store import read_poses
 from refusals import names_it, refuses
 
@@ -58,15 +57,6 @@ def test_the_knocked_camera_is_left_out_of_all_files(seen: tuple[Path, list[np.n
     assert len(written) == len(true) == len(done.poses)
     page = (tmp_path / "out/report.html").read_text()
     assert all(names_it(page, name) for name in CAMERAS) and "pair" not in page.split("<main>")[1].split("</header>")[0]
-
-
-def test_one_camera_measures_and_has_no_points(seen: tuple[Path, list[np.ndarray]], tmp_path: Path) -> None:
-    folder, _ = seen
-    rig = setup_of(ring(4)).rig.only("c0")
-    target = setup_of(ring(4)).target
-    done = armsight.measure(Rig(cameras=rig.cameras), target, cameras=by_name(folder, ("c0",)), out=tmp_path / "out")
-    assert done.n_ok == MOMENTS and done.by_camera["c0"].n_used == MOMENTS
-    assert (tmp_path / "out/points.csv").read_text().count("\n") == 1
 
 
 def test_what_a_rig_of_four_cannot_take_is_refused(seen: tuple[Path, list[np.ndarray]], tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 
 import cv2
@@ -10,29 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import BadImage, Inconsistent, Unseen
+from armsight.errors import Inconsistent, Unseen
 from armsight.geometry import pose_difference
-from armsight.measure.motion.kernels import levels
-from armsight.measure.poses import board_pose as boardpair
 from armsight.measure.poses.board_pose import pose_of_views
-from armsight.measure.poses.kernels import correspondence
 from armsight.measure.poses.moments import TargetTracker
-from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
-from armsight.measure.settings import BATCH, LIVE_S, Pace, SpotSettings
-from armsight.ops.sources.pace import SideBySide
-from armsight.optics import Camera, converged_rig, parallel_rig
-from armsight.records import (
-    BoardView,
-    Frame,
-    LinearNoise,
-    NoiseModel,
-    PoseStatus,
-    TargetKind,
-    board_target,
-    spot_target,
-    unmeasured_target,
-)
-from armsight.records.camera import NeighbourCorrelation
+from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
+from armsight.measure.settings import LIVE_S, Pace
+from armsight.optics import Camera, converged_rig
+from armsight.records import BoardView, Frame, PoseStatus, TargetKind, board_target, spot_target
 from refusals import names_it, refuses
 
 CAMERA = Camera.pinhole(640, 480, 560.0, 562.0, 322.0, 236.0, distortion=(-0.1, 0.02, 0.0, 0.0, 0.0))
@@ -101,27 +85,6 @@ def test_a_jump_out_of_the_windows_falls_back_to_the_whole_frame() -> None:
     assert_pose(measured, jumped)
 
 
-def test_a_turn_that_the_motion_before_rules_out_is_refused_once_and_then_believed() -> None:
-    """What a lamp beside a light looks like: three spots that fit the target, turned by 18 degrees within 1/30 s."""
-    turned = Rotation.from_rotvec([np.deg2rad(18.0), 0.0, 0.0])
-
-    def turned_at(number: int) -> RigidTransform:
-        T = pose_at(number)
-        return RigidTransform.from_components(T.translation, turned * T.rotation)
-
-    track: Track | None = None
-    poses = {n: turned_at(n) if n in (8, 12, 13) else pose_at(n) for n in range(15)}
-    told = {}
-    for number, T in poses.items():
-        measured = measure_pair(SETUP, *frames(T.apply(X), number), track)
-        told[number], track = measured.pose.status, measured.track
-        if measured.pose.status is PoseStatus.OK:
-            assert_pose(measured, T)
-        else:
-            assert measured.cause is Unseen.MOTION
-    assert [number for number, status in told.items() if status is not PoseStatus.OK] == [8, 12, 14]
-
-
 def test_lights_exchanged_in_the_windows_are_noticed() -> None:
     """Half a turn of an arrangement whose lights land in each other's windows: the fit refuses, the search finds it."""
     first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))
@@ -172,43 +135,6 @@ def test_what_a_deadline_leaves_no_time_to_look_at_is_refused_with_its_reason() 
     assert_pose(quiet, pose_at(0))
 
 
-@pytest.mark.parametrize("seed", [165, 180])
-def test_three_blobs_of_noise_that_pair_up_are_no_target_of_unknown_geometry(seed: int) -> None:
-    rng, images = np.random.default_rng(seed), []
-    for _ in range(2):
-        grey = cv2.GaussianBlur(rng.normal(0.0, 1.0, (480, 640)), (0, 0), 24.0)
-        images.append(np.clip(110.0 + 45.0 * grey / grey.std(), 0, 255).astype(np.uint8))
-    rig = parallel_rig(Camera.pinhole(640, 480, 600.0, 600.0, 320.0, 240.0), 0.12)
-    pair = [Frame(image=image, t_s=0.0, sequence=0, source="noise") for image in images]
-    measured = measure_pair(Setup(rig, unmeasured_target()), pair[0], pair[1])
-    assert len(measured.left_seen) == len(measured.right_seen) == 3, "or nothing is tested"
-    assert measured.pose.status is PoseStatus.LOST and measured.cause is Unseen.CROWD
-
-
-def test_both_views_beside_each_other_give_the_same_answer() -> None:
-    for pair in (among_lamps(0), frames(pose_at(0).apply(X), 0)):
-        one, two = (measure_pair(replace(SETUP, pace=pace), *pair) for pace in (Pace(), Pace(both=SideBySide())))
-        np.testing.assert_array_equal(one.pose.T_parent_target, two.pose.T_parent_target)
-        np.testing.assert_array_equal(one.left_seen.uv_px, two.left_seen.uv_px)
-        np.testing.assert_array_equal(one.right_seen.uv_px, two.right_seen.uv_px)
-
-
-def test_no_view_waits_for_a_thread_that_does_not_begin() -> None:
-    beside, hold = SideBySide(), threading.Event()
-    beside._pool.submit(hold.wait)  # as on a machine without a free core
-    assert beside(lambda side: (side, threading.current_thread())) == (
-        (0, threading.current_thread()),
-        (1, threading.current_thread()),
-    )
-    hold.set()
-
-
-def test_frames_of_another_size_are_refused_with_both_sizes() -> None:
-    left, right = frames(pose_at(0).apply(X), 0, width=650)
-    with refuses(Inconsistent, "650x480", "left camera", "640x480"):
-        measure_pair(SETUP, left, right)
-
-
 def test_a_tracker_goes_on_after_what_shows_nothing() -> None:
     """Views exchanged once, a frame that cannot be read: lost with the reason, and the next pair is measured."""
     tracker = TargetTracker(SETUP)
@@ -221,18 +147,6 @@ def test_a_tracker_goes_on_after_what_shows_nothing() -> None:
     assert_pose(tracker.take(left, right), pose_at(1))
     with refuses(Inconsistent, "650x480", "left camera", "640x480"):
         tracker.take(*frames(pose_at(0).apply(X), 0, width=650))
-
-
-def test_the_same_call_gives_the_same_answer() -> None:
-    pair = frames(pose_at(0).apply(X), 0)
-    a, b = measure_pair(SETUP, *pair), measure_pair(SETUP, *pair)
-    assert a.pose.covariance is not None and b.pose.covariance is not None
-    np.testing.assert_array_equal(a.pose.covariance, b.pose.covariance)
-    np.testing.assert_array_equal(a.points.xyz_m, b.points.xyz_m)
-
-
-def test_warm_up_finds_its_own_target() -> None:
-    warm_up()
 
 
 BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
@@ -257,27 +171,6 @@ def views(seed: int, keep: list[np.ndarray] | None = None) -> list[BoardView]:
     return out
 
 
-def test_warm_up_runs_what_only_a_doubtful_frame_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    kernel, calls = correspondence.neg2_log_likelihood, []
-    monkeypatch.setattr(correspondence, "neg2_log_likelihood", lambda *given: calls.append(given) or kernel(*given))
-    warm_up()
-    assert calls
-
-
-def test_a_target_is_followed_by_one_kernel_whether_or_not_the_rig_is_exact() -> None:
-    warm_up()
-    for rig in (RIG, replace(RIG, covariance=None)):
-        tracker = TargetTracker(Setup(rig, spot_target(TRIANGLE)))
-        assert all(tracker.take(*frames(pose_at(i).apply(X), i)).pose.status is PoseStatus.OK for i in range(3))
-    assert len(levels.step_poses.signatures) == 1
-
-
-def test_board_points_need_no_matching() -> None:
-    measured = pose_of_views(BOARD_SETUP, *views(1), 0.5)
-    assert_pose(measured, BOARD_POSE)
-    assert len(measured.names) == 54 and measured.pose.t_s == 0.5
-
-
 def test_a_board_seen_in_parts_uses_the_common_points() -> None:
     keep = [np.arange(0, 40), np.arange(20, 54)]
     measured = pose_of_views(BOARD_SETUP, *views(2, keep), 0.0)
@@ -295,39 +188,6 @@ def test_a_wrong_corner_is_left_out_by_name() -> None:
     measured = pose_of_views(BOARD_SETUP, left, wrong, 0.0)
     assert_pose(measured, BOARD_POSE)
     assert measured.notes == (f"{BOARD.names[17]} left out: it does not fit the others",)
-
-
-def test_swapped_views_of_a_board_are_recognised() -> None:
-    left, right = views(4)
-    with refuses(Inconsistent, "swapped"):
-        pose_of_views(BOARD_SETUP, right, left, 0.0)
-
-
-@pytest.mark.parametrize(("pace", "searched"), [(BATCH, "auto"), (Pace(deadline_s=LIVE_S), "quick")])
-def test_a_board_that_is_not_there_is_lost_with_the_detectors_reason(
-    pace: Pace, searched: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def nothing(image: object, board: object, *, source: str, detector: str) -> BoardView:
-        raise BadImage(f"{source}: looked {detector}")
-
-    monkeypatch.setattr(boardpair, "find_board", nothing)
-    measured = measure_pair(replace(BOARD_SETUP, pace=pace), *frames(np.array([[9.0, 9.0, 10.0]]), 0))
-    assert measured.pose.status is PoseStatus.LOST and searched in measured.pose.why.replace(".", " ").split()
-
-
-def test_the_gain_of_a_camera_s_known_noise_is_used_unless_one_is_asked_for() -> None:
-    noise = NoiseModel(
-        levels=np.array([10.0, 200.0]),
-        variance_levels2=np.array([2.0, 21.0]),
-        std_levels2=np.array([0.1, 0.5]),
-        correlation=NeighbourCorrelation(x=np.zeros(2), y=np.zeros(2)),
-        n_frames=10,
-        linear=LinearNoise(read_noise_levels=1.0, gain_levels=0.1),
-    )
-    known = replace(RIG, noise=(noise, None))
-    setup = Setup(known, spot_target(TRIANGLE))
-    assert setup.sides[0].gain == 0.1 and setup.sides[1].gain is None
-    assert Setup(known, spot_target(TRIANGLE), SpotSettings(gain=0.3)).sides[0].gain == 0.3
 
 
 def test_a_hot_pixel_on_the_epipolar_line_of_a_single_light_is_told_by_the_light_s_size() -> None:

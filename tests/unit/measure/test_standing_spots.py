@@ -22,8 +22,3 @@ def test_a_frame_counts_once_at_a_place() -> None:
     twice = [(100.0, 50.0), (100.4, 50.0)]
     made = frames_of([[*(twice if k < 4 else []), (10.0 * k, 5.0)] for k in range(10)])
     assert [len(spots) for spots in without_standing(made)] == [3] * 4 + [1] * 6
-
-
-def test_a_frame_that_would_lose_all_is_left_as_it_is_and_empty_ones_stay_empty() -> None:
-    made = frames_of([[(100.0, 50.0)] if k % 4 else [] for k in range(12)])
-    assert [len(spots) for spots in without_standing(made)] == [len(spots) for spots in made]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import UsageError
 from armsight.optics import (
     INTRINSICS,
     RIG_PARAMETERS,
@@ -47,7 +47,7 @@ def make_rig(names, seed=1, share=1.0):
     return replace(rig, covariance=NamedCovariance(names=tuple(free), matrix=A @ A.T * np.outer(scale, scale)))
 
 
-@pytest.mark.parametrize("V", range(1, 9))
+@pytest.mark.parametrize("V", [1, 2, 3, 8])
 def test_of_every_camera_parameters_arrays_and_pixels(V):
     rig = make_rig(NAMES[:V])
     packed = PackedRig.of(rig)
@@ -118,24 +118,6 @@ def test_which_camera_is_held_changes_nothing_that_can_be_measured(names, share)
         assert np.allclose(PackedRig.of(back).covariance, PackedRig.of(rig).covariance, rtol=1e-9, atol=1e-15)
 
 
-def test_the_pair_of_a_larger_rig_is_worked_out_once():
-    rig = make_rig(("top", "left", "right"))
-    assert rig.pair() is rig.pair()
-    assert rig.pair().kind is RigKind.STEREO
-    pair = make_rig(SIDES)
-    assert pair.pair() is pair.require_pair("it") is pair
-
-
-def test_left_and_right_are_asked_of_a_rig_that_has_none():
-    rig = make_rig(("a", "b", "c"))
-    for ask in (lambda: rig.left, lambda: rig.T_rig_right, lambda: rig.baseline_m, lambda: rig.pair()):
-        with refuses(UsageError, "no camera", "a, b, c"):
-            ask()
-    for one in (rig, make_rig(("right", "left")), make_rig(("left",)), make_rig(("left", "right", "top"))):
-        with refuses(UsageError, "left and right", ", ".join(one.names), "Give"):
-            one.require_pair("measuring")
-
-
 def test_a_pair_is_made_by_its_own_words_and_changed_by_them():
     made = make_rig(SIDES)
     words = {"left": made.left, "right": made.right, "T_rig_left": made.T_rig_left, "T_rig_right": made.T_rig_right}
@@ -150,36 +132,6 @@ def test_a_pair_is_made_by_its_own_words_and_changed_by_them():
         replace(rig, noise=(None,))
     with refuses(UsageError, "right", "NoneType"):
         Rig(kind="stereo", left=made.left, T_rig_left=made.T_rig_left)
-
-
-REFUSED = {
-    "nine": ((*NAMES, "ninth"), ("9 cameras", "cannot be used", "one to 8")),
-    "twice": (("left", "top", "top"), ("two cameras", "top", "name of its own")),
-    **{
-        f"the name {name!r}": (("left", name), (repr(name), "Flags", "letter"))
-        for name in ("1st", "a b", "a.b", "", "x" * 17, "rig", "image", "complex", "all", "käfer", "a\n")
-    },
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_cameras_that_are_no_rig_are_refused(case):
-    names, told = REFUSED[case]
-    one = make_rig(("left",)).cameras[0]
-    with refuses(Inconsistent, *told):
-        Rig(cameras=[MountedCamera(name=name, camera=one.camera, T_rig_camera=one.T_rig_camera) for name in names])
-
-
-def test_a_rig_agrees_with_itself():
-    rig, pair = make_rig(("left", "right", "top")), make_rig(SIDES)
-    with refuses(Inconsistent, "stereo", "left, right, top", "open which"):
-        replace(rig, kind="stereo")
-    with refuses(Inconsistent, "cameras", "left, right"):
-        replace(pair, kind="cameras")
-    with refuses(Inconsistent, "left.tx", "better known", "the first"):
-        replace(rig, covariance=NamedCovariance(names=("left.tx",), matrix=np.eye(1)))
-    with refuses(Inconsistent, "top.fx"):
-        replace(pair, covariance=NamedCovariance(names=("top.fx",), matrix=np.eye(1)))
 
 
 def test_the_zoom_of_the_held_camera_moves_all_others_alike():

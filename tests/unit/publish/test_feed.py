@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import pickle
-import socket
 import time
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from armsight.control.guard import GuardState
 from armsight.errors import DeviceFailed
-from armsight_plant.options import FoxgloveOptions, MqttOptions, OpcUaOptions, PlantOptions
-from armsight_plant.process import STATE_BYTES, PlantProcess
+from armsight_plant.options import FoxgloveOptions, PlantOptions
+from armsight_plant.process import PlantProcess
 from armsight_plant.publishing import Feed, _FeedThread, addresses, published
 from armsight_plant.state import LONGEST, Acknowledge, Note, decode, encode
 from loading import module_of
@@ -52,26 +48,6 @@ def test_requests_come_through_as_they_were_and_not_too_long():
     for one in (Note(level="error", message="a"), Acknowledge(id="i", who="w", address="a")):
         assert decode(encode(one)) == one
     assert len(decode(encode(Note(level="info", message="\u00e9" * 10_000))).message) == LONGEST
-
-
-def test_a_state_fits_into_its_memory():
-    assert len(pickle.dumps(Feed(Log(), 1.0).with_alarms(state(**STOPPED)), protocol=5)) < STATE_BYTES / 8
-
-
-def test_what_does_not_run_is_refused_before_anything_is_published():
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        options = PlantOptions(opcua=OpcUaOptions(host="127.0.0.1", port=port, anonymous=True))
-        with pytest.raises(DeviceFailed, match=f"port {port}"), published(options, state, Log()):
-            pass
-
-
-def test_a_publisher_that_never_reads_keeps_nothing_waiting():
-    process = PlantProcess(PlantOptions())  # never started: nobody takes what is shown
-    now = state()
-    for _ in range(1000):
-        process.show(now)
-    assert process.requests() == []
 
 
 def test_a_process_that_ended_is_started_anew(monkeypatch):
@@ -113,10 +89,3 @@ def test_why_it_cannot_be_started_anew_is_told_once_and_that_it_can_again(monkey
     for _ in range(2):
         thread._look_after()
     assert log.said[1:] == [("info", "published again, opcua: port 4840")]
-
-
-def test_addresses_are_told_as_they_are_typed():
-    options = PlantOptions(
-        opcua=OpcUaOptions(host="::1", port=4840), mqtt=MqttOptions(host="b", port=1, prefix="a/b", tls=True)
-    )
-    assert addresses(options, {"opcua": 4840}) == ["OPC UA: opc.tcp://[::1]:4840", "MQTT: a/b/state at b:1"]

@@ -11,16 +11,13 @@ from pathlib import Path
 import pytest
 from websockets.sync.client import connect
 
-from armsight.control.guard import GuardState
-from armsight.errors import DeviceFailed
 from armsight.store.recording import RecordingWriter
 from armsight_plant.foxglove import FoxglovePublisher
 from armsight_plant.options import FoxgloveOptions
-from armsight_plant.publishing import Feed
 from loading import module_of
 
 states = module_of(Path(__file__).with_name("plant_states.py"))
-state, robot, seen = states.state, states.robot, states.seen
+state = states.state
 
 WAIT_S = 20.0
 MESSAGE_DATA = 1
@@ -119,27 +116,3 @@ def test_a_viewer_sees_what_is_new_once():
     ]
     pose = next(said for topic, _, said in heard if topic == "/target/pose")
     assert pose["frame_id"] == "rig" and pose["pose"]["position"] == pytest.approx({"x": 0.1, "y": 0.2, "z": 0.9})
-
-
-def test_alarms_and_what_is_said_of_tolerance_are_events():
-    feed = Feed(lambda *_: None, 1.0)
-    with serving() as publisher:
-        viewer = Viewer(publisher)
-        viewer.advertised(4)
-        viewer.subscribe(publisher, "/events")
-        asyncio.run(
-            publisher.show(feed.with_alarms(state(robot=robot(guard=GuardState.STOPPED, why="by anna"))), 100.0)
-        )
-        texts = [viewer.next()[2]["message"] for _ in range(2)]
-        asyncio.run(publisher.show(feed.with_alarms(state()), 101.5))
-        texts += [viewer.next()[2]["message"] for _ in range(2)]
-        viewer.close()
-    assert "active: by anna" in texts[0] and texts[1] == "in tolerance"
-    assert "has gone" in texts[2] and texts[3] == "tolerance not known (silent)"
-
-
-def test_a_port_in_use_is_told():
-    with serving() as publisher:
-        other = FoxglovePublisher(FoxgloveOptions(host="127.0.0.1", port=publisher.port), 1.0, lambda _: True)
-        with pytest.raises(DeviceFailed, match=f"port {publisher.port}"):
-            asyncio.run(other.start())

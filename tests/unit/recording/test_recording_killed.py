@@ -64,7 +64,7 @@ def _child(path: Path, kind: ImageFormat, pipe: Connection, tell_at: int) -> Non
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no kill -9")
-@pytest.mark.parametrize("kind", [ImageFormat.RAW, ImageFormat.PNG])
+@pytest.mark.parametrize("kind", [ImageFormat.RAW])
 def test_killed_while_recording(tmp_path: Path, kind: ImageFormat) -> None:
     path = tmp_path / "a.mcap"
     here, there = multiprocessing.Pipe(duplex=False)

@@ -6,21 +6,7 @@ import numpy as np
 import pytest
 
 from armsight.errors import BadImage, Inconsistent
-from armsight.records import (
-    Colour,
-    Frame,
-    LinearNoise,
-    Motion,
-    NamedCovariance,
-    NoiseModel,
-    Points,
-    PoseStatus,
-    Spots,
-    TargetKind,
-    TargetPose,
-    board_target,
-    spot_target,
-)
+from armsight.records import Frame, LinearNoise, NoiseModel, Points, PoseStatus, Spots, TargetPose
 from armsight.records.camera import NeighbourCorrelation
 from refusals import refuses
 
@@ -62,41 +48,6 @@ def test_a_pose_carries_what_its_status_promises() -> None:
     assert lost.pose is None
     with pytest.raises(Inconsistent, match="both"):
         TargetPose(t_s=0.0, status=PoseStatus.OK, parent="rig")
-
-
-def test_boards_count_as_opencv_counts() -> None:
-    board = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
-    assert board.xyz_m.shape == (54, 3)
-    assert np.allclose(board.xyz_m[1], [0.025, 0, 0])
-    assert np.allclose(board.xyz_m[9], [0, 0.025, 0])
-    charuco = board_target(TargetKind.CHARUCO, 7, 5, 0.03, marker_m=0.02, dictionary="DICT_4X4_50")
-    assert charuco.xyz_m.shape == (24, 3)
-    zigzag = board_target(TargetKind.ACIRCLES, 4, 11, 0.02)
-    assert np.allclose(zigzag.xyz_m[4], [0.02, 0.02, 0])
-    with pytest.raises(Inconsistent, match="pitch"):
-        board_target(TargetKind.CIRCLES, 4, 4, 0.0)
-
-
-def test_a_target_needs_names_of_its_own_and_positive_sizes() -> None:
-    target = spot_target({"A": (0, 0, 0), "B": (0.1, 0, 0)}, colour=Colour(hue_deg=(340, 20)))
-    assert target.names == ("A", "B")
-    with pytest.raises(Inconsistent, match="diameter"):
-        spot_target({"A": (0, 0, 0)}, diameter_m=-1.0)
-    with pytest.raises(Inconsistent, match="hue"):
-        Colour(hue_deg=(0, 400))
-
-
-def test_named_covariances_answer_by_name() -> None:
-    covariance = NamedCovariance(names=("fx", "cx"), matrix=np.diag([4.0, 9.0]))
-    assert covariance.std() == {"fx": 2.0, "cx": 3.0}
-    assert covariance.block(("cx",)) == pytest.approx(np.array([[9.0]]))
-    with refuses(KeyError, "fx, cx"):
-        covariance.block(("fy",))
-
-
-def test_a_motion_runs_forward() -> None:
-    with pytest.raises(Inconsistent, match="row 2"):
-        Motion(t_s=np.array([0.0, 1.0, 1.0]), q=np.zeros((3, 2)))
 
 
 def make_noise(linear: LinearNoise | None = None, near: float = 0.0) -> NoiseModel:

@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from armsight.clock import ManualClock
 from armsight.control.session.channels import SESSION_BYTES, Newest
 from armsight.errors import BadFile, UsageError
-from armsight.server.auth import (
-    DAY_S,
-    FAILURES,
-    MOST,
-    WINDOW_S,
-    Authenticator,
-    BrowserSessions,
-    Caller,
-    Denied,
-    Identity,
-    is_loopback,
-)
+from armsight.server.auth import DAY_S, FAILURES, MOST, WINDOW_S, Authenticator, BrowserSessions, Caller, Identity
 from armsight.server.web_server import ServeOptions, check_options
 from armsight.store.tokens import add_token, read_tokens
 from refusals import refuses
@@ -48,18 +35,6 @@ def test_the_file_holds_no_token(issued):
     path, tokens = issued
     assert not any(token in path.read_text() for token in tokens.values())
     assert path.stat().st_mode & 0o777 == 0o600
-
-
-@pytest.mark.parametrize(
-    "header", ["", "Bearer", "Bearer x", "Basic {anna}", "{anna}", "Bearer {anna}x", "Bearer \udcff"]
-)
-def test_a_wrong_header_is_denied(issued, header):
-    path, tokens = issued
-    found = Authenticator(read_tokens(path)).check(
-        Caller(address="192.0.2.7", authorization=header.format(**tokens), host="robot")
-    )
-    assert isinstance(found, Denied)
-    assert found.status == 401
 
 
 def test_after_failures_wrong_tokens_have_to_wait_and_a_right_one_comes_in(issued):
@@ -143,34 +118,7 @@ def test_every_entry_is_compared_in_constant_time(issued, monkeypatch):
     assert compared == [(64, 64), (64, 64)]
 
 
-def test_without_tokens_only_this_machine_drives():
-    auth = Authenticator()
-    assert auth.check(caller(address="127.0.0.1", host="localhost:8765")) == Identity(who="local", role="drive")
-    assert auth.check(caller(address="::1", host="[::1]:8765")).who == "local"
-    assert auth.check(caller(address="192.0.2.7", host="localhost")).status == 403
-    assert auth.check(caller(address="127.0.0.1", host="evil.example:8765")).status == 403, "a name that leads here"
-
-
-def test_a_page_of_another_origin_is_kept_out(issued):
-    page = {"host": "localhost:8765", "address": "127.0.0.1"}
-    assert Authenticator().check(caller(origin="https://evil.example", **page)).status == 403
-    assert Authenticator().check(caller(origin="http://localhost:8080", **page)).status == 403
-    assert Authenticator().check(caller(origin="null", **page)).status == 403
-    assert Authenticator().check(caller(origin="http://localhost:8765", **page)).who == "local"
-    path, tokens = issued
-    assert Authenticator(read_tokens(path)).check(caller(tokens["anna"], origin="https://evil.example")).status == 403
-
-
-@pytest.mark.parametrize(
-    ("address", "loopback"),
-    [("127.0.0.1", True), ("127.3.2.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("::", False),
-     ("192.0.2.1", False), ("robot", False), ("localhost.evil.example", False), ("", False)],
-)  # fmt: skip
-def test_loopback(address, loopback):
-    assert is_loopback(address) is loopback
-
-
-@pytest.mark.parametrize("bind", ["0.0.0.0", "::", "192.0.2.1", "robot.example", ""])
+@pytest.mark.parametrize("bind", ["0.0.0.0", "192.0.2.1", ""])
 def test_other_addresses_need_tls_and_tokens(bind, issued, certificate):
     path, _ = issued
     cert, key = certificate
@@ -190,7 +138,7 @@ def test_a_certificate_needs_its_key(certificate, tmp_path):
         check_options(ServeOptions(tls_cert=tmp_path / "none.pem", tls_key=key))
 
 
-@pytest.mark.parametrize(("mode", "word"), [(0o644, "read"), (0o604, "read"), (0o620, "write"), (0o602, "write")])
+@pytest.mark.parametrize(("mode", "word"), [(0o644, "read"), (0o620, "write")])
 def test_a_key_that_others_may_use_is_refused(certificate, tmp_path, mode, word):
     cert, key = certificate
     mine = tmp_path / "key.pem"
@@ -210,29 +158,3 @@ def test_a_new_token_replaces_the_one_of_its_name(tmp_path):
     assert entry.role == "drive"
     assert entry.matches(new)
     assert not entry.matches(old)
-
-
-@pytest.mark.parametrize(("name", "role"), [("anna", "root"), ("", "drive"), ("a\nb", "watch"), ("x" * 50, "watch")])
-def test_a_wrong_name_or_role_makes_no_token(tmp_path, name, role):
-    with pytest.raises(UsageError):
-        add_token(tmp_path / "tokens.yaml", name, role)
-    assert not (tmp_path / "tokens.yaml").exists()
-
-
-def test_files_that_are_not_safe_are_refused(tmp_path):
-    path = tmp_path / "tokens.yaml"
-    add_token(path, "anna", "drive")
-    text = path.read_text()
-    path.chmod(0o666)
-    with refuses(BadFile, "owner"):
-        read_tokens(path)
-    path.chmod(0o600)
-    entry = text[text.index("- ") : text.index("created")]
-    path.write_text(text.replace(entry, entry + entry))
-    with refuses(BadFile, "twice"):
-        read_tokens(path)
-    path.write_text(text.replace("role: drive", "role: admin"))
-    with pytest.raises(BadFile, match="role"):
-        read_tokens(path)
-    with pytest.raises(BadFile):
-        read_tokens(Path(tmp_path / "none.yaml"))

@@ -7,16 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.session.authority import SILENT_S, EnableLost
-from armsight.control.setpoints import (
-    FlangePose,
-    Heartbeat,
-    Hold,
-    JointGoal,
-    JointStep,
-    JointVelocity,
-    Reset,
-    ToolTwist,
-)
+from armsight.control.setpoints import FlangePose, Heartbeat, JointGoal, JointStep, JointVelocity, Reset, ToolTwist
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, UsageError
 from refusals import refuses
@@ -108,17 +99,6 @@ def test_a_new_driver_begins_without_the_enable_of_the_last(authority, host, lea
         authority.perform(bert, JointGoal(q=[0.1, 0.2]))
 
 
-def test_goals_and_velocities_reach_the_loop(authority, host, lease):
-    answer = authority.perform(lease, JointGoal(q=[0.1, 0.2]))
-    assert answer.q.tolist() == [0.1, 0.2]
-    authority.perform(lease, JointVelocity(qd=[0.1, 0.0]))
-    authority.perform(lease, Hold())
-    goal, velocity, hold = posts(host)
-    assert isinstance(goal, JointGoal)
-    assert isinstance(velocity, JointVelocity)
-    assert isinstance(hold, Hold)
-
-
 @pytest.mark.parametrize(
     ("command", "error"),
     [
@@ -159,13 +139,6 @@ def test_steps_lead_the_robot_by_so_much_only(authority, host, lease):
     assert with_lead[0] == 0.0
     assert answer.q[0] == pytest.approx(0.2)
     assert "lead of j1" in answer.limited
-
-
-def test_steps_stay_within_the_range(authority, host, lease):
-    host.q = np.array([1.99, 0.0])
-    answer = authority.perform(lease, JointStep(step=[0.05, 0.0]))
-    assert answer.q.tolist() == [2.0, 0.0]
-    assert answer.limited == ("range of j1",)
 
 
 def test_steps_begin_where_the_robot_is_once_the_loop_forgot_the_last(authority, host, lease):

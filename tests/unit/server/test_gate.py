@@ -9,7 +9,7 @@ import httpx
 import pytest
 from fastapi import FastAPI, Request
 
-from armsight.server.auth import COOKIE, Authenticator, Caller, Identity
+from armsight.server.auth import Authenticator
 from armsight.server.gate import IDENTITY, Gate
 from armsight.store.tokens import add_token, read_tokens
 
@@ -59,11 +59,6 @@ def test_without_tokens_this_machine_comes_in():
     assert answer.json() == "drive"
 
 
-def test_without_tokens_a_foreign_name_stays_out():
-    (answer,) = asked(behind(Authenticator()), page(headers={"host": "evil.example"}))
-    assert answer.status_code == 403
-
-
 @pytest.mark.parametrize("role", ["drive", "watch"])
 def test_a_token_is_asked_for_once_and_kept(tokens, role):
     made, auth = tokens
@@ -71,12 +66,6 @@ def test_a_token_is_asked_for_once_and_kept(tokens, role):
     assert first.status_code == 401 and "token" in first.text
     assert let_in.status_code == 303 and "HttpOnly" in let_in.headers["set-cookie"]
     assert then.json() == role
-
-
-def test_a_wrong_token_is_told_and_not_kept(tokens):
-    wrong, long, then = asked(behind(tokens[1]), login("wrong"), login("x" * 5000), page())
-    assert (wrong.status_code, long.status_code, then.status_code) == (401, 413, 401)
-    assert "set-cookie" not in wrong.headers
 
 
 def test_guessing_has_to_wait_and_opening_pages_does_not(tokens):
@@ -120,30 +109,3 @@ def test_over_tls_the_cookie_is_bound_to_this_host(tokens):
     assert cookie.startswith("__Host-") and all(f"; {flag}" in cookie for flag in ("Secure", "Path=/", "HttpOnly"))
     (plain,) = asked(behind(auth), page(headers={"cookie": cookie.split(";")[0]}))
     assert plain.status_code == 401, "plain text does not use it"
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_a_socket_needs_the_token_too(tokens, known):
-    made, auth = tokens
-    reached: list[str] = []
-    said: list[dict[str, Any]] = []
-
-    async def app(scope: Any, receive: Any, send: Any) -> None:
-        reached.append(scope[IDENTITY].who)
-
-    async def send(message: Any) -> None:
-        said.append(message)
-
-    ann = auth.check(Caller(address="127.0.0.1", authorization=f"Bearer {made['drive']}"))
-    assert isinstance(ann, Identity)
-    cookie = f"{COOKIE}={auth.log_in(ann) if known else made['drive']}".encode()
-    scope = {
-        "type": "websocket",
-        "path": "/console/robot",
-        "headers": [(b"host", b"localhost"), (b"cookie", cookie)],
-        "client": ("127.0.0.1", 50000),
-        "query_string": b"",
-    }
-    asyncio.run(Gate(app, auth)(scope, None, send))
-    assert reached == (["ann"] if known else [])
-    assert [message["type"] for message in said] == ([] if known else ["websocket.close"])

@@ -284,10 +284,7 @@ def test_work_that_waits_gives_up_where_it_is_cancelled(session, host):
 
 def test_work_that_waits_ends_where_the_robot_is_stopped(session, host):
     session.stop(ANN)
-    with (
-        robot_of(session, host, waits=True) as robot,
-        pytest.raises(DeviceFailed, match="stopped"),
-    ):
+    with robot_of(session, host, waits=True) as robot, pytest.raises(DeviceFailed, match="stopped"):
         robot.step_joints(np.array([0.05, 0.0]))
 
 

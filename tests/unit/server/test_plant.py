@@ -10,7 +10,7 @@ from armsight.control.guard import GuardState
 from armsight.server.serving import published_to_plant
 from armsight.server.web_server import ServeOptions
 from armsight_plant.options import FoxgloveOptions, PlantOptions
-from armsight_plant.publishing import Publishing, log_of, source_of
+from armsight_plant.publishing import Publishing, source_of
 from armsight_plant.state import conditions
 from armsight_plant.values import told
 
@@ -31,20 +31,6 @@ def test_a_loop_that_ended_is_an_alarm(service, host):
     state = source_of(service)()
     assert state.robot is None and state.why
     assert [one.name for one in conditions(state)] == ["robot"]
-
-
-def test_a_disk_that_failed_is_an_alarm(service, log):
-    log.failed = "the disk is full"
-    assert [(one.name, one.why) for one in conditions(source_of(service)())] == [("recording", "the disk is full")]
-
-
-def test_notes_are_logged_and_failures_told(service, log):
-    said = []
-    keep = log_of(service, said.append)
-    keep("warning", "somebody was kept out")
-    keep("error", "a failure")
-    assert log.events[-2:] == [("warning", "somebody was kept out"), ("error", "a failure")]
-    assert said == ["a failure"]
 
 
 def test_a_server_tells_where_it_publishes_and_nothing_where_it_does_not(service, monkeypatch):

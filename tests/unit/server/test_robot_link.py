@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from armsight.console import robot_link
-from armsight.console.robot_link import LONGEST, Heartbeat, JogKey, RobotLink
+from armsight.console.robot_link import RobotLink
 from armsight.console.routes import IDENTITY
 from armsight.control.session.operator_session import OperatorSession, Person
 
@@ -19,33 +19,6 @@ NOW = 100.0
 KEY = {"frame": "joints", "axis": 0, "sense": "1"}
 BEAT = {"do": "beat", "enable": True, "push": KEY, "seen": NOW}
 OVERRIDE = {"do": "override", "share": 0.5}
-
-
-def key(**changed):
-    return json.dumps({**BEAT, "push": {**KEY, **changed}})
-
-
-NO_MESSAGES = [
-    "", "{", "null", "[]", '"beat"', "1", "{}", '{"do": "dance"}', '{"do": null}', '{"do": {}}', '{"do": "\\ud800"}',
-    *[key(axis=axis) for axis in ("²", "0", 0.5, True, -1, 16, 10**400, None, [0])],
-    *[key(sense=sense) for sense in (0, 1, "2", "", 0.1, True, None)],
-    *[key(frame=frame) for frame in ("world", "\ud800", 0, None)],
-    key(more=1),
-    *[json.dumps({**BEAT, "push": push}) for push in ("joints:²:1", "joints:0:1", True, [KEY])],
-    *[json.dumps({**BEAT, "enable": enable}) for enable in (1, "true", None, [True])],
-    *[json.dumps({**BEAT, "seen": seen}) for seen in (float("nan"), float("inf"), 1e300, "now", True, 10**400)],
-    json.dumps({"do": "beat"}), json.dumps({**BEAT, "more": 1}),
-    json.dumps({**BEAT, "seen": NOW + 1e-3}),
-    '{"do": "stop", "do": "beat", "enable": true, "seen": 100}',
-    '{"do": "beat", "enable": false, "enable": true, "seen": 100}',
-    *[json.dumps({**OVERRIDE, "share": s}) for s in (float("nan"), float("inf"), -0.1, 1.1, "1", True, None, {})],
-    '{"do": "override"}',
-    '{"do": "stop", "at": 1}', '{"do": "reset", "at": 1}',
-    "[" * 900 + "]" * 900, '{"do":' * 300 + "1" + "}" * 300,
-    json.dumps(BEAT) + " " * LONGEST, "x" * 10_000_000,
-    None,
-]  # fmt: skip
-"""None stands for bytes."""
 
 
 class Visit:
@@ -67,17 +40,6 @@ def moved(host):
     return any(what[0] in ("post", "reset") or what == ("beat", True) for what in host.told)
 
 
-def refuses(link, host, said):
-    """Return whether a message is told as refused, with nothing done."""
-    link.take(said)
-    return bool(json.loads(json.dumps(link.state()))["refused"]) and not host.told and link.state()["override"] == 0.5
-
-
-@pytest.mark.parametrize("said", NO_MESSAGES, ids=range(len(NO_MESSAGES)))
-def test_what_is_no_message_is_told_and_does_nothing(link, host, said):
-    assert refuses(link, host, said)
-
-
 def test_messages_do_what_they_say(link, host):
     for said in (BEAT, OVERRIDE, {"do": "stop"}, {"do": "reset"}, {"do": "beat", "enable": False}):
         link.take(json.dumps(said))
@@ -95,30 +57,6 @@ def test_letting_go_counts_whatever_was_seen(link, host):
     assert not link.state()["enabled"]
 
 
-def lax(text):
-    """Stand for reading without a schema: what is there is taken as it is."""
-    said = json.loads(text or "{}")
-    push = said.get("push") or None
-    return Heartbeat.model_construct(
-        do="beat", enable=bool(said.get("enable")), seen=said.get("seen"),
-        push=push if push is None else JogKey.model_construct(**{**KEY, **push}),
-    )  # fmt: skip
-
-
-def test_reading_without_the_schema_would_be_found(service, host, monkeypatch):
-    monkeypatch.setattr(robot_link, "robot_message", lax)
-
-    def found(said):
-        host.told.clear()
-        fresh = RobotLink(OperatorSession(service), SimpleNamespace(scope={}), {})
-        try:
-            return not refuses(fresh, host, said)
-        except Exception:
-            return True
-
-    assert sum(found(said) for said in NO_MESSAGES) >= 30
-
-
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(st.characters(), max_size=8),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
@@ -132,7 +70,7 @@ NEARLY = st.fixed_dictionaries(
 SAID = st.text(max_size=60) | (VALUES | NEARLY).map(json.dumps)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(said=SAID)
 def test_whatever_is_said_nothing_is_raised_and_nothing_moves_without_the_enable(service, host, said):
     host.told.clear()
@@ -182,18 +120,6 @@ def joined(session, links, visit, page):
     made.state()
     made.take(json.dumps({"do": "page", "page": page}))
     return made
-
-
-@pytest.mark.parametrize("visit", [EVE, BEN])
-def test_nobody_speaks_for_anothers_page(service, host, pages, visit):
-    session, links = OperatorSession(service), {}
-    driver = joined(session, links, ANN, "anns")
-    driver.take(json.dumps(BEAT))
-    assert session.browser == "anns" and session.enabled("anns")
-    other = joined(session, links, visit, "anns")
-    assert "not yours" in other.state()["refused"] and not other.state()["mine"]
-    other.take(json.dumps({**BEAT, "enable": False}))
-    assert session.enabled("anns") and driver.state()["mine"]
 
 
 def test_a_connection_that_broke_gives_way_to_the_pages_next_one(service, host, pages):

@@ -6,16 +6,13 @@ import json
 import signal
 import subprocess
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from typer.testing import CliRunner
 from websockets.sync.client import ClientConnection, connect
 
 import warm_python
-from armsight.cli.commands import app
 
 START = ["serve", "--robot", "sim:webcam-cell"]
 
@@ -65,10 +62,3 @@ def test_a_page_and_a_program_do_not_drive_at_once(address: str) -> None:
         assert any(beat(page, enable=turn % 2 == 1)["mine"] for turn in range(100)), "the program is gone"
         with connect(f"ws://{address}/api/v1/drive", max_queue=None) as program:
             assert "drives" in str(program.recv(timeout=30.0))
-
-
-@pytest.mark.parametrize("flag", ["--arm", "--limits", "--log"])
-def test_what_the_cell_holds_is_not_given_again(flag: str, tmp_path: Path) -> None:
-    arguments = ["serve", "--robot", "sim:webcam-cell", "--console", str(tmp_path), flag, str(tmp_path / "x.yaml")]
-    done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 2 and f"{flag} beside --console" in done.output

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armsight.drivers.remote import protocol as say
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import Inconsistent
 from armsight.server.messages import VIOLATIONS, Session
 from refusals import refuses
 
@@ -39,29 +39,11 @@ def test_replayed_messages_are_refused():
     assert session.violations == 2
 
 
-def test_every_connection_has_its_own_nonce():
-    assert len({Session("drive").nonce for _ in range(100)}) == 100
-
-
 def test_a_refused_message_does_not_use_up_its_number():
     session = Session("drive")
     with pytest.raises(Inconsistent):
         session.admit(text(session, 3, step=[]))
     assert session.admit(text(session, 3)).seq == 3
-
-
-MALFORMED = [
-    "", "{", "null", "[]", "1", '"stop"', "{}", '{"type": "fly"}', b"\xff\xfe", "\ud800", "[" * 5000,
-    '{"type": "joint_step", "step": [1e400]}',
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("bad", MALFORMED, ids=lambda bad: repr(bad)[:20])
-def test_malformed_messages_are_refused(bad):
-    session = Session("drive")
-    with pytest.raises(Inconsistent):
-        session.admit(bad)
-    assert session.violations == 1
 
 
 @pytest.mark.parametrize(
@@ -91,15 +73,6 @@ def test_oversized_messages_are_refused():
     assert session.admit(fits).seq == 1
 
 
-def test_watchers_may_stop_and_read_only():
-    session = Session("watch")
-    assert session.admit(text(session, 1, "stop")).type == "stop"
-    assert session.admit(text(session, 2, "read")).type == "read"
-    for kind, fields in (("heartbeat", {"enable": True}), ("reset", {}), ("joint_step", {"step": [0.1]})):
-        with refuses(UsageError, "this connection"):
-            session.admit(text(session, 3, kind, **fields))
-
-
 def test_a_connection_that_breaks_the_rules_is_spent():
     session = Session("drive")
     for _ in range(VIOLATIONS):
@@ -121,7 +94,7 @@ NEARLY = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.one_of(NEARLY.map(json.dumps), JSON.map(json.dumps), st.binary(max_size=64), st.text(max_size=64)))
 def test_whatever_comes_is_a_command_or_a_refusal(message):
     session = Session("drive")
@@ -135,10 +108,3 @@ def test_whatever_comes_is_a_command_or_a_refusal(message):
         if command.type != "stop":  # that is anybody's
             assert command.session == session.nonce
         assert 1 <= command.seq < 2**53
-
-
-def test_the_schema_tells_every_message():
-    schema = say.protocol_schema()
-    names = {*schema["from_client"], *schema["from_server"]}
-    assert names <= schema["$defs"].keys()
-    assert len(schema["from_client"]) == 10

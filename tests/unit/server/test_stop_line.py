@@ -123,11 +123,6 @@ def test_an_enable_counts_by_the_key_that_is_granted(served):
     assert page.say(**beat, key="key") == "refused" and page.say(**beat, key="") == "refused"
 
 
-def test_nothing_else_is_taken(served, page):
-    assert page.say(type="reset") == "refused" and page.say(type="joint_goal", q=[0.1]) == "refused"
-    assert served.orders == []
-
-
 @pytest.mark.parametrize(
     ("origin", "port", "own"),
     [

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import http.client
 import socket
-import subprocess
-import sys
 
 import pytest
 
@@ -48,16 +46,5 @@ def test_callers_that_say_nothing_or_speak_tls_are_not_in_the_way() -> None:
     ):
         page.listener.settimeout(10)
         page.listener.accept()[0].close()
-        with (
-            pytest.raises(DeviceFailed, match="--port"),
-            listening("127.0.0.1", page.listener.getsockname()[1]),
-        ):
+        with pytest.raises(DeviceFailed, match="--port"), listening("127.0.0.1", page.listener.getsockname()[1]):
             pass
-
-
-def test_it_is_there_before_anything_that_takes_long_is_loaded() -> None:
-    """The reason why it is in time: numba, uvicorn and the pages come after it."""
-    told = (
-        "import armsight.server.waiting, sys; print(sorted({'numba', 'uvicorn', 'nicegui', 'numpy'} & {*sys.modules}))"
-    )
-    assert subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout == "[]\n"

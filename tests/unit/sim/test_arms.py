@@ -9,15 +9,11 @@ import pytest
 import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import Inconsistent
 from armsight.kinematics import pose
 from armsight.store.arm_file import arm_from_mapping
-from armsight_sim.arms import Drive, FlangeLimits, Servo, SimArm, SimJoint, covering
-from armsight_sim.motions import Drawn, HandJitter, Jumping, Turntable, Waypoints
+from armsight_sim.arms import Drive, FlangeLimits, Servo, SimArm, covering
 from armsight_sim.scenario_builder import robotics
 from armsight_sim.scenario_schema import Scenario
-from armsight_sim.scene import Rest
-from refusals import refuses
 
 NAMES = ("korayem2018-circle", "kapucu2005-rrp", "webcam-cell", "pachidis2005-static")
 
@@ -53,27 +49,6 @@ def test_the_jacobian_is_the_derivative(name: str) -> None:
         assert np.abs(J[:3, i] - (ahead - behind)[:3, 3] / (2 * h)).max() < 1e-8
         turn = Rotation.from_matrix(ahead[:3, :3] @ behind[:3, :3].T).as_rotvec() / (2 * h)
         assert np.abs(J[3:, i] - turn).max() < 1e-8
-
-
-def test_reach_comes_back_to_the_pose_and_refuses_what_is_too_far() -> None:
-    arm = arm_of("webcam-cell")
-    q = np.deg2rad([10.0, -60.0, 90.0, -30.0, 80.0, 20.0])
-    found = arm.reach(arm.frames(q)[-1], q + 0.3)
-    assert np.abs(arm.frames(found)[-1] - arm.frames(q)[-1]).max() < 1e-8
-    far = arm.frames(q)[-1].copy()
-    far[:3, 3] *= 3.0
-    with refuses(Inconsistent, "reach"):
-        arm.reach(far, q)
-
-
-def test_errors_leave_alone_what_the_base_takes_up() -> None:
-    nominal = SimArm(
-        joints=(SimJoint(name="a", a_m=0.1), SimJoint(name="b", a_m=0.2), SimJoint(name="c", prismatic=True))
-    )
-    draws = [nominal.with_errors(np.random.default_rng(s), 1e-3, 1e-2).joints for s in range(400)]
-    assert {(j[0].d_m, j[0].theta_rad, j[2].theta_rad) for j in draws} == {(0.0, 0.0, 0.0)}
-    assert np.std([j[1].a_m for j in draws]) == pytest.approx(1e-3, rel=0.15)
-    assert np.std([j[1].alpha_rad for j in draws]) == pytest.approx(1e-2, rel=0.15)
 
 
 def test_a_flange_is_cut_to_its_speed_and_turning_rate() -> None:
@@ -128,54 +103,3 @@ def test_a_servo_keeps_its_speed_limit_and_holds_commands_for_their_time() -> No
     assert servo.at(0.1)[0, 0] == 0.0
     assert servo.at(1.1)[0, 0] == pytest.approx(0.5, abs=1e-9)
     assert servo.at(2.9)[0, 0] == 1.0
-
-
-def test_encoders_count_in_steps() -> None:
-    servo = Servo(drive(step=0.01), [0.1234])
-    assert servo.read(0.0)[0, 0] == pytest.approx(0.12)
-
-
-def test_a_servo_that_forgets_its_past_knows_the_rest() -> None:
-    whole, short = Servo(drive(), [0.0]), Servo(drive(), [0.0], keep=50)
-    for servo in (whole, short):
-        servo.command(0.0, np.array([1.0]))
-        for t_s in np.arange(0.0, 2.0, 0.01):
-            servo.advance(float(t_s))
-    assert short.t_s == pytest.approx(whole.t_s)
-    assert np.abs(short.at([1.9, 1.95]) - whole.at([1.9, 1.95])).max() < 1e-9
-
-
-def test_ways_rest_at_their_points() -> None:
-    ways = Waypoints(q=np.array([[0.0], [1.0], [3.0]]), leave_s=np.array([1.0, 3.0]), arrive_s=np.array([2.0, 5.0]))
-    values = ways(np.array([0.0, 1.0, 1.5, 2.0, 2.7, 4.0, 5.0, 9.0]))[:, 0]
-    assert values == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0, 2.0, 3.0, 3.0])
-
-
-def test_a_turntable_turns_about_its_centre() -> None:
-    table = Turntable(
-        T_world_base=RigidTransform.from_translation([1.0, 2.0, 3.0]),
-        T_base_target=RigidTransform.from_translation([0.246, 0.0, 0.0]),
-        from_rad=np.deg2rad(50),
-        to_rad=np.deg2rad(-50),
-        start_s=1.0,
-        lasts_s=10.0,
-    )
-    xyz = np.asarray(table(np.linspace(0.0, 12.0, 50)).translation) - [1.0, 2.0, 3.0]
-    assert np.abs(np.linalg.norm(xyz, axis=1) - 0.246).max() < 1e-12
-    assert np.rad2deg(np.arctan2(xyz[[0, -1], 1], xyz[[0, -1], 0])) == pytest.approx([50.0, -50.0])
-
-
-def test_a_drawn_path_keeps_its_speed_on_edges_and_rounds_corners() -> None:
-    path = Drawn([[0, 0, 0], [0.4, 0, 0], [0.4, 0.2, 0]], Rotation.identity(), 0.1, 0.05, 1.0)
-    xyz = np.asarray(path(np.array([0.0, 2.0, 3.0, 5.0, 60.0])).translation)
-    assert np.abs(xyz - [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.4, 0, 0], [0.4, 0.2, 0]])[[0, 1, 2, 4]].max() < 1e-6
-    assert 1e-3 < np.linalg.norm(xyz[3] - [0.4, 0.0, 0.0]) < 0.1 * 0.05
-
-
-def test_a_hand_shakes_as_much_as_it_is_told_and_a_jump_ends() -> None:
-    rest = Rest(T_world_target=RigidTransform.identity())
-    shaken = HandJitter(rest, 1e-3, 0.01, np.random.default_rng(5))(np.linspace(0.0, 400.0, 20_000))
-    assert np.asarray(shaken.translation).std(axis=0) == pytest.approx(np.full(3, 1e-3), rel=0.05)
-    assert shaken.rotation.as_rotvec().std(axis=0) == pytest.approx(np.full(3, 0.01), rel=0.05)
-    jump = Jumping(path=rest, by_m=np.array([0.1, 0.0, 0.0]), start_s=1.0, end_s=2.0)
-    assert np.asarray(jump(np.array([0.9, 1.0, 1.9, 2.0])).translation)[:, 0] == pytest.approx([0.0, 0.1, 0.1, 0.0])

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import UsageError
-from armsight_sim.motions import CIRCLE_M, JITTER_M, RUN_UP_S, Hand, RoundPath, WanderingPath, hand_path
-from refusals import refuses
+from armsight_sim.motions import CIRCLE_M, RUN_UP_S, RoundPath, WanderingPath
 
 START = RigidTransform.from_components([0.2, 1.2, 0.1], Rotation.from_rotvec([-2.7, 0.1, 0.0]))
 T_S = np.arange(0.0, 20.0, 0.01)
@@ -37,22 +35,3 @@ def test_a_hand_at_random_begins_at_rest_and_is_never_faster():
         assert v[0] < 1e-3
         assert 0.04 < v.max() <= 0.1 * 1.001
         assert (path(T_S).rotation * START.rotation.inv()).magnitude().max() > 0.02
-
-
-def test_every_hand_begins_where_the_target_is():
-    for hand in Hand:
-        path = hand_path(hand, START, 0.05, seed=3)
-        assert np.linalg.norm(path(np.zeros(1))[0].translation - START.translation) < 8.0 * JITTER_M
-
-
-def test_hands_of_two_seeds_differ_and_one_seed_repeats():
-    a, b, c = (hand_path("random", START, 0.05, seed)(T_S).translation for seed in (1, 1, 2))
-    assert np.array_equal(a, b)
-    assert np.abs(a - c).max() > 0.01
-
-
-def test_unknown_hands_and_speeds_are_refused():
-    with refuses(UsageError, "square", "hand"):
-        hand_path("square", START, 0.05, 1)
-    with pytest.raises(UsageError, match="speed"):
-        hand_path("circle", START, -0.05, 1)

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.errors import DeviceFailed
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.ops.simulation.scenarios import load_scenario
 from armsight.records import PoseStatus
 from armsight.store.rigs import rig_from_mapping
 from armsight.store.targets import target_from_mapping
 from armsight_sim.live import live_cell
-from refusals import refuses
 
 
 def cell_of(name: str, clock: ManualClock, **asked):
@@ -48,15 +46,6 @@ def test_what_is_measured_is_where_the_target_truly_is_while_robot_and_hand_move
     assert clock.now_s() == pytest.approx(5.0 + 20 / 20.0 + cell.pairs.latency_s)
 
 
-def test_the_robot_that_carries_its_rig_begins_before_the_target():
-    clock = ManualClock()
-    cell = cell_of("pachidis2005-static", clock)
-    with cell.robot, cell.pairs:
-        T_world_rig = cell.robot.true.T_world_base * cell.robot.true_flange(0.0) * cell.T_mount_rig
-        xyz = (T_world_rig.inv() * cell.pairs.target_at(0.0)).translation
-    assert xyz == pytest.approx([0.0, 0.0, 0.6], abs=0.01)
-
-
 def test_covered_lights_are_not_seen_until_they_are_uncovered():
     cell = cell_of("pachidis2005-static", ManualClock(), hand="still")
     setup = setup_of(cell)
@@ -68,15 +57,3 @@ def test_covered_lights_are_not_seen_until_they_are_uncovered():
         assert measure_pair(setup, *cell.pairs.moment(2)).pose.status is not PoseStatus.OK
         cell.pairs.cover(False, names=("A",))
         assert measure_pair(setup, *cell.pairs.moment(3)).pose.status is PoseStatus.OK
-
-
-def test_a_frame_nobody_fetched_is_not_taken_and_a_closed_view_gives_none():
-    clock = ManualClock()
-    cell = cell_of("pachidis2005-static", clock, hand="still", fps=10.0)
-    with cell.robot, cell.pairs:
-        frames = iter(cell.pairs)
-        assert next(frames)[0].sequence == 1
-        clock.advance(1.0)
-        assert next(frames)[0].sequence > 10
-    with refuses(DeviceFailed, "not open"):
-        cell.pairs.moment(1)

@@ -5,20 +5,13 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import pytest
 import yaml
 
-from armsight.errors import BadFile
-from armsight.ops.simulation.run import simulate
 from armsight.ops.simulation.scenarios import build_world, scenario_model
-from armsight.store import read_rig
 from armsight_sim.world import World
-from refusals import refuses
 
 NAMES = ("left", "right", "far-left", "far-right")
 BEHIND = {"home": [0.0, -60.0, 90.0, -30.0, -90.0, 0.0], "amplitude": 6 * [0.0]}
@@ -97,51 +90,3 @@ def test_what_was_told_to_happen_happens_to_the_camera_named() -> None:
     made = world(covered)
     assert {(one.camera, one.light) for one in made.sights(0) if one.hidden_by == "event"} == {("far-left", "A")}
     assert {(one.camera, one.light) for one in made.sights(6) if one.hidden_by == "event"} == {(n, "B") for n in NAMES}
-
-
-@pytest.mark.parametrize("names", [NAMES[:1], NAMES[:3]])
-def test_fewer_of_the_cameras_see_the_same(names: tuple[str, ...]) -> None:
-    def fewer(keys: dict[str, Any]) -> None:
-        cameras = keys["cameras"]
-        cameras["others"] = {name: one for name, one in cameras["others"].items() if name in names}
-        if "right" not in names:
-            del cameras["right"]
-
-    def steady(keys: dict[str, Any]) -> None:
-        keys["motion"]["amplitude"] = 6 * [0.0]
-
-    made, whole = world(lambda keys: (fewer(keys), steady(keys))), world(steady)
-    assert made.views == names and whole.views == NAMES
-    for frame, view in zip(next(made.frames()), names, strict=True):
-        np.testing.assert_array_equal(frame.image, whole.frame(0, view).image)
-
-
-def test_its_files_have_a_folder_for_every_camera_and_a_rig_of_all(tmp_path: Path) -> None:
-    done = simulate("arm-cell", tmp_path, frames=2, seed=3, room="dark")
-    assert tuple(done.views or ()) == NAMES
-    for name in NAMES:
-        assert cv2.imread(str(tmp_path / name / "000001.png"), cv2.IMREAD_GRAYSCALE).shape == (720, 1280)
-    assert read_rig(tmp_path / "rig.yaml", any_cameras=True).names == NAMES
-    header, *rows = (tmp_path / "truth_lights.csv").read_text().splitlines()
-    assert header == "t_s,camera,light,u_px,v_px,hidden_by" and len(rows) == 2 * len(NAMES) * 6
-    assert not (tmp_path / "truth_lights.csv").read_text().count("nan")
-
-
-def test_what_cannot_be_a_rig_or_a_camera_is_refused_by_its_key() -> None:
-    def other(name: str, **changed: Any) -> Callable[[dict[str, Any]], object]:
-        one = content()["cameras"]["others"]["far-left"] | changed
-        return lambda keys: keys["cameras"]["others"].update({name: one})
-
-    with refuses(BadFile, "cameras", "rig"):
-        world(other("rig"))
-    with refuses(BadFile, "cameras.others.9th"):
-        world(other("9th"))
-    with refuses(BadFile, "far-left and second", "one place"):
-        world(other("second"))
-    with refuses(BadFile, "at most"):
-        places = {f"c{k}": {"xyz_m": [0.1 * k, 0.5, 0.0]} for k in range(1, 6)}
-        world(lambda keys: [other(name, T_rig_camera=at)(keys) for name, at in places.items()])
-    with refuses(BadFile, "top", "far-left"):
-        world(lambda keys: keys.update(events=[{"kind": "frozen", "at_s": 0.0, "for_s": 1.0, "side": "top"}]))
-    with refuses(BadFile, "facing"):
-        world(lambda keys: keys["target"]["facing"].pop("A"))

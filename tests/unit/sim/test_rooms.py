@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-import copy
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
-import lit_rooms
-from armsight.errors import Inconsistent, UsageError
-from armsight.ops.simulation.scenarios import load_scenario, scenario_names, settled_text
-from armsight_sim import Cell, LedCellOptions, Lens, Sensor, board_cell, led_cell
-from armsight_sim.pipeline import IDEAL
-from armsight_sim.rigs import Mirrors, mirror_views
+from armsight_sim import Cell, LedCellOptions, Lens, led_cell
 from armsight_sim.rooms import textures as tx
-from armsight_sim.rooms.furniture import AHEAD, Furnisher
-from armsight_sim.rooms.occluders import make_occluder
-from armsight_sim.rooms.room import Layout, furnished, layout_about, upright
-from armsight_sim.rooms.scene import Panel, Scene, Texture, View, boxes_of
-from armsight_sim.scenario_builder import build_world
-from armsight_sim.scenario_keys import checked_room, pipeline_of
-from armsight_sim.scenario_schema import Scenario
-from refusals import refuses
-
-QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
+from armsight_sim.rooms.scene import Panel, Scene, Texture, View
 
 
 def small(seed: int, frames: int, *, room: Any = "dark", pipeline: Any = "ideal", **options: Any) -> Cell:
@@ -70,30 +51,6 @@ def test_a_point_of_the_room_is_where_the_pinhole_says(camera_at: list[float]) -
     assert seen[:, :, 3].sum() == pytest.approx(area, rel=0.05)
 
 
-def test_the_lens_bends_a_room_as_it_bends_the_lights() -> None:
-    lens = Lens(
-        width=320,
-        height=240,
-        focal_px=(200.0, 200.0),
-        centre_px=(159.5, 119.5),
-        distortion=(0.2, -0.1, 0.005, -0.004, 0.0),
-    )
-    point = np.array([0.62, 0.4, 1.2])
-    seen = View(lens=lens).cast(Scene.evenly([panel(point.tolist(), (0.03, 0.03), ASLANT)]), RigidTransform.identity())
-    K = np.array([[200.0, 0.0, 159.5], [0.0, 200.0, 119.5], [0.0, 0.0, 1.0]])
-    uv = cv2.projectPoints(point[None], np.zeros(3), np.zeros(3), K, np.array(lens.distortion))[0].ravel()
-    np.testing.assert_allclose(centre(seen[:, :, 3]), uv, atol=0.05)
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_both_paths_of_a_mirror_rig_see_the_room_where_they_see_lights(side: str) -> None:
-    lens = Lens(width=384, height=288, focal_px=(500.0, 500.0), centre_px=(191.5, 143.5))
-    view = mirror_views(lens, Mirrors(baseline_m=0.12, plate_m=0.002))[side]
-    point = np.array([0.02, 0.03, 0.8])
-    seen = View(lens=view).cast(Scene.evenly([panel(point.tolist(), (0.04, 0.04), ASLANT)]), RigidTransform.identity())
-    np.testing.assert_allclose(centre(seen[:, :, 3]), view.project(point), atol=0.06)
-
-
 def test_the_nearer_thing_hides_the_farther_one_and_is_seen_from_the_front_only() -> None:
     lens = Lens(width=60, height=40, focal_px=(50.0, 50.0), centre_px=(29.5, 19.5))
     near, far = panel([0.0, 0.0, 1.0], (0.2, 0.2)), panel([0.0, 0.0, 2.0], (1.0, 1.0))
@@ -109,68 +66,6 @@ def test_the_nearer_thing_hides_the_farther_one_and_is_seen_from_the_front_only(
         assert seen[20, 36, :3].tolist() == [3.0, 3.0, 3.0]
     behind = RigidTransform.from_components([0.0, 0.0, 4.0], Rotation.from_rotvec([0.0, np.pi, 0.0]))
     assert View(lens=lens).cast(Scene.evenly([near, far]), behind).max() == 0.0
-
-
-def test_lamps_light_what_they_see_and_boxes_throw_shadows() -> None:
-    rng = np.random.default_rng(0)
-    made = Furnisher(rng)
-    floor = made.panel((0.0, 1.0, 2.0), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), (2.0, 2.0), white())
-    made.tube((0.0, -1.0, 2.0), 0.6, 20.0)
-    made.box((0.0, 0.3, 2.0), (0.5, 0.02, 0.5), white())
-    scene = Scene.lit(made.panels, rng)
-    assert made.panels[0] is floor
-    first, columns, rows = scene.arrays[5][0]
-    on_floor = scene.arrays[8][first : first + columns * rows, 1].reshape(rows, columns)
-    assert on_floor[rows // 2, columns // 2] < 0.75 * on_floor[rows // 2, 1]
-
-
-def test_the_light_is_that_of_looking_at_every_panel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bit by bit: boxes about the panels spare looks and change nothing."""
-
-    def lit() -> tuple[Scene, int]:
-        rng = np.random.default_rng(3)
-        made = Furnisher(rng)
-        made.panel((0.0, 1.0, 2.0), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), (2.0, 2.0), white())
-        made.tube((0.0, -1.0, 2.0), 0.6, 20.0)
-        for place in rng.uniform((-0.8, 0.3, 1.2), (0.8, 1.0, 2.8), (30, 3)):
-            made.any_box(tuple(place), (0.15, 0.1, 0.2), float(rng.uniform(0.0, 90.0)))
-        return Scene.lit(made.panels, rng), len(boxes_of(made.panels, range(len(made.panels)))[0])
-
-    scene, boxes = lit()
-    monkeypatch.setattr("armsight_sim.rooms.scene.BOX_PANELS", 1000)
-    monkeypatch.setattr("armsight_sim.rooms.scene.WALL_M2", np.inf)
-    one_by_one, alone = lit()
-    assert boxes > 50 and alone == 2
-    np.testing.assert_array_equal(scene.arrays[8], one_by_one.arrays[8])
-
-
-def test_a_texture_keeps_its_mean_at_every_level() -> None:
-    drawn = tx.brick(np.random.default_rng(1), (0.16, 0.21, 0.36), 128)
-    means = [np.square(level[:, :, :3] / 255.0).mean(axis=(0, 1)) for level in drawn.levels()]
-    for mean in means[1:5]:
-        np.testing.assert_allclose(mean, means[0], rtol=0.03)
-
-
-def test_the_same_seed_gives_the_same_picture_and_another_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    lit_rooms.apart(monkeypatch)
-    first = small(5, 2, room="plain", pipeline="webcam").pair(1)
-    furnished.cache_clear()
-    again, other = small(5, 2, room="plain", pipeline="webcam"), small(6, 2, room="plain")
-    np.testing.assert_array_equal(first[0].image, again.pair(1)[0].image)
-    assert (first[0].image != other.pair(1)[0].image).mean() > 0.3
-
-
-def test_lights_stand_out_of_the_room_where_they_stand_out_of_the_dark() -> None:
-    dark = small(5, 2, sensor=QUIET, hot_pixels=0)
-    room = small(5, 2, sensor=QUIET, hot_pixels=0, room="workshop", pipeline="machine")
-    assert room.pair(0)[0].image.mean() > dark.pair(0)[0].image.mean() + 10
-    for side, camera in room.cameras.items():
-        extra = (camera.light(room.lights, room.path, 0.0) - camera.still)[:, :, 0]
-        for name, uv in dark.centres_px(0, side).items():
-            i, j = np.round(uv).astype(int)
-            window = np.zeros_like(extra)
-            window[j - 4 : j + 5, i - 4 : i + 5] = extra[j - 4 : j + 5, i - 4 : i + 5]
-            np.testing.assert_allclose(centre(window), uv, atol=0.02, err_msg=name)
 
 
 def hand(**keys: Any) -> dict[str, Any]:
@@ -190,141 +85,3 @@ def test_an_occluder_hides_the_lights_behind_it_and_is_gone_afterwards() -> None
     beyond = small(5, 90, room=hand(from_m=[-0.2, 0.0, 3.0], to_m=[0.4, 0.0, 3.0], size_m=4.0))
     assert len(beyond.centres_px(25, "left")) == 3
     assert beyond.cameras["left"].light(cell.lights, cell.path, 25 / 60).max() > 120.0
-
-
-def test_an_occluder_covers_half_a_light_at_its_edge() -> None:
-    lens = Lens(width=200, height=120, focal_px=(200.0, 200.0), centre_px=(99.5, 59.5))
-    card = make_occluder(
-        "card", size_m=0.2, from_m=np.array([-0.1, 0.0, 0.5]), to_m=np.array([-0.1, 0.0, 0.5]),
-        first_s=0.0, last_s=1.0, level=80.0, seed=1,
-    )  # fmt: skip
-    source = card.source(lens, RigidTransform.identity(), 0.5, 1)
-    assert source is not None
-    places = np.array([[-0.05, 0.0, 1.0], [0.05, 0.0, 1.0], [-0.05, 0.0, 0.4]])
-    assert card.covers(lens, RigidTransform.identity(), places, 0.5).tolist() == [True, False, False]
-    row = source.share[source.share.shape[0] // 2]  # the card ends at x = 0, in the middle of pixel 99.5
-    assert row.sum() == pytest.approx(200.0 * 0.2 / 0.5, abs=0.6)
-    assert row[95 - source.column] == pytest.approx(1.0, abs=1e-3)
-    assert row[103 - source.column :].max(initial=0.0) < 0.02
-
-
-def test_boards_stand_before_the_room() -> None:
-    cell = board_cell(5, 1, width=320, height=180, room="plain", pipeline="machine")
-    image = next(cell.frames())[0].image
-    assert cell.behind is not None
-    corner = cell.poses[0].apply(np.array([0.1, 0.06, 0.0]))
-    u, v = np.round(cell.cameras["left"].lens.project(corner)).astype(int)
-    board = image[v - 10 : v + 10, u - 10 : u + 10]
-    assert np.ptp(board.astype(int)) > 100
-    assert np.abs(image[:12, :12].astype(float) - cell.behind["left"][:12, :12, 0]).mean() < 20.0
-
-
-def test_a_picture_of_ones_own_is_what_the_camera_delivers(tmp_path: Path) -> None:
-    y, x = np.mgrid[0:90, 0:160]
-    for side, shift in (("left", 0), ("right", 40)):
-        cv2.imwrite(str(tmp_path / f"{side}.png"), (40 + x + shift + 0 * y).astype(np.uint8))
-    keys = {"picture": {side: str(tmp_path / f"{side}.png") for side in ("left", "right")}}
-    cell = small(5, 1, room=keys, pipeline={"curve": "srgb"}, sensor=QUIET, hot_pixels=0)
-    for side, shift in (("left", 0), ("right", 40)):
-        empty = cell.cameras[side].develop([], np.random.default_rng(0))
-        assert np.abs(empty.astype(int) - (40 + x + shift)).max() <= 1
-    with refuses(Inconsistent, "nowhere.png"):
-        small(5, 1, room={"picture": "nowhere.png"})
-
-
-def scenario(name: str, **keys: Any) -> dict[str, Any]:
-    """A scenario's content in the dark, as ideal cameras see it."""
-    text = (files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text()
-    mapping: dict[str, Any] = copy.deepcopy(yaml.safe_load(text))
-    mapping["cameras"]["pipeline"] = "ideal"
-    mapping["room"] = "dark"
-    mapping.update(keys)
-    return mapping
-
-
-def test_a_robot_that_carries_its_rig_sees_the_room_move() -> None:
-    """A mark of the room, behind a moving camera's mirrors: where its views project it, in every frame."""
-    mark = {"surface": "paint", "colour": [1.0, 1.0, 1.0], "glow": 8.0, "size_m": [0.02, 0.02]}
-    mapping = scenario("pachidis2005-circle", frames=200, fps=5.0)
-    mapping["arm"]["vibration"]["amplitude_m"] = 0.0
-    plain = build_world(Scenario.model_validate(mapping))
-    start = plain.target_path(np.zeros(1))[0]
-    T_world_room = upright(plain.rig_path(np.zeros(1))[0], (0.0, 0.0, 1.0))
-    place = (T_world_room.inv() * start).apply([0.0, 0.03, 0.05])
-    turn = ((T_world_room.inv() * start).rotation * ASLANT).as_euler("xyz", degrees=True)
-    mark["T_room_panel"] = {"xyz_m": place.tolist(), "turn_deg": turn.tolist()}
-    mapping["room"] = {"preset": "plain", "panels": [mark], "floor_m": 2.0}
-    made = build_world(Scenario.model_validate(mapping))
-    assert made.moving is not None
-    found = []
-    for t_s in (0.0, 4.0):
-        T_world_rig = made.rig_path(np.array([t_s]))[0]
-        light = made.moving.light("image", T_world_rig)[:, :, 0]
-        point = (T_world_rig.inv() * T_world_room).apply(place)
-        for side in ("left", "right"):
-            uv = made.cameras[side].lens.project(point)
-            i, j = np.round(uv).astype(int)
-            window = np.zeros_like(light)
-            part = light[j - 30 : j + 31, i - 30 : i + 31]
-            window[j - 30 : j + 31, i - 30 : i + 31] = np.maximum(part - 100.0, 0.0)
-            np.testing.assert_allclose(centre(window), uv, atol=0.5)  # one ray for two pixels
-            found.append(uv)
-    assert np.linalg.norm(found[0] - found[2]) > 1.0, "the mark moves too little for the test to tell"
-
-
-def test_furniture_keeps_clear_of_the_target() -> None:
-    places = np.array([[0.0, 0.1, 0.9], [0.1, 0.2, 1.4]])
-    layout = layout_about(places, depth_m=None, floor_m=None, least_floor_m=1.0, rng=np.random.default_rng(1))
-    assert layout.depth_m > layout.clear_m > 1.4
-    assert layout.floor_m >= 1.0 > layout.low_m > 0.2
-    with pytest.raises(Inconsistent, match="depth_m"):
-        furnished("plain", 1, Layout(depth_m=1.0, clear_m=1.5), 70.0)
-
-
-def test_a_level_room_stands_about_a_tilted_rig() -> None:
-    for turn in ([0.0, 0.0, 0.0], [-90.0, 0.0, 90.0], [-150.0, 10.0, 30.0], [180.0, 0.0, 0.0]):
-        rig = RigidTransform.from_components([1.0, 2.0, 3.0], Rotation.from_euler("xyz", turn, degrees=True))
-        R = upright(rig, (0.0, 0.0, 1.0)).rotation.as_matrix()
-        np.testing.assert_allclose(R[:, 1], [0.0, 0.0, -1.0], atol=1e-12)
-        np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-12)
-
-
-def test_what_is_no_room_is_refused_by_its_key() -> None:
-    for wrong, says in (
-        ("cellar", "room.preset"),
-        ({"preset": "plain", "sede": 3}, "room.sede"),
-        ({"preset": "plain", "picture": "a.png"}, "room"),
-        ({"seed": 3}, "seed"),
-        ({"preset": "plain", "occluders": [{"kind": "ghost"}]}, "room.occluders.0.kind"),
-    ):
-        with refuses(UsageError, says):
-            checked_room(wrong)
-
-
-@pytest.mark.parametrize("room", ["dark", "office", {"preset": "plain", "depth_m": 3.0}, {"picture": "a.png"}])
-def test_a_scenario_that_was_written_out_whole_comes_back(room: Any) -> None:
-    model = Scenario.model_validate(scenario("webcam-cell", room=room))
-    assert Scenario.model_validate(model.model_dump()) == model
-
-
-def test_what_is_built_in_stands_in_a_room_before_real_cameras() -> None:
-    for name in scenario_names():
-        model = load_scenario(name)[0]
-        assert not model.room.dark, name
-        assert pipeline_of(model.cameras.pipeline) != IDEAL, name
-    told = "\n".join(led_cell(5, 1, LedCellOptions(width=32, height=18)).assumptions)
-    assert "room: workshop" in told
-    assert "JPEG of quality 88" in told
-
-
-def test_a_scenarios_text_takes_another_room_in_its_place() -> None:
-    text = (
-        "seed: 1\nroom:\n  preset: plain # chosen\n  occluders:\n    - {kind: hand}\nmotion: {kind: ways}\nframes: 2\n"
-    )
-    settled = yaml.safe_load(settled_text(text, seed=3, frames=4, room={"picture": "a b.png"}))
-    assert settled == {"seed": 3, "room": {"picture": "a b.png"}, "motion": {"kind": "ways"}, "frames": 4}
-    assert yaml.safe_load(settled_text(text, seed=3, frames=4))["room"]["preset"] == "plain"
-
-
-def test_looking_straight_ahead_is_turned_by_nothing() -> None:
-    np.testing.assert_array_equal(AHEAD, np.eye(3))

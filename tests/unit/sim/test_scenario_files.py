@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
@@ -15,9 +14,8 @@ import numpy as np
 import pytest
 import yaml
 
-from armsight.errors import ArmsightError, BadFile, DeviceNotFound, Inconsistent
+from armsight.errors import ArmsightError, BadFile
 from armsight.ops.simulation.run import simulate
-from armsight.ops.simulation.scenarios import load_scenario, scenario_names
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import read_arm
 from armsight.store.rigs import read_world
@@ -25,17 +23,6 @@ from armsight.store.tracks import read_joints, read_poses
 from armsight_sim.scenario_builder import build_world
 from armsight_sim.scenario_schema import Scenario
 from armsight_sim.world import World
-from refusals import refuses
-
-NAMES = (
-    "arm-cell",
-    "kapucu2005-rrp",
-    "korayem2018-circle",
-    "pachidis2005-circle",
-    "pachidis2005-static",
-    "pachidis2005-trapezium",
-    "webcam-cell",
-)
 
 
 @cache
@@ -54,10 +41,6 @@ def world(name: str, frames: int | None = None, change: Callable[[dict[str, Any]
     return made
 
 
-def places(truth: Any) -> np.ndarray:
-    return np.array([xyz for _, xyz, _ in truth])
-
-
 def centroids(image: np.ndarray, level: int = 60) -> np.ndarray:
     """Centres of the lit patches of an image, weighted by light, from left to right."""
     grey = image.astype(float)
@@ -70,62 +53,6 @@ def centroids(image: np.ndarray, level: int = 60) -> np.ndarray:
         weight = np.clip(grey[v, u] - np.median(grey), 0.0, None)
         found.append([weight @ u / weight.sum(), weight @ v / weight.sum()])
     return np.array(sorted(found))
-
-
-def test_the_scenarios_are_there() -> None:
-    assert scenario_names() == NAMES
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_number_says_where_it_is_from(name: str) -> None:
-    text = (files("armsight_sim") / "scenarios" / f"{name}.yaml").read_text()
-    for line in text.splitlines():
-        value, _, note = line.partition("#")
-        if (
-            re.search(r":.*\d|^\s+- .*\d", value.split("name: ")[-1])
-            and "about:" not in value
-            and "version:" not in value
-        ):
-            assert re.match(r" (paper|derived|chosen|data sheet)", note), f"{name}: no source beside {line!r}"
-
-
-def test_korayem_turns_a_quarter_at_half_a_metre() -> None:
-    made = world("korayem2018-circle", change=lambda m: m["arm"].update(error={}))
-    xyz = places(made.world_truth)
-    assert len(xyz) == 40
-    radius = np.hypot(xyz[:, 0], xyz[:, 1])
-    assert np.ptp(radius) < 1e-3  # vibration
-    angle = np.rad2deg(np.unwrap(np.arctan2(xyz[:, 1], xyz[:, 0])))
-    assert 90.0 < np.ptp(angle) < 95.0
-    assert places(made.truth)[:, 2].min() == pytest.approx(0.5, abs=0.005)
-
-
-def test_kapucu_moves_one_joint_at_a_time() -> None:
-    made = world("kapucu2005-rrp")
-    xyz = places(made.world_truth)
-    assert [joint for _, joint in made.sweeps] == [1] * 10 + [2] * 10 + [3] * 10
-    first, second, third = xyz[:10], xyz[10:20], xyz[20:]
-    assert np.hypot(first[:, 0], first[:, 1]) == pytest.approx(np.full(10, np.hypot(0.96, 0.05)), abs=1e-3)
-    assert first[:, 2] == pytest.approx(np.full(10, 1.46), abs=1e-3)
-    centre = np.array([0.0, 0.05, 1.27])
-    assert np.linalg.norm(second - centre, axis=1) == pytest.approx(np.full(10, 0.96), abs=1e-3)
-    assert np.linalg.norm(third[-1] - third[0]) == pytest.approx(0.463, abs=1e-3)
-    for joint in (1, 2, 3):
-        q = np.array([row for (_, row), (_, moved) in zip(made.joints, made.sweeps, strict=True) if moved == joint])
-        others = np.delete(q, joint - 1, axis=1)
-        assert np.ptp(others, axis=0).max() < 2e-4  # one encoder step
-
-
-def test_pachidis_follows_a_circle_at_dz_within_its_speeds() -> None:
-    made = world("pachidis2005-circle", frames=30)
-    arm = places(made.world_truth) - [0.1475, 1.3785, 0.448]
-    assert np.hypot(arm[:, 0], arm[:, 1]) == pytest.approx(np.full(30, 0.246), abs=1e-3)
-    seen = places(made.truth)
-    assert seen[:, 2] == pytest.approx(np.full(30, 0.6), abs=0.005)
-    assert np.abs(seen[:, :2]).max() < 0.01
-    t_s = np.arange(0.0, 20.0, 0.028)
-    path = np.asarray(made.rig_path(t_s).translation)
-    assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() / 0.028 < 0.15  # 100 mm/s and the vibration's own
 
 
 def test_a_complex_image_holds_both_views_where_the_rays_say() -> None:
@@ -171,15 +98,6 @@ def with_event(**event: Any) -> Callable[[dict[str, Any]], None]:
     return change
 
 
-def test_a_frozen_camera_repeats_its_picture() -> None:
-    made = world("webcam-cell", frames=12, change=with_event(kind="frozen", side="left"))
-    images = [made.frame(k, "left").image for k in (3, 5, 9)]
-    assert np.array_equal(images[0], images[1])
-    assert not np.array_equal(images[0], images[2])
-    assert not np.array_equal(made.frame(3, "right").image, made.frame(5, "right").image)
-    assert made.frame(5, "left").sequence == 5
-
-
 def test_dropped_frames_leave_gaps_in_the_numbers() -> None:
     made = world("webcam-cell", frames=12, change=with_event(kind="dropped", side="right"))
     assert made.kept == (0, 1, 2, 9, 10, 11)
@@ -192,113 +110,28 @@ def test_dropped_frames_leave_gaps_in_the_numbers() -> None:
     assert lost == pytest.approx(1.0 - 0.9**2, abs=0.07)
 
 
-def test_a_lost_link_leaves_no_readings_and_a_late_cycle_moves_later() -> None:
-    made = world("webcam-cell", frames=12, change=with_event(kind="link_lost"))
-    assert len(made.joints) == 6
-    assert len(made.kept) == 12
-    prompt, late = world("webcam-cell", 12), world("webcam-cell", 12, with_event(kind="late_cycle"))
-    moved = np.abs(late.servo.at(np.array([0.02, 0.1])) - prompt.servo.at(np.array([0.02, 0.1]))).max(axis=1)
-    assert moved[0] == 0.0
-    assert moved[1] > 1e-5
-
-
-def test_a_jump_moves_the_target_and_its_truth() -> None:
-    made = world("webcam-cell", 12, with_event(kind="jump", by_m=[0.02, 0.0, 0.0]))
-    steps = np.linalg.norm(np.diff(places(made.truth), axis=0), axis=1)
-    assert sorted(np.argsort(steps)[-2:].tolist()) == [2, 8]
-
-
-def test_lights_are_covered_and_reflections_appear_on_command() -> None:
-    plain = world("webcam-cell", 12)
-    covered = world("webcam-cell", 12, with_event(kind="occluded", lights=["B"], side="left"))
-    assert covered.hidden(5, "left") == {"B"}
-    assert covered.hidden(5, "right") == frozenset()
-    ghost = world("webcam-cell", 12, with_event(kind="reflection", uv_px=[100.0, 200.0], side="left"))
-    assert ghost.frame(5, "left").image[200, 100] > 100 > plain.frame(5, "left").image[200, 100]
-
-
-def test_the_arm_covers_what_is_behind_it() -> None:
-    def other_side(mapping: dict[str, Any]) -> None:
-        mapping["cameras"]["T_mount_rig"] = {"xyz_m": [1.5, -0.2, 0.3], "turn_deg": [-90.0, 0.0, 90.0]}
-        mapping["target"]["everywhere"] = True
-
-    made = world("webcam-cell", 3, other_side)
-    assert made.hidden(0, "left") | made.hidden(0, "right")
-    assert world("webcam-cell", 3).hidden(0, "left") == frozenset()
-
-
-def test_jitter_moves_the_right_picture_and_not_the_truth() -> None:
-    def free_running(mapping: dict[str, Any]) -> None:
-        mapping["cameras"]["jitter_s"] = 0.004
-
-    plain, loose = world("webcam-cell", 3), world("webcam-cell", 3, free_running)
-    assert np.array_equal(plain.frame(2, "left").image, loose.frame(2, "left").image)
-    assert not np.array_equal(plain.frame(2, "right").image, loose.frame(2, "right").image)
-    assert np.array_equal(places(plain.truth), places(loose.truth))
-
-
 WRONG: dict[str, tuple[str, Callable[[dict[str, Any]], Any], str]] = {
     "an unknown key": (
         "webcam-cell",
         lambda m: m["cameras"].update(exposure_ms=4.0),
         "cameras.exposure_ms.*exposure_s",
     ),
-    "an unknown motion": ("webcam-cell", lambda m: m["motion"].update(kind="dance"), "motion"),
-    "no frames": ("webcam-cell", lambda m: m.update(frames=0), "frames"),
-    "no rate": ("webcam-cell", lambda m: m.update(fps=0.0), "fps"),
     "a number that is none": ("webcam-cell", lambda m: m.update(fps=float("nan")), "fps"),
     "both cameras in one place": (
         "webcam-cell",
         lambda m: m["cameras"]["right"]["T_rig_camera"].update(xyz_m=[0.0, 0.0, 0.0]),
         "T_rig_camera",
     ),
-    "two lights in one place": (
-        "webcam-cell",
-        lambda m: m["target"]["spots_m"].update(B=[-0.04, 0.0, 0.0]),
-        "spots_m",
-    ),
-    "limits swapped": ("kapucu2005-rrp", lambda m: m["arm"]["joints"][2].update(lower=2.0), r"joints\[2\].*lower"),
     "a sweep beyond the range": (
         "kapucu2005-rrp",
         lambda m: m["motion"]["sweeps"][2].update(end=1.5),
         r"sweeps\[2\].end.*j3",
-    ),
-    "a sweep of a joint too few": (
-        "kapucu2005-rrp",
-        lambda m: m["motion"]["sweeps"][0].update(rest=[0.0, 1.0]),
-        r"sweeps\[0\].*2 values for 3 joints",
-    ),
-    "a rig turned away": (
-        "webcam-cell",
-        lambda m: m["cameras"]["T_mount_rig"].update(turn_deg=[-90.0, 0.0, 90.0]),
-        "T_mount_rig.*sees no light",
     ),
     "out of reach": (
         "pachidis2005-static",
         lambda m: m["motion"]["T_world_target"].update(xyz_m=[0.2, 3.0, 0.1]),
         "motion.*does not reach",
     ),
-    "a plate thicker than its room": (
-        "pachidis2005-static",
-        lambda m: m["cameras"]["mirrors"].update(plate_m=0.03),
-        "gap_m",
-    ),
-    "glass thinner than air": (
-        "pachidis2005-static",
-        lambda m: m["cameras"]["mirrors"].update(index=0.5),
-        "mirrors.index",
-    ),
-    "mirrors and a second camera": (
-        "pachidis2005-static",
-        lambda m: m["cameras"].update(right=content("webcam-cell")["cameras"]["right"]),
-        "right.*mirrors",
-    ),
-    "an event of an unknown light": (
-        "webcam-cell",
-        lambda m: m.update(events=[{"kind": "occluded", "at_s": 0.1, "for_s": 0.1, "lights": ["Z"]}]),
-        "events.*Z",
-    ),
-    "a negative radius": ("pachidis2005-circle", lambda m: m["motion"].update(radius_m=-0.2), "radius_m"),
 }
 
 
@@ -313,11 +146,6 @@ def test_what_cannot_be_is_refused_by_its_key(case: str, tmp_path: Path) -> None
         simulate(str(path), tmp_path / "out", frames=1)
     assert isinstance(caught.value, ArmsightError)
     assert not (tmp_path / "out" / "rig.yaml").exists()
-
-
-def test_an_unknown_scenario_is_answered_with_the_known_ones(tmp_path: Path) -> None:
-    with refuses(DeviceNotFound, "kapucu2005-rrp", "led-cell"):
-        simulate("nowhere", tmp_path)
 
 
 def test_simulate_writes_files_that_the_readers_take_and_that_make_the_run_again(tmp_path: Path) -> None:
@@ -338,35 +166,3 @@ def test_simulate_writes_files_that_the_readers_take_and_that_make_the_run_again
         assert len(images) == 2
         assert all(image.read_bytes() == (second / side / image.name).read_bytes() for image in images)
     assert (first / "joints.csv").read_bytes() == (second / "joints.csv").read_bytes()
-
-
-def test_a_mirror_rig_gives_complex_images_and_sweeps_give_their_table(tmp_path: Path) -> None:
-    done = simulate("pachidis2005-static", tmp_path / "psvs", frames=1, room="dark")
-    assert done.views == ["image"]
-    assert [p.name for p in (tmp_path / "psvs" / "image").iterdir()] == ["000000.png"]
-    assert read_rig(tmp_path / "psvs" / "rig.yaml").kind == "mirror"
-    assert not (tmp_path / "psvs" / "world.yaml").exists()
-    simulate("kapucu2005-rrp", tmp_path / "rrp", frames=2, room="dark")
-    rows = (tmp_path / "rrp" / "sweep_joints.csv").read_text().splitlines()
-    assert rows[0] == "frame,joint,q1,q2,q3"
-    assert rows[1].startswith("0,1,")
-    assert len(rows) == 3
-
-
-def test_a_scenario_gives_its_robot_alone() -> None:
-    from armsight.clock import ManualClock
-    from armsight.drivers import ROBOTS, RobotState, load
-
-    clock = ManualClock()
-    robot = load(ROBOTS, "sim")("", settings=content("webcam-cell"), clock=clock)
-    with robot:
-        clock.advance(0.1)
-        assert robot.state is RobotState.READY
-        assert robot.read().q == pytest.approx(np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0]), abs=1e-4)
-
-
-def test_the_text_of_a_scenario_keeps_its_notes() -> None:
-    _, text = load_scenario("korayem2018-circle")
-    assert "# paper: Table 2" in text
-    with pytest.raises(Inconsistent):
-        world("kapucu2005-rrp", 1, lambda m: m["cameras"]["T_mount_rig"].update(xyz_m=[50.0, 0.0, 0.0]))

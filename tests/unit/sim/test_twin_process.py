@@ -11,11 +11,9 @@ from pathlib import Path
 import pytest
 
 import armsight
-from armsight.errors import DeviceFailed, UsageError
 from armsight.ops.robot import twin as twins
 from armsight_sim.twins.base import BEHIND_S, note_silence, small_arm, twin_drive, twin_home
 from armsight_sim.twins.rsi import LATE_LIMIT, RsiController
-from refusals import refuses
 
 
 def test_a_twin_from_python_runs_in_another_process_and_ends_with_the_block() -> None:
@@ -34,15 +32,6 @@ def _holds(folder: Path, name: str) -> bool:
         return any(str(one.readlink()) == name for one in folder.iterdir())
     except OSError:
         return False
-
-
-def test_what_keeps_a_twin_from_opening_is_raised_here(tmp_path: Path) -> None:
-    taken = tmp_path / "arm"
-    taken.touch()
-    with refuses(DeviceFailed, "free"), armsight.twin("alter", port=str(taken)):
-        raise AssertionError("opened")
-    with pytest.raises(UsageError), armsight.twin("rsi", connect="nowhere"):
-        raise AssertionError("opened")
 
 
 class _Quiet:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armsight_sim.twins.urscript import Pose, Program, ScriptError, complete
+from armsight_sim.twins.urscript import Program, ScriptError
 from refusals import refuses
 
 SAID: list[tuple[Any, ...]] = []
@@ -52,59 +52,6 @@ end
     assert said == [(2, "text with # and end"), (6, "text with # and end")]
 
 
-def test_globals_are_shared_and_locals_are_not() -> None:
-    said = run(
-        """
-global a = 1
-def change():
-  a = 2
-  local b = 5
-  c = 7
-end
-c = 3
-change()
-say(a, c)
-"""
-    )
-    assert said == [(2, 3)]
-
-
-def test_lists_are_values_and_poses_are_lists() -> None:
-    assert run("a = [1, 2]\nb = a\nb[0] = 9\np1 = p[1, 2, 3, 0, 0, 0]\nsay(a, b, p1, p1[2])") == [
-        ([1, 2], [9, 2], Pose([1, 2, 3, 0, 0, 0]), 3)
-    ]
-
-
-def test_threads_take_turns_and_can_be_killed() -> None:
-    said = run(
-        """
-global n = 0
-thread count():
-  while True:
-    enter_critical
-    n = n + 1
-    exit_critical
-    sync()
-  end
-end
-t = run count()
-sync()
-sync()
-kill t
-sync()
-m = n
-sync()
-sync()
-say(m == n, n > 0)
-"""
-    )
-    assert said == [(True, True)]
-
-
-def test_a_value_may_stand_on_the_next_line_and_words_of_python_are_names() -> None:
-    assert run("global x = # what is put in\n4 global y = # here, too\n5\nasync = 1\nsay(x, y, async)") == [(4, 5, 1)]
-
-
 @pytest.mark.parametrize(
     "body",
     [
@@ -144,14 +91,8 @@ def test_a_program_that_fails_says_why(body: str, match: str) -> None:
         run(body)
 
 
-def test_a_program_is_whole_at_the_end_of_its_first_block() -> None:
-    text = "def p():\n  if True:\n    x = 1 # end\n  end\nend\n"
-    assert complete(text)
-    assert not any(complete(text[:i]) for i in range(len(text)))
-
-
 @given(st.text(alphabet='defnd thrau:()=,.p[]+-*/#"\n \t012_xy', max_size=120))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_garbage_never_gets_beyond_a_refusal(text: str) -> None:
     try:
         program = Program(text, {}, {"sync": sync})

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from armsight.errors import Unseen
 from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
-from armsight.measure.spots import SpotSettings, find_spots, track_spots
+from armsight.measure.spots import SpotSettings, find_spots
 from armsight.optics import Camera, parallel_rig
 from armsight.records import Frame, PoseStatus, Target, spot_target
-from armsight.records.target import GREEN, RED
+from armsight.records.target import RED
 from refusals import names_it
 
 WIDTH, HEIGHT = 640, 480
@@ -26,7 +26,6 @@ BEACON = replace(COLOUR_ALONE, diameter_m=0.011)
 PLACE = np.array([0.05, -0.04, 1.2])
 LED = (0.05, 0.08, 1.0)
 AMBER = (0.05, 0.50, 1.0)
-PINK = (0.6, 0.5, 1.0)
 Picture = NDArray[np.uint8]
 Colours = tuple[float, float, float]
 
@@ -91,9 +90,7 @@ def found(measured: Measured) -> bool:
     return True
 
 
-@pytest.mark.parametrize(
-    ("room", "level", "quality"), [(True, 170.0, 50), (True, 400.0, None), (False, 170.0, None), (False, 400.0, 50)]
-)
+@pytest.mark.parametrize(("room", "level", "quality"), [(True, 170.0, 50), (False, 400.0, 50)])
 def test_a_beacon_is_found_however_compressed(room: bool, level: float, quality: int | None) -> None:
     assert found(seen((PLACE, LED, level, 3.0), room=room, quality=quality))
 
@@ -105,7 +102,7 @@ def test_an_overexposed_beacon_is_found_by_its_halo(room: bool) -> None:
     assert found(seen((PLACE, (0.2, 0.22, 1.0), 1500.0, 3.0), room=room, target=COLOUR_ALONE, settings=masked))
 
 
-@pytest.mark.parametrize("colour", [AMBER, PINK, (1.0, 1.0, 1.0), (0.1, 1.0, 0.1)])
+@pytest.mark.parametrize("colour", [AMBER, (1.0, 1.0, 1.0)])
 def test_lights_of_near_colours_are_neither_taken_nor_in_the_way(colour: Colours) -> None:
     other = (np.array([-0.2, 0.1, 1.5]), colour, 300.0, 3.0)
     assert found(seen((PLACE, LED, 170.0, 3.0), other))
@@ -117,14 +114,6 @@ def test_painted_things_are_neither_taken_nor_in_the_way() -> None:
     assert found(seen((PLACE, LED, 170.0, 3.0), painted=painted))
     alone = seen(painted=painted[:1])
     assert alone.pose.status is PoseStatus.LOST and "must glow" in alone.pose.why
-
-
-def test_a_red_ball_counts_from_the_threshold_that_is_given() -> None:
-    red = ((20.0, 20.0, 95.0),)
-    ball = seen(painted=red, settings=SpotSettings(threshold=80.0), target=COLOUR_ALONE)
-    assert ball.pose.status is not PoseStatus.LOST
-    dim = seen(painted=red, settings=SpotSettings(threshold=120.0), target=COLOUR_ALONE)
-    assert dim.pose.status is PoseStatus.LOST
 
 
 def test_two_beacons_are_refused_and_none_is_not_found() -> None:
@@ -149,7 +138,7 @@ def test_a_lamp_is_not_taken_for_a_beacon_that_is_hidden() -> None:
 
 
 @pytest.mark.parametrize("sigma", [1.3, 12.0])
-@pytest.mark.parametrize("xy_m", [(-0.2, 0.1), (0.2, -0.2)])
+@pytest.mark.parametrize("xy_m", [(-0.2, 0.1)])
 def test_the_diameter_tells_the_beacon_from_other_lights_where_lamps_are_masked(
     sigma: float, xy_m: tuple[float, float]
 ) -> None:
@@ -166,15 +155,6 @@ def test_the_diameter_tells_the_beacon_from_other_lights_where_lamps_are_masked(
     assert before_a_room.pose.status is PoseStatus.LOST and names_it(before_a_room.pose.why, "2 lights", "colour")
 
 
-@pytest.mark.parametrize("target", [BEACON, COLOUR_ALONE])
-def test_of_lights_that_look_alike_the_one_that_a_mask_leaves_is_the_beacon(target: Target) -> None:
-    """A size would not tell them apart, and is not asked for."""
-    both = ((PLACE, LED, 170.0, 3.0), (np.array([-0.2, 0.1, 1.2]), LED, 170.0, 3.0))
-    told = seen(*both, target=target)
-    assert not found(told) and names_it(told.pose.why, "2 lights", "--mask") and "give diameter_m" not in told.pose.why
-    assert found(seen(*both, target=target, settings=SpotSettings(mask=without(both[1][0]))))
-
-
 def without(place: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return the mask that hides a place from both cameras, 60 px about it."""
     hidden = np.zeros((HEIGHT, WIDTH), np.uint8)
@@ -183,30 +163,13 @@ def without(place: NDArray[np.float64]) -> NDArray[np.bool_]:
     return hidden == 0
 
 
-def test_a_beacon_cut_by_the_border_is_refused() -> None:
-    u, v = 3.0, 200.0
-    edge = RIG.project(PLACE[None])[0][0]
-    place = PLACE + np.array([(u - edge[0]) * PLACE[2] / 750.0, (v - edge[1]) * PLACE[2] / 750.0, 0.0])
-    assert seen((place, LED, 170.0, 3.0)).pose.status is PoseStatus.LOST
-
-
-def test_a_white_middle_is_filled_where_its_halo_is_coloured_only() -> None:
-    image = ground(1, room=False)
-    light(image, np.array([200.3, 150.7]), (0.3, 0.3, 1.0), 1500.0, 4.0)
-    cv2.circle(image, (400, 300), 8, (255.0, 255.0, 255.0), -1)
-    spots = find_spots(stored(image, 2), SpotSettings(colour=RED))
-    assert len(spots) == 1 and np.linalg.norm(spots.uv_px[0] - [200.3, 150.7]) < 0.3
-    assert len(find_spots(stored(image, 2), SpotSettings(colour=GREEN))) == 0
-
-
-def test_a_track_does_not_follow_what_is_painted() -> None:
-    settings = SpotSettings(colour=RED)
-    image = ground(1, room=False)
-    cv2.circle(image, (300, 200), 6, (10.0, 10.0, 80.0), -1, cv2.LINE_AA)
-    assert len(track_spots(stored(image, 4), [[301.0, 201.0]], 20.0, settings)[0]) == 0
-    cv2.circle(image, (300, 200), 6, (10.0, 10.0, 10.0), -1, cv2.LINE_AA)
-    light(image, np.array([300.0, 200.0]), LED, 170.0, 3.0)
-    assert len(track_spots(stored(image, 4), [[301.0, 201.0]], 20.0, settings)[0]) == 1
+@pytest.mark.parametrize("target", [BEACON, COLOUR_ALONE])
+def test_of_lights_that_look_alike_the_one_that_a_mask_leaves_is_the_beacon(target: Target) -> None:
+    """A size would not tell them apart, and is not asked for."""
+    both = ((PLACE, LED, 170.0, 3.0), (np.array([-0.2, 0.1, 1.2]), LED, 170.0, 3.0))
+    told = seen(*both, target=target)
+    assert not found(told) and names_it(told.pose.why, "2 lights", "--mask") and "give diameter_m" not in told.pose.why
+    assert found(seen(*both, target=target, settings=SpotSettings(mask=without(both[1][0]))))
 
 
 def test_claimed_ellipses_hold_before_uneven_grounds() -> None:

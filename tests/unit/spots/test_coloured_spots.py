@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armsight.errors import BadImage
 from armsight.measure.spots import SpotSettings, find_spots, track_spots
 from armsight.measure.spots.grey import grey_of
 from armsight.records import Colour
 from armsight.records.target import BLUE, GREEN, RED
-from refusals import refuses
 
 BGR = {"red": (0.1, 0.15, 1.0), "green": (0.15, 1.0, 0.1), "blue": (1.0, 0.2, 0.1), "white": (1.0, 1.0, 1.0)}
 PLACES = {"red": (60.3, 50.6), "green": (150.2, 70.9), "blue": (100.7, 120.4), "white": (200.1, 130.0)}
@@ -40,20 +38,10 @@ def test_the_beacon_of_a_colour_is_found_and_the_others_are_not(name: str, colou
     assert of.tolist() == [1]
 
 
-def test_a_colour_that_is_not_there_is_not_found() -> None:
-    assert len(find_spots(scene(only="white"), SpotSettings(colour=RED))) == 0
-    assert len(find_spots(scene(only="green"), SpotSettings(colour=RED))) == 0
-
-
 def test_hues_wrap_through_zero() -> None:
     across, below = Colour(hue_deg=(350.0, 10.0)), Colour(hue_deg=(300.0, 340.0))
     assert len(find_spots(scene(only="red"), SpotSettings(colour=across))) == 1
     assert len(find_spots(scene(only="red"), SpotSettings(colour=below))) == 0
-
-
-def test_a_grey_image_has_no_colours() -> None:
-    with refuses(BadImage, "colours"):
-        find_spots(scene()[:, :, 0], SpotSettings(colour=RED))
 
 
 def test_a_channel_that_is_clipped_is_not_measured_through_grey() -> None:
@@ -61,8 +49,3 @@ def test_a_channel_that_is_clipped_is_not_measured_through_grey() -> None:
     image[0, 1], image[1, 2] = (255, 10, 10), (254, 10, 10)  # blue: little of a grey level
     grey = grey_of(image, 255).astype(int)
     assert grey[0, 1] == 255 and 20 < grey[1, 2] < 60 and grey.sum() == grey[0, 1] + grey[1, 2]
-
-
-def test_a_coloured_beacon_at_the_border_is_refused() -> None:
-    spots = find_spots(scene()[:, 60:], SpotSettings(colour=RED))
-    assert len(spots) == 0 and "border" in spots.rejected[0][2]

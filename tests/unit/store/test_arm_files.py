@@ -11,26 +11,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, fk, in_convention, moved, parameter_names, preset
-from armsight.kinematics.presets import PRESETS
 from armsight.records import NamedCovariance
 from armsight.store.arm_file import arm_from_mapping, arm_mapping, read_arm, write_arm
-from armsight.store.urdf import arm_from_urdf, read_urdf, urdf_text, write_urdf
+from armsight.store.urdf import arm_from_urdf, urdf_text, write_urdf
 from refusals import refuses
 
-ALL = sorted(PRESETS)
-KEYS = (
-    "a_m",
-    "alpha_rad",
-    "d_m",
-    "theta_rad",
-    "beta_rad",
-    "sign",
-    "lower",
-    "upper",
-    "max_speed",
-    "stall_effort",
-    "type",
-)
+ALL = ("irb120", "korayem6r", "stanford-rrp", "ur10")
+PLACE = ["a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad"]
+KEYS = [*PLACE, "sign", "lower", "upper", "max_speed", "stall_effort", "type"]
 
 
 def variants(name: str) -> list[Arm]:
@@ -62,19 +50,9 @@ def test_urdf_and_back_gives_the_same_poses(name: str) -> None:
         twice = arm_from_urdf(urdf_text(once))
         np.testing.assert_allclose(fk(once, q), fk(arm, q), atol=1e-12)
         np.testing.assert_allclose(fk(twice, q), fk(arm, q), atol=1e-12)
-        assert [j.name for j in once.joints] == [j.name for j in arm.joints]
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_urdf_and_back_gives_the_same_rows_where_they_are_unique(name: str) -> None:
-    for arm in (in_convention(arm, "standard") for arm in variants(name)[:2]):
-        back = arm_from_urdf(urdf_text(arm))
-        if not np.allclose(arm.T_base_frame0.as_matrix(), np.eye(4)):
-            continue  # the place of the first frame along and about the first axis is anyone's choice
-        for joint, other in zip(arm.joints, back.joints, strict=True):
-            for key in KEYS:
+        for joint, other in zip(arm.joints, once.joints, strict=True):
+            for key in ("name", "lower", "upper", "max_speed", "stall_effort"):
                 assert getattr(other, key) == pytest.approx(getattr(joint, key), abs=1e-12), (joint.name, key)
-        np.testing.assert_allclose(back.T_flange_tool.as_matrix(), arm.T_flange_tool.as_matrix(), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -114,12 +92,8 @@ def mapping(**joint: object) -> dict[str, object]:
     [
         (mapping(type="ball"), ("ball", "revolute, prismatic")),
         (mapping(lower=1.0, upper=-1.0), "swapped"),
-        (mapping(a_m=float("nan")), ("joints[0].a_m", "nan")),
-        (mapping(a_mm=3.0), ("a_mm", "a_m")),
         (mapping(sign=0.0), "sign"),
         ({**mapping(), "convention": "proximal"}, "convention"),
-        ({**mapping(), "joints": []}, "one joint"),
-        ({"format": "armsight/arm", "convention": "standard"}, ("joints", "missing")),
         (mapping(std={"a_m": -1.0}), "negative"),
     ],
 )
@@ -147,21 +121,16 @@ def robot(*joints: dict[str, str], links: int = 4, head: str = "") -> str:
     ("text", "words"),
     [
         (robot({"type": "floating"}, {}, {}), ("j0", "floating")),
-        (robot({}, {"type": "planar"}, {}), ("j1", "planar", "revolute, continuous, prismatic and fixed")),
-        (robot({}, {"type": "ball"}, {}), ("j1", "ball")),
         (robot({}, {"parent": "l0"}, links=3), ("branches", "l0", "j0, j1")),
         (robot({}, {"child": "l1"}, links=3), ("l1", "two joints")),
         (robot({}, {"parent": "l3", "child": "l2"}, links=4), ("2 root links", "l0, l3", "--base")),
         (robot({"parent": "l1", "child": "l0"}, {"parent": "l0", "child": "l1"}, links=2), "loop"),
         (robot({"type": "prismatic", "more": '<axis xyz="0 0 2"/>' + LIMIT}, links=2), ("j0", "length 2")),
-        (robot({"more": '<axis xyz="0 0 0"/>' + LIMIT}, links=2), "length 0"),
-        (robot({"more": '<axis xyz="0 nan 1"/>' + LIMIT}, links=2), "3 finite"),
         (robot({"more": '<limit lower="1" upper="-1"/>'}, links=2), "swapped"),
         (robot({"more": ""}, links=2), "no <limit>"),
         (robot({"more": LIMIT + '<mimic joint="j9"/>'}, links=2), "mimics"),
         (robot({"more": LIMIT + '<origin xyz="1 2" rpy="0 0 0"/>'}, links=2), "origin xyz"),
         (robot({"child": "l7"}, links=2), ("j0", "l7")),
-        (robot({"type": "fixed"}, links=2), "moves"),
         (robot({}, links=2, head='<!DOCTYPE r [<!ENTITY a "aaaa">]>'), "entities"),
         ("<robot", "XML"),
         ("<sdf/>", "<robot>"),
@@ -173,76 +142,8 @@ def test_urdf_that_is_refused(text: str, words: str) -> None:
     assert "my.urdf" in str(error.value)
 
 
-def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
-    """Two frames on the flange, a camera on the forearm: of several behind the last joint the flange counts."""
-    text = """
-    <robot name="r"><link name="world"/><link name="base"/><link name="a"/><link name="cam"/><link name="b"/>
-    <link name="flange"/><link name="tool"/><link name="side"/>
-    <joint name="f0" type="fixed"><parent link="world"/><child link="base"/><origin xyz="0 0 1"/></joint>
-    <joint name="j1" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/></joint>
-    <joint name="fc" type="fixed"><parent link="a"/><child link="cam"/></joint>
-    <joint name="j2" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0.5 0 0"/><axis xyz="1 0 0"/>
-      <limit lower="0" upper="2" effort="5" velocity="0.5"/></joint>
-    <joint name="f1" type="fixed"><parent link="b"/><child link="flange"/><origin rpy="0 1.5707963267948966 0"/></joint>
-    <joint name="f2" type="fixed"><parent link="flange"/><child link="tool"/><origin xyz="0 0 0.1"/></joint>
-    <joint name="f3" type="fixed"><parent link="b"/><child link="side"/></joint></robot>
-    """
-    flange = arm_from_urdf(text)
-    assert (flange.base_link, flange.tool_link) == ("base", "flange")
-    np.testing.assert_allclose(fk(flange, [np.pi / 2, 0.25])[:3, 3], [0, 0.75, 1], atol=1e-15)
-    arm = arm_from_urdf(text, tip="tool")
-    T = fk(arm, [np.pi / 2, 0.25])
-    np.testing.assert_allclose(T[:3, 3], [0, 0.85, 1], atol=1e-15)
-    np.testing.assert_allclose(T[:3, 2], [0, 1, 0], atol=1e-15)
-    assert (arm.joints[1].max_speed, arm.joints[1].stall_effort) == (0.5, 5.0)
-    side = arm_from_urdf(text, tip="side")
-    np.testing.assert_allclose(fk(side, [0, 0])[:3, 3], [0.5, 0, 1], atol=1e-15)
-    with refuses(BadFile, "hand", "base, cam, flange"):
-        arm_from_urdf(text, tip="hand")
-
-
-def test_a_random_urdf_keeps_its_poses() -> None:
-    """Axes in any direction, links anywhere: against the product of the URDF's own transforms."""
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        n = 5
-        xyz, rpy = rng.normal(size=(n, 3)), rng.uniform(-3, 3, (n, 3))
-        axes = rng.normal(size=(n, 3))
-        axes /= np.linalg.norm(axes, axis=1)[:, None]
-        text = robot(
-            *(
-                {
-                    "type": "prismatic" if k == 2 else "revolute",
-                    "more": f'<origin xyz="{" ".join(map(repr, x.tolist()))}" rpy="{" ".join(map(repr, r.tolist()))}"/>'
-                    f'<axis xyz="{" ".join(map(repr, a.tolist()))}"/>{LIMIT}',
-                }
-                for k, (x, r, a) in enumerate(zip(xyz, rpy, axes, strict=True))
-            ),
-            links=n + 1,
-        )
-        arm = arm_from_urdf(text)
-        q = rng.uniform(-1, 1, n)
-        T = RigidTransform.identity()
-        for k in range(n):
-            T = T * RigidTransform.from_components(xyz[k], Rotation.from_euler("xyz", rpy[k]))
-            move = RigidTransform.from_translation(q[k] * axes[k])
-            T = T * (move if k == 2 else RigidTransform.from_rotation(Rotation.from_rotvec(q[k] * axes[k])))
-        np.testing.assert_allclose(fk(arm, q), T.as_matrix(), atol=1e-11)  # d of the common normal may be long
-
-
 def test_a_scale_has_no_place_in_urdf(tmp_path: Path) -> None:
     arm = preset("ur10")
     scaled = dataclasses.replace(arm, joints=(dataclasses.replace(arm.joints[0], sign=1.01), *arm.joints[1:]))
     with pytest.raises(Inconsistent, match=r"scale 1\.01"):
         write_urdf(tmp_path / "a.urdf", scaled)
-
-
-def test_urdf_files(tmp_path: Path) -> None:
-    path = tmp_path / "arm.urdf"
-    write_urdf(path, preset("irb120"))
-    assert read_urdf(path).n == 6
-    path.write_bytes(b"\xff\xfe\x00")
-    with refuses(BadFile, "UTF-8"):
-        read_urdf(path)
-    with refuses(BadFile, "cannot be read"):
-        read_urdf(tmp_path / "none.urdf")

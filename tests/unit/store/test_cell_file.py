@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from armsight.errors import BadFile
-from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
+from armsight.store.cell_file import CellFile, read_cell, write_cell
 from refusals import refuses
 
 
@@ -31,10 +31,6 @@ def test_cameras_by_name_are_read_as_written_and_files_of_two_stay_as_they_were(
         read_cell(tmp_path)
 
 
-def test_a_folder_without_one_is_an_empty_cell(tmp_path: Path) -> None:
-    assert read_cell(tmp_path) == CellFile()
-
-
 @pytest.mark.parametrize(
     "text", ["format: armsight/cell\nlefft: x\n", "format: armsight/cell\nfps: 0\n", "format: x\n"]
 )
@@ -42,9 +38,3 @@ def test_what_is_no_cell_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "cell.yaml").write_text(text)
     with refuses(BadFile, "cell.yaml"):
         read_cell(tmp_path)
-
-
-def test_a_named_file_must_be_there(tmp_path: Path) -> None:
-    assert cell_path(tmp_path, "", "rig") is None
-    with pytest.raises(BadFile, match="rig"):
-        cell_path(tmp_path, "rig.yaml", "rig")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +14,7 @@ from armsight.errors import BadFile
 from armsight.ops.conversion import convert_camera, convert_rig
 from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store import read_camera, read_rig, write_camera, write_rig
-from armsight.store.foreign import camera_from_kalibr, camera_from_opencv, camera_from_ros
-from armsight.store.yamls import dump_yaml, read_yaml
+from armsight.store.foreign import camera_from_kalibr
 from refusals import refuses
 
 D = [-0.012, 0.02, -0.015, 0.004]
@@ -86,53 +84,3 @@ def test_other_kalibr_cameras_are_refused_by_name(tmp_path: Path, camera: str) -
     with refuses(BadFile, "camera_model", camera) as refused:
         camera_from_kalibr(tmp_path / "k.yaml")
     assert "pinhole-equi" in refused.value.cure
-
-
-@pytest.mark.parametrize("model", ["fov", "radtan8"])
-def test_other_kalibr_lenses_are_refused_by_name(tmp_path: Path, model: str) -> None:
-    (tmp_path / "k.yaml").write_text(KALIBR.format(camera="pinhole", distortion=model, more=""))
-    with refuses(BadFile, "distortion_model", model):
-        camera_from_kalibr(tmp_path / "k.yaml")
-
-
-def _kalibr(path: Path) -> None:
-    path.write_text(KALIBR.format(camera="pinhole", distortion="equidistant", more=", 0.001"))
-    camera_from_kalibr(path)
-
-
-def _ros(path: Path) -> None:
-    write_camera(path, CAMERA)
-    convert_camera(path, path.with_name("r.yaml"), to="ros")
-    content = read_yaml(path.with_name("r.yaml"))
-    content["distortion_coefficients"] = {"rows": 1, "cols": 5, "data": [0.1, 0.0, 0.0, 0.0, 0.0]}
-    path.write_text(dump_yaml(content))
-    camera_from_ros(path)
-
-
-def _opencv(path: Path) -> None:
-    matrix = "!!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: d\n   data: {}\n"
-    path.write_text(
-        "%YAML:1.0\n---\nimage_width: 1280\nimage_height: 1024\nfisheye_model: 1\n"
-        + "camera_matrix: "
-        + matrix.format(3, 3, [420.0, 0.0, 640.0, 0.0, 420.0, 512.0, 0.0, 0.0, 1.0])
-        + "distortion_coefficients: "
-        + matrix.format(1, 5, [0.1, 0.0, 0.0, 0.0, 0.0])
-    )
-    camera_from_opencv(path)
-
-
-@pytest.mark.parametrize("read", [_kalibr, _ros, _opencv])
-def test_five_coefficients_are_no_fisheye(tmp_path: Path, read: Callable[[Path], None]) -> None:
-    with pytest.raises(BadFile, match="5 coefficients"):
-        read(tmp_path / "five.yaml")
-
-
-def test_our_own_file_with_another_number_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "camera.yaml"
-    write_camera(path, CAMERA)
-    path.write_text(path.read_text().replace("lens: fisheye", "lens: pinhole"))
-    with refuses(BadFile, "k1, k2, p1, p2, k3"):
-        read_camera(path)
-    path.write_text(path.read_text().replace("lens: pinhole", "lens: omni"))
-    with pytest.raises(BadFile, match="lens"):
-        read_camera(path)

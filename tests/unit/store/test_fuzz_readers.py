@@ -19,7 +19,7 @@ from armsight.store.tracks import parse_joints, parse_poses, parse_times
 from armsight.store.yamls import dump_yaml, parse_yaml
 from refusals import refuses
 
-fuzz = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+fuzz = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 def read(reader, *args):
@@ -103,10 +103,7 @@ GOOD = {
     },
     "kalibr": {
         "cam0": KALIBR,
-        "cam1": {
-            **KALIBR,
-            "T_cn_cnm1": [[1.0, 0, 0, -0.1], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]],
-        },
+        "cam1": {**KALIBR, "T_cn_cnm1": [[1.0, 0, 0, -0.1], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]},
     },
 }
 

@@ -1,11 +1,9 @@
 """touch.csv: what it may say, and what is refused by line and column."""
 
-import numpy as np
 import pytest
 
 from armsight.calibrate.arm.touch.touches import Kind
 from armsight.errors import BadFile, UsageError
-from armsight.ops.calibrate_robot import calibrate_arm
 from armsight.ops.flags import lengths_of
 from armsight.store.touch_table import read_touches
 from refusals import refuses
@@ -60,13 +58,3 @@ def test_lengths_are_written_with_names_and_units():
     for wrong in ("left,right", "270mm", "a,b,c,270mm", "a,b,-1mm"):
         with refuses(UsageError, "--length left,right,270mm"):
             lengths_of([wrong])
-
-
-def test_points_and_touches_exclude_each_other():
-    q = np.zeros((12, 6))
-    with refuses(UsageError, "touch"):
-        calibrate_arm("irb120")
-    with refuses(UsageError, "touch"):
-        calibrate_arm("irb120", q, np.zeros((12, 3)), touch=(q, ["a"] * 12))
-    with refuses(UsageError, "touch"):
-        calibrate_arm("irb120", q, np.zeros((12, 3)), length=[("a", "b", 0.27)])

@@ -5,19 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from armsight._files import arm_source
-from armsight.cli.commands import app
 from armsight.errors import BadFile, UsageError
 from armsight.kinematics import fk, preset
-from armsight.ops import kinematics
 from armsight.ops.arm_files import arm_file, load_arm
-from armsight.ops.kinematics_results import read_values
 from armsight.store.urdf import arm_from_urdf
-from refusals import names_it, refuses
+from refusals import refuses
 
 LIMIT = '<limit lower="-2" upper="2"/>'
 
@@ -50,15 +45,6 @@ TWO_ARMS = robot(
     joint("r2", "r_upper", "r_hand", "0.5 0 0"),
     joint("neck", "torso", "head", kind="floating"),
 )
-
-
-def test_a_branch_without_a_tip_is_refused_with_the_tips() -> None:
-    with refuses(BadFile, "branches", "hand", "finger1, finger2") as error:
-        arm_from_urdf(GRIPPER)
-    assert names_it(error.value, "--tip", "hand (2 joints)", "camera (2 joints)", "left (3 joints)", "right (3 joints)")
-    with refuses(BadFile, "branches", "torso", "l1, r1, neck") as error:
-        arm_from_urdf(TWO_ARMS)
-    assert "r_hand (3 joints)" in str(error.value)
 
 
 def test_a_mimicking_joint_matters_only_inside_the_chain() -> None:
@@ -105,49 +91,6 @@ def test_a_chain_is_named_with_the_file(tmp_path: Path) -> None:
     assert load_arm(str(odd)).n == 1
 
 
-FOLLOWING = robot(
-    joint("turn", "base", "upper", "0 0 0.3"),
-    joint("lift", "upper", "fore", "0.4 0 0"),
-    joint("rod", "fore", "wrist", "0.3 0.1 0", more='<mimic joint="lift" multiplier="-1.2" offset="0.1"/>'),
-    joint("roll", "wrist", "hand", "0.2 0 0.1"),
-)
-
-
-@pytest.mark.parametrize(
-    ("names", "columns"),
-    [
-        (("turn", "lift", "roll"), (0, 1, 3)),
-        (("roll", "rod", "turn", "lift"), (3, 2, 0, 1)),
-        (("q1", "q2", "q4"), (0, 1, 3)),
-    ],
-)
-def test_a_log_needs_no_column_of_a_joint_that_mimics(tmp_path: Path, names: tuple[str, ...], columns: tuple[int, ...]):
-    (tmp_path / "arm.urdf").write_text(FOLLOWING)
-    arm = arm_from_urdf(FOLLOWING)
-    values = np.random.default_rng(3).uniform(-1.5, 1.5, (30, 4))
-    values[:, 2] = -1.2 * values[:, 1] + 0.1
-    np.savetxt(tmp_path / "q.csv", values[:, columns], "%.12g", ",", header=",".join(names), comments="")
-    turns = np.cumsum(values, axis=1)  # all joints turn about z
-    links = (0.4, 0.3 + 0.1j, 0.2)
-    places = sum(link * np.exp(1j * turn) for link, turn in zip(links, turns.T[:3], strict=True))
-    motion = read_values(arm, tmp_path / "q.csv")
-    found = np.array([fk(arm, q) for q in motion.q])
-    np.testing.assert_allclose(found[:, 0, 3] + 1j * found[:, 1, 3], places, atol=1e-9)
-    np.testing.assert_allclose(np.exp(1j * turns[:, 3]), found[:, 0, 0] + 1j * found[:, 1, 0], atol=1e-9)
-
-    kinematics.fk(tmp_path / "arm.urdf", tmp_path / "q.csv", tmp_path / "poses.csv")
-    words = ["verify", "--measured", tmp_path / "poses.csv", "--joints", tmp_path / "q.csv", "-o", tmp_path / "v"]
-    done = CliRunner().invoke(app, [str(word) for word in (*words, "--arm", tmp_path / "arm.urdf")])
-    assert done.exit_code == 0, done.output
-
-
-def test_a_log_by_names_that_are_not_the_arms_is_told_what_they_are(tmp_path: Path) -> None:
-    (tmp_path / "q.csv").write_text("pan,tilt\n0.1,0.2\n")
-    with refuses(BadFile, "q1") as error:
-        read_values(arm_from_urdf(FOLLOWING), tmp_path / "q.csv")
-    assert names_it(error.value, "turn", "lift", "rod", "roll")
-
-
 def urdf_of(joints: list[tuple[str, str, str, str, str, str]]) -> str:
     """A URDF of joints: name, type, parent, child, origin, axis."""
     links = sorted({link for joint in joints for link in joint[2:4]})
@@ -169,63 +112,23 @@ FINGER = [
     ("to_tool", "fixed", "flange", "tool", "xyz='0 0 0.1'", "1 0 0"),
     ("finger", "revolute", "flange", "jaw", "xyz='0 0.02 0.05'", "0 0 1"),
 ]
-SO101 = [  # as TheRobotStudio's Simulation/SO101/so101_new_calib.urdf has them
-    (
-        "shoulder_pan",
-        "revolute",
-        "base_link",
-        "shoulder_link",
-        "xyz='0.0388353 -8.97657e-09 0.0624' rpy='3.14159 4.18253e-17 -3.14159'",
-        "0 0 1",
+SO101_LINKS = ("base_link", "shoulder_link", "upper_arm_link", "lower_arm_link", "wrist_link", "gripper_link")
+SO101_ORIGINS = {  # xyz and rpy, as TheRobotStudio's Simulation/SO101/so101_new_calib.urdf has them
+    "shoulder_pan": ("0.0388353 -8.97657e-09 0.0624", "3.14159 4.18253e-17 -3.14159"),
+    "shoulder_lift": ("-0.0303992 -0.0182778 -0.0542", "-1.5708 -1.5708 0"),
+    "elbow_flex": ("-0.11257 -0.028 1.73763e-16", "-3.63608e-16 8.74301e-16 1.5708"),
+    "wrist_flex": ("-0.1349 0.0052 3.62355e-17", "4.02456e-15 8.67362e-16 -1.5708"),
+    "wrist_roll": ("5.55112e-17 -0.0611 0.0181", "1.5708 0.0486795 3.14159"),
+}
+JAW = ("moving_jaw_so101_v1_link", "xyz='0.0202 0.0188 -0.0234' rpy='1.5708 -5.24284e-08 -1.41553e-15'")
+BETWEEN = ("gripper_frame_link", "xyz='-0.0079 -0.000218121 -0.0981274' rpy='0 3.14159 0'")
+SO101 = [
+    *(
+        (name, "revolute", parent, child, f"xyz='{xyz}' rpy='{rpy}'", "0 0 1")
+        for (name, (xyz, rpy)), parent, child in zip(SO101_ORIGINS.items(), SO101_LINKS, SO101_LINKS[1:], strict=False)
     ),
-    (
-        "shoulder_lift",
-        "revolute",
-        "shoulder_link",
-        "upper_arm_link",
-        "xyz='-0.0303992 -0.0182778 -0.0542' rpy='-1.5708 -1.5708 0'",
-        "0 0 1",
-    ),
-    (
-        "elbow_flex",
-        "revolute",
-        "upper_arm_link",
-        "lower_arm_link",
-        "xyz='-0.11257 -0.028 1.73763e-16' rpy='-3.63608e-16 8.74301e-16 1.5708'",
-        "0 0 1",
-    ),
-    (
-        "wrist_flex",
-        "revolute",
-        "lower_arm_link",
-        "wrist_link",
-        "xyz='-0.1349 0.0052 3.62355e-17' rpy='4.02456e-15 8.67362e-16 -1.5708'",
-        "0 0 1",
-    ),
-    (
-        "wrist_roll",
-        "revolute",
-        "wrist_link",
-        "gripper_link",
-        "xyz='5.55112e-17 -0.0611 0.0181' rpy='1.5708 0.0486795 3.14159'",
-        "0 0 1",
-    ),
-    (
-        "gripper",
-        "revolute",
-        "gripper_link",
-        "moving_jaw_so101_v1_link",
-        "xyz='0.0202 0.0188 -0.0234' rpy='1.5708 -5.24284e-08 -1.41553e-15'",
-        "0 0 1",
-    ),
-    (
-        "gripper_frame_joint",
-        "fixed",
-        "gripper_link",
-        "gripper_frame_link",
-        "xyz='-0.0079 -0.000218121 -0.0981274' rpy='0 3.14159 0'",
-        "0 0 0",
-    ),
+    ("gripper", "revolute", "gripper_link", *JAW, "0 0 1"),
+    ("gripper_frame_joint", "fixed", "gripper_link", *BETWEEN, "0 0 0"),
 ]
 
 
@@ -236,14 +139,6 @@ def test_a_finger_beside_a_fixed_tool_is_no_joint_of_the_arm_unasked() -> None:
     assert arm_from_urdf(urdf_of(FINGER), tip="jaw").n == 3
     with refuses(BadFile, "gripper_frame_link (5 joints)", "moving_jaw_so101_v1_link (6 joints)"):
         arm_from_urdf(urdf_of(SO101))
-
-
-def test_what_is_fixed_beside_a_joint_is_no_branch_where_the_arms_end_is_named_or_it_is_a_name_more() -> None:
-    camera = ("to_camera", "fixed", "a", "camera", "xyz='0.1 0 0'", "1 0 0")
-    named = [*FINGER[:2], camera, ("t", "fixed", "flange", "tool0", "xyz='0 0 0.1'", "1 0 0")]
-    assert arm_from_urdf(urdf_of(named)).tool_link == "tool0"
-    same = [*FINGER[:3], ("a_shape", "fixed", "a", "a_visual", "xyz='0 0 0'", "1 0 0")]
-    assert arm_from_urdf(urdf_of(same)).n == 2
 
 
 def test_the_so101_preset_is_its_makers_urdf_up_to_the_tool_between_the_jaws() -> None:

@@ -4,157 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
-import armsight
 from armsight import store
 from armsight.columns import POSE6
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.geometry import is_close
-from armsight.optics import Camera, Rig, RigKind
-from armsight.records import (
-    Colour,
-    LinearNoise,
-    NamedCovariance,
-    NoiseModel,
-    Target,
-    TargetKind,
-    board_target,
-    spot_target,
-    unmeasured_target,
-)
-from armsight.records.by_value import same_value
-from armsight.records.camera import NeighbourCorrelation
+from armsight.optics import Camera, parallel_rig
+from armsight.records import NamedCovariance, Target, TargetKind, board_target, spot_target
 from armsight.records.target import GREEN
-from armsight.store.schema import read_document
 from armsight.store.yamls import parse_yaml
 from refusals import refuses
 
 
-def awkward(rng, shape):
-    """Floats with all 53 bits in use, over many decades."""
-    return rng.standard_normal(shape) * 10.0 ** rng.integers(-12, 3, shape)
-
-
-def make_rig(seed=1):
-    rng = np.random.default_rng(seed)
-
-    def camera():
-        return Camera.pinhole(
-            1280,
-            720,
-            *(np.array([1100.0, 1099.0, 640.0, 360.0]) + rng.standard_normal(4)),
-            skew=float(rng.standard_normal() * 1e-7),
-            distortion=awkward(rng, 5),
-        )
-
-    A = awkward(rng, (7, 7))
-    names = ("left.fx", "left.fy", "right.fx", "right.tx", "right.rx", "right.ry", "right.rz")
-    return Rig(
-        kind=RigKind.STEREO,
-        left=camera(),
-        right=camera(),
-        T_rig_left=RigidTransform.identity(),
-        T_rig_right=RigidTransform.from_components(
-            rng.standard_normal(3) / 7, Rotation.from_rotvec(rng.standard_normal(3) / 9)
-        ),
-        covariance=NamedCovariance(names=names, matrix=A @ A.T),
-        rms_px=1.0 / 7.0,
-    )
-
-
 def rig_content():
-    return store.rig_mapping(make_rig())
-
-
-def test_rig_comes_back_exactly(tmp_path):
-    rig, path, source = make_rig(), tmp_path / "rig.yaml", tmp_path / "left01.png"
-    source.write_bytes(b"abc")
-    store.write_rig(path, rig, inputs=[source])
-    back = store.read_rig(path)
-    assert back.kind is rig.kind
-    assert back.rms_px == rig.rms_px
-    for side in ("left", "right"):
-        assert np.array_equal(back.camera(side).intrinsics, rig.camera(side).intrinsics)
-        assert (back.camera(side).width, back.camera(side).height) == (1280, 720)
-        assert is_close(back.T_rig_camera(side), rig.T_rig_camera(side), tol_m=0.0, tol_rad=1e-15)
-    assert back.covariance.names == rig.covariance.names
-    assert np.array_equal(back.covariance.matrix, rig.covariance.matrix)
-    origin = yaml.safe_load(path.read_text())  # another reader reads it as well
-    assert (origin["format"], origin["version"]) == ("armsight/rig", 1)
-    assert origin["software"] == f"armsight {armsight.__version__}"
-    assert origin["inputs"][0]["sha256"].startswith("ba7816bf")
-    assert origin["created"].endswith("+00:00")
-
-
-def test_camera_comes_back_exactly(tmp_path):
-    camera = make_rig().left
-    covariance = NamedCovariance(names=("fx", "fy"), matrix=np.diag([1 / 3, 1 / 7]))
-    store.write_camera(tmp_path / "camera.yaml", camera, covariance=covariance, rms_px=0.1)
-    assert np.array_equal(store.read_camera(tmp_path / "camera.yaml").intrinsics, camera.intrinsics)
-    file = store.read_camera_file(tmp_path / "camera.yaml")
-    assert np.array_equal(file.covariance.matrix, covariance.matrix)
-    assert file.rms_px == 0.1
-
-
-def make_noise(linear: bool):
-    rng = np.random.default_rng(5)
-    return NoiseModel(
-        levels=[1.0, 50.0 + 1 / 3, 200.0],
-        variance_levels2=rng.random(3) * 7,
-        std_levels2=rng.random(3) / 7,
-        correlation=NeighbourCorrelation(
-            x=rng.random(2) / 3,
-            y=rng.random(2) / 3,
-            diagonal=-1 / 7,
-            std_x=rng.random(2) / 300,
-            std_y=rng.random(2) / 300,
-            std_diagonal=1 / 700,
-        ),
-        n_frames=20,
-        linear=LinearNoise(read_noise_levels=1 / 3, gain_levels=0.1) if linear else None,
+    rig = parallel_rig(
+        Camera.pinhole(1280, 720, 1100.0, 1099.0, 640.0, 360.0, distortion=(-0.1, 0.05, 0.0, 0.0, 0.0)), 0.1
     )
-
-
-def assert_same_noise(a, b):
-    assert same_value(a, b)
-
-
-@pytest.mark.parametrize("linear", [False, True])
-def test_noise_comes_back_exactly(tmp_path, linear):
-    noise = make_noise(linear)
-    store.write_camera(tmp_path / "camera.yaml", make_rig().left, noise=noise)
-    assert_same_noise(store.read_camera_file(tmp_path / "camera.yaml").noise, noise)
-    store.write_rig(tmp_path / "rig.yaml", replace(make_rig(), noise=(None, noise)))
-    back = store.read_rig(tmp_path / "rig.yaml")
-    assert back.noise[0] is None
-    assert_same_noise(back.noise[1], noise)
-    store.add_noise(tmp_path / "rig.yaml", {"left": noise})
-    both = store.read_rig(tmp_path / "rig.yaml")
-    assert_same_noise(both.noise[0], noise)
-    assert_same_noise(both.noise[1], noise)
-    assert np.array_equal(both.covariance.matrix, back.covariance.matrix)
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"levels": [1.0, 0.5, 200.0]}, "increasing"),
-        ({"levels": [1.0, 2.0, 300.0]}, ("levels", "255")),
-        ({"variance_levels2": [1.0, 2.0]}, "variance_levels2"),
-        ({"variance_levels2": [1.0, -2.0, 1.0]}, "negative"),
-        ({"correlation": {"x": [1.5, 0.0], "y": [0.0, 0.0]}}, ("correlation", "-1")),
-        ({"correlation": {"x": [0.5], "y": [0.0, 0.0]}}, "correlation.x"),
-        ({"linear": {"read_noise_levels": 1.0, "gain_levels": 0.0}}, "gain"),
-        ({"gain": 3.0}, "cameras.left.noise.gain"),
-    ],
-)
-def test_noise_that_cannot_be_is_refused(change, told):
-    content = store.rig_mapping(replace(make_rig(), noise=(make_noise(True), None)))
-    content["cameras"]["left"]["noise"].update(change)
-    with refuses(BadFile, told):
-        store.rig_from_mapping(content)
+    names = ("left.fx", "left.fy", "right.fx", "right.tx", "right.rx", "right.ry", "right.rz")
+    known = NamedCovariance(names=names, matrix=np.diag(np.arange(7.0) + 1.0) / 7 + 0.01)
+    return store.rig_mapping(replace(rig, covariance=known, rms_px=1 / 7))
 
 
 SPOTS = {"A": (0.1 + 0.2, -1e-5, 1e-17), "B": (1 / 3, 2.0, 0.0), "e1": (0.0, 0.0, 1.0)}
@@ -162,11 +31,7 @@ TARGETS = {
     "spots": spot_target(SPOTS, diameter_m=0.005),
     "spots and how well they are known": spot_target(SPOTS, covariance=1e-9 * (np.eye(9) / 3 + np.ones((9, 9)) / 7)),
     "beacon by name of colour": spot_target({"beacon": (0.0, 0.0, 0.0)}, colour=GREEN),
-    "beacon by hue": spot_target({"1": (0.0, 0.0, 0.0)}, colour=Colour(hue_deg=(300.0, 310.5), min_value=0.9)),
-    "unmeasured": unmeasured_target(diameter_m=0.01),
     "checkerboard": board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025),
-    "circles": board_target(TargetKind.CIRCLES, 10, 10, 0.02482),
-    "acircles": board_target(TargetKind.ACIRCLES, 4, 11, 0.02),
     "charuco": board_target(TargetKind.CHARUCO, 8, 5, 0.04, marker_m=0.03, dictionary="DICT_4X4_50"),
 }
 
@@ -217,21 +82,16 @@ def changed(content, key, value):
 
 REFUSED_RIGS = {
     "unknown key": ("cameras.left.fz", 1.0, ("cameras.left.fz", "width, height, lens, fx")),
-    "mistyped key": ("cameras.left.T_rig_camra", {}, ("T_rig_camra", "T_rig_camera")),
     "missing key": ("cameras.right.fy", KeyError, ("cameras.right.fy", "missing")),
     "nan": ("cameras.left.cx", float("nan"), ("cameras.left.cx", "nan", "finite")),
-    "nan in a list": ("cameras.left.distortion", [0.0, 0.0, float("inf"), 0.0, 0.0], "cameras.left.distortion[2]"),
     "text for a number": ("cameras.left.fx", "wide", ("cameras.left.fx", "wide")),
-    "truth for a number": ("cameras.left.fx", True, "cameras.left.fx"),
     "fraction of a pixel": ("cameras.left.width", 640.5, "cameras.left.width"),
-    "short list": ("cameras.left.distortion", [0.0] * 4, ("cameras.left", "distortion", "pinhole")),
     "kind": ("kind", "trinocular", ("stereo", "mirror")),
     "version of the future": ("version", 3, ("version 3", "1 to 2", "Update")),
     "focal length": ("cameras.left.fx", -800.0, "focal lengths"),
     "no rotation": ("cameras.right.T_rig_camera.quat_xyzw", [1.0, 1.0, 0.0, 0.0], "quaternion"),
     "no baseline": ("cameras.right.T_rig_camera.xyz_m", [0.0, 0.0, 0.0], "same place"),
     "lopsided covariance": ("covariance.matrix", [[1.0, 0.0]] * 7, "7 names"),
-    "not even a mapping": ("cameras", [1, 2], "cameras"),
 }
 
 
@@ -258,15 +118,10 @@ def test_a_covariance_must_be_one(spoilt):
 
 REFUSED_TARGETS = {
     "kind": ({"kind": "cube"}, ("cube", "spots, checkerboard")),
-    "no kind": ({"spots_m": {}}, "None"),
     "neither spots nor labels": ({"kind": "spots"}, ("exactly one", "spots_m", "labels")),
-    "both": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "labels": ["A", "B", "C"]}, "exactly one"),
     "other labels": ({"kind": "spots", "labels": ["A", "B"]}, "three lights"),
-    "two at one place": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0], "B": [0.0, 0, 0]}}, "same place"),
     "name with a comma": ({"kind": "spots", "spots_m": {"A,B": [0.0, 0.0, 0.0]}}, "spots_m"),
-    "no size": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "diameter_m": 0.0}, "diameter_m"),
     "colour": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "colour": "mauve"}, "colour"),
-    "hue": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0]}, "colour": {"hue_deg": [0.0, 400.0]}}, "400.0"),
     "key of another kind": (
         {"kind": "checkerboard", "columns": 9, "rows": 6, "pitch_m": 0.02},
         ("pitch_m", "square_m"),
@@ -298,37 +153,14 @@ def test_a_file_of_another_format_is_told_apart(tmp_path):
         store.read_rig(tmp_path)
 
 
-def test_world_wants_exactly_one_parent():
-    from armsight.store.rigs import WORLD_YAML
-
-    pose = {"xyz_m": [0.0, 0.0, 0.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
-    assert WORLD_YAML.parse({"T_base_rig": pose}).parent == "base"
-    for content in ({}, {"T_base_rig": pose, "T_world_rig": pose}):
-        with refuses(BadFile, "exactly one"):
-            WORLD_YAML.parse(content)
-
-
-def test_numpy_values_are_taken_as_numbers():
-    content = rig_content()
-    content["cameras"]["left"]["distortion"] = np.zeros(5)
-    content["cameras"]["left"]["width"] = np.int64(1280)
-    content["rms_px"] = np.float32(0.25)
-    assert store.rig_from_mapping(content).rms_px == 0.25
-
-
 YAML_VALUES = {
     "a: 1e-5": 1e-5,  # YAML 1.1 readers make a text of it
     "a: 1.0e-05": 1e-5,
-    "a: 1.": 1.0,
-    "a: .5": 0.5,
     "a: 0x10": 16,
-    "a: 010": 10,
     "a: 12:30": "12:30",
-    "a: no": "no",
     "a: 2026-11-20": "2026-11-20",
     "a: true": True,
     "a: ~": None,
-    "a: '1e5'": "1e5",
     "a: *x\nb: 1": BadFile,
     "\ufeffa: 1": 1,
 }
@@ -346,32 +178,13 @@ def test_yaml_values_are_what_they_look_like(text):
         assert type(got) is type(want)
 
 
-LAUGHS = "a: &a [1,1,1,1,1,1,1,1,1]\n" + "".join(
-    f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(12)
-)
 BROKEN_YAML = {
     "empty": (b"", "empty"),
-    "comment only": (b"# nothing\n", "empty"),
     "a list": (b"[1, 2]", "a list"),
-    "a word": (b"hello", "a str"),
     "binary": (bytes(range(256)), "UTF-8"),
-    "nul": (b"a: \0", "special characters"),
     "unclosed": (b"a: [1, 2\nb: 3", "line 2"),
-    "tab": (b"a:\n\t- 1", "line 2"),
     "twice": (b"a: 1\nb: 2\na: 3\n", ("line 3", "a", "twice")),
-    "python object": (b"a: !!python/object/apply:os.system ['true']", "line 1"),
-    "wrong tag": (b"a: !!int hello", "fit"),
-    "timestamp tag": (b"a: !!timestamp hello", "line 1"),
-    "billion laughs": (LAUGHS.encode(), "values"),
-    "snake": (b"a: &a [*a]", "contains itself"),
-    "deep": (b"[\n" * 20_000, "deeply"),
-    "long": (b"a: [" + b"1, " * 40_000 + b"]", "values"),
-    "deep mapping": (b"{a: " * 5_000, "deeply"),
-    "huge integer": (b"a: " + b"9" * 10_000, "x.yaml"),
-    "impossible letter": (b'a: "\\UFFFFFFFF"', "x.yaml"),
-    "half a letter": (b'a: "\\ud800"', "half"),
     "list as a key": (b"? [1, 2]\n: 3", "single value"),
-    "two documents": (b"a: 1\n---\nb: 2\n", "line 2"),
 }
 
 
@@ -409,21 +222,12 @@ def test_boards_in_one_word(text):
     "text",
     [
         "",
-        "checkerboard",
-        "checkerboard:",
         "checkerboard:9x6",
-        "checkerboard:9*6:0.025",
         "checkerboard:9x6:25mm",
-        "checkerboard:9x6:nan",
         "checkerboard:9x6:-0.025",
-        "checkerboard:9x6:0",
         "checkerboard:9x6:25",
-        "checkerboard:1x6:0.025",
         "checkerboard:9x6:0.025:1",
-        "chess:9x6:0.025",
         "charuco:8x5:0.04:0.03",
-        "charuco:8x5:0.03:0.04:DICT_4X4_50",
-        "charuco:8x5:0.04:0.03:a b",
     ],
 )
 def test_a_wrong_board_is_answered_with_the_forms(text):
@@ -456,27 +260,6 @@ def test_deviations_of_a_target_are_a_diagonal_and_its_covariance_counts_before_
     path.write_text(LIT + f"covariance: {{names: {rows}, matrix: {negative.tolist()}}}\n")
     with refuses(BadFile, "negative variance"):
         store.read_target(path)
-
-
-ROS = {"camera_name": "a", "camera_matrix": {"data": [500, 0, 320, 0, 500, 240, 0, 0, 1]}, "image_width": 640}
-
-
-@pytest.mark.parametrize(
-    ("content", "wanted", "command"),
-    [
-        ({"format": "armsight/camera", "version": 1}, "armsight/rig", "armsight calibrate stereo"),
-        (ROS, "armsight/rig", "armsight convert rig LEFT RIGHT"),
-        ({"M1": 1, "M2": 1, "T": 1}, "armsight/rig", "armsight convert rig FILE"),
-        (ROS, "armsight/camera", "armsight convert camera FILE"),
-        (ROS, "armsight/target", "format: armsight/target"),
-    ],
-)
-def test_the_cure_for_a_file_of_another_kind_leads_to_the_kind_that_is_wanted(tmp_path, content, wanted, command):
-    (tmp_path / "x.yaml").write_text(yaml.safe_dump(content))
-    with pytest.raises(BadFile) as refused:
-        read_document(tmp_path / "x.yaml", wanted)
-    assert command in refused.value.cure
-    assert ("convert" in refused.value.cure) is ("convert" in command or (content is ROS and wanted == "armsight/rig"))
 
 
 def test_targets_in_millimetres_are_refused_by_their_place_and_size_too():

@@ -8,9 +8,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.kinematics import fk, preset
 from armsight.verify import Align, Measured, Reported, verify
-from armsight.verify.cause import find_cause
-from armsight.verify.evidence import Case, blocks, poses_of
-from refusals import names_it
 
 ARM = preset("irb120")
 
@@ -43,15 +40,3 @@ def test_large_errors_that_follow_nothing_are_not_laid_to_a_measurement_of_unkno
     std = np.tile([0.01] * 3 + [2e-4] * 3, (60, 1))
     told = verify(ARM, Reported(q=q), Measured(xyz_m=xyz, rotation=R, std=std), Align.BOTH)
     assert told.cause is not None and told.cause.cause == "measurement"
-
-
-def test_few_poses_many_times_are_few_poses() -> None:
-    rng = np.random.default_rng(5)
-    q = np.repeat(rng.uniform(-0.9, 0.9, (8, 6)), 3, axis=0)
-    xyz, R = measured_at(q[::3], rng)
-    measured = Measured(xyz_m=np.repeat(xyz, 3, 0), rotation=np.repeat(R, 3, 0))
-    block = blocks(len(q), poses_of(q))
-    assert len(np.unique(block)) == 8 and block.max() == 7
-    case = Case(bare=ARM, q=q, measured=measured, free=("base.x_m", "base.y_m", "base.z_m"), block=block)
-    found = find_cause(case, case.fit(np.zeros(12), None), None, None)
-    assert found.cause == "undecided" and names_it(found.sentence, "24 rows", "8 different poses")

@@ -40,12 +40,6 @@ def test_rows_that_came_at_once_are_left_out_where_no_steady_clock_sampled_them(
     assert (found.t_s == stamps).all()
 
 
-def test_even_stamps_and_uneven_ones_stay_as_they_are():
-    for stamps in (PERIOD_S * np.arange(100), np.cumsum(np.random.default_rng(2).uniform(0.008, 0.012, 100))):
-        found = sampling_times(stamps, "the log")
-        assert (found.t_s == stamps).all() and found.sure.all() and not found.note
-
-
 def test_readings_within_one_turn_are_made_whole():
     t = np.linspace(0, 4, 200)
     q = np.column_stack([3.0 * t, np.sin(t), 0.4 * t])

@@ -6,8 +6,6 @@ import pytest
 
 from armsight.verify.alignment import FOREIGN
 from armsight.verify.effects import Kind
-from armsight.verify.live import VerifyLiveOutput
-from armsight.verify.results import VerifyResult
 from armsight.verify.verdicts import FIND_MOVED, live_verdict, mastering_verdict, verify_verdict
 from refusals import names_it
 
@@ -21,7 +19,6 @@ def verified(**more):
 @pytest.mark.parametrize(
     ("cause", "kind", "level", "said"),
     [
-        ("none", None, "good", "Nothing"),
         ("measurement", None, "good", "Correct nothing in the arm"),
         ("several joints", None, "bad", "armsight calibrate arm"),
         ("model", None, "care", "armsight calibrate arm"),
@@ -67,8 +64,3 @@ def test_what_to_do_where_not_all_was_seen():
         for last in (False, True)
     )
     assert some.level == all_.level == "good" and some.next != all_.next
-
-
-def test_the_verdict_is_worked_out_from_the_results_own_fields():
-    for kind in (VerifyResult, VerifyLiveOutput):
-        assert "verdict_" not in kind.__dataclass_fields__
