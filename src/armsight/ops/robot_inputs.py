@@ -76,7 +76,9 @@ def touches(name: str, value: Any, given: Given, undo: ExitStack) -> Touches:
         kinds = [one_of(Kind, f"{name} kind", one) for one in (more[0] if more else ["point"] * len(names))]
         tips = require_texts(f"{name} tip", more[1]) if len(more) == 2 else ("",) * len(names)
         if not len(kinds) == len(tips) == len(names):
-            raise UsageError(f"{name} has {len(names)} features and not as many kinds or tips", cure="Give one each a row")
+            raise UsageError(
+                f"{name} has {len(names)} features and not as many kinds or tips", cure="Give one each a row"
+            )
         if Kind.GAUGE in kinds:
             raise UsageError(f"{name} has gauges without readings", cure="Give a table's path, with reading_m")
         nothing = np.zeros(len(names))

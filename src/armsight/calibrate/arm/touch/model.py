@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array

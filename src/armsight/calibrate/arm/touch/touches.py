@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -177,14 +177,4 @@ def of_postures(touches: Touches) -> Touches:
     if of.max() + 1 == len(touches):
         return touches
     first = np.unique(of, return_index=True)[1]
-    once = touches.take(first)
-    return Touches(
-        q=means(touches.q, of),
-        feature=once.feature,
-        kind=once.kind,
-        reading_m=means(touches.reading_m, of),
-        sigma_m=once.sigma_m,
-        lengths=touches.lengths,
-        row=once.row,
-        tip=once.tip,
-    )
+    return replace(touches.take(first), q=means(touches.q, of), reading_m=means(touches.reading_m, of))
