@@ -115,7 +115,7 @@ def test_a_tip_that_was_changed_is_cured_by_a_name_of_its_own():
 
 def test_a_tip_that_hardly_touched_is_refused():
     arm, *_, touches, _ = of_spikes()
-    with refuses(NotEnoughData, "the tip bent touched 5 times"):
+    with refuses(NotEnoughData, "bent", "5 times"):
         calibrate_touched(arm, replace(touches, tip=("bent",) * 5 + ("long",) * 45))
 
 
