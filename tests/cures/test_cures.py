@@ -43,6 +43,9 @@ IN_TESTS = {
     ("drivers/timed_moments.py", "Set all cameras to one frame rate and one clock"): (
         "tests/unit/drivers/test_moments.py::test_a_camera_apart_is_told_with_its_cure_and_each_cure_keeps_it"
     ),
+    ("ops/identification/beacon_observer.py", "Give a target of one light"): (
+        "tests/unit/app/test_identify_live.py::test_a_target_without_a_light_to_follow_is_refused_before_anything_moves"
+    ),
     ("ops/identification/live.py", "for it in --limits, or less"): (
         "tests/unit/app/test_identify_live.py::"
         "test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_moves"

@@ -73,6 +73,52 @@ def test_two_spikes_tell_zeros_and_lengths_as_well_as_can_be_and_deviations_hold
     assert np.sqrt(np.mean(np.concatenate(by_claim) ** 2)) < 1.0 + 3.0 / np.sqrt(k)
 
 
+def test_several_tips_are_fitted_each_by_its_rows_and_deviations_hold():
+    rng, other = np.random.default_rng(21), np.array([-0.06, 0.05, 0.16])
+    arm, world, off = drawn("irb120", rng)
+    spikes, q, which = two_spikes(world, rng, NEAR["irb120"], APART_M)
+    bent = replace(world, tip=other)
+    q = np.concatenate([q, bent.touched(rng, spikes[which], NEAR["irb120"])])
+    touches = touched(q, ["ab"[k] for k in (*which, *which)], lengths=KNOWN)
+    named = replace(touches, tip=("long",) * len(which) + ("bent",) * len(which))
+    done = calibrate_touched(arm, named, tolerance=TOLERANCE)
+    assert done.gain
+    z = np.array([(done.corrections[one] - off[one]) / done.deviations[one] for one in done.free])
+    assert len(z) >= 12
+    assert np.sqrt(np.mean(z**2)) < 1.0 + 3.0 / np.sqrt(len(z))
+    assert done.after.rms_m < 3e-4
+    places = {one.name: one.xyz_m for one in done.arm.tool_points}
+    # the last joint's zero turns both about its axis, and stays as it was
+    assert np.linalg.norm(places["bent"]) == pytest.approx(np.linalg.norm(other), abs=2e-3)
+    assert np.linalg.norm(places["bent"] - places["long"]) == pytest.approx(np.linalg.norm(other - TIP), abs=1e-3)
+    assert done.arm.T_flange_tool.translation == pytest.approx(places["bent"])
+    with refuses(Inconsistent, "scatter"):  # taken as one tip, 0.1 m apart
+        calibrate_touched(arm, touches, tolerance=TOLERANCE)
+
+
+def test_a_tip_that_was_changed_is_cured_by_a_name_of_its_own():
+    rng = np.random.default_rng(22)
+    arm, world, _ = drawn("irb120", rng)
+    near = np.array(NEAR["irb120"])
+    places = np.tile(world.there(near)[0], (50, 1))
+    places[::2] += [0.0, 0.27, 0.0]
+    ground = replace(world, tip=world.tip - [0.0, 0.0, 1e-3])
+    q = np.concatenate([world.touched(rng, places[:25], near), ground.touched(rng, places[25:], near)])
+    touches = touched(q, ["ba"[i % 2] for i in range(50)], lengths=KNOWN)
+    with refuses(Inconsistent, "two places") as caught:
+        calibrate_touched(arm, touches, tolerance=TOLERANCE)
+    assert "column tip" in caught.value.cure
+    done = calibrate_touched(arm, replace(touches, tip=("new",) * 25 + ("worn",) * 25), tolerance=TOLERANCE)
+    new, worn = (np.asarray(one.xyz_m) for one in done.arm.tool_points)
+    assert np.linalg.norm(new - worn) == pytest.approx(1e-3, abs=3e-4)
+
+
+def test_a_tip_that_hardly_touched_is_refused():
+    arm, *_, touches, _ = of_spikes()
+    with refuses(NotEnoughData, "bent", "5 times"):
+        calibrate_touched(arm, replace(touches, tip=("bent",) * 5 + ("long",) * 45))
+
+
 def test_what_no_touch_tells_gets_no_number_and_its_cure_is_named():
     arm, *_, touches, _ = of_spikes(lengths=())
     done = calibrate_touched(arm, touches, tolerance=TOLERANCE)

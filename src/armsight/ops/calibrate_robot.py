@@ -210,7 +210,7 @@ def calibrate_arm(
     point: Sequence[str] = (),
     length: Lengths = (),
     touch: Annotated[
-        TouchesLike, Doc("In place of points touch.csv: q1..qn,feature[,kind][,reading_m][,sigma_m].")
+        TouchesLike, Doc("In place of points touch.csv: q1..qn,feature[,kind][,tip][,reading_m][,sigma_m].")
     ] = None,
     holdout: Annotated[HeldPointsLike, Doc("Further points, only for judging.")] = None,
     scale: Annotated[bool, Doc("Try joint scales too."), Flag("--scale/--no-scale")] = True,
@@ -245,8 +245,8 @@ def calibrate_arm(
     length
         (a, b, m[, standard deviation]) of touched points or balls that far apart; of a ball's radius b is ''.
     touch
-        In place of q: (q, feature) or (q, feature, kind) while the tip rested on spikes ('point'), flats ('plane') or
-        balls ('sphere'); or a table's path, which may have dial gauges ('gauge') too.
+        In place of q: (q, feature[, kind[, tip]]) while the tip, or the one of several that is named, rested on spikes
+        ('point'), flats ('plane') or balls ('sphere'); or a table's path, which may have dial gauges ('gauge') too.
     holdout
         (q, xyz_m) of further rows, or their table, only for judging.
     scale

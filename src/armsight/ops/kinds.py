@@ -42,7 +42,7 @@ TargetLike: TypeAlias = Annotated[Any, Input(f"{READERS}:target")]
 PointsLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:points", hashed=True)]
 """Joint readings (m, n) in rad and m, with positions beside them, or the path of a table of both."""
 TouchesLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:touches", hashed=True)]
-"""(q, feature), (q, feature, kind), or the path of a table of touches."""
+"""(q, feature[, kind[, tip]]), or the path of a table of touches."""
 HeldPointsLike: TypeAlias = Annotated[Any, Input(f"{ROBOT_READERS}:held_points", hashed=True)]
 """(q, xyz_m), or the path of a table of points."""
 WorldLike: TypeAlias = Annotated[Any, Input(f"{READERS}:world")]

@@ -60,7 +60,7 @@ def points(name: str, value: Any, given: Given, undo: ExitStack) -> ArmPoints:
 
 
 def touches(name: str, value: Any, given: Given, undo: ExitStack) -> Touches:
-    """Return the touches of a table, or of (q, feature) or (q, feature, kind), with the lengths said beside them."""
+    """Return the touches of a table, or of (q, feature[, kind[, tip]]), with the lengths said beside them."""
     model, path = _arm_of(given), path_of(value)
     if path is not None:
         found = read_touches(path, given.get("table") or OURS)
@@ -68,10 +68,17 @@ def touches(name: str, value: Any, given: Given, undo: ExitStack) -> Touches:
         found = value
     else:
         require_kind(name, value, tuple, cure="Give (q, feature), (q, feature, kind), or a table's path")
-        q, feature, *kind = value
+        if not 2 <= len(value) <= 4:
+            raise UsageError(f"{name} has {len(value)} entries", cure="Give (q, feature[, kind[, tip]])")
+        q, feature, *more = value
         names = require_texts(f"{name} feature", feature)
         readings = checked_array(f"{name} q", q, (len(names), model.n))
-        kinds = [one_of(Kind, f"{name} kind", one) for one in (kind[0] if kind else ["point"] * len(names))]
+        kinds = [one_of(Kind, f"{name} kind", one) for one in (more[0] if more else ["point"] * len(names))]
+        tips = require_texts(f"{name} tip", more[1]) if len(more) == 2 else ("",) * len(names)
+        if not len(kinds) == len(tips) == len(names):
+            raise UsageError(
+                f"{name} has {len(names)} features and not as many kinds or tips", cure="Give one each a row"
+            )
         if Kind.GAUGE in kinds:
             raise UsageError(f"{name} has gauges without readings", cure="Give a table's path, with reading_m")
         nothing = np.zeros(len(names))
@@ -82,6 +89,7 @@ def touches(name: str, value: Any, given: Given, undo: ExitStack) -> Touches:
             reading_m=nothing,
             sigma_m=nothing,
             row=np.arange(len(names)),
+            tip=tips,
         )
     told = tuple(_known_length(one) for one in given.get("length") or ())
     coupled = bool(model.couplings) and found.q.shape[1] == model.n

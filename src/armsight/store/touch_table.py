@@ -14,11 +14,11 @@ from armsight.errors import BadFile
 from armsight.store.interpret import OURS, TableFormat, joint_readings
 from armsight.store.tables import Table, read_table
 
-FEATURE, KIND, READING, SIGMA = "feature", "kind", "reading_m", "sigma_m"
+FEATURE, KIND, TIP, READING, SIGMA = "feature", "kind", "tip", "reading_m", "sigma_m"
 
 
 def read_touches(path: Path, format_: TableFormat = OURS) -> Touches:
-    """Return the touches of q1..qn,feature[,kind][,reading_m][,sigma_m]; without kind they are of points.
+    """Return the touches of q1..qn,feature[,kind][,tip][,reading_m][,sigma_m]; without kind they are of points.
 
     Without `feature`, x_m,y_m,z_m tell the points apart, named 1, 2 .. as they come, and their distances are known
     lengths. Raises BadFile that names line and column.
@@ -26,17 +26,23 @@ def read_touches(path: Path, format_: TableFormat = OURS) -> Touches:
     table = read_table(
         path,
         (),
-        optional=(FEATURE, KIND, READING, SIGMA, *POSITION),
-        text=(FEATURE, KIND),
+        optional=(FEATURE, KIND, TIP, READING, SIGMA, *POSITION),
+        text=(FEATURE, KIND, TIP),
         blank=(READING, SIGMA),
         series="q",
     )
     q = joint_readings(table, str(path), format_)
     kinds = tuple(_kind(table, row) for row in range(len(table)))
     feature, lengths = (table.text[FEATURE], ()) if FEATURE in table.text else _of_places(table)
+    tip = table.text.get(TIP, ())
     for row, name in enumerate(feature):
         if not name:
             raise BadFile(f"{table.location(row)}, column {FEATURE}: empty", cure="Name what the row touched")
+        if any(tip) and not tip[row]:
+            raise BadFile(
+                f"{table.location(row)}, column {TIP}: empty, and other rows name theirs",
+                cure="Name the tip in every row, or in none where it was one",
+            )
     return Touches(
         q=q,
         feature=feature,
@@ -45,6 +51,7 @@ def read_touches(path: Path, format_: TableFormat = OURS) -> Touches:
         sigma_m=np.nan_to_num(table.numbers.get(SIGMA, np.zeros(len(table)))),
         lengths=lengths,
         row=np.arange(len(table)),
+        tip=tip,
     )
 
 

@@ -581,6 +581,9 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
                     "a list": [1, 2],
                     "5 joints": (SPREAD[:, :5], ["a"] * len(SPREAD)),
                     "names": (SPREAD, ["a"]),
+                    "kinds": (SPREAD, ["a"] * len(SPREAD), ["point"]),
+                    "tips": (SPREAD, ["a"] * len(SPREAD), ["point"] * len(SPREAD), ["long"]),
+                    "five entries": (SPREAD, ["a"] * len(SPREAD), ["point"] * len(SPREAD), [], []),
                 },
             ),
             "length": Arg(

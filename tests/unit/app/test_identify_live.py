@@ -30,7 +30,7 @@ from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallback
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.saving import write_with_page
 from armsight.ops.simulation.scenarios import load_scenario
-from armsight.records import Frame
+from armsight.records import Frame, Target, TargetKind, board_target, unmeasured_target
 from armsight.store import (
     read_rig,
     read_target,
@@ -295,6 +295,19 @@ def test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_m
     assert len(plan.sweeps) == 3
     first = FirstJoints(robot=cell.robot, m=2)
     assert np.array_equal(first.joint_range, np.array(told)[:, :2])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("target", [unmeasured_target(), board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)])
+def test_a_target_without_a_light_to_follow_is_refused_before_anything_moves(target: Target, tmp_path: Path) -> None:
+    cell = Cell(tmp_path)
+    one = (tmp_path / "target.yaml").read_text()
+    write_target(tmp_path / "target.yaml", target)
+    with refuses(UsageError, "followed", "Nothing is moved", "one light"):
+        cell.run()
+    assert not cell.asked
+    (tmp_path / "target.yaml").write_text(one)
+    plan = cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True).plan
+    assert len(plan.sweeps) == 3
 
 
 def test_nothing_moves_unless_confirmed_or_where_it_cannot(tmp_path: Path) -> None:

@@ -25,6 +25,12 @@ def test_features_kinds_readings_and_deviations_are_read(tmp_path):
     assert found.q.tolist() == [[0.1, 0.2], [0.3, 0.4]]
 
 
+def test_tips_are_read_and_an_empty_column_is_one_tip(tmp_path):
+    found = read_touches(written(tmp_path, "q1,feature,tip\n0.1,a,long\n0.2,a,bent\n"))
+    assert (found.tip, found.tips, found.of_tip.tolist()) == (("long", "bent"), ("bent", "long"), [1, 0])
+    assert read_touches(written(tmp_path, "q1,feature,tip\n0.1,a,\n0.2,a,\n")).tips == ("",)
+
+
 def test_places_tell_points_apart_and_their_distances_are_known(tmp_path):
     rows = [f"{i / 10},0.5,{0.27 * (i % 2)},0,0" for i in range(8)]
     found = read_touches(written(tmp_path, "\n".join(["q1,q2,x_m,y_m,z_m", *rows]) + "\n"))
@@ -40,6 +46,7 @@ def test_places_tell_points_apart_and_their_distances_are_known(tmp_path):
         ("q1,feature,kind\n0.1,a,spike\n", ("line 2", "spike", "plane")),
         ("q1,feature,kind,reading_m\n0.1,a,gauge,\n", ("line 2", "gauge needs its reading")),
         ("q1,feature,kind,reading_m\n0.1,a,point,0.2\n", ("line 2", "no reading")),
+        ("q1,feature,tip\n0.1,a,long\n0.2,a,\n", ("line 3", "column tip: empty")),
         ("feature\na\n", ("no column q1",)),
         ("q1\n0.1\n", ("no column feature", "name of the spike")),
         ("q1,x_m,y_m,z_m\n0.1,1,2,3\n0.2,2,3,4\n", ("2 places", "--points")),

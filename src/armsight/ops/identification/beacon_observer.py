@@ -10,7 +10,7 @@ import numpy as np
 from armsight.arrays import Array, Image
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
-from armsight.errors import DeviceLost, NotEnoughData
+from armsight.errors import DeviceLost, NotEnoughData, UsageError
 from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.records import Frame, PoseStatus, Target
@@ -20,7 +20,17 @@ LOST_FRAMES = 3
 
 
 def beacon_settings(target: Target, mask: Image | None) -> SpotSettings:
-    """Return how the beacon is looked for; mask: an image that is black where no light may be."""
+    """Return how the beacon is looked for; mask: an image that is black where no light may be.
+
+    Raises UsageError for a target none of whose lights can be followed.
+    """
+    if target.is_board or (len(target.names) > 1 and not target.model_known):
+        why = "it has no lights" if target.is_board else "its lights are named by how they stand in the image alone"
+        raise UsageError(
+            f"no light of this target can be followed while the arm rotates it: {why}",
+            consequence="Nothing is moved, and no arm is identified",
+            cure="Give a target of one light, or measure where the lights of this one are (armsight calibrate target)",
+        )
     return SpotSettings(colour=target.colour, mask=None if mask is None else mask > 0)
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.covariance import still
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, limits_reached
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, limits_reached, tool_points
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import RISING, UNPROVED, candidates, significant_gain
 from armsight.calibrate.arm.plausibility import ranges
@@ -47,7 +47,7 @@ def calibrate_touched(
 ) -> ArmResult:
     """Return the arm that what it touched tells, nominal where touches left out are not missed by less with it.
 
-    Tip and features are fitted always. All lengths and angles are free within their tolerances, joints' sag or scales
+    Tips and features are fitted always. All lengths and angles are free within their tolerances, joints' sag or scales
     where touches left out prove them too; those that the touches tell are corrections, the others are named with what
     would make them known. Raises NotEnoughData, Degenerate, Inconsistent for touches that are not of this arm, of a
     feature that was moved, or against a length that was given.
@@ -55,7 +55,7 @@ def calibrate_touched(
     tolerance = tolerance or Tolerance()
     check_touches(nominal, touches)
     given, touches = touches, of_postures(touches)
-    arm_model = ArmModel(arm=nominal, labels=("",), turned=False)
+    arm_model = ArmModel(arm=nominal, labels=touches.tips, turned=False)
     model, guess = start(arm_model, touches)
     kinds = [(NOMINAL, ()), *(x for x in candidates(arm_model, scale=scale) if x[0].startswith("geometry"))]
     tried, later = kinds[:2], kinds[2:]
@@ -217,8 +217,8 @@ def _refuse_senses(model: TouchModel, guess: Array) -> None:
 def _left_out(model: TouchModel, one: _Level, tolerance: Tolerance) -> Array:
     """Return the errors (m,) in m of a level at touches left out."""
     touches = model.touches
-    # every feature's touches are dealt out in turn, so that none is left without
-    order = np.argsort(touches.which, kind="stable")
+    # every feature's touches, and a tip's, are dealt out in turn, so that none is left without
+    order = np.lexsort((touches.of_tip, touches.which))
     fold = np.empty(len(touches), dtype=np.intp)
     fold[order] = np.arange(len(touches)) % FOLDS
     errors = np.empty(len(touches))
@@ -239,7 +239,7 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
     before_m, after_m = (one.fitted.misses_m(model, judged.given) for one in (judged.levels[0], judged.best))
     gross, cross = gross_rows(judged.every, best), [Errors.of(x.left_m) for x in (judged.levels[0], judged.best)]
     return ArmResult(
-        arm=_arm(arm_model, best, covariance),
+        arm=replace(_arm(arm_model, best, covariance), tool_points=tool_points(arm_model, fitted)),
         points=replace(touched, xyz_m=arm_model.predict(fitted.p, touched)[0][:, :3, 3]),
         tolerance=tolerance,
         model=arm_model,

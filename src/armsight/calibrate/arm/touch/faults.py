@@ -112,7 +112,7 @@ def check_moved(model: TouchModel, fitted: TouchFit, tolerance: Tolerance) -> No
             f"from row {touches.row[row] + 1} on",
             consequence=f"{name} (or the tip) was moved there, and no arm is fitted to both",
             cure=f"Call {name} by another name from row {touches.row[row] + 1} on, or leave those rows out; where the "
-            "tip was moved, take the rows of one side alone",
+            "tip was moved, give it another name from there on in a column tip",
         )
 
 
@@ -166,10 +166,11 @@ PULL = 3.0
 def other_senses(arm: Arm, touches: Touches) -> Senses | None:
     """Return the senses and zeros that explain the touches of spikes where the given ones do not; else None.
 
-    Flats, balls and gauges say too little for it.
+    Flats, balls and gauges say too little for it; of several tips the one that touched most spikes is taken.
     """
     turning = np.flatnonzero(arm.revolute)
     spikes = np.flatnonzero(~touches.scalar)
+    spikes = spikes[touches.of_tip[spikes] == np.bincount(touches.of_tip[spikes], minlength=1).argmax()]
     if not 1 <= len(turning) <= MOST_JOINTS or len(spikes) < FEWEST or arm.couplings:
         return None
     used = touches.take(spikes[np.unique(np.linspace(0, len(spikes) - 1, ROWS).astype(np.intp))])
@@ -188,7 +189,7 @@ def other_senses(arm: Arm, touches: Touches) -> Senses | None:
 
 def _refined(touches: Touches, arm: Arm) -> float:
     """Return what an arm leaves of the touches once lengths and angles are fitted within tolerance, RMS in m."""
-    model, guess = start(ArmModel(arm=arm, labels=("",), turned=False), touches)
+    model, guess = start(ArmModel(arm=arm, labels=touches.tips, turned=False), touches)
     try:
         fitted = fit_touches(model, guess, model.arm_model.geometry, Tolerance(), ROUGH)
     except NotConverged:

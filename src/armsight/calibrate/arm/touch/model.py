@@ -1,4 +1,4 @@
-"""Touches as a function of an arm's parameters, its tip, and where the features are: what each row leaves.
+"""Touches as a function of an arm's parameters, its tips, and where the features are: what each row leaves.
 
 A spike holds the tip in three coordinates, a flat, a ball or a gauge in one: the residual is what the tip misses it by.
 """
@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.model import THETA, ArmModel, D
@@ -65,8 +66,9 @@ class TouchModel:
 
     @property
     def mounts(self) -> tuple[str, ...]:
-        """Names of what is always fitted: the tip and the features."""
-        return ("tool.x_m", "tool.y_m", "tool.z_m", *self.features)
+        """Names of what is always fitted: the tips and the features."""
+        tips = (name for name in self.arm_model.mounts if name.startswith("tool") and name.endswith("_m"))
+        return (*tips, *self.features)
 
     def at(self, name: str, key: str) -> int:
         """Return the index of a feature's parameter."""
@@ -160,15 +162,15 @@ class TouchModel:
 
 
 def start(arm_model: ArmModel, touches: Touches) -> tuple[TouchModel, Array]:
-    """Return the model and a first guess of the nominal arm's tip and of the features.
+    """Return the model and a first guess of the nominal arm's tips and of the features.
 
-    Where spikes were touched the tip comes from them (linear), else from the nominal arm's tool. Raises Degenerate.
+    Of a tip that touched spikes it comes from them (linear), else from the nominal arm's tool. Raises Degenerate.
     """
     arm = arm_model.arm
     base = arm.T_world_base
     flange = fk(arm, arm.sagged(touches.q)) @ np.linalg.inv(arm.T_flange_tool.as_matrix())
-    tip = _tip(flange, touches, np.asarray(arm.T_flange_tool.translation))
-    there = np.einsum("mij,j->mi", flange[:, :3, :3], tip) + flange[:, :3, 3]
+    tips = _tips(flange, touches, np.asarray(arm.T_flange_tool.translation))
+    there = np.einsum("mij,mj->mi", flange[:, :3, :3], tips[touches.of_tip]) + flange[:, :3, 3]
     axes, place, guess = {}, {}, []
     which = np.array(touches.feature)
     for name, kind in touches.kinds.items():
@@ -186,31 +188,35 @@ def start(arm_model: ArmModel, touches: Touches) -> tuple[TouchModel, Array]:
             values = [float(np.median((at - middle) @ axes[name][0] - read)), 0.0, 0.0]
         guess += values
     model = TouchModel(arm_model=arm_model, touches=touches, axes=axes, place=place)
-    tool = arm_model.vector(base, [arm.T_flange_tool])
-    tool[-6:-3] = tip
-    return model, np.concatenate([tool, guess])
+    turn = arm.T_flange_tool.rotation
+    tools = [RigidTransform.from_components(tip, turn) for tip in tips]
+    return model, np.concatenate([arm_model.vector(base, tools), guess])
 
 
-def _tip(flange: Array, touches: Touches, nominal: Array) -> Array:
-    """Return the tip (3,) in flange axes that scatters least about the spikes (k, 3), those being free too."""
+def _tips(flange: Array, touches: Touches, nominal: Array) -> Array:
+    """Return the tips (t, 3) in flange axes that scatter least about the spikes (k, 3), those being free too."""
+    tips = np.tile(nominal, (len(touches.tips), 1))
     rows = np.flatnonzero(~touches.scalar)
     if not len(rows):
-        return nominal
+        return tips
+    mine = np.eye(len(tips))[touches.of_tip]  # (m, t)
+    turn = np.einsum("mij,mt->mitj", flange[:, :3, :3], mine).reshape(len(touches), 3, -1)
+    placed = np.concatenate([turn, flange[:, :3, 3:]], axis=2)  # where the tip is: linear in all tips, and one
     # touches of a wrong spike would shift the first guess by centimetres
-    tip = nominal
+    guess = tips.ravel()
     for _ in range(TRIMS):
         number = np.unique(touches.which[rows], return_inverse=True)[1]
         share = np.equal.outer(number, np.arange(number.max() + 1)) / np.bincount(number)
-        middle = np.einsum("mk,mij->kij", share, flange[rows][:, :3])
-        off = flange[rows][:, :3] - middle[number]  # R t + p about its spike's mean: linear in t
-        A, b = off[:, :, :3].reshape(-1, 3), -off[:, :, 3].ravel()
-        tip = nominal + np.linalg.lstsq(A, b - A @ nominal, rcond=1e-2)[0]
-        miss = np.linalg.norm((A @ tip - b).reshape(-1, 3), axis=1)
+        middle = np.einsum("mk,mij->kij", share, placed[rows])
+        off = placed[rows] - middle[number]  # about its spike's mean
+        A, b = off[:, :, :-1].reshape(-1, tips.size), -off[:, :, -1].ravel()
+        guess = tips.ravel() + np.linalg.lstsq(A, b - A @ tips.ravel(), rcond=1e-2)[0]
+        miss = np.linalg.norm((A @ guess - b).reshape(-1, 3), axis=1)
         kept = miss <= TRIMMED * float(np.median(miss))
         if kept.all() or len(np.unique(touches.which[rows[kept]])) <= number.max():
             break
         rows = rows[kept]
-    return np.asarray(tip)
+    return np.asarray(guess.reshape(-1, 3))
 
 
 def _ball(name: str, at: Array, radius_m: float | None) -> list[float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -29,6 +29,8 @@ FEWEST = {Kind.POINT: 3, Kind.PLANE: 5, Kind.SPHERE: 6, Kind.GAUGE: 6}
 """Touches of a feature: fewer hardly say more than where it is."""
 FEWEST_TOUCHES = 10
 """Equations beyond the tip and one feature that can tell a zero at all."""
+FEWEST_OF_TIP = 6
+"""Touches with one of several tips: fewer hardly say more than where it is."""
 FARTHEST_M = 20.0
 """No arm's features are further apart: such a length is in millimetres."""
 
@@ -54,7 +56,8 @@ class Touches:
 
     reading_m: (m,) of the gauge, growing as the tip moves away along its axis; 0 of other kinds. sigma_m: (m,)
     standard deviation of the row's own reading or touch, 0 where it is not known; what scatters beyond it is found.
-    lengths: what was measured beside them. row: (m,) of the table, from 0.
+    lengths: what was measured beside them. row: (m,) of the table, from 0. tip: (m,) names which of the tool's tips
+    touched, "" of one alone.
     """
 
     q: Array
@@ -64,9 +67,11 @@ class Touches:
     sigma_m: Array
     lengths: tuple[KnownLength, ...] = ()
     row: NDArray[np.intp]
+    tip: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         m = len(self.feature)
+        object.__setattr__(self, "tip", self.tip or ("",) * m)
         freeze(self, q=(m, np.shape(self.q)[-1]), reading_m=(m,), sigma_m=(m,))
 
     def __len__(self) -> int:
@@ -84,17 +89,27 @@ class Touches:
         return np.array([number[name] for name in self.feature], dtype=np.intp)
 
     @property
+    def tips(self) -> tuple[str, ...]:
+        """The names of the tips, sorted."""
+        return tuple(sorted(set(self.tip)))
+
+    @property
+    def of_tip(self) -> NDArray[np.intp]:
+        """Which tip (m,) touched in each row, in the order of tips."""
+        return np.asarray(np.unique(self.tip, return_inverse=True)[1])
+
+    @property
     def scalar(self) -> NDArray[np.bool_]:
         """Which rows (m,) say one number, not three."""
         return np.array([kind is not Kind.POINT for kind in self.kind])
 
     def take(self, rows: NDArray[np.intp]) -> Touches:
         """Return some rows, with all lengths."""
-        return taken(self, rows, "q", "feature", "kind", "reading_m", "sigma_m", "row")
+        return taken(self, rows, "q", "feature", "kind", "reading_m", "sigma_m", "row", "tip")
 
     def as_points(self) -> ArmPoints:
         """Return the rows as those of a tool's point, whose places nobody measured (zeros)."""
-        return ArmPoints(q=self.q, xyz_m=np.zeros((len(self), 3)), row=self.row)
+        return ArmPoints(q=self.q, xyz_m=np.zeros((len(self), 3)), row=self.row, point=self.tip)
 
 
 def check_touches(arm: Arm, touches: Touches) -> None:
@@ -120,6 +135,13 @@ def check_touches(arm: Arm, touches: Touches) -> None:
                 f"{name} was touched {len(rows)} times; {FEWEST[kind]} times is the least for a {kind}",
                 consequence="That hardly says more than where it is",
                 cure=f"Touch it from more postures, or leave {name} out",
+            )
+    for name, count in zip(touches.tips, np.bincount(touches.of_tip).tolist(), strict=True):
+        if name and count < FEWEST_OF_TIP:
+            raise NotEnoughData(
+                f"the tip {name} touched {count} times; {FEWEST_OF_TIP} times is the least",
+                consequence="That hardly says more than where the tip is",
+                cure=f"Touch with it from more postures, or leave the rows of {name} out",
             )
     _check_lengths(touches)
     check_moves(arm, touches.as_points())
@@ -148,19 +170,11 @@ def _check_lengths(touches: Touches) -> None:
 
 
 def of_postures(touches: Touches) -> Touches:
-    """Return one row, their mean, for touches of a feature in one posture: they share what the arm has wrong there."""
-    # features are apart in this space: never one place
-    of = repeats(np.column_stack([touches.q, 1e3 * touches.which]), SAME_PLACE)
+    """Return one row, their mean, for touches of a feature by a tip in one posture: they share what the arm has wrong
+    there."""
+    # features and tips are apart in this space: never one place
+    of = repeats(np.column_stack([touches.q, 1e3 * touches.which, 1e3 * touches.of_tip]), SAME_PLACE)
     if of.max() + 1 == len(touches):
         return touches
     first = np.unique(of, return_index=True)[1]
-    once = touches.take(first)
-    return Touches(
-        q=means(touches.q, of),
-        feature=once.feature,
-        kind=once.kind,
-        reading_m=means(touches.reading_m, of),
-        sigma_m=once.sigma_m,
-        lengths=touches.lengths,
-        row=once.row,
-    )
+    return replace(touches.take(first), q=means(touches.q, of), reading_m=means(touches.reading_m, of))
