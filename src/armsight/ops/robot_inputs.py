@@ -138,8 +138,10 @@ def sweeps(name: str, value: Any, given: Given, undo: ExitStack) -> Sweeps:
             consequence="Pixels say nothing without their cameras",
             cure="Give both, or neither",
         )
-    pixels = None if uv_px is None else checked_array("uv_px", uv_px, (len(positions), 2, 2))
-    return Sweeps(joint=moving - 1, q=q, xyz_m=positions, uv_px=pixels)
+    if rig is None:
+        return Sweeps(joint=moving - 1, q=q, xyz_m=positions)
+    pixels = checked_array("uv_px", uv_px, (len(positions), len(rig.cameras), 2), nan=not rig.is_pair)
+    return Sweeps(joint=moving - 1, q=q, xyz_m=positions, uv_px=pixels, cameras=rig.names)
 
 
 def taught(name: str, value: Any, given: Given, undo: ExitStack) -> GivenPath:

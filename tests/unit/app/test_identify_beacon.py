@@ -26,7 +26,7 @@ def poses() -> list[RigidTransform]:
     return [RigidTransform.from_components([-0.05 + 0.006 * k, 0.004 * k - 0.03, 0.6], turns[k]) for k in FRAMES]
 
 
-def seen(names: tuple[str, ...]) -> list[tuple[int, Spots, Spots]]:
+def seen(names: tuple[str, ...]) -> list[tuple[int, list[Spots]]]:
     """Return the spots of these lights in each frame, in a random order."""
     rng, out = np.random.default_rng(4), []
     for k, T in enumerate(poses()):
@@ -37,7 +37,7 @@ def seen(names: tuple[str, ...]) -> list[tuple[int, Spots, Spots]]:
             pair.append(
                 Spots.of_centres(uv[rng.permutation(len(uv))] + rng.normal(0.0, 0.03, uv.shape), 9e-4 * np.eye(2))
             )
-        out.append((k, *pair))
+        out.append((k, pair))
     return out
 
 
@@ -59,6 +59,6 @@ def test_a_target_of_one_light_is_as_before() -> None:
 
 def test_a_light_without_a_whole_pose_is_no_beacon_of_several() -> None:
     """Two spots fit several pairs of names: neither is followed."""
-    setup, (_, left, right) = Setup(RIG, spot_target(LIGHTS)), seen(("A", "B"))[0]
+    setup, (_, (left, right)) = Setup(RIG, spot_target(LIGHTS)), seen(("A", "B"))[0]
     found = measure_spots(setup, 0.0, left, right)
-    assert all(beacon_of(found, name, 4) is None for name in LIGHTS)
+    assert all(beacon_of(found, name, setup.target) is None for name in LIGHTS)
