@@ -125,7 +125,9 @@ class Sweeper:
         *columns, std = zip(*self._rows, strict=True)
         q, uv, xyz = (np.array(values) for values in columns)
         std_px = None if None in std else np.array(std, dtype=np.float64)
-        return Sweeps(joint=np.array(self._joint, dtype=np.intp), q=q, xyz_m=xyz, uv_px=uv, std_px=std_px, cameras=self._cameras)
+        return Sweeps(
+            joint=np.array(self._joint, dtype=np.intp), q=q, xyz_m=xyz, uv_px=uv, std_px=std_px, cameras=self._cameras
+        )
 
     def begin(self) -> None:
         """See the beacon before anything moves. Raises NotEnoughData where it is not there, DeviceLost."""

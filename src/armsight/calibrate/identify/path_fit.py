@@ -102,7 +102,7 @@ def fit_line(seen: SweepResiduals, order: Array) -> PathFit:
     d, _ = tilted(B, fit.shared[2:])
     point, t = middle + B[:, :2] @ fit.shared[:2], fit.local[:, 0]
     sense = _sense(t, order)
-    return _path("line", seen, fit, point, sense * d, 0.0, sense * t, LINE, fit.covariance)
+    return _path("line", seen, fit, point, sense * d, 0.0, sense * t, fit.covariance)
 
 
 def fit_circle(
@@ -213,7 +213,7 @@ def _circle_from(
     if fit.covariance is not None and fit.covariance.names == ARC:
         D[3:5] = basis(sense * axis)[:, :2].T @ basis(axis)[:, :2] @ D[3:5] * sense
         covariance = NamedCovariance(names=CIRCLE, matrix=D @ fit.covariance.matrix @ D.T)
-    return _path("circle", seen, fit, centre, sense * axis, radius, sense * back, CIRCLE, covariance)
+    return _path("circle", seen, fit, centre, sense * axis, radius, sense * back, covariance)
 
 
 ROUGH = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=1e-3, step_tolerance=1e-4)
@@ -239,10 +239,9 @@ def _path(
     direction: Array,
     radius: float,
     phase: Array,
-    names: tuple[str, ...],
     covariance: NamedCovariance | None,
 ) -> PathFit:
-    r = fit.residuals
+    r, names = fit.residuals, CIRCLE if kind == "circle" else LINE
     return PathFit(
         kind=kind,
         point_m=point,

@@ -119,8 +119,8 @@ def propose_sweeps(
 
     limits (n, 2), start (n,): in rad or m, joint by joint. base (4, 4): as identify takes it. around_px: how far
     what belongs to the beacon, such as a target's other lights, reaches round it in the images. Raises UsageError,
-    Inconsistent, NotEnoughData where the beacon is not in two cameras' images at the start, Degenerate where a joint cannot
-    be moved in view.
+    Inconsistent, NotEnoughData where the beacon is not in two cameras' images at the start, Degenerate where a joint
+    cannot be moved in view.
     """
     low_high, q0 = checked_limits(limits, start)
     if len(q0) != len(arm.axes):

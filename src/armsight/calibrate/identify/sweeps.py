@@ -115,13 +115,12 @@ def _placed_by_views(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
     One that a single camera saw stays where it is said to be, open by OPEN_M along its ray.
     """
     uv, packed = np.array(sweeps.uv_px), PackedRig.of(rig)
-    X, seen, I = np.array(sweeps.xyz_m), sweeps.sights, np.eye(3)
+    X, seen = np.array(sweeps.xyz_m), sweeps.sights
     for a, b in combinations(range(len(rig.cameras)), 2):
         rows = np.flatnonzero(seen[:, a] & seen[:, b] & (np.cumsum(seen, axis=1)[:, b] == 2))  # its first two
         if len(rows):
-            pair = Rig(cameras=[replace(rig.cameras[i], name=side) for i, side in zip((a, b), SIDES, strict=True)])
-            X[rows] = triangulate(pair, uv[rows, a], uv[rows, b], np.eye(2), np.eye(2)).xyz_m
-    loose = np.where(seen.sum(axis=1) > 1, 0.0, OPEN_M**-2.0)[:, None, None] * I
+            X[rows] = triangulate(rig.only_pair(a, b), uv[rows, a], uv[rows, b], np.eye(2), np.eye(2)).xyz_m
+    loose = np.where(seen.sum(axis=1) > 1, 0.0, OPEN_M**-2.0)[:, None, None] * np.eye(3)
     first, at, D = X.copy(), np.empty(uv.shape), np.empty((*uv.shape, 3))
     for _ in range(SETTLED):
         see_many(packed.k, packed.R, packed.t, np.ascontiguousarray(X), at, D)
@@ -354,7 +353,7 @@ def position_residuals(sweeps: Sweeps, sigma: float) -> SweepResiduals:
 
 
 def background_shifts(kept: SweepResiduals) -> Array:
-    """Return whitened residuals' changes (2 v m, 2 k) by what the spots of k readings claim beyond what MOST of them do.
+    """Return whitened residuals' changes (2 v m, 2 k) by what the spots of k readings claim beyond what MOST do.
 
     That is what is behind the beacon, and the views see nearly the same of it: it shifts both alike, by u or by v. The
     rest of a claim differs from reading to reading, and the residuals tell it. (.., 0) without claims.

@@ -103,8 +103,8 @@ def identify_live(
 
     The robot moves only where the person confirms, and is stopped on every error; what was read until then is beside
     the arm (.probe.csv, .sweep.csv). A model takes the place of the probe, and needs a world. sources: live cameras by
-    name, of sim:SCENARIO its own. clock, devices: in place of the machine's and of those named. Raises UsageError, DataRefused
-    (also for a lost beacon), DeviceFailed, Cancelled.
+    name, of sim:SCENARIO its own. clock, devices: in place of the machine's and of those named. Raises UsageError,
+    DataRefused (also for a lost beacon), DeviceFailed, Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     swept_joints(len(sweeps.limits), sweeps.left_out)  # refused before anything is opened
