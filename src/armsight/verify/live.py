@@ -95,8 +95,8 @@ class VerifyLiveOutput(Output):
         rate = "-" if self.rate_hz is None else f"{self.rate_hz:.1f} a second"
         ms = "" if self.decision_ms is None else f"; decided in {digits(self.decision_ms.median)} ms (median)"
         yield (
-            f"{self.n} {'pairs' if self.of_pair else 'moments'}, {rate}: {self.n_compared} compared, {self.n_lost} without the target, {self.n_stale} "
-            f"without joints, {self.missed} never came{ms}"
+            f"{self.n} {'pairs' if self.of_pair else 'moments'}, {rate}: {self.n_compared} compared, {self.n_lost} "
+            f"without the target, {self.n_stale} without joints, {self.missed} never came{ms}"
         )
         if self.errors.rms_m is not None and self.errors.std_m is not None:
             yield (
