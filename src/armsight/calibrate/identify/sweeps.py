@@ -131,6 +131,16 @@ def _placed_by_views(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
     return replace(sweeps, xyz_m=X, covariance_m2=np.linalg.inv(H))
 
 
+def require_two(rig: Rig) -> None:
+    """Raise UsageError for one camera: a small circle near by and a large one far away are the same picture."""
+    if len(rig.cameras) < 2:
+        raise UsageError(
+            "one camera sees a light's path in no size: near and small, or far and large",
+            consequence="The arm is not identified",
+            cure="Give two cameras and more",
+        )
+
+
 def of_rig(sweeps: Sweeps, rig: Rig) -> Sweeps:
     """Return the sweeps with the cameras of a rig, in its order; those that two cameras saw together or, its place
     said, one did. Raises UsageError where they are of others, Inconsistent where none is left."""
@@ -143,12 +153,7 @@ def of_rig(sweeps: Sweeps, rig: Rig) -> Sweeps:
             consequence="Where these cameras stand is not known",
             cure="Give the rig.yaml with which the sweep was made",
         )
-    if len(rig.cameras) < 2:
-        raise UsageError(
-            "one camera sees a light's path in no size: near and small, or far and large",
-            consequence="The arm is not identified",
-            cure="Give two cameras and more",
-        )
+    require_two(rig)
     uv = np.full((len(sweeps), len(rig.cameras), 2), np.nan)
     uv[:, [rig.names.index(name) for name in sweeps.cameras]] = sweeps.uv_px
     sweeps = replace(sweeps, uv_px=uv, cameras=rig.names)

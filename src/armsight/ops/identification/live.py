@@ -14,6 +14,7 @@ from armsight.calibrate.identify import Identification, Sweeps, even_ones, ident
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
 from armsight.calibrate.identify.result import JointStd, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
+from armsight.calibrate.identify.sweeps import require_two
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
 from armsight.defaults import SWEEP_READINGS
@@ -133,6 +134,7 @@ def identify_observed(
 ) -> Identification | ProposedPlanOutput:
     """Do as identify_live, with a robot that is open and whoever sees the beacon."""
     rig, limits = known.rig, job.limits
+    require_two(rig)
     m = swept_joints(len(limits), job.left_out)
     held = np.empty(0)
     if m < len(limits):
@@ -265,6 +267,7 @@ def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
 
 
 def _check(job: LiveSweeps, known: Known) -> None:
+    require_two(known.rig)
     if known.model is not None and known.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
     if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames_per_reading < 1:

@@ -12,6 +12,7 @@ from armsight.arrays import Image
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.identify.chain import placed_by
 from armsight.calibrate.identify.result import LeftOutJoint, PlanOutput
+from armsight.calibrate.identify.sweeps import require_two
 from armsight.drivers import is_video, moments_of
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm
@@ -122,6 +123,7 @@ class BeaconFrames:
         frames, joint, q = read_sweep_joints(self.joints, self.table)
         setup = Setup(rig=rig, target=target, settings=beacon_settings(target, self.mask))
         wanted = set(frames.tolist())
+        require_two(rig)
         require_views(setup, len(rig.cameras))
         spots: list[tuple[int, list[Spots]]] = []
         with open_cameras(given, colour=target.colour is not None) as moments:
