@@ -177,7 +177,7 @@ def _by_views(rig: Rig, depth_m: float, sigma_px: float) -> Resolution:
         raise UsageError(
             "one camera does not place a point: it may be anywhere along its ray",
             consequence="There is no resolution to give",
-            cure="`armsight design --rig` tells how well a target's pose is known",
+            cure="Give a rig of two cameras and more",
         )
     T = rig.cameras[0].T_rig_camera
     axes = T.rotation.as_matrix()
