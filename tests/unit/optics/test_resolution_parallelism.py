@@ -36,7 +36,7 @@ def test_resolution_refuses_what_has_none() -> None:
 
 
 def test_other_cameras_than_a_pair_resolve_what_two_of_their_kind_do() -> None:
-    """Parallel cameras know depth to sqrt(2) sigma Z^2 / (B f); one more, further off, to less; one alone to nothing."""
+    """Parallel cameras know depth to sqrt(2) sigma Z^2 / (B f); one more, further off, to less; one alone does not."""
     beside = [RigidTransform.from_translation([x, 0.0, 0.0]) for x in (0.0, 0.1, 0.4)]
     mounted = [MountedCamera(name=f"c{i}", camera=CAMERA, T_rig_camera=T) for i, T in enumerate(beside)]
     two, three = (resolution(Rig(cameras=mounted[:n]), 2.0, sigma_px=0.1) for n in (2, 3))
