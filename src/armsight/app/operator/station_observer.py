@@ -180,6 +180,8 @@ class StationObserver:
         v, view = len(self._rig.cameras), shown.view
         centres, covariances = np.full((v, 2), np.nan), np.full((v, 2, 2), np.nan)
         for side, (pictured, spots) in enumerate(zip(view.cameras.values(), shown.spots, strict=True)):
+            if pictured.left_out is not None:  # it was knocked: what it shows is elsewhere
+                continue
             centre = _named(pictured, self._light)
             if centre is None and self._uv is not None and np.isfinite(self._uv[1][side]).all():
                 centre = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])

@@ -321,12 +321,13 @@ def or_inexact(seen: SweepResiduals, joint: int) -> str:
     if all(one_home(sweeps, j) for j in range(sweeps.n)):
         ways.append("use only their order (--increments order)")
     step, rows = step_of(sweeps.q[:, joint]), max(sweeps.sweeps(joint), key=len)
-    by_place = seen.rig is None or sweeps.uv_px is None or not sweeps.sights.all()
-    readings = sweeps.xyz_m if by_place else np.reshape(sweeps.uv_px, (len(sweeps), -1))
+    readings = sweeps.xyz_m
+    if seen.rig is not None and sweeps.uv_px is not None:  # of the cameras that showed all of it
+        readings = sweeps.uv_px[:, sweeps.sights[rows].all(axis=0)].reshape(len(sweeps), -1)
     by = np.abs(np.diff(sweeps.q[rows, joint]))
     moved = (np.linalg.norm(np.diff(readings[rows], axis=0), axis=1) / np.where(by > 0.0, by, np.inf))[by > 0.0]
     # rounding to a step is an error of step / sqrt(12), of each coordinate its share
-    sigma = step / math.sqrt(12.0) * float(np.median(moved)) / math.sqrt(readings.shape[1])
+    sigma = step / math.sqrt(12.0) * float(np.median(moved)) / math.sqrt(max(readings.shape[1], 1))
     if sigma > 0.0:
         ways.append(f"count the steps of its values, {step:.3g} rad or m, as noise (--sigma {sigma:.2g})")
     return "".join(f", or {way}" for way in ways)
