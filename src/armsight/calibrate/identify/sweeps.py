@@ -76,7 +76,8 @@ class Sweeps:
     @property
     def sights(self) -> NDArray[np.bool_]:
         """Which camera saw the beacon in which row (m, v)."""
-        return np.ones((len(self), 0), np.bool_) if self.uv_px is None else np.isfinite(self.uv_px).all(axis=2)
+        uv = np.empty((len(self), 0, 2)) if self.uv_px is None else self.uv_px
+        return np.asarray(np.isfinite(uv).all(axis=2))
 
     def rows(self, joint: int) -> NDArray[np.intp]:
         """Return the rows in which a joint (from 0) moves."""
@@ -128,7 +129,7 @@ def _placed_by_views(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
         r = np.where(seen[:, :, None], uv - at, 0.0).reshape(len(X), -1, 1) / sigma_px
         H = J.transpose(0, 2, 1) @ J + loose
         X = X + np.linalg.solve(H, J.transpose(0, 2, 1) @ r + loose @ (first - X)[:, :, None])[:, :, 0]
-    return replace(sweeps, xyz_m=X, covariance_m2=np.linalg.inv(H))
+    return replace(sweeps, xyz_m=X, covariance_m2=np.asarray(np.linalg.inv(H), np.float64))
 
 
 def require_two(rig: Rig) -> None:
