@@ -35,7 +35,7 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
     """Return sweeps of joint (from 1), q1..qn and x_m,y_m,z_m or the pixels of cameras by name. Raises BadFile."""
     data = standard_bytes(path, "sweep", format_)
     cameras = _cameras_in(data)
-    if cameras != SIDES:
+    if not set(cameras) <= set(SIDES):
         return _read_sweeps_of(path, data, cameras, format_)
     table = parse_table(
         data,
