@@ -361,7 +361,7 @@ def propose_mastering_poses(
     placed, how = mastering.in_measured_frame(arm, stand, tool)
     view = None
     if rig is not None and target is not None and stand is not None:
-        view = (read_rig(rig), target_of(target), stand)
+        view = (read_rig(rig, any_cameras=True), target_of(target), stand)
     q = mastering.drawn_about(placed, around, span_rad, view)
     return mastering.propose_poses(placed, how, q, view, "" if out is None else str(Path(out) / POSES_TO_MEASURE))
 
