@@ -24,6 +24,7 @@ from armsight.ops.identification.live import open_devices
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.following import followed_cell, watching_cell
 from armsight.ops.simulation.scenarios import live_cell, load_scenario, with_arm
+from armsight.optics import SIDES
 from armsight.records import JointReading
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping, write_arm
@@ -213,9 +214,9 @@ def test_who_cannot_be_followed_is_refused(make_egm: Any, scenario: Path) -> Non
         followed_cell("kapucu2005-rrp", robot, clock)
     job = RobotJob(robot="egm:6510", follow=str(scenario))
     with refuses(UsageError, "--left", "its own cameras"):
-        open_devices(job, ("camera:0", None), AUTOMATIC, LIGHT, clock)
+        open_devices(job, SIDES, {"left": "camera:0"}, AUTOMATIC, LIGHT, clock)
     with refuses(UsageError, "--follow SCENARIO"):
-        open_devices(RobotJob(robot="egm:6510"), (None, None), AUTOMATIC, LIGHT, clock)
+        open_devices(RobotJob(robot="egm:6510"), SIDES, {}, AUTOMATIC, LIGHT, clock)
     with refuses(UsageError, "own cameras"):
         scenario_of(RobotJob(robot="sim:webcam-cell", follow=str(scenario)))
 

@@ -18,7 +18,7 @@ from armsight.ops.identify import identify_arm, identify_arm_live
 if TYPE_CHECKING:
     from armsight.calibrate.identify.result import PlanOutput
 
-NEEDED, VIEWS = ("rig", "target", "limits"), ("left", "right")
+NEEDED, VIEWS = ("rig", "target", "limits"), ("left", "right", "cameras")
 OF_SWEEPS = {"joint": None, "joints": None, "increments": "known"}
 """What is not said of sweeps that are made live, with its default."""
 
@@ -35,8 +35,8 @@ def made_live(face: CommandUI, asked: Mapping[str, Any]) -> bool:
     if asked.get("robot") is None:
         _refuse_flags_of_live(asked)
         return False
-    needed = NEEDED if asked.get("follow") is not None else (*NEEDED, *VIEWS)
-    if any(asked.get(name) is None for name in needed):
+    seen = asked.get("follow") is not None or any(asked.get(name) for name in VIEWS)
+    if not seen or any(asked.get(name) is None for name in NEEDED):
         raise UsageError(
             "--live lacks something",
             cure="Give --rig, --target, --limits, and --left and --right or --follow SCENARIO with it",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,6 +14,7 @@ from armsight.clock import Clock
 from armsight.defaults import SWEEP_SPEED
 from armsight.drivers import PROVING, Robot, RobotState, RobotTraits, Sent
 from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData
+from armsight.optics import SIDES
 from armsight.records import JointReading, PoseStatus, Progress, TargetPose
 
 LOOK_S = 0.2
@@ -46,7 +48,8 @@ VISITED = ("The robot is held", "The run ends there")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observation:
-    """The beacon in a pair: uv_px (2, 2), std_px of each, xyz_m (3,), or why not; taken_s: the earliest, our clock."""
+    """The beacon in a moment: uv_px (v, 2), NaN where a camera does not see it, std_px of each, xyz_m (3,), or why not;
+    taken_s: the earliest, our clock."""
 
     taken_s: float
     uv_px: Array | None = None
@@ -81,8 +84,17 @@ class Sweeper:
     """
 
     def __init__(
-        self, robot: Robot, observer: BeaconObserver, limits: Array, clock: Clock, progress: Progress, pace: Pace
+        self,
+        robot: Robot,
+        observer: BeaconObserver,
+        limits: Array,
+        clock: Clock,
+        progress: Progress,
+        pace: Pace,
+        cameras: Sequence[str] = SIDES,
     ) -> None:
+        """cameras: the rig's, by which the observer gives pixels."""
+        self._cameras = tuple(cameras)
         self._robot = robot
         self._observer = observer
         self.limits = limits
@@ -113,7 +125,9 @@ class Sweeper:
         *columns, std = zip(*self._rows, strict=True)
         q, uv, xyz = (np.array(values) for values in columns)
         std_px = None if None in std else np.array(std, dtype=np.float64)
-        return Sweeps(joint=np.array(self._joint, dtype=np.intp), q=q, xyz_m=xyz, uv_px=uv, std_px=std_px)
+        return Sweeps(
+            joint=np.array(self._joint, dtype=np.intp), q=q, xyz_m=xyz, uv_px=uv, std_px=std_px, cameras=self._cameras
+        )
 
     def begin(self) -> None:
         """See the beacon before anything moves. Raises NotEnoughData where it is not there, DeviceLost."""
@@ -220,6 +234,7 @@ class Sweeper:
             if look.uv_px is not None:
                 looks.append(look)
                 readings.append(self._robot.read().q)
+        # a camera counts that showed the beacon in all looks
         uv = np.mean([look.uv_px for look in looks if look.uv_px is not None], axis=0)
         xyz = np.mean([look.xyz_m for look in looks if look.xyz_m is not None], axis=0)
         known = [look.std_px for look in looks if look.std_px is not None]
@@ -231,7 +246,9 @@ class Sweeper:
 def _same(before: JointReading, now: JointReading, seen: Observation, look: Observation, flicker: float) -> bool:
     if seen.uv_px is None or look.uv_px is None:
         return False
-    return bool(np.abs(now.q - before.q).max() <= flicker and np.abs(look.uv_px - seen.uv_px).max() <= REST_PX)
+    off = np.abs(look.uv_px - seen.uv_px)
+    off = off[np.isfinite(off)]  # of the cameras that see it in both
+    return bool(np.abs(now.q - before.q).max() <= flicker and len(off) and off.max() <= REST_PX)
 
 
 class PoseObserver(Protocol):

@@ -221,7 +221,9 @@ def calibrate_arm(
         float, Doc("Standard deviation of nominal angles."), Bounds(least=1e-6 * DEG), Flag(unit=DEG)
     ] = ANGLE_RAD,
     propose: Annotated[int, Doc("Propose so many further joint positions."), Bounds(least=0)] = 0,
-    rig: Annotated[Any, Doc("rig.yaml, for proposals both cameras see; with --world."), Input(f"{READERS}:rig")] = None,
+    rig: Annotated[
+        Any, Doc("rig.yaml, for proposals two cameras see; with --world."), Input(f"{READERS}:any_rig")
+    ] = None,
     world: Annotated[WorldLike, Doc("world.yaml: where that rig stands.")] = None,
     tip: Tip = None,
     base: Base = None,
@@ -256,7 +258,7 @@ def calibrate_arm(
     propose
         So many further joint readings go into `proposals`; `propose` of the result gives them too.
     rig, world
-        Only proposals that both cameras of a rig that stands there see.
+        Only proposals that two cameras of a rig that stands there see, or its only one.
     tip, base
         Of a URDF: the last link of the arm and its base link.
     out

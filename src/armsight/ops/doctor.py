@@ -20,7 +20,7 @@ from armsight.drivers.usb import crowded_buses, usb_cameras
 from armsight.fields import Doc
 from armsight.measure.planning import LEAST_COMMON, Choice, plan
 from armsight.ops.simulation.scenarios import FILES, scenario_names
-from armsight.optics import Rig, resolution
+from armsight.optics import Rig, resolution, shared_point
 from armsight.optics.parallelism import Resolution
 from armsight.records import Progress
 from armsight.records.checks import wide_rig
@@ -68,7 +68,7 @@ class AccuracyPlan(Output):
 class RigResolution(Output):
     """What a rig can tell apart."""
 
-    baseline_m: Annotated[float, Doc("Distance of the two centres of projection, m.")]
+    baseline_m: Annotated[float | None, Doc("Distance of the two centres of projection, m; null of no pair.")]
     rms_px: Annotated[float | None, Doc("RMS of the rig's calibration, px; null where its file does not say.")]
     sigma_px: Annotated[float, Doc("Standard deviation taken of a spot's centre, px.")]
     distances: Annotated[list[Resolution], Doc("By distance.")]
@@ -80,11 +80,13 @@ class RigResolution(Output):
         for row in self.distances:
             along, across = row.sigma_depth_m / MM, max(row.sigma_lateral_m) / MM
             rows.append([digits(row.depth_m), digits(along), digits(across), "yes" if row.in_view else "no"])
-        yield Table(
-            f"A spot known to {digits(self.sigma_px, 2)} px by a rig of {digits(self.baseline_m / MM, 4)} mm baseline",
-            ["distance, m", "+- along it, mm", "+- across, mm", "in both views"],
-            rows,
-        )
+        known = f"A spot known to {digits(self.sigma_px, 2)} px by"
+        columns = ["distance, m", "+- along it, mm", "+- across, mm"]
+        if self.baseline_m is None:
+            yield Table(f"{known} the cameras, before the first one", [*columns, "in two views"], rows)
+        else:
+            baseline = digits(self.baseline_m / MM, 4)
+            yield Table(f"{known} a rig of {baseline} mm baseline", [*columns, "in both views"], rows)
         if self.accuracy is not None:
             yield from self.accuracy.summary()
 
@@ -138,6 +140,8 @@ def _at(one: Choice) -> str:
 PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pydantic", "plotly", "typer")
 DEPTHS_IN_BASELINES = (2.0, 5.0, 10.0, 20.0, 50.0)
 """Distances of the table: below two baselines views hardly overlap, beyond fifty depth is a guess."""
+DEPTHS_IN_SHARED = (0.75, 1.0, 1.25)
+"""Of other rigs than pairs, in the distance of the place at which all cameras look."""
 
 
 @output
@@ -208,14 +212,24 @@ def rig_resolution(
     rig: Rig, depths_m: Sequence[float], sigma_px: float, accuracy_m: float | None = None
 ) -> RigResolution:
     """Return what the rig can tell apart at distances, for spots known to sigma_px; with zoom, as it was calibrated."""
-    depths = list(depths_m) or [factor * rig.baseline_m for factor in DEPTHS_IN_BASELINES]
+    depths = list(depths_m) or _depths(rig)
+    if accuracy_m is not None:
+        rig.require_pair("--accuracy, which moves two cameras apart")
     return RigResolution(
-        baseline_m=rig.baseline_m,
+        baseline_m=rig.baseline_m if rig.is_pair else None,
         rms_px=rig.rms_px,
         sigma_px=sigma_px,
         distances=[resolution(rig, depth_m, sigma_px) for depth_m in depths],
         accuracy=None if accuracy_m is None else accuracy_plan(rig, accuracy_m, depths, sigma_px),
     )
+
+
+def _depths(rig: Rig) -> list[float]:
+    """Return the distances of which is told where none are given: of no pair about where all cameras look."""
+    if rig.is_pair:
+        return [factor * rig.baseline_m for factor in DEPTHS_IN_BASELINES]
+    depth_m = float(rig.cameras[0].T_rig_camera.inv().apply(shared_point(rig))[2])
+    return [factor * depth_m for factor in DEPTHS_IN_SHARED]
 
 
 def kernel_cache(*packages: Path) -> KernelCache:
@@ -253,7 +267,7 @@ def compiled_now(progress: Progress | None) -> list[str]:
 
 def _too_wide(rig: RigResolution | None) -> list[str]:
     """Return what is wrong with a rig that is wider than any that sees an arm."""
-    return [text] if rig is not None and (text := wide_rig(rig.baseline_m)) else []
+    return [text] if rig is not None and (text := wide_rig(rig.baseline_m or 0.0)) else []
 
 
 def _problems(drivers: Mapping[str, Sequence[str]], kernels: KernelCache) -> list[str]:

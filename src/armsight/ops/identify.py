@@ -11,7 +11,7 @@ from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import Input, action
 from armsight.ops.flags import A_SRC, KNOWN_ARM, SRC, Cameras, Table
-from armsight.ops.kinds import FRAMES, LIGHTS, READERS, ROBOT_READERS, ArmLike, RigLike
+from armsight.ops.kinds import FRAMES, LIGHTS, READERS, ROBOT_READERS, AnyRigLike, ArmLike, CamerasLike
 from armsight.ops.requests.motion import FollowedCell, RobotSettings, RsiConfig
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ __all__ = ["identify_arm", "identify_arm_live"]
 
 LEFT, RIGHT = Doc(f"Left frames: {SRC}."), Doc("Right frames, in step with the left ones.")
 Confirm: TypeAlias = bool | Callable[[str], bool]
-Rig: TypeAlias = Annotated[RigLike, Doc("rig.yaml: fit pixels instead of positions.")]
+Rig: TypeAlias = Annotated[AnyRigLike, Doc("rig.yaml: fit pixels instead of positions.")]
 Beacon: TypeAlias = Annotated[Any, Doc("Instead of a sweep: target.yaml of the beacon, with frames."), LIGHTS]
 Place: TypeAlias = Annotated[
     Any,
@@ -90,6 +90,7 @@ def identify_arm(
     target: Beacon = None,
     left: Annotated[Any, LEFT, FRAMES, A_SRC] = None,
     right: Annotated[Any, RIGHT, FRAMES, A_SRC] = None,
+    cameras: CamerasLike = None,
     T_base_rig: Place = None,
     method: Method = "ml",
     increments: Annotated[
@@ -116,12 +117,13 @@ def identify_arm(
     xyz_m
         (m, 3) where the beacon was, in m, in any fixed frame.
     uv_px
-        (m, 2, 2) the beacon's positions in both images of the rig, [row, side]: the fit is then of pixels.
-    target, left, right, joints
+        (m, v, 2) the beacon's positions in the images of the rig's two to eight cameras, [row, camera], NaN where one
+        does not show it: the fit is then of pixels.
+    target, left, right, cameras, joints
         Instead of rows: the beacon, frames as `measure` takes them, and columns frame (from 0), joint (which moves,
         from 1) and q1 .. qn.
     rig
-        The cameras.
+        The cameras. One alone shows a light's path in no size.
     T_base_rig
         Where the rig, or xyz_m's frame, is to the base; the first frame is then the base's foot on the first axis.
     method
@@ -166,11 +168,19 @@ def identify_arm(
 
     sweeps, notes = joint, list[str]()
     if sweeps is None:
-        if rig is None or target is None or left is None or joints is None:
+        if rig is None or target is None or (left is None and not cameras) or joints is None:
             raise UsageError(
                 "nothing to identify from", cure="Give --sweep; or --rig, --target, --left, --right and --joints"
             )
-        frames = BeaconFrames(target=target, left=left, right=right, joints=joints, mask=mask, table=table or OURS)
+        frames = BeaconFrames(
+            target=target,
+            left=left,
+            right=right,
+            cameras=cameras or {},
+            joints=joints,
+            mask=mask,
+            table=table or OURS,
+        )
         sweeps, notes = frames.sweeps(rig, progress or Silent())
         sweeps, uneven = even_ones(sweeps)
         notes += uneven
@@ -208,6 +218,7 @@ def identify_arm_live(
         Flag(metavar="LIMITS"),
     ],
     *,
+    cameras: CamerasLike = None,
     confirm: Confirm = False,
     show: Callable[[PlanOutput], None] | None = None,
     world: Place = None,
@@ -235,12 +246,13 @@ def identify_arm_live(
     rsi_config: RsiConfig = None,
     progress: Progress | None = None,
 ) -> Identification | ProposedPlanOutput:
-    """Move an unknown arm joint by joint before two cameras, and return its geometry; or propose the sweeps only.
+    """Move an unknown arm joint by joint before cameras, and return its geometry; or propose the sweeps only.
 
     Parameters
     ----------
-    robot, left, right
-        DRIVER:DEVICE and 'camera:NAME'; or sim:SCENARIO and camera:sim:SCENARIO:left.
+    robot, left, right, cameras
+        DRIVER:DEVICE and 'camera:NAME'; or sim:SCENARIO and camera:sim:SCENARIO:left. Of other cameras than left and
+        right, two to eight, by their names in the rig.
     follow
         In place of cameras (None): a scenario whose simulated ones watch the joints that the robot tells.
     robot_settings, rsi_config
@@ -273,6 +285,7 @@ def identify_arm_live(
     from armsight.drivers import AUTOMATIC
     from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_live
     from armsight.ops.requests.motion import RobotJob
+    from armsight.ops.sources.cameras import named_cameras
     from armsight.records import require_count, require_kind
 
     if show is not None and not callable(show):
@@ -296,6 +309,5 @@ def identify_arm_live(
     person = OperatorCallbacks(confirm=ask) if show is None else OperatorCallbacks(confirm=ask, show=show)
     link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, follow=follow)
     known = Known(rig=rig, world=world, model=model, nominal=nominal)
-    return identify_live(
-        order, known, target, link, (left, right), person, camera_settings or AUTOMATIC, mask, progress
-    )
+    sources = named_cameras(cameras or {}, left, right)
+    return identify_live(order, known, target, link, sources, person, camera_settings or AUTOMATIC, mask, progress)

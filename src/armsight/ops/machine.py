@@ -163,5 +163,5 @@ def doctor(
             cure="Give --rig and --depth (in m; again for the far end of a volume)",
         )
     failed = compiled_now(progress) if compile_ahead else []
-    pair = None if rig is None else read_zoom_rig(rig).require_pair(str(rig))
-    return looked_at(None if pair is None else rig_resolution(pair, depths, sigma_px, accuracy_m), failed)
+    seen = None if rig is None else read_zoom_rig(rig)
+    return looked_at(None if seen is None else rig_resolution(seen, depths, sigma_px, accuracy_m), failed)

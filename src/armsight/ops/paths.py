@@ -24,11 +24,11 @@ from armsight.ops.flags import KNOWN_ARM
 from armsight.ops.kinds import (
     READERS,
     ROBOT_READERS,
+    AnyRigLike,
     ArmLike,
     AsFile,
     LimitsLike,
     Readings,
-    RigLike,
     TaughtLike,
     ToolTip,
 )
@@ -321,7 +321,7 @@ def export(
 def from_picks(
     left: Annotated[Picture, Doc("Picture of the left camera.")],
     right: Annotated[Picture, Doc("Picture of the right camera, of the same scene at rest.")],
-    rig: Annotated[RigLike, Doc("rig.yaml of the two cameras.")],
+    rig: Annotated[AnyRigLike, Doc("rig.yaml that has the cameras left and right.")],
     picks: Annotated[AsFile, Doc("picks.csv: u_px,v_px[,edge] of one view.")],
     *,
     out: PathOut = None,
@@ -366,7 +366,7 @@ def from_picks(
     from armsight.store.spots_csv import read_picks
 
     settings = PatchSettings(half_px=patch_px // 2, near_m=near_m, far_m=far_m, pick_std_px=pick_std_px)
-    views = StereoViews(rig=rig, left=left, right=right)
+    views = StereoViews(rig=rig.pair(), left=left, right=right)
     picked = read_picks(picks)
     stand = World(parent="rig", T_parent_rig=RigidTransform.identity()) if world is None else read_world(world)
     axis = axis_of(tool_axis, views, view, stand.T_parent_rig)

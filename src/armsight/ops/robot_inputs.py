@@ -27,6 +27,7 @@ from armsight.ops.action import Given
 from armsight.ops.arrays import as_joint_numbers, as_rotations
 from armsight.ops.given import Given as Folder
 from armsight.ops.given import as_text, path_of, record_of
+from armsight.ops.inputs import any_rig
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.robot.opening import ClockedRobot
 from armsight.records import TaughtPath, checked_array, one_of, require_kind, require_texts
@@ -146,8 +147,11 @@ def sweeps(name: str, value: Any, given: Given, undo: ExitStack) -> Sweeps:
             consequence="Pixels say nothing without their cameras",
             cure="Give both, or neither",
         )
-    pixels = None if uv_px is None else checked_array("uv_px", uv_px, (len(positions), 2, 2))
-    return Sweeps(joint=moving - 1, q=q, xyz_m=positions, uv_px=pixels)
+    if rig is None:
+        return Sweeps(joint=moving - 1, q=q, xyz_m=positions)
+    seen_by = any_rig("rig", rig, given, undo)
+    pixels = checked_array("uv_px", uv_px, (len(positions), len(seen_by.cameras), 2), nan=not seen_by.is_pair)
+    return Sweeps(joint=moving - 1, q=q, xyz_m=positions, uv_px=pixels, cameras=seen_by.names)
 
 
 def taught(name: str, value: Any, given: Given, undo: ExitStack) -> GivenPath:

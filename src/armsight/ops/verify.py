@@ -33,7 +33,7 @@ __all__ = ["check_mastering", "plan_verification", "propose_mastering_poses", "s
 Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
 AnArm: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 OneArm: TypeAlias = Annotated[ArmLike, Doc(f"{KNOWN_ARM}.")]
-RigFile: TypeAlias = Annotated[AsFile, Doc("rig.yaml of the two cameras."), Flag(panel=LIVE)]
+RigFile: TypeAlias = Annotated[AsFile, Doc("rig.yaml of the cameras."), Flag(panel=LIVE)]
 TargetFile: TypeAlias = Annotated[AsFile, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
 Tool: TypeAlias = Annotated[
     Literal["fixed", "free"] | None,
@@ -317,7 +317,7 @@ def supervise(
         )
     latency = None if devices.origin_s is not None else (latency_s, latency_std_s)
     known = [*live.doubts(limits, arm, stand, latency, failure), *(one.contradiction for one in run.contradictions)]
-    done = live_output(run.judge.log, recording=str(recording), doubts=known)
+    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=seen.is_pair)
     if failure is not None:
         raise live.with_kept(failure, done, out)
     return done
@@ -361,7 +361,7 @@ def propose_mastering_poses(
     placed, how = mastering.in_measured_frame(arm, stand, tool)
     view = None
     if rig is not None and target is not None and stand is not None:
-        view = (read_rig(rig), target_of(target), stand)
+        view = (read_rig(rig, any_cameras=True), target_of(target), stand)
     q = mastering.drawn_about(placed, around, span_rad, view)
     return mastering.propose_poses(placed, how, q, view, "" if out is None else str(Path(out) / POSES_TO_MEASURE))
 

@@ -2,7 +2,7 @@
 
 from armsight.optics.camera import FISHEYE_INTRINSICS, INTRINSICS, SIDES, WIDEST_RAD, Camera, LensKind, Plate
 from armsight.optics.mounted import MOST_CAMERAS, MountedCamera, MountedZoom, require_camera_name
-from armsight.optics.parallelism import Parallelism, Resolution, mean_axes, parallelism, resolution
+from armsight.optics.parallelism import Parallelism, Resolution, mean_axes, parallelism, resolution, shared_point
 from armsight.optics.rig import (
     PLACE,
     RIG_PARAMETERS,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armsight.arrays import Array
 from armsight.defaults import SPOT_STD_PX
-from armsight.errors import Inconsistent
+from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.optics.camera import INTRINSICS
 from armsight.optics.rig import RIGHT_POSE, Rig, moved_rig
@@ -114,16 +114,16 @@ def _deviations(rig: Rig, covariance: NamedCovariance, depths: Array) -> Array:
 class Resolution(Output):
     """What a rig can tell apart at a distance.
 
-    point_m (3,): depth_m in front of the middle of the two centres of projection. sigma_px: in each coordinate of both
-    views, of which the standard deviations are.
+    point_m (3,): depth_m in front of the middle of the two centres of projection; of other rigs than pairs before the
+    first camera. sigma_px: in each coordinate of all views, of which the standard deviations are.
     """
 
-    depth_m: Annotated[float, Doc("The distance along the mean optical axis, m.")]
+    depth_m: Annotated[float, Doc("The distance along the mean optical axis, m; of no pair along the first camera's.")]
     sigma_depth_m: Annotated[float, Doc("Standard deviation of a point along that axis, m.")]
     sigma_lateral_m: Annotated[Array, Shape((2,)), Doc("Across it: along the baseline, and square to it, m.")]
-    depth_per_px_m: Annotated[float, Doc("Change of depth for one pixel of disparity, m.")]
-    lateral_per_px_m: Annotated[float, Doc("Change across for one pixel, m.")]
-    in_view: Annotated[bool, Doc("Whether both cameras have the point in their image.")]
+    depth_per_px_m: Annotated[float | None, Doc("Change of depth for one pixel of a pair's disparity, m.")]
+    lateral_per_px_m: Annotated[float | None, Doc("Change across for one pixel of a pair, m.")]
+    in_view: Annotated[bool, Doc("Whether two cameras have the point in their image.")]
     point_m: Array
     sigma_px: float
 
@@ -131,8 +131,9 @@ class Resolution(Output):
 def resolution(rig: Rig, depth_m: float, sigma_px: float = SPOT_STD_PX) -> Resolution:
     """Return the resolution of a rig at a distance; for parallel axes Z^2 / (B f) and Z / f (MATH 2.3).
 
-    Raises Inconsistent where depth or standard deviation is not positive or a camera faces away from the point,
-    Degenerate where the two views cannot place it.
+    Of other rigs than pairs the distance is from the first camera along its axis, and those count that have the point
+    in their image. Raises UsageError for one camera, which places no point; Inconsistent where depth or standard
+    deviation is not positive or a camera faces away from the point, Degenerate where the views cannot place it.
     """
     if not (depth_m > 0.0 and sigma_px > 0.0):
         raise Inconsistent(
@@ -140,7 +141,8 @@ def resolution(rig: Rig, depth_m: float, sigma_px: float = SPOT_STD_PX) -> Resol
             consequence="There is no resolution",
             cure="Give both above zero",
         )
-    rig = rig.pair()
+    if not rig.is_pair:
+        return _by_views(rig, depth_m, sigma_px)
     axes = mean_axes(rig)  # columns: along the baseline, square to it, mean optical axis
     middle = 0.5 * (np.asarray(rig.T_rig_left.translation) + np.asarray(rig.T_rig_right.translation))
     point = middle + depth_m * axes[:, 2]
@@ -167,6 +169,55 @@ def resolution(rig: Rig, depth_m: float, sigma_px: float = SPOT_STD_PX) -> Resol
             for camera, (u, v) in zip((rig.left, rig.right), (left[0], right[0]), strict=True)
         ),
     )
+
+
+def _by_views(rig: Rig, depth_m: float, sigma_px: float) -> Resolution:
+    """Return the resolution of other rigs than pairs, see resolution."""
+    if len(rig.cameras) < 2:
+        raise UsageError(
+            "one camera does not place a point: it may be anywhere along its ray",
+            consequence="There is no resolution to give",
+            cure="Give a rig of two cameras and more",
+        )
+    T = rig.cameras[0].T_rig_camera
+    axes = T.rotation.as_matrix()
+    point = np.asarray(T.apply([0.0, 0.0, depth_m]))
+    inside, J = [], []
+    steps = POSE_STEP * np.vstack([np.eye(3), -np.eye(3)])
+    for one, uv, moved in zip(rig.cameras, rig.project(point), rig.project(point + steps), strict=True):
+        there = bool(((uv[0] >= 0.0) & (uv[0] <= [one.camera.width - 1, one.camera.height - 1])).all())
+        inside.append(there)
+        J.append((moved[:3] - moved[3:]).T / (2.0 * POSE_STEP))  # (2, 3)
+    count = inside if sum(inside) > 1 else [bool(np.isfinite(one).all()) for one in J]
+    A = np.array([one for one, counts in zip(J, count, strict=True) if counts]).reshape(-1, 3)
+    if np.linalg.matrix_rank(A) < 3:
+        raise Degenerate(
+            f"the point {depth_m} m before the camera {rig.names[0]} is before no other one",
+            consequence="There is no resolution to give",
+            cure="Give a distance at which two cameras look at the same place",
+        )
+    covariance = sigma_px**2 * np.linalg.inv(A.T @ A)
+    deviations = np.sqrt(np.diag(axes.T @ covariance @ axes))
+    return Resolution(
+        point_m=point,
+        depth_m=depth_m,
+        depth_per_px_m=None,
+        lateral_per_px_m=None,
+        sigma_px=sigma_px,
+        sigma_depth_m=float(deviations[2]),
+        sigma_lateral_m=deviations[:2],
+        in_view=sum(inside) > 1,
+    )
+
+
+def shared_point(rig: Rig) -> Array:
+    """Return the point (3,) nearest to all lines of sight through the pictures' middles, in rig axes, m."""
+    across = []
+    for one in rig.cameras:
+        z = np.asarray(one.T_rig_camera.rotation.as_matrix())[:, 2]
+        across.append(np.eye(3) - np.outer(z, z))
+    beside = [A @ np.asarray(one.T_rig_camera.translation) for A, one in zip(across, rig.cameras, strict=True)]
+    return np.asarray(np.linalg.lstsq(np.vstack(across), np.concatenate(beside), rcond=None)[0])
 
 
 def mean_axes(rig: Rig) -> Array:

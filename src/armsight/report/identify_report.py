@@ -10,9 +10,10 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.calibrate.identify import Identification, Sweeps
+from armsight.calibrate.identify.sweeps import placed
 from armsight.columns import DH_ROW
 from armsight.kinematics import Arm
-from armsight.optics import Rig, triangulate
+from armsight.optics import Rig
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -137,8 +138,7 @@ def workspace_figure(result: Identification, xyz_m: Array) -> Figure:
 def _positions(sweeps: Sweeps, rig: Rig | None) -> Array:
     if rig is None or sweeps.uv_px is None:
         return sweeps.xyz_m
-    noise = np.tile(np.eye(2), (len(sweeps), 1, 1))
-    return triangulate(rig, sweeps.uv_px[:, 0], sweeps.uv_px[:, 1], noise, noise).xyz_m
+    return placed(sweeps, rig, 1.0).xyz_m
 
 
 def path_figure(result: Identification, xyz_m: Array) -> Figure:

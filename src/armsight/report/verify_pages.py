@@ -31,7 +31,7 @@ def live_report(
     """Return the page as HTML text that needs no other file."""
     page = Page(
         title="Supervision of a running arm",
-        subtitle=f"{summary.n} pairs of frames, {summary.n_compared} compared",
+        subtitle=f"{summary.n} {'pairs of frames' if summary.of_pair else 'moments'}, {summary.n_compared} compared",
         verdict=summary.verdict_,
         cards=_cards(summary),
     )

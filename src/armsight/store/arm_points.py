@@ -15,6 +15,7 @@ from armsight.calibrate.identify import Sweeps
 from armsight.columns import POSITION, QUATERNION, STEREO_PIXELS
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
+from armsight.optics import SIDES, require_camera_name
 from armsight.records import PoseStatus
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
@@ -26,11 +27,16 @@ from armsight.store.verify_files import KNOWN
 
 STD = "std_px"
 """Column of the pixels' standard deviation, where it is known."""
+U, V = "_u_px", "_v_px"
+"""Ends of the columns of a camera's pixels."""
 
 
 def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
-    """Return sweeps of joint (from 1), q1..qn and x_m,y_m,z_m or four pixel columns. Raises BadFile."""
+    """Return sweeps of joint (from 1), q1..qn and x_m,y_m,z_m or the pixels of cameras by name. Raises BadFile."""
     data = standard_bytes(path, "sweep", format_)
+    cameras = _cameras_in(data)
+    if not set(cameras) <= set(SIDES):
+        return _read_sweeps_of(path, data, cameras, format_)
     table = parse_table(
         data,
         str(path),
@@ -50,14 +56,52 @@ def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
             f"{path}: has the columns {', '.join(table.numbers)}",
             cure=f"Give joint, q1 .. qn, and {', '.join(POSITION)} or {', '.join(STEREO_PIXELS)}",
         )
+    joint = _joints_in(table)
+    xyz = table.stacked(POSITION) if positions else np.zeros((len(table), 3))
+    uv = table.stacked(STEREO_PIXELS).reshape(-1, 2, 2) if pixels else None
+    std = table.numbers.get(STD)
+    return Sweeps(joint=joint, q=table.stacked(readings), xyz_m=xyz, uv_px=uv, std_px=std)
+
+
+def _joints_in(table: Table) -> NDArray[np.intp]:
+    """Return the joints of a table, from 0. Raises BadFile."""
     joint = table.numbers["joint"]
     if not (joint == np.round(joint)).all():
         row = int(np.argmax(joint != np.round(joint)))
         raise BadFile(f"{table.location(row)}, column joint: {joint[row]:g} is not the number of a joint")
-    xyz = table.stacked(POSITION) if positions else np.zeros((len(table), 3))
-    uv = table.stacked(STEREO_PIXELS).reshape(-1, 2, 2) if pixels else None
-    std = table.numbers.get(STD)
-    return Sweeps(joint=joint.astype(np.intp) - 1, q=table.stacked(readings), xyz_m=xyz, uv_px=uv, std_px=std)
+    return joint.astype(np.intp) - 1
+
+
+def _cameras_in(data: bytes) -> tuple[str, ...]:
+    """Return the cameras whose pixels a table has, by its columns NAME_u_px; left and right where it has none."""
+    header = _cells(data.splitlines()[0]) if data else []
+    return tuple(name.removesuffix(U) for name in header if name.endswith(U) and name != U) or SIDES
+
+
+def _pixels_of(cameras: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"{name}{end}" for name in cameras for end in (U, V))
+
+
+def _read_sweeps_of(path: Path, data: bytes, cameras: tuple[str, ...], format_: TableFormat) -> Sweeps:
+    """Return sweeps with the pixels of these cameras, empty where one does not show the beacon."""
+    for name in cameras:
+        require_camera_name(name)
+    pixels = _pixels_of(cameras)
+    table = parse_table(
+        data, str(path), ("joint", *pixels), optional=(*POSITION, STD), blank=(*pixels, *POSITION), series="q"
+    )
+    readings = table.series("q")
+    check_joint_values(table.stacked(readings), str(path), format_)
+    placed = all(name in table.numbers for name in POSITION)
+    xyz = np.nan_to_num(table.stacked(POSITION)) if placed else np.zeros((len(table), 3))
+    return Sweeps(
+        joint=_joints_in(table),
+        q=table.stacked(readings),
+        xyz_m=xyz,
+        uv_px=table.stacked(pixels).reshape(len(table), -1, 2),
+        std_px=table.numbers.get(STD),
+        cameras=cameras,
+    )
 
 
 def read_sweep_joints(
@@ -77,7 +121,8 @@ def read_sweep_joints(
 
 def write_sweeps(path: Path, sweeps: Sweeps) -> None:
     """Write sweep.csv, joints from 1."""
-    pixels = () if sweeps.uv_px is None else STEREO_PIXELS if sweeps.std_px is None else (*STEREO_PIXELS, STD)
+    of = _pixels_of(sweeps.cameras)
+    pixels = () if sweeps.uv_px is None else of if sweeps.std_px is None else (*of, STD)
     names = ["joint", *(f"q{i + 1}" for i in range(sweeps.n)), *POSITION, *pixels]
     rows = []
     for i in range(len(sweeps)):

@@ -59,12 +59,12 @@ class DecisionTime(Output):
 class VerifyLiveOutput(Output):
     """armsight verify --live."""
 
-    n: Annotated[int, Doc("Pairs of frames seen.")]
-    n_compared: Annotated[int, Doc("Pairs that were compared.")]
-    n_lost: Annotated[int, Doc("Pairs in which the target was not seen whole.")]
-    n_stale: Annotated[int, Doc("Pairs for which the joints were not known.")]
-    duration_s: Annotated[float, Doc("From the first pair to the last, s.")]
-    rate_hz: Annotated[float | None, Doc("Pairs a second; null for fewer than two.")]
+    n: Annotated[int, Doc("Moments seen; of two cameras pairs of frames.")]
+    n_compared: Annotated[int, Doc("Moments that were compared.")]
+    n_lost: Annotated[int, Doc("Moments in which the target was not seen whole.")]
+    n_stale: Annotated[int, Doc("Moments for which the joints were not known.")]
+    duration_s: Annotated[float, Doc("From the first moment to the last, s.")]
+    rate_hz: Annotated[float | None, Doc("Moments a second; null for fewer than two.")]
     missed: Annotated[int, Doc("Frames of the left camera that never arrived, by their numbers.")]
     level: Annotated[str, Doc("The gravest level raised: good, warn or stop; unknown where nothing was compared.")]
     stopped: Annotated[bool, Doc("Whether the robot was told to stop.")]
@@ -77,6 +77,7 @@ class VerifyLiveOutput(Output):
     doubts: Annotated[list[str], Doc("What to know before believing it.")]
     verdict: Annotated[str, Doc("What it comes to, in words.")]
     log: LiveLog
+    of_pair: bool = True
 
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
@@ -94,8 +95,8 @@ class VerifyLiveOutput(Output):
         rate = "-" if self.rate_hz is None else f"{self.rate_hz:.1f} a second"
         ms = "" if self.decision_ms is None else f"; decided in {digits(self.decision_ms.median)} ms (median)"
         yield (
-            f"{self.n} pairs, {rate}: {self.n_compared} compared, {self.n_lost} without the target, {self.n_stale} "
-            f"without joints, {self.missed} never came{ms}"
+            f"{self.n} {'pairs' if self.of_pair else 'moments'}, {rate}: {self.n_compared} compared, {self.n_lost} "
+            f"without the target, {self.n_stale} without joints, {self.missed} never came{ms}"
         )
         if self.errors.rms_m is not None and self.errors.std_m is not None:
             yield (
@@ -195,7 +196,7 @@ class LiveLog:
         )
 
 
-def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> VerifyLiveOutput:
+def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str], of_pair: bool = True) -> VerifyLiveOutput:
     """Return the figures of a supervision as --json gives them."""
     series = log.series()
     known = np.isfinite(series.place_m)
@@ -225,6 +226,7 @@ def live_output(log: LiveLog, *, recording: str, doubts: Sequence[str]) -> Verif
         doubts=list(doubts),
         verdict=_verdict(log, series, known, grave),
         log=log,
+        of_pair=of_pair,
     )
 
 

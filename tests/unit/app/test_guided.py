@@ -25,7 +25,7 @@ from armsight.console import texts
 from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
 from armsight.ops.calibrate_cameras import calibrate_stereo
-from armsight.optics import Camera, Rig, RigKind
+from armsight.optics import Camera, MountedCamera, Rig, RigKind
 from armsight.records import JointReading, PoseStatus, Silent, Spots, TargetPose
 from armsight.records.result_parts import Verdict
 from armsight.store.handeye_file import read_handeye, read_tip
@@ -83,6 +83,41 @@ def test_what_was_measured_comes_with_its_whole_covariance_and_what_is_doubtful_
         seen_pose(station, 0.0)
 
 
+def shown_once(sides: dict[str, Any], spots: tuple[Spots, ...]) -> Any:
+    """A station that shows one moment without a pose."""
+    run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=0, doubtful=0, position_only=0, lost=1))
+    lost = TargetPose(t_s=1.0, status=PoseStatus.LOST, parent="rig", why="one light alone")
+    shown = Snapshot(pose=lost, spots=spots, view=live_view(lost, run, sides), jpegs={})
+    return SimpleNamespace(shown=shown, failure="")
+
+
+def test_a_beacon_is_of_the_cameras_that_show_it_but_not_of_one_that_is_left_out() -> None:
+    camera, place = Camera.pinhole(1280, 720, 950.0, 950.0, 640.0, 360.0), np.array([[0.0, 0.05, 1.0]])
+    rig = Rig(
+        cameras=[
+            MountedCamera(
+                name=f"c{i}", camera=camera, T_rig_camera=RigidTransform.from_translation([0.1 * i, 0.0, 0.0])
+            )
+            for i in range(4)
+        ]
+    )
+    uv = np.concatenate(rig.project(place))
+    sides = {
+        name: replace(SIDE, spots=[SpotView(name="A", u_px=u, v_px=v, residual_px=None)])
+        for name, (u, v) in zip(rig.names, uv.tolist(), strict=True)
+    }
+    sides["c0"] = replace(sides["c0"], spots=[])
+    sides["c2"] = replace(sides["c2"], left_out="it was knocked")
+    spots = (Spots.none(), *(Spots.of_centres(one[None], 1e-4 * np.eye(2)) for one in uv[1:]))
+    seen = StationObserver(shown_once(sides, spots), rig, "A", ManualClock()).observe("now")
+    assert seen.uv_px is not None and np.isnan(seen.uv_px[[0, 2]]).all()
+    np.testing.assert_array_equal(seen.uv_px[[1, 3]], uv[[1, 3]])
+    assert seen.xyz_m == pytest.approx(place[0], abs=1e-9)
+    sides["c3"] = replace(sides["c3"], spots=[])
+    alone = StationObserver(shown_once(sides, spots), rig, "A", ManualClock()).observe("now")
+    assert alone.uv_px is None and "two cameras" in alone.why
+
+
 def test_a_beacon_is_told_with_the_deviation_that_its_light_has_in_the_pictures() -> None:
     """A named light's own covariance, and the other view's of a light that is followed from place to place."""
     camera = Camera.pinhole(1280, 720, 950.0, 950.0, 640.0, 360.0)
@@ -99,17 +134,7 @@ def test_a_beacon_is_told_with_the_deviation_that_its_light_has_in_the_pictures(
         Spots.of_centres(np.concatenate([others, one[None]]), np.stack([np.eye(2), C]))
         for one, C in zip(uv, covariances, strict=True)
     )
-    run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=0, doubtful=0, position_only=0, lost=1))
-    lost = TargetPose(t_s=1.0, status=PoseStatus.LOST, parent="rig", why="one light alone")
-    station: Any = SimpleNamespace(
-        shown=Snapshot(
-            pose=lost,
-            spots=spots,
-            view=live_view(lost, run, dict(zip(("left", "right"), sides, strict=True))),
-            jpegs={},
-        ),
-        failure="",
-    )
+    station = shown_once(dict(zip(("left", "right"), sides, strict=True)), spots)
     seen = StationObserver(station, rig, "A", ManualClock()).observe("while it is tested")
     assert seen.std_px == pytest.approx(0.03) and seen.xyz_m == pytest.approx([0.0, 0.05, 1.0], abs=1e-9)
 

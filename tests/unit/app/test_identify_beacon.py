@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
+from tests.truth import camera_ring
+from tests.truth.test_views import setup_of
 
+from armsight.clock import ManualClock
+from armsight.errors import NotEnoughData
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
-from armsight.ops.identification.beacon_observer import beacon_note, beacon_of
+from armsight.ops.identification.beacon_observer import LOST_FRAMES, CameraBeaconObserver, beacon_note, beacon_of
 from armsight.ops.identification.solve import beacons
 from armsight.optics import Camera, converged_rig
-from armsight.records import Spots, spot_target
-from refusals import names_it
+from armsight.records import Frame, Spots, spot_target
+from refusals import names_it, refuses
 
 CAMERA = Camera.pinhole(1280, 720, 1131.0, 1127.0, 643.5, 352.25)
 RIG = converged_rig(CAMERA, CAMERA, 0.12, 0.08, -0.08)
@@ -26,7 +30,7 @@ def poses() -> list[RigidTransform]:
     return [RigidTransform.from_components([-0.05 + 0.006 * k, 0.004 * k - 0.03, 0.6], turns[k]) for k in FRAMES]
 
 
-def seen(names: tuple[str, ...]) -> list[tuple[int, Spots, Spots]]:
+def seen(names: tuple[str, ...]) -> list[tuple[int, list[Spots]]]:
     """Return the spots of these lights in each frame, in a random order."""
     rng, out = np.random.default_rng(4), []
     for k, T in enumerate(poses()):
@@ -37,7 +41,7 @@ def seen(names: tuple[str, ...]) -> list[tuple[int, Spots, Spots]]:
             pair.append(
                 Spots.of_centres(uv[rng.permutation(len(uv))] + rng.normal(0.0, 0.03, uv.shape), 9e-4 * np.eye(2))
             )
-        out.append((k, *pair))
+        out.append((k, pair))
     return out
 
 
@@ -59,6 +63,29 @@ def test_a_target_of_one_light_is_as_before() -> None:
 
 def test_a_light_without_a_whole_pose_is_no_beacon_of_several() -> None:
     """Two spots fit several pairs of names: neither is followed."""
-    setup, (_, left, right) = Setup(RIG, spot_target(LIGHTS)), seen(("A", "B"))[0]
+    setup, (_, (left, right)) = Setup(RIG, spot_target(LIGHTS)), seen(("A", "B"))[0]
     found = measure_spots(setup, 0.0, left, right)
-    assert all(beacon_of(found, name, 4) is None for name in LIGHTS)
+    assert all(beacon_of(found, name, setup.target) is None for name in LIGHTS)
+
+
+def test_three_live_cameras_show_a_beacon_that_one_misses_and_lose_it_with_one_alone() -> None:
+    world = camera_ring.ring(3)
+    setup, place = setup_of(world, np.zeros((1, 3))), np.array([[0.02, 0.01, 1.3]])
+    uv = world.pixels(place)[0]
+    v, u = np.mgrid[:720, :1280]
+
+    def frame(s: int, *, lit: bool) -> Frame:
+        bright = 150.0 * lit * np.exp(-0.5 * ((u - uv[s, 0]) ** 2 + (v - uv[s, 1]) ** 2) / 1.5**2)
+        return Frame(image=(10.0 + bright).round().astype(np.uint8), t_s=1.0, sequence=0, source=f"c{s}")
+
+    both = [frame(0, lit=True), None, frame(2, lit=True)]
+    one = [frame(0, lit=True), frame(1, lit=False), None]
+    observer = CameraBeaconObserver(setup, iter([both, *[one] * LOST_FRAMES]), ManualClock())
+    seen = observer.observe("here")
+    assert seen.uv_px is not None and seen.xyz_m is not None
+    assert np.isnan(seen.uv_px[1]).all() and np.abs(seen.uv_px[[0, 2]] - uv[[0, 2]]).max() < 0.05
+    assert np.abs(seen.xyz_m - place[0]).max() < 1e-4
+    for _ in range(LOST_FRAMES - 1):
+        assert observer.observe("here").uv_px is None
+    with refuses(NotEnoughData, "lost", "two cameras"):
+        observer.observe("here")

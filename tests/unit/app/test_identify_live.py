@@ -30,6 +30,7 @@ from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallback
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.saving import write_with_page
 from armsight.ops.simulation.scenarios import load_scenario
+from armsight.optics import SIDES
 from armsight.records import Frame, Target, TargetKind, board_target, unmeasured_target
 from armsight.store import (
     read_rig,
@@ -112,7 +113,7 @@ class Cell:
             known,
             read_target(target),
             RobotJob(robot="here"),
-            ("here:left", "here:right"),
+            {"left": "here:left", "right": "here:right"},
             person,
             progress=progress,
             clock=self.clock,
@@ -350,7 +351,7 @@ def test_limits_and_devices_are_read_as_written(tmp_path: Path) -> None:
     target = target_from_mapping({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}}, "target")
     for robot, left in (("sim:kapucu2005-rrp", "camera:0"), ("sim", "left/*.png")):
         with pytest.raises(UsageError):
-            open_devices(RobotJob(robot=robot), (left, "x"), AUTOMATIC, target, ManualClock())
+            open_devices(RobotJob(robot=robot), SIDES, {"left": left, "right": "x"}, AUTOMATIC, target, ManualClock())
 
 
 def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Path) -> None:

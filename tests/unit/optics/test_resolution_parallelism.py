@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.optics import Camera, Rig, RigKind, parallel_rig, parallelism, resolution
+from armsight.errors import UsageError
+from armsight.optics import Camera, MountedCamera, Rig, RigKind, parallel_rig, parallelism, resolution
 from armsight.records import NamedCovariance
 
 CAMERA = Camera.pinhole(1280, 720, 1130.0, 1130.0, 640.0, 360.0)
@@ -23,6 +24,19 @@ def test_the_table_of_korayems_rig() -> None:
     np.testing.assert_allclose(at.sigma_lateral_m, 0.041e-3, atol=0.001e-3)
     assert at.in_view
     assert not resolution(parallel_rig(CAMERA, 0.1), 0.05).in_view
+
+
+def test_other_cameras_than_a_pair_resolve_what_two_of_their_kind_do() -> None:
+    """Parallel cameras know depth to sqrt(2) sigma Z^2 / (B f); one more, further off, to less; one alone does not."""
+    beside = [RigidTransform.from_translation([x, 0.0, 0.0]) for x in (0.0, 0.1, 0.4)]
+    mounted = [MountedCamera(name=f"c{i}", camera=CAMERA, T_rig_camera=T) for i, T in enumerate(beside)]
+    two, three = (resolution(Rig(cameras=mounted[:n]), 2.0, sigma_px=0.1) for n in (2, 3))
+    assert two.sigma_depth_m == pytest.approx(np.sqrt(2.0) * 0.1 * 4.0 / (0.1 * CAMERA.intrinsics[0]), rel=1e-4)
+    assert two.in_view and two.depth_per_px_m is None
+    assert three.sigma_depth_m < 0.3 * two.sigma_depth_m
+    np.testing.assert_allclose(three.point_m, [0.0, 0.0, 2.0])
+    with pytest.raises(UsageError, match="one camera"):
+        resolution(Rig(cameras=mounted[:1]), 2.0)
 
 
 def pair(rotvec: tuple[float, float, float], covariance: NamedCovariance | None = None) -> Rig:

@@ -174,7 +174,7 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
     Raises UsageError, BadFile, NotEnoughData.
     """
     rig_file, target_file = (_needed(asked, name) for name in ("rig", "target"))
-    rig, target, arm = read_rig(rig_file), target_of(target_file), robot.session.arm
+    rig, target, arm = read_rig(rig_file, any_cameras=True), target_of(target_file), robot.session.arm
     if arm is None or len(asked.ranges) != arm.n:
         raise UsageError("a range is needed for every joint", consequence="Nothing is moved")
     if target.is_board:

@@ -103,7 +103,7 @@ def plan(asked: IsoRequest, robot: RobotCell) -> IsoPlan:
         raise NotEnoughData("the cell has no rig or no target", consequence="Nothing is planned", cure="See Settings")
     q = robot.joints()
     why: list[str] = []
-    rig, target = read_rig(files[0]), target_of(files[1])
+    rig, target = read_rig(files[0], any_cameras=True), target_of(files[1])
     for side_m in (asked.side_m,) if asked.side_m else (*SIDES_M, *SMALL_SIDES_M):
         for plane in PLANES:
             cube = TestCube(centre_m=_here(arm, q).translation, side_m=side_m, plane=plane)

@@ -140,12 +140,12 @@ class StationObserver:
     """The beacon as the measuring station shows it: one light of the target, by its name where the station tells it.
 
     Where it does not, for three lights seen askew may fit several names, the light is followed from picture to picture.
-    Raises UsageError for a rig that is no pair.
+    Of other rigs than pairs the cameras that show it count, of which there are to be two: one alone places no light.
     """
 
     def __init__(self, station: MeasurementProcess, rig: Rig, light: str, clock: Clock) -> None:
         self._snapshots, self._light, self._clock = Snapshots(lambda: station, clock), light, clock
-        self._rig = rig.require_pair("following one light")
+        self._rig = rig
         self._uv: tuple[float, Array] | None = None
         self._lost = 0
 
@@ -162,30 +162,33 @@ class StationObserver:
                 raise NotEnoughData(
                     f"the light {self._light} is lost {while_}{why}",
                     consequence="The robot is held",
-                    cure="Free the view of it, or narrow the ranges to where both cameras see it",
+                    cure="Free the view of it, or narrow the ranges to where two cameras see it",
                 )
-            return Observation(taken_s=taken_s, why="it is not in both pictures")
+            return Observation(taken_s=taken_s, why="it is not in the pictures of two cameras")
         uv, covariance = found
         self._lost, self._uv = 0, (view.t_s, uv)
-        xyz_m = triangulate(self._rig, uv[:1], uv[1:], covariance[0], covariance[1]).xyz_m[0]
-        worst = np.linalg.eigvalsh(covariance)[:, 1].max()  # of both views, each in its worse direction
+        at = [s for s, one in enumerate(uv) if np.isfinite(one).all()]
+        pair = self._rig.only_pair(*at[:2])  # where it is, roughly: the fit takes the pixels of all
+        xyz_m = triangulate(pair, *(uv[s : s + 1] for s in at[:2]), *(covariance[s] for s in at[:2])).xyz_m[0]
+        worst = np.linalg.eigvalsh(covariance[at])[:, 1].max()  # of all views, each in its worse direction
         return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m, std_px=float(np.sqrt(worst)))
 
     def _found(self, shown: Snapshot) -> tuple[Array, Array] | None:
-        """Return the light's uv_px (2, 2) in both pictures and its covariances (2, 2, 2); None where it is lost.
-
-        It is found by its name, or as what it has become.
+        """Return the light's uv_px (v, 2) in the pictures and its covariances (v, 2, 2), NaN where one does not show
+        it; None where it is lost. It is found by its name, or as what it has become.
         """
-        centres, covariances, view = [], [], shown.view
+        v, view = len(self._rig.cameras), shown.view
+        centres, covariances = np.full((v, 2), np.nan), np.full((v, 2, 2), np.nan)
         for side, (pictured, spots) in enumerate(zip(view.cameras.values(), shown.spots, strict=True)):
+            if pictured.left_out is not None:  # it was knocked: what it shows is elsewhere
+                continue
             centre = _named(pictured, self._light)
-            if centre is None and self._uv is not None:
+            if centre is None and self._uv is not None and np.isfinite(self._uv[1][side]).all():
                 centre = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
-            if centre is None:
-                return None
-            centres.append(centre)
-            covariances.append(spots.covariance_px2[np.argmin(np.linalg.norm(spots.uv_px - centre, axis=1))])
-        return np.array(centres), np.array(covariances)
+            if centre is not None and len(spots):
+                centres[side] = centre
+                covariances[side] = spots.covariance_px2[np.argmin(np.linalg.norm(spots.uv_px - centre, axis=1))]
+        return (centres, covariances) if np.isfinite(centres[:, 0]).sum() > 1 else None
 
 
 def _named(view: SideView, name: str) -> Array | None:

@@ -27,7 +27,7 @@ PROPOSAL_SEED = 5
 """The same measurements give the same proposal."""
 
 Visible = Callable[[Array], NDArray[np.bool_]]
-"""Positions (m, 3) in the frame of the measurements -> which of them both cameras see."""
+"""Positions (m, 3) in the frame of the measurements -> which of them two cameras see."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,17 +41,17 @@ class Proposal:
 
 
 def in_view(rig: Rig, T_frame_rig: RigidTransform) -> Visible:
-    """Return the test whether positions (m, 3) in a frame are in both images of a rig that stands there."""
+    """Return the test whether positions (m, 3) in a frame are in the images of two cameras of a rig that stands there,
+    or of its only one."""
 
     def seen(xyz_m: Array) -> NDArray[np.bool_]:
         local = T_frame_rig.inv().apply(xyz_m)
         with np.errstate(invalid="ignore", divide="ignore"):
             views = rig.project(local)
-        inside = np.ones(len(xyz_m), bool)
-        for camera, uv in zip((rig.left, rig.right), views, strict=True):
-            inside &= np.isfinite(uv).all(axis=1)
-            inside &= ((uv >= 0.0) & (uv <= [camera.width - 1, camera.height - 1])).all(axis=1)
-        return inside
+        n = np.zeros(len(xyz_m), np.intp)
+        for one, uv in zip(rig.cameras, views, strict=True):  # NaN behind a camera is in none
+            n += ((uv >= 0.0) & (uv <= [one.camera.width - 1, one.camera.height - 1])).all(axis=1)
+        return np.asarray(n >= min(len(rig.cameras), 2))
 
     return seen
 

@@ -140,7 +140,7 @@ def suggest_coupling(kept: SweepResiduals, model: ChainModel, p: Array, rig: Rig
     U, s, _ = np.linalg.svd(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300), full_matrices=False)
     Q = U[:, s > 1e-9 * s[0]]
     left = r - Q @ (Q.T @ r)
-    dof = len(r) - Q.shape[1] - 1
+    dof = len(r) - kept.n_unseen - Q.shape[1] - 1
     if dof < 1:
         return []
     found: list[tuple[float, int, int, float, float]] = []

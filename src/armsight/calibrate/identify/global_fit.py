@@ -13,7 +13,7 @@ from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_chain, moved_by, suggest_coupling
 from armsight.calibrate.identify.joint_paths import LOST_SHARE, JointPath
 from armsight.calibrate.identify.kernels import axis_costs, settle_axis
-from armsight.calibrate.identify.path_fit import GROSS
+from armsight.calibrate.identify.path_fit import gross
 from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps, background_shifts, or_inexact, rig_shifts
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Fit
@@ -70,19 +70,21 @@ def check_slopes(found: Sequence[JointPath], seen: SweepResiduals, axes: Sequenc
 class GlobalFit:
     """The whole arm: model, fit, the rows kept and those discarded, and how much larger its misfit's variance is.
 
-    alternatives: other arms of the same types that explain as many readings.
+    n_unseen: residuals of cameras that did not see a reading. alternatives: other arms of the same types that explain
+    as many readings.
     """
 
     model: ChainModel
     fit: Fit
     rows: NDArray[np.intp]
     dropped: tuple[tuple[int, str], ...]
+    n_unseen: int = 0
     alternatives: tuple[GlobalFit, ...] = ()
 
     @property
     def scale2(self) -> float:
         """Variance of the whitened residuals: 1 where the noise of single paths explains all."""
-        return 2.0 * self.fit.cost / max(self.fit.dof, 1)
+        return 2.0 * self.fit.cost / max(self.fit.dof - self.n_unseen, 1)
 
     @property
     def price(self) -> float:
@@ -218,12 +220,13 @@ def _fit_from(seen: SweepResiduals, model: ChainModel, rows: NDArray[np.intp]) -
     dropped: list[tuple[int, str]] = []
     robust = float(np.sqrt(chdtri(seen.rows, 1e-3)))
     while True:
-        fit = fit_chain(seen.take(rows), model, robust=robust)
+        kept = seen.take(rows)
+        fit = fit_chain(kept, model, robust=robust)
         size = np.sqrt((fit.residuals.reshape(len(rows), -1) ** 2).sum(axis=1))
-        scale = max(1.0, float(np.sqrt(np.median(size**2) / chdtri(seen.rows, 0.5))))
-        bad = size > GROSS * scale
+        scale = max(1.0, float(np.sqrt(np.median(size**2) / chdtri(np.mean(kept.counts), 0.5))))
+        bad = size > gross(kept) * scale
         if not bad.any() or len(dropped) > LOST_SHARE * len(rows):
-            return GlobalFit(model=model, fit=fit, rows=rows, dropped=tuple(dropped))
+            return GlobalFit(model=model, fit=fit, rows=rows, dropped=tuple(dropped), n_unseen=kept.n_unseen)
         dropped += [
             (int(r), f"off the arm by {s:.0f} standard deviations") for r, s in zip(rows[bad], size[bad], strict=True)
         ]

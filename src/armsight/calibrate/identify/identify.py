@@ -26,6 +26,7 @@ from armsight.calibrate.identify.sweeps import (
     Sweeps,
     check_sweeps,
     leaning,
+    of_rig,
     one_home,
     placed,
     position_residuals,
@@ -71,6 +72,7 @@ def identify(
         raise UsageError(known, consequence="Nothing is identified")
     if method == "paper" and increments == "order":
         raise UsageError("the paper's method takes the increments as known", cure="Use method ml with increments order")
+    sweeps = sweeps if rig is None else of_rig(sweeps, rig)
     check_sweeps(given := sweeps)
     if rig is not None:
         sweeps = placed(sweeps, rig, sigma or FIRST_PX)
@@ -353,7 +355,7 @@ def _misfit(seen: SweepResiduals, found: Sequence[JointPath], frames: _PlacedFra
     """Return the RMS of the kept readings' whitened residuals."""
     r, _ = seen.residuals(frames.predicted, np.zeros((len(seen.sweeps), 3, 1)))
     rows = np.setdiff1d(np.concatenate([item.rows for item in found]), [row for row, _ in frames.dropped])
-    return float(np.sqrt(np.mean(r[rows] ** 2)))
+    return seen.rms(r, rows)
 
 
 def _joints_found(
@@ -386,7 +388,7 @@ def _joints_found(
                 rows=rows,
                 discarded=(*item.discarded, *more),
                 residual_rms_m=float(np.sqrt(np.mean(off**2))),
-                residual_rms_px=None if pixels is None else float(np.sqrt(np.mean(pixels[rows] ** 2))),
+                residual_rms_px=None if pixels is None else seen.rms(pixels, rows),
             )
         )
     return tuple(joints)

@@ -12,7 +12,7 @@ from scipy.special import chdtrc, chdtri, fdtrc
 
 from armsight.arrays import Array
 from armsight.calibrate.identify.chain import Axis
-from armsight.calibrate.identify.path_fit import GROSS, PathFit, basis, circle_starts, fit_circle, fit_line, line_misfit
+from armsight.calibrate.identify.path_fit import PathFit, basis, circle_starts, fit_circle, fit_line, gross, line_misfit
 from armsight.calibrate.identify.sweeps import SweepResiduals, Sweeps
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.fitting.quantiles import chauvenet
@@ -121,7 +121,7 @@ def _one_path(seen: SweepResiduals, joint: int, rows: NDArray[np.intp]) -> Joint
         straight = fit_line(part, order)
         path = fit_circle(part, order) if straight.p < DECIDED else straight
         size = np.sqrt((path.residual**2).sum(axis=1))
-        bad = size > GROSS
+        bad = size > gross(part)
         if not bad.any() or len(rows) - bad.sum() < 3:
             break
         worst = bad & (size >= size.max() * 0.5)
@@ -152,7 +152,7 @@ def _one_path(seen: SweepResiduals, joint: int, rows: NDArray[np.intp]) -> Joint
 def _check_moved(seen: SweepResiduals, joint: int) -> None:
     xyz = seen.sweeps.xyz_m
     spread, _ = seen.residuals(np.tile(xyz.mean(axis=0), (len(xyz), 1)), np.zeros((len(xyz), 3, 1)))
-    if np.sqrt(np.mean((spread**2).sum(axis=1)) / seen.rows) < STILL:
+    if np.sqrt(np.mean((spread**2).sum(axis=1)) / np.mean(seen.counts)) < STILL:
         raise NotEnoughData(
             f"the beacon did not move beyond the noise in the sweep of joint {joint + 1}",
             consequence="Its axis cannot be found",

@@ -12,12 +12,12 @@ from armsight.optics.kernels.camera import see_point
 
 @kernel
 def see_many(k, R, t, X, uv, D):
-    """Fill uv (m, 2, 2) and D (m, 2, 2, 3) as [point, side] for X (m, 3) in rig axes; NaN behind a camera."""
+    """Fill uv (m, v, 2) and D (m, v, 2, 3) as [point, view] for X (m, 3) in rig axes; NaN behind a camera."""
     for i in range(X.shape[0]):
-        for side in range(2):
-            if not see_point(k[side], R[side], t[side], X[i], uv[i, side], D[i, side]):
-                uv[i, side, :] = np.nan
-                D[i, side, :, :] = np.nan
+        for s in range(k.shape[0]):
+            if not see_point(k[s], R[s], t[s], X[i], uv[i, s], D[i, s]):
+                uv[i, s, :] = np.nan
+                D[i, s, :, :] = np.nan
 
 
 @inner_kernel

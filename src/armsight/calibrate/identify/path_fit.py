@@ -21,8 +21,16 @@ Start = tuple[float, Array, Array, float]
 
 SWUNG = 8
 """Normals tried, swung about the chord: with a short arc the plane fit may be anywhere about it (MATH 4.3)."""
-GROSS = float(np.sqrt(chdtri(3, 1e-6)))
+RARE = 1e-6
+GROSS = float(np.sqrt(chdtri(3, RARE)))
 """Readings beyond so many standard deviations are discarded."""
+
+
+def gross(seen: SweepResiduals) -> Array:
+    """Return beyond how many standard deviations each reading (m,) is discarded: more of one that more cameras saw."""
+    if seen.rig is None:
+        return np.full(len(seen.sweeps), GROSS)
+    return np.asarray(np.sqrt(chdtri(np.maximum(seen.counts - 1, 1), RARE)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +102,7 @@ def fit_line(seen: SweepResiduals, order: Array) -> PathFit:
     d, _ = tilted(B, fit.shared[2:])
     point, t = middle + B[:, :2] @ fit.shared[:2], fit.local[:, 0]
     sense = _sense(t, order)
-    return _path("line", fit, point, sense * d, 0.0, sense * t, LINE, fit.covariance)
+    return _path("line", seen, fit, point, sense * d, 0.0, sense * t, fit.covariance)
 
 
 def fit_circle(
@@ -205,7 +213,7 @@ def _circle_from(
     if fit.covariance is not None and fit.covariance.names == ARC:
         D[3:5] = basis(sense * axis)[:, :2].T @ basis(axis)[:, :2] @ D[3:5] * sense
         covariance = NamedCovariance(names=CIRCLE, matrix=D @ fit.covariance.matrix @ D.T)
-    return _path("circle", fit, centre, sense * axis, radius, sense * back, CIRCLE, covariance)
+    return _path("circle", seen, fit, centre, sense * axis, radius, sense * back, covariance)
 
 
 ROUGH = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=1e-3, step_tolerance=1e-4)
@@ -225,15 +233,15 @@ def _evaluation(seen: SweepResiduals, X: Array, J: Array, Jt: Array) -> Evaluati
 
 def _path(
     kind: str,
+    seen: SweepResiduals,
     fit: Fit,
     point: Array,
     direction: Array,
     radius: float,
     phase: Array,
-    names: tuple[str, ...],
     covariance: NamedCovariance | None,
 ) -> PathFit:
-    r = fit.residuals
+    r, names = fit.residuals, CIRCLE if kind == "circle" else LINE
     return PathFit(
         kind=kind,
         point_m=point,
@@ -243,7 +251,7 @@ def _path(
         chi2=float((r**2).sum()),
         # a phase a reading is fitted too: of four pixel coordinates 3 N - 6 are left of a circle, 3 N - 4 of a line
         # (MATH 4.3)
-        dof=r.size - len(names) - len(r),
+        dof=r.size - seen.n_unseen - len(names) - len(r),
         residual=r,
         cost=fit.cost,
         names=names,

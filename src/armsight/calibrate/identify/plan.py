@@ -1,7 +1,7 @@
 """Which sweeps to make and what accuracy to expect of them, before they are made (Cramer-Rao, MATH 4.3).
 
 A small probe of every joint about the start pose tells the arm roughly. From it, rest poses and ranges are chosen,
-within limits and where both cameras surely see the beacon, that make the determinant of the information largest: this
+within limits and where two cameras surely see the beacon, that make the determinant of the information largest: this
 is the volume of the standard deviations, which is least for the axes' parameters and for the table's at once.
 """
 
@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.arrays import Array
 from armsight.calibrate.identify.chain import KEYS, assign_frames, degeneracy_notes, deviations, propagate_covariance
-from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, pixel_slopes, prior_information
+from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, prior_information
 from armsight.defaults import SWEEP_READINGS
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.poses import skew
-from armsight.optics import PackedRig, Rig
+from armsight.optics import Rig
 from armsight.records import frozen_array
 
 PROBE_SHARE = 0.05
@@ -119,18 +119,20 @@ def propose_sweeps(
 
     limits (n, 2), start (n,): in rad or m, joint by joint. base (4, 4): as identify takes it. around_px: how far
     what belongs to the beacon, such as a target's other lights, reaches round it in the images. Raises UsageError,
-    Inconsistent, NotEnoughData where the beacon is not in both images at the start, Degenerate where a joint cannot
-    be moved in view.
+    Inconsistent, NotEnoughData where the beacon is not in two cameras' images at the start, Degenerate where a joint
+    cannot be moved in view.
     """
     low_high, q0 = checked_limits(limits, start)
     if len(q0) != len(arm.axes):
         raise UsageError(f"the arm has {len(arm.axes)} joints, the limits {len(q0)}")
-    view = View(arm=arm, rig=PackedRig.of(rig), sizes=_sizes(rig), margin_px=MARGIN_PX + around_px)
+    view = View.of(arm, rig, MARGIN_PX + around_px)
     if not view.seen(q0[None])[0]:
         raise NotEnoughData(
-            "the beacon is not surely in both images at the start pose",
+            "the beacon is not surely in both images at the start pose"
+            if rig.is_pair
+            else "the beacon is not surely in the images of two cameras at the start pose",
             consequence="No sweep is proposed",
-            cure="Start where both cameras see the beacon, well inside the image",
+            cure="Start where two cameras see the beacon, well inside the image",
         )
     rng = np.random.default_rng(PLAN_SEED)
     candidates = [_candidates(view, low_high, q0, j, readings, rng) for j in range(len(q0))]
@@ -148,7 +150,7 @@ def expected_deviations(
     """Return the standard deviations that readings at q (m, n) will leave of each joint's entries, and notes on odd
     cases."""
     model, frame = arm.model, np.eye(4) if base is None else base
-    G = pixel_slopes(model, PackedRig.of(rig), q)[1] / arm.sigma_px
+    G = View.of(arm, rig).slopes(q) / arm.sigma_px
     covariance = np.linalg.inv(np.einsum("mia,mib->ab", G, G) + prior_information(model))
     at = np.zeros(len(covariance))
     if (
@@ -175,10 +177,6 @@ class Candidate(NamedTuple):
     information: Array
 
 
-def _sizes(rig: Rig) -> Array:
-    return np.array([[camera.width, camera.height] for camera in (rig.left, rig.right)], dtype=float)
-
-
 def _candidates(
     view: View, limits: Array, start: Array, joint: int, readings: int, rng: np.random.Generator
 ) -> list[Candidate]:
@@ -197,14 +195,14 @@ def _candidates(
         poses[:, joint] = np.linspace(values[first], values[last], readings)
         if view.way(start, poses[0]) is None and view.way(start, poses[-1]) is None:
             continue
-        G = pixel_slopes(view.arm.model, view.rig, poses)[1] / view.arm.sigma_px
+        G = view.slopes(poses) / view.arm.sigma_px
         ends = ("limit" if first == 0 else "view", "limit" if last == GRID - 1 else "view")
         out.append(Candidate(joint, poses, ends, np.einsum("mia,mib->ab", G, G)))
     if not out:
         raise Degenerate(
             f"joint {joint + 1} cannot be moved by {1.0 / (GRID - 1):.0%} of its travel with the beacon surely in view",
             consequence="No sweep of it is proposed",
-            cure="Start from a pose with the beacon in the middle of both images, or move the cameras back",
+            cure="Start from a pose with the beacon in the middle of the images, or move the cameras back",
         )
     return out
 

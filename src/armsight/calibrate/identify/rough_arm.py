@@ -1,4 +1,4 @@
-"""An arm as far as it is known before its sweeps are planned, and where both cameras surely see its beacon."""
+"""An arm as far as it is known before its sweeps are planned, and where two cameras surely see its beacon."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ PRIOR_RAD, PRIOR_M = 1.0, 3.0
 """Standard deviations before any reading: an axis may point anywhere, within metres. Keeps every information
 invertible."""
 SURE = 3.0
-"""Standard deviations by which the beacon must be inside both images for a pose to count as seen."""
+"""Standard deviations by which the beacon must be inside two cameras' images for a pose to count as seen."""
 MARGIN_PX = 10.0
 """A spot nearer to the border may be cut off."""
+FEWEST_VIEWS = 2
+"""Cameras that must see a light to place it."""
 WAY = 9
 """Poses looked at on each way."""
 
@@ -47,7 +49,7 @@ def rough_arm(found: Identification, q: Array, rig: Rig) -> RoughArm:
     """Return the arm that readings at q (m, n) identified, with the covariance that they leave."""
     axes = tuple(joint.axis for joint in found.joints)
     arm = RoughArm(axes=axes, beacon_m=found.beacon_m, sigma_px=found.sigma)
-    G = pixel_slopes(arm.model, PackedRig.of(rig), q)[1] / found.sigma
+    G = View.of(arm, rig).slopes(q) / found.sigma
     G = G[np.isfinite(G).all(axis=(1, 2))]
     information = np.einsum("mia,mib->ab", G, G) + prior_information(arm.model)
     return RoughArm(axes=axes, beacon_m=found.beacon_m, sigma_px=found.sigma, covariance=np.linalg.inv(information))
@@ -65,16 +67,22 @@ def known_arm(arm: Arm, T_rig_world: Array, sigma_px: float) -> RoughArm:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """Where both cameras see a roughly known arm's beacon, beyond margin_px from the images' edges."""
+    """Where two cameras see a roughly known arm's beacon, beyond margin_px from the images' edges; sizes (v, 2) px."""
 
     arm: RoughArm
     rig: PackedRig
     sizes: Array
     margin_px: float = MARGIN_PX
 
+    @classmethod
+    def of(cls, arm: RoughArm, rig: Rig, margin_px: float = MARGIN_PX) -> View:
+        """Return the view of a rig's cameras."""
+        sizes = np.array([[one.camera.width, one.camera.height] for one in rig.cameras], dtype=float)
+        return cls(arm=arm, rig=PackedRig.of(rig), sizes=sizes, margin_px=margin_px)
+
     def seen(self, q: Array) -> NDArray[np.bool_]:
-        """Return for poses (m, n) whether the beacon is surely in both images: by SURE standard deviations of what is
-        known."""
+        """Return for poses (m, n) whether the beacon is surely in two cameras' images, by SURE standard deviations of
+        what is known."""
         uv, G = pixel_slopes(self.arm.model, self.rig, q)
         spread = np.zeros(uv.shape)
         if self.arm.covariance is not None:
@@ -84,7 +92,16 @@ class View:
         edge = SURE * spread + self.margin_px
         with np.errstate(invalid="ignore"):
             inside = (uv > edge) & (uv < self.sizes - 1.0 - edge)
-        return np.asarray(inside.all(axis=(1, 2)))
+        return np.asarray(inside.all(axis=2).sum(axis=1) >= FEWEST_VIEWS)
+
+    def slopes(self, q: Array) -> Array:
+        """Return the derivatives (m, 2 v, P) of the pixels that cameras show at q (m, n), 0 of what none shows."""
+        uv, G = pixel_slopes(self.arm.model, self.rig, q)
+        if len(self.sizes) > FEWEST_VIEWS:  # of two cameras both see what is planned
+            with np.errstate(invalid="ignore"):
+                out = ~((uv > 0.0) & (uv < self.sizes - 1.0)).all(axis=2)
+            G.reshape(*uv.shape, -1)[out] = 0.0
+        return G
 
     def way(self, a: Array, b: Array) -> Array | None:
         """Return poses (k, n) from a to b, each a move of one joint, all in view; None where none of two orders is."""
@@ -105,12 +122,13 @@ class View:
 
 
 def pixel_slopes(model: ChainModel, rig: PackedRig, q: Array) -> tuple[Array, Array]:
-    """Return pixels (m, 2, 2) of the beacon at q (m, n), and their derivatives (m, 4, P); NaN behind a camera."""
+    """Return pixels (m, v, 2) of the beacon at q (m, n), and their derivatives (m, 2 v, P); NaN behind a camera."""
     X, J = model.predict(np.zeros(len(model.names)), q)
     # d uv / d p = d uv / d X  d X / d p
-    uv, D = np.empty((len(q), 2, 2)), np.empty((len(q), 2, 2, 3))
+    v = len(rig.k)
+    uv, D = np.empty((len(q), v, 2)), np.empty((len(q), v, 2, 3))
     see_many(rig.k, rig.R, rig.t, X, uv, D)
-    return uv, D.reshape(len(q), 4, 3) @ J
+    return uv, D.reshape(len(q), 2 * v, 3) @ J
 
 
 def prior_information(model: ChainModel) -> Array:

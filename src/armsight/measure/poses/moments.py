@@ -12,7 +12,9 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, Unseen, UsageError
+from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
+from armsight.measure.poses.lone_light import measure_light
 from armsight.measure.poses.one_time import apart, at_one_time, rig_times
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
 from armsight.measure.poses.pipeline import check_sizes, measure_pair
@@ -73,10 +75,25 @@ def _of_spots(
     """Return the pose from spots of views, of one time or brought there; when: as rig_times."""
     t_s, late_s = when
     motion = None if track is None else track.motion
+    if len(setup.model) < 3:
+        return measure_light(setup, t_s, seen)
     if motion is None or not apart(setup, late_s):
         return measure_views(setup, t_s, seen, track, frames, in_windows=in_windows)
     # outlines lie where their own frames have them: they are not looked at
     return measure_views(setup, t_s, at_one_time(setup, seen, late_s, motion.at(t_s)), track, in_windows=in_windows)
+
+
+def measure_chosen(setup: Setup, t_s: float, seen: Sequence[Spots]) -> Measured:
+    """Return the pose of a moment by itself from spots of each view, in the rig's order, that the caller chose.
+
+    Raises UsageError as measure_moment.
+    """
+    require_views(setup, len(seen))
+    if len(seen) == TWO:
+        return measure_spots(setup, t_s, seen[0], seen[1])
+    if len(setup.model) == 1:
+        return measure_light(setup, t_s, seen, alone=True)
+    return measure_views(setup, t_s, seen)
 
 
 def require_views(setup: Setup, n: int) -> None:
@@ -87,10 +104,16 @@ def require_views(setup: Setup, n: int) -> None:
     if n != v:
         raise UsageError(f"{n} frames for a rig of {v} cameras", cure="Give one for each, None where there is none")
     known = setup.target.model_known and not setup.target.is_board and len(setup.model) >= 3
-    if v != TWO and (not known or setup.overlaid):
+    one_light = not setup.target.is_board and len(setup.model) == 1
+    if v == 1 and one_light:
         raise UsageError(
-            f"a rig of {v} cameras measures targets of three and more lights at known places",
-            consequence="Boards, beacons and lights nobody has measured need a rig of two cameras",
+            "one camera does not place one light: it may be anywhere along its ray",
+            cure="Give two cameras and more, or a target of four lights and more",
+        )
+    if v != TWO and (not (known or one_light) or setup.overlaid):
+        raise UsageError(
+            f"a rig of {v} cameras measures one light, or three and more lights at known places",
+            consequence="Boards, two lights and lights nobody has measured need a rig of two cameras",
             cure="Measure with two of the cameras, or give the places of the lights in target.yaml",
         )
 

@@ -236,6 +236,8 @@ def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px
         return NotSeen(_WHY[kernels.NO_POINT], Unseen.NO_POINT)
     if not kernels.point_residuals(packed.arrays, uv_px, P, residual):
         return NotSeen(_WHY[kernels.NO_POINT], Unseen.NO_POINT)
+    if cov_px2.shape[1] != TWO:
+        residual = residual[np.isfinite(cov_px2[..., 0, 0])]
     return _placed(packed, names, P, S, cov_px2, residual)
 
 

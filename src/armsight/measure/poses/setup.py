@@ -12,7 +12,7 @@ from armsight.arrays import Array, Mask
 from armsight.errors import Degenerate
 from armsight.geometry import align_points
 from armsight.measure.settings import BATCH, Pace, SpotSettings
-from armsight.optics import INTRINSICS, PackedRig, Rig, mean_axes, moved_rig
+from armsight.optics import INTRINSICS, PackedRig, Rig, mean_axes, moved_rig, shared_point
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 from armsight.records import NoiseModel, Target, frozen_array
 
@@ -223,7 +223,7 @@ def rig_slack_px(rig: Rig) -> float:
     """
     if rig.covariance is None or len(rig.cameras) < 2:
         return SLACK_PX
-    point = _far_point(rig) if rig.is_pair else _shared_point(rig)
+    point = _far_point(rig) if rig.is_pair else shared_point(rig)
     if not all(np.isfinite(uv).all() for uv in rig.project(point)):
         return SLACK_PX
     J = np.column_stack([_slope(_pixels(rig, point + h), _pixels(rig, point - h), POINT_STEP_M) for h in _steps(3)])
@@ -240,16 +240,6 @@ def _far_point(rig: Rig) -> Array:
     axes = mean_axes(rig)
     middle = 0.5 * (np.asarray(rig.T_rig_left.translation) + np.asarray(rig.T_rig_right.translation))
     return np.asarray(middle + AWAY * rig.baseline_m * axes[:, 2])
-
-
-def _shared_point(rig: Rig) -> Array:
-    """Return the point nearest to all lines of sight through the pictures' middles."""
-    across = []
-    for one in rig.cameras:
-        z = np.asarray(one.T_rig_camera.rotation.as_matrix())[:, 2]
-        across.append(np.eye(3) - np.outer(z, z))
-    beside = [A @ np.asarray(one.T_rig_camera.translation) for A, one in zip(across, rig.cameras, strict=True)]
-    return np.asarray(np.linalg.lstsq(np.vstack(across), np.concatenate(beside), rcond=None)[0])
 
 
 def _steps(n: int) -> Array:

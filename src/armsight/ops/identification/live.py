@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,22 +14,23 @@ from armsight.calibrate.identify import Identification, Sweeps, even_ones, ident
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
 from armsight.calibrate.identify.result import JointStd, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
+from armsight.calibrate.identify.sweeps import require_two
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
 from armsight.defaults import SWEEP_READINGS
-from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, Robot, RobotTraits, pairs_of
+from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, Robot, RobotTraits, moments_of
 from armsight.errors import ArmsightError, Cancelled, DataRefused, UsageError
 from armsight.kinematics import Arm
+from armsight.measure.poses.moments import require_views
 from armsight.measure.poses.pipeline import Setup
-from armsight.ops.identification.beacon_observer import StereoBeaconObserver, beacon_note, beacon_settings
+from armsight.ops.identification.beacon_observer import CameraBeaconObserver, beacon_note, beacon_settings
 from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.ops.identification.solve import solve_sweeps
 from armsight.ops.identify import SweepReadings
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.requests.motion import RobotJob
-from armsight.ops.sources.cameras import named_cameras
 from armsight.ops.verification.live import open_supervised
-from armsight.optics import SIDES, Rig
+from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
 from armsight.store import World
 from armsight.store.arm_points import write_sweeps
@@ -90,7 +91,7 @@ def identify_live(
     known: Known,
     target: Target,
     link: RobotJob,
-    sources: tuple[str | None, str | None],
+    sources: Mapping[str, str],
     person: OperatorCallbacks,
     settings: CameraSettings = AUTOMATIC,
     mask: Image | None = None,
@@ -102,18 +103,19 @@ def identify_live(
     """Probe, plan, sweep and identify; return the arm, or the plan where that alone is asked for.
 
     The robot moves only where the person confirms, and is stopped on every error; what was read until then is beside
-    the arm (.probe.csv, .sweep.csv). A model takes the place of the probe, and needs a world. sources: live cameras, of
-    sim:SCENARIO its own. clock, devices: in place of the machine's and of those named. Raises UsageError, DataRefused
-    (also for a lost beacon), DeviceFailed, Cancelled.
+    the arm (.probe.csv, .sweep.csv). A model takes the place of the probe, and needs a world. sources: live cameras by
+    name, of sim:SCENARIO its own. clock, devices: in place of the machine's and of those named. Raises UsageError,
+    DataRefused (also for a lost beacon), DeviceFailed, Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     swept_joints(len(sweeps.limits), sweeps.left_out)  # refused before anything is opened
     _check(sweeps, known)
-    robot, pairs = devices or open_devices(link, sources, settings, target, clock)
     setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, mask))
+    require_views(setup, len(known.rig.cameras))
+    robot, moments = devices or open_devices(link, known.rig.names, sources, settings, target, clock)
     prepare(progress)  # a controller that waits for compilers gives the link up
-    with robot, pairs:
-        observer = StereoBeaconObserver(setup, pairs_of(pairs), clock)
+    with robot, moments:
+        observer = CameraBeaconObserver(setup, moments_of(moments), clock)
         done = identify_observed(sweeps, known, person, robot, observer, clock, progress)
     first = beacon_note(target.names[0], len(target.names))
     if isinstance(done, ProposedPlanOutput):
@@ -132,6 +134,7 @@ def identify_observed(
 ) -> Identification | ProposedPlanOutput:
     """Do as identify_live, with a robot that is open and whoever sees the beacon."""
     rig, limits = known.rig, job.limits
+    require_two(rig)
     m = swept_joints(len(limits), job.left_out)
     held = np.empty(0)
     if m < len(limits):
@@ -141,7 +144,7 @@ def identify_observed(
     base = None if known.world is None else known.world.T_parent_rig.inv().as_matrix()
     low_high, start = checked_limits(limits, robot.read().q)
     _check_range(robot, low_high)
-    sweeper = Sweeper(robot, observer, low_high, clock, progress, job.pace)
+    sweeper = Sweeper(robot, observer, low_high, clock, progress, job.pace, rig.names)
     if known.model is not None:
         arm, notes = _modelled(known, held, job.sigma or SIGMA_PX), list[str]()
     else:
@@ -229,11 +232,15 @@ def _probe_question(robot: Robot, limits: Array) -> str:
 
 
 def open_devices(
-    link: RobotJob, sources: tuple[str | None, str | None], settings: CameraSettings, target: Target, clock: Clock
+    link: RobotJob,
+    names: Sequence[str],
+    sources: Mapping[str, str],
+    settings: CameraSettings,
+    target: Target,
+    clock: Clock,
 ) -> tuple[Robot, MomentSource]:
-    """Return the robot and the cameras that are named; nothing is opened yet. Raises as open_supervised."""
-    given = named_cameras({}, *sources)
-    seen = open_supervised(link, SIDES, given, target, clock, None, play=False, camera_settings=settings)
+    """Return the robot and the cameras of these names; nothing is opened yet. Raises as open_supervised."""
+    seen = open_supervised(link, names, sources, target, clock, None, play=False, camera_settings=settings)
     return seen.robot, seen.pairs
 
 
@@ -260,6 +267,7 @@ def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
 
 
 def _check(job: LiveSweeps, known: Known) -> None:
+    require_two(known.rig)
     if known.model is not None and known.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
     if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames_per_reading < 1:
@@ -360,6 +368,7 @@ def joined(parts: list[Sweeps]) -> Sweeps:
         xyz_m=np.concatenate([part.xyz_m for part in parts]),
         uv_px=np.concatenate(uv),
         std_px=np.concatenate(std) if len(std) == len(parts) else None,
+        cameras=parts[0].cameras,
     )
 
 

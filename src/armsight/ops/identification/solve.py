@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +12,19 @@ from armsight.arrays import Image
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.identify.chain import placed_by
 from armsight.calibrate.identify.result import LeftOutJoint, PlanOutput
-from armsight.drivers import is_video, pairs_of
+from armsight.calibrate.identify.sweeps import require_two
+from armsight.drivers import is_video, moments_of
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm
 from armsight.measure.poses.beacon import without_standing
-from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.moments import measure_chosen, require_views
 from armsight.measure.poses.pipeline import Setup, check_sizes
 from armsight.measure.spots import find_spots
 from armsight.ops.identification.beacon_observer import SeenBeacon, beacon_note, beacon_of, beacon_settings
 from armsight.ops.identification.left_out import consequence, first_joints, named
-from armsight.ops.sources.cameras import open_rig
+from armsight.ops.sources.cameras import cameras_of, named_cameras, open_cameras
 from armsight.optics import Rig
-from armsight.records import Progress, Spots, Target
+from armsight.records import Frame, Progress, Spots, Target
 from armsight.store import World
 from armsight.store.arm_points import read_sweep_joints
 from armsight.store.interpret import OURS, TableFormat
@@ -109,37 +110,42 @@ class BeaconFrames:
     """
 
     target: Target
-    left: str
+    left: str | None
     right: str | None
     joints: Path
+    cameras: Mapping[str, str] = field(default_factory=dict)
     mask: Image | None = None
     table: TableFormat = OURS
 
     def sweeps(self, rig: Rig, progress: Progress) -> tuple[Sweeps, list[str]]:
         """Return the sweep that the frames show, and notes on those in which the beacon is not seen."""
-        target = self.target
+        target, given = self.target, cameras_of(rig.names, named_cameras(self.cameras, self.left, self.right))
         frames, joint, q = read_sweep_joints(self.joints, self.table)
         setup = Setup(rig=rig, target=target, settings=beacon_settings(target, self.mask))
         wanted = set(frames.tolist())
-        spots: list[tuple[int, Spots, Spots]] = []
-        with open_rig(rig.names, self.left, self.right, colour=target.colour is not None) as pairs:
-            for count, (left, right) in enumerate(pairs_of(pairs)):
-                # by time a frame without partner leaves no pair, and the next one keeps its number
-                number = left.sequence if is_video(self.left) else count
+        require_two(rig)
+        require_views(setup, len(rig.cameras))
+        spots: list[tuple[int, list[Spots]]] = []
+        with open_cameras(given, colour=target.colour is not None) as moments:
+            for count, views in enumerate(moments_of(moments)):
+                # by time a frame without partner leaves no moment, and the next one keeps its number
+                first = next(frame for frame in views if frame is not None)
+                number = first.sequence if is_video(next(iter(given.values()))) else count
                 if progress.cancelled():
                     raise Cancelled("the frames were not read to the end", consequence="Nothing was written")
                 progress.update(count + 1, max(wanted) + 1, "looking for the beacon")
                 if number in wanted:
-                    check_sizes(setup.rig, (left, right))
-                    at_left, at_right = (find_spots(frame.image, setup.settings) for frame in (left, right))
-                    spots.append((number, at_left, at_right))
+                    check_sizes(setup.rig, views)
+                    spots.append((number, [_spots(setup, frame) for frame in views]))
         name, seen, notes = beacons(setup, spots)
         rows = [i for i, frame in enumerate(frames.tolist()) if frame in seen]
         if not rows:
             raise NotEnoughData(
                 f"the beacon is seen in none of the {len(frames)} frames; {notes[0] if notes else 'there are none'}",
                 consequence="The arm is not identified",
-                cure="Look at the frames: one light, on, in both views",
+                cure="Look at the frames: one light, on, in both views"
+                if rig.is_pair
+                else "Look at the frames: one light, on, in the views of two cameras",
             )
         return Sweeps(
             joint=joint[rows],
@@ -147,11 +153,17 @@ class BeaconFrames:
             xyz_m=np.array([seen[int(frames[i])].xyz_m for i in rows]),
             uv_px=np.array([seen[int(frames[i])].uv_px for i in rows]),
             std_px=np.array([seen[int(frames[i])].std_px for i in rows]),
+            cameras=rig.names,
         ), [*beacon_note(name, len(target.names)), *notes]
 
 
-def beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[str, dict[int, SeenBeacon], list[str]]:
-    """Return which light is the beacon, the beacon by frame, and why it is not seen in the others.
+def _spots(setup: Setup, frame: Frame | None) -> Spots:
+    """Return the spots of a view, none without a picture."""
+    return Spots.none() if frame is None or frame.unreadable else find_spots(frame.image, setup.settings)
+
+
+def beacons(setup: Setup, spots: list[tuple[int, list[Spots]]]) -> tuple[str, dict[int, SeenBeacon], list[str]]:
+    """Return which light is the beacon, the beacon by frame, and why it is not seen in the others; spots: by camera.
 
     The beacon moves with the arm: what stands at one place in most frames is something else. Of several lights it is
     the one that is seen most often, in all frames the same.
@@ -159,13 +171,12 @@ def beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[str, d
     names = setup.target.names
     by_light: dict[str, dict[int, SeenBeacon]] = {name: {} for name in names}
     whys: dict[int, str] = {}
-    lefts = without_standing([left for _, left, _ in spots])
-    rights = without_standing([right for _, _, right in spots])
-    for (number, _, _), left, right in zip(spots, lefts, rights, strict=True):
-        found = measure_spots(setup, float(number), left, right)
+    moving = [without_standing(seen) for seen in zip(*(views for _, views in spots), strict=True)]
+    for (number, _), views in zip(spots, zip(*moving, strict=True), strict=True):
+        found = measure_chosen(setup, float(number), views)
         whys[number] = found.pose.why or "the beacon is not seen"
         for name in names:
-            if (beacon := beacon_of(found, name, len(names))) is not None:
+            if (beacon := beacon_of(found, name, setup.target)) is not None:
                 by_light[name][number] = beacon
     chosen = max(names, key=lambda name: len(by_light[name]))
     notes = [f"frame {number}: {why}" for number, why in whys.items() if number not in by_light[chosen]]

@@ -76,8 +76,8 @@ def recorded_cameras(cameras: Mapping[str, str], settings: CameraSettings | None
         if settings not in (None, AUTOMATIC):
             raise UsageError("settings of cameras are given, and no cameras", cure="Give --left and --right too")
         return None
-    if len(cameras) == 1:
-        cameras = cameras_of(SIDES, cameras)  # a cell is calibrated from two and more
+    if len(cameras) == 1 and next(iter(cameras)) in SIDES:
+        cameras = cameras_of(SIDES, cameras)  # of a pair the other one was forgotten
     if out is None:
         raise UsageError("cameras are to be recorded, and no folder is given", cure="Give one (-o)")
     return FreeJob(cameras=cameras, out=out / FRAMES, settings=settings or AUTOMATIC)

@@ -62,7 +62,7 @@ class ServoErrorOutput(Output):
 
 @output
 class ServoTimeOutput(Output):
-    """Time from a pair of frames in memory to its pose handed to the control loop, ms."""
+    """Time from the frames of a moment in memory to its pose handed to the control loop, ms."""
 
     median: Annotated[float, Doc("Median, ms.")]
     p99: Annotated[float, Doc("99 of 100 took less, ms.")]
@@ -72,23 +72,25 @@ class ServoTimeOutput(Output):
 class ServoOutput(ToolRunOutput):
     """armsight servo."""
 
-    n_frames: Annotated[int, Doc("Pairs of frames measured.")]
-    n_ok: Annotated[int, Doc("Pairs that showed the whole target.")]
-    n_doubtful: Annotated[int, Doc("Pairs whose pose does not fit the claims: not followed.")]
-    n_position_only: Annotated[int, Doc("Pairs that showed where it is, but not how it is turned.")]
-    n_lost: Annotated[int, Doc("Pairs that did not show it.")]
+    n_frames: Annotated[int, Doc("Moments measured; of two cameras pairs of frames.")]
+    n_ok: Annotated[int, Doc("Moments that showed the whole target.")]
+    n_doubtful: Annotated[int, Doc("Moments whose pose does not fit the claims: not followed.")]
+    n_position_only: Annotated[int, Doc("Moments that showed where it is, but not how it is turned.")]
+    n_lost: Annotated[int, Doc("Moments that did not show it.")]
     gain: Annotated[Gain, Doc("The gain, and what the delay allows.")]
     delay: Annotated[ServoDelayOutput, Doc("The delays that were measured.")]
     error: Annotated[ServoErrorOutput, Doc("How far the target was from where it is wanted.")]
     followed: Annotated[float, Doc("Share of the cycles in which the target was followed, 0 to 1.")]
-    vision_ms: Annotated[ServoTimeOutput | None, Doc("How long measuring took; null: no pair came.")]
+    vision_ms: Annotated[ServoTimeOutput | None, Doc("How long measuring took; null: no moment came.")]
+    of_pair: bool = True
 
     def summary(self) -> Iterator[Shown]:
         """Yield how well the target was followed, and where the arm held."""
         if self.gain.note:
             yield f"note: {self.gain.note}"
+        seen = "pairs of frames" if self.of_pair else "moments"
         yield (
-            f"{self.n_cycles} cycles, {self.late} late, {self.missed} missed; {self.n_frames} pairs of frames, "
+            f"{self.n_cycles} cycles, {self.late} late, {self.missed} missed; {self.n_frames} {seen}, "
             f"{self.n_ok} whole, {self.n_position_only} place only, {self.n_lost} without the target; ended by: "
             f"{self.stopped_by}"
         )
@@ -235,6 +237,7 @@ def _output(
         vision_ms=ServoTimeOutput(median=float(np.median(took)), p99=float(np.percentile(took, 99)))
         if len(took)
         else None,
+        of_pair=vision.rig.is_pair,
     )
 
 

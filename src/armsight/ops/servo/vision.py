@@ -1,4 +1,4 @@
-"""From pairs of frames to target poses for a servo, and the cameras, real or simulated, that they come from."""
+"""From moments of frames to target poses for a servo, and the cameras, real or simulated, that they come from."""
 
 from __future__ import annotations
 
@@ -145,6 +145,11 @@ class Vision:
         self._tracker.finish("Nothing is moved")
 
     @property
+    def rig(self) -> Rig:
+        """The cameras."""
+        return self._setup.rig
+
+    @property
     def contradiction(self) -> str:
         """What is wrong with cameras or the rig and what to do, in words; empty where nothing."""
         return " ".join(one.contradiction for one in self.contradictions)
@@ -256,7 +261,8 @@ def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | Non
             raise error
         if clock.now_s() >= until_s:
             raise NotEnoughData(
-                f"only {vision.delay.n} pairs of frames came within {PROBED_S:g} s",
+                f"only {vision.delay.n} {'pairs of frames' if vision.rig.is_pair else 'moments'} came within "
+                f"{PROBED_S:g} s",
                 consequence="The delay is not known, and nothing is moved",
                 cure="Check the cameras, their exposure and their rate",
             )

@@ -13,7 +13,7 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.file_names import MASTERING
 from armsight.kinematics import Arm, fk
-from armsight.optics import SIDES, Rig
+from armsight.optics import Rig
 from armsight.records import Target
 from armsight.records.result_parts import RejectedRow
 from armsight.store import World
@@ -175,12 +175,12 @@ BORDER = 0.03
 
 
 def seen_whole(rig: Rig, target: Target, T_rig_target: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell for poses (m, 4, 4) whether all lights of the target fall into both images, whichever way they shine."""
+    """Tell for poses (m, 4, 4) whether all lights of the target fall into the images of two cameras, or into that of
+    the only one, whichever way they shine."""
     points = np.einsum("mij,pj->mpi", T_rig_target[:, :3, :3], target.xyz_m) + T_rig_target[:, None, :3, 3]
-    seen = np.ones(len(T_rig_target), dtype=np.bool_)
-    for side, uv in zip(SIDES, rig.project(points.reshape(-1, 3)), strict=True):
-        camera = rig.camera(side)
-        border = BORDER * camera.width
-        limit = np.array([camera.width, camera.height]) - border
-        seen &= ((uv > border) & (uv < limit)).all(axis=1).reshape(len(T_rig_target), -1).all(axis=1)
-    return seen
+    views = np.zeros(len(T_rig_target), dtype=np.intp)
+    for one, uv in zip(rig.cameras, rig.project(points.reshape(-1, 3)), strict=True):
+        border = BORDER * one.camera.width
+        limit = np.array([one.camera.width, one.camera.height]) - border
+        views += ((uv > border) & (uv < limit)).all(axis=1).reshape(len(T_rig_target), -1).all(axis=1)
+    return np.asarray(views >= min(len(rig.cameras), 2))
