@@ -318,6 +318,7 @@ def opened() -> Iterator[Callable[[type[Pair]], Callable[..., Pair]]]:
             pairs.append(kind(**more))
             return pairs[-1]
 
+        make.of = kind  # type: ignore[attr-defined]
         return make
 
     yield of

@@ -143,10 +143,10 @@ def test_poses_and_clocks_of_three_cameras_are_what_they_claim() -> None:
 
 def test_a_camera_whose_clock_is_no_longer_as_calibrated_is_told_and_left_out() -> None:
     with pytest.warns(UserWarning, match="c1.*timing"):
-        done, motion = run(3, 5, off=(0.0, 0.006, 0.0), seconds=3.0)
+        done, motion = run(3, 5, off=(0.0, 0.006, 0.0))
     assert [one.names for one in done.consistency.left_out] == [("c1",)]
     _, q = errors(done, motion)
-    assert len(q) > 60 and np.mean(q < chi2.ppf(0.95, 6)) > 0.85
+    assert len(q) > 100 and np.mean(q < chi2.ppf(0.95, 6)) > 0.85
 
 
 @pytest.mark.parametrize("turn_deg", [0.02, 0.15])
