@@ -313,8 +313,7 @@ def test_the_rig_is_found_at_the_base_with_true_deviations() -> None:
         found = calibrate_world(arm, ArmPoints(q=q, xyz_m=seen))
         assert [row for row, _ in found.rejected_rows] == [3]
         error = np.append(
-            found.pose.translation - WHERE.translation,
-            (found.pose.rotation * WHERE.rotation.inv()).as_rotvec(),
+            found.pose.translation - WHERE.translation, (found.pose.rotation * WHERE.rotation.inv()).as_rotvec()
         )
         chi2.append(error @ np.linalg.solve(found.covariance.matrix, error) / 6.0)
     assert np.mean(chi2) == pytest.approx(1.0, abs=0.5)  # 30 terms: 1 +- 0.26, the noise estimated
