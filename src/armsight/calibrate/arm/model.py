@@ -133,11 +133,9 @@ class ArmModel:
 
     def arm_at(self, p: Array, tool: int | None = 0) -> Arm:
         """Return the arm of parameters p; its couplings are p's on top of the nominal arm's. tool: None for none."""
-        asked = p.tobytes()
         known, made = cast(tuple[object, dict[int | None, Arm]], self.arm.found.get("at", (None, {})))
-        if known != asked:  # errors, levers and derivatives of one p are asked for in a row, with the tool and without
-            made = {}
-            self.arm.found["at"] = (asked, made)
+        if known != p.tobytes():  # errors, levers and derivatives of one p are asked for in a row, with the tool or not
+            self.arm.found["at"] = (p.tobytes(), made := {})
         if tool not in made:
             mount = RigidTransform.identity() if tool is None else self.pose(p, tool + 1)
             other = next(iter(made.values()), None)
