@@ -128,6 +128,9 @@ def _pixels(truth: Truth, rig: Rig, way: Path, t: Array, side: int, light: Array
 PLACES = dict(zip(NAMES, LIGHTS, strict=True))
 CASES = {
     "30 and 30": Truth(delay_s=3.217, drift_ppm=80.0, jitter_s=(1e-3, 5e-4)),
+    "25 and 50": Truth(
+        rates=(25.0, 50.0), delay_s=-7.3, drift_ppm=-50.0, readout_s=(0.03, 0.012), jitter_s=(5e-4, 1e-3)
+    ),
     "29.97 and 60, one global shutter": Truth(rates=(29.97, 60.0), delay_s=0.4, readout_s=(0.0, 0.014), start_s=50.0),
     "one beacon, the right camera on its side": Truth(lights=1, portrait=True, baseline_m=0.3, turned_rad=0.3),
 }
@@ -148,7 +151,7 @@ def calibrated(name: str, seed: int) -> TimingResult:
     return calibrate_timing(*record(CASES[name], np.random.default_rng(seed)), PLACES)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [name for name in CASES if name != "25 and 50"])  # like the third, told apart below
 def test_timing_is_found_as_well_as_claimed(name: str) -> None:
     truth = CASES[name]
     errors, claims = [], []
