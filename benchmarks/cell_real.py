@@ -6,7 +6,7 @@
 it is not there. Every method sees the pictures of the other folds alone (lens, hand-eye, noise, pitch), and predicts
 the dots of those left out from the robot's pose. Judged for all by one function: px in the image; mm at the target,
 from where the method's own camera and board see the board. One run, same folds. How the set becomes a cell:
-tests/truth/cell_real_set.py.
+cell_real_set.py.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from scipy.stats import ttest_rel
 
 import bench
+import cell_real_set as real
 
-real = bench.test_scene("cell_real_set")
 UNLEARNED_BITS = 0.2
 MOVED = 3.0
 """Standard deviations by which a parameter may move with what is believed of the print, and still is told."""

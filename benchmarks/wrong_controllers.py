@@ -19,7 +19,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.truth.wrong_controllers import FAULTS, KINDS, Outcome, trial
+from wrong_controller_trials import FAULTS, KINDS, Outcome, trial
 
 
 def right(kind: str, trials: int) -> float:

@@ -41,9 +41,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "src" / "armsight" / "console" / "pages"
 
 NONE = inspect.Parameter.empty
-DIFFERENT = {
-    ("simulate", "scenario"): "Python has a cell to try; a command names what it writes",
-}
+DIFFERENT = {("simulate", "scenario"): "Python has a cell to try; a command names what it writes"}
 OWN_FIELDS = {
     "mirrors.py: label": "as cell.yaml has them",
     "identify.py: f'{texts.LOWER} ({unit})'": "where the joint stands",

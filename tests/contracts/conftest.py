@@ -231,7 +231,7 @@ class RsiPair(UdpPair):
         return bool(self.twin._asked and super().sends())
 
     def answered(self, heard: int) -> bool:
-        return bool(self.robot._answered_ipoc == self.twin._ipoc)
+        return bool(self.robot._answered_ipoc == self.twin._ipoc and not self.robot._lost)
 
 
 class Model:
@@ -318,6 +318,7 @@ def opened() -> Iterator[Callable[[type[Pair]], Callable[..., Pair]]]:
             pairs.append(kind(**more))
             return pairs[-1]
 
+        make.of = kind  # type: ignore[attr-defined]
         return make
 
     yield of

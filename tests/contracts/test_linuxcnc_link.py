@@ -43,19 +43,7 @@ def test_both_sides_pack_alike() -> None:
     assert (
         [getattr(driver, name, getattr(state, name, None)) for name in flags]
         == [getattr(pins, name) for name in flags]
-        == [
-            1,
-            2,
-            4,
-            8,
-            16,
-            32,
-            64,
-            1,
-            2,
-            4,
-            8,
-        ]
+        == [1, 2, 4, 8, 16, 32, 64, 1, 2, 4, 8]
     )
     whys = link.BEGUN, link.LET_GO, link.STOPPED, link.NOT_TAKEN
     assert (driver.STOP, driver.STOPPED, *driver.WHY) == (link.STOP, whys[2], whys[0], whys[1], whys[3])

@@ -308,11 +308,7 @@ def test_a_motion_is_run_to_its_end_though_the_enable_was_let_go_of_and_its_read
 
 @again_where_ur_rtde_ended
 def test_a_second_client_is_refused(twin: Twin) -> None:
-    with (
-        RtdeRobot(twin.host) as robot,
-        refuses(DeviceFailed, "in use"),
-        RtdeRobot(twin.host),
-    ):
+    with RtdeRobot(twin.host) as robot, refuses(DeviceFailed, "in use"), RtdeRobot(twin.host):
         pass
     assert robot.state is RobotState.CLOSED
 

@@ -297,8 +297,7 @@ def test_the_file_of_another_arm_is_refused_by_what_the_servos_keep(make: Any, t
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["", "[]", "{}", '{"a": 1}', '{"a": {"id": 1}}', json.dumps({"a": dict.fromkeys(("id", *"bcde"), 1)})],
+    "text", ["", "[]", "{}", '{"a": 1}', '{"a": {"id": 1}}', json.dumps({"a": dict.fromkeys(("id", *"bcde"), 1)})]
 )
 def test_a_file_that_is_no_calibration_is_refused(text: str, tmp_path: Path) -> None:
     file = tmp_path / "arm.json"

@@ -70,7 +70,7 @@ def test_a_second_program_and_a_second_controller_are_refused(make_pair: Any) ->
 
 @pytest.mark.parametrize("parse", [partial(egm.parse, n=6), rsi.parse])
 @given(data=st.binary(max_size=600) | st.text(max_size=300).map(str.encode))
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_garbage_is_refused_by_the_parser(parse: Any, data: bytes) -> None:
     with contextlib.suppress(DataRefused):
         assert np.isfinite(parse(data).q).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import sys
@@ -17,19 +18,31 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # histories.py
 
 from cure_tables import FILES
 
+import warm_python
 from armsight_lab.design.changes import CHANGES
 from histories import baseline_runs, runs
 
 
 @pytest.fixture(scope="session")
-def given_files(tmp_path_factory, scene, boards, mirror_boards):
+def given_files(request):
+    """The folder of `fill`, made once for all processes of this run of tests."""
+    folder = warm_python.rooms().with_name("given")
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            made = folder.with_suffix(".part")
+            fill(made, *map(request.getfixturevalue, ("scene", "boards", "mirror_boards")))
+            made.rename(folder)
+    return folder
+
+
+def fill(folder, scene, boards, mirror_boards):
     """left/ and right/ with rig.yaml and target.yaml; boards/; cell/ of `simulate`; j.csv and poses.csv of an arm."""
     from armsight.ops.simulation.run import simulate
     from armsight.store.tokens import add_token
     from armsight_plant.certificates import make_pair
 
-    folder = tmp_path_factory.mktemp("given")
-    shutil.copytree(scene.folder, folder, dirs_exist_ok=True)
+    shutil.copytree(scene.folder, folder)
     shutil.copytree(boards.folder, folder / "boards")
     shutil.copytree(mirror_boards.straight, folder / "mirrors")
     write_stills(folder / "stills")
@@ -51,7 +64,6 @@ def given_files(tmp_path_factory, scene, boards, mirror_boards):
     (folder / "places.csv").write_text("\n".join([head, *places]) + "\n")
     unread = [f"{head},q1,q2,q3,q4,q5,q6", *(place + 6 * "," for place in places)]
     (folder / "unread.csv").write_text("\n".join(unread) + "\n")
-    return folder
 
 
 def done(*words):

@@ -99,10 +99,7 @@ TRIED = {
     ("ops/calibrate_cameras.py", "Give SRC and --board"): (f"calibrate camera {BOARDS}", CAMERA),
     ("ops/calibrate_cameras.py", "Leave --side away"): (f"{CAMERA} --side left", CAMERA),
     ("ops/calibrate_cameras.py", "Give --zoom with the value"): (f"{CAMERA} --pupil 0.01", "{} --zoom 100"),
-    ("ops/calibrate_cameras.py", "Give --pupil"): (
-        f"{CAMERA} --zoom 100 --pupil-std 0.001",
-        "{} --pupil 0.01",
-    ),
+    ("ops/calibrate_cameras.py", "Give --pupil"): (f"{CAMERA} --zoom 100 --pupil-std 0.001", "{} --pupil 0.01"),
     ("ops/calibrate_cameras.py", "Give --lens with"): (f"{CAMERA} --lens oval", f"{CAMERA} --lens pinhole"),
     ("calibrate/cameras/zoom.py", "Give --left, --right or both"): (ZOOM_RIG, ZOOMED),
     ("optics/zoom_rig.py", "Give --zoom-{}"): (f"{ZOOM_RIG} --left lens.yaml", "{} --zoom-left 100"),
@@ -112,10 +109,7 @@ TRIED = {
         f"{MEASURE.replace('rig.yaml', 'z.yaml')} --zoom-left 100 && "
         "convert rig z.yaml -o fixed.yaml --zoom-left 100 && doctor --rig fixed.yaml",
     ),
-    ("optics/rig.py", "Give the rig.yaml of a pair"): (
-        "doctor --rig three.yaml",
-        f"{STEREO} && doctor --rig c.yaml",
-    ),
+    ("optics/rig.py", "Give the rig.yaml of a pair"): ("doctor --rig three.yaml", f"{STEREO} && doctor --rig c.yaml"),
     ("ops/flags.py", "Write for instance --camera"): (f"{OF_CAMERAS} --camera left", OF_NAMED),
     ("ops/sources/cameras.py", "Leave --{} or --camera {}= away"): (
         f"{MEASURE} --camera left=left",
@@ -204,10 +198,7 @@ TRIED = {
         f"{OF_TIMED} {SIDES} --target labels.yaml",
         "{} --timing pairs",
     ),
-    ("ops/recording/record.py", "Give --left and --right, or --cell"): (
-        "record -o a.mcap",
-        RECORD,
-    ),
+    ("ops/recording/record.py", "Give --left and --right, or --cell"): ("record -o a.mcap", RECORD),
     ("store/recording/mcapfile.py", "or give --overwrite"): (f"{RECORD} && {RECORD}", f"{RECORD} --overwrite"),
     ("ops/recording/export.py", "Give --to with one of"): (
         f"{RECORD} && convert recording a.mcap -o f --to zip",
@@ -242,10 +233,7 @@ TRIED = {
         (beside, LIT.replace("mirrors -o", "beside -o") + " --target lit.yaml"),
         STEREO,
     ),
-    ("calibrate/mirrors/calibration.py", "Cut every image in two"): (
-        (beside, f"{MIRRORS} --image beside"),
-        STEREO,
-    ),
+    ("calibrate/mirrors/calibration.py", "Cut every image in two"): ((beside, f"{MIRRORS} --image beside"), STEREO),
     ("ops/machine.py", "Give --rig with it"): ("doctor --depth 1", "{} --rig rig.yaml"),
     ("ops/machine.py", "Give --rig and --depth"): ("doctor --accuracy 1", "{} --rig rig.yaml --depth 1"),
     ("ops/simulation/run.py", "Leave --room and --zoom"): (

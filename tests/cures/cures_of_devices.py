@@ -221,10 +221,7 @@ TRIED = {
         found(0.5, 4.0, period_px=30),
         found(0.8, 1.3, period_px=30),
     ),
-    ("armsight_plant/foxglove.py", "Choose another port"): (
-        published(taken=True),
-        published(taken=False),
-    ),
+    ("armsight_plant/foxglove.py", "Choose another port"): (published(taken=True), published(taken=False)),
     ("store/recording/reader.py", "Give a recording made by"): (
         (joints_only, lambda: frames_of("joints.mcap")),
         (RECORD, lambda: frames_of("a.mcap")),

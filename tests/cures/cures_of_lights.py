@@ -174,8 +174,5 @@ TRIED = {
         f"{IDENTIFY} {LIVE} --rig cell/rig.yaml --target cell/target.yaml",
         IDENTIFY,
     ),
-    ("cli/identify.py", "Give --rig, --target, --limits, and"): (
-        f"identify --live {SIM} -o a.yaml",
-        identified,
-    ),
+    ("cli/identify.py", "Give --rig, --target, --limits, and"): (f"identify --live {SIM} -o a.yaml", identified),
 }

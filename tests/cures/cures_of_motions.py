@@ -44,7 +44,7 @@ from armsight.store import read_rig, read_target
 H_YAML = Path("h.yaml")
 FILES: dict[str, str] = {
     "motion.csv": "t_s,q1,q2,q3,q4,q5,q6\n"
-    + "".join(f"{0.1 * k},{0.01 * k},-1.05,1.6,-0.5,1.7,0.1\n" for k in range(8)),
+    + "".join(f"{0.1 * k},{0.01 * k},-1.05,1.6,-0.5,1.7,0.1\n" for k in range(8))
 }
 UR = preset("ur10")
 AT = np.array([0.0, -1.0, 1.5, -0.5, 1.5, 0.0])
@@ -259,22 +259,10 @@ TRIED = {
         lights("lit.yaml", "mirrors.yaml", overlaid=True),
     ),
     ("ops/servo/vision.py", "or --image for a mirror rig"): (eyes(), eyes(**LIVE_EYES)),
-    ("ops/verification/live.py", "Give seconds, more than zero"): (
-        times(blind_stop_s=0.0),
-        times(blind_stop_s=0.5),
-    ),
-    ("ops/verification/live.py", "Give degrees, zero or more"): (
-        times(joint_std=-1.0),
-        times(joint_std=0.0),
-    ),
-    ("ops/verification/live.py", "Give seconds, zero or more"): (
-        times(latency_s=-1.0),
-        times(latency_s=0.0),
-    ),
-    ("ops/verification/live.py", "Leave --play away"): (
-        supervised(play=True, **LIVE_EYES),
-        supervised(**LIVE_EYES),
-    ),
+    ("ops/verification/live.py", "Give seconds, more than zero"): (times(blind_stop_s=0.0), times(blind_stop_s=0.5)),
+    ("ops/verification/live.py", "Give degrees, zero or more"): (times(joint_std=-1.0), times(joint_std=0.0)),
+    ("ops/verification/live.py", "Give seconds, zero or more"): (times(latency_s=-1.0), times(latency_s=0.0)),
+    ("ops/verification/live.py", "Leave --play away"): (supervised(play=True, **LIVE_EYES), supervised(**LIVE_EYES)),
     ("ops/sources/cameras.py", "Give live cameras, such as"): (
         supervised(left=f"camera:{SIM}:left", right=f"camera:{SIM}:right"),
         supervised(**LIVE_EYES),

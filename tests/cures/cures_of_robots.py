@@ -115,10 +115,7 @@ TRIED = {
         plant(opcua=URL, opcua_certificate=CERTIFICATE, opcua_anonymous=True),
         plant(**SAFE, opcua_anonymous=True),
     ),
-    ("armsight_plant/options.py", "makes a pair"): (
-        plant(opcua=URL),
-        lambda: plant(**SAFE, opcua_users=TOKENS)(),
-    ),
+    ("armsight_plant/options.py", "makes a pair"): (plant(opcua=URL), lambda: plant(**SAFE, opcua_users=TOKENS)()),
     ("armsight_plant/options.py", "or --opcua-anonymous to let"): (
         plant(**SAFE),
         lambda: [plant(**SAFE, opcua_users=TOKENS)(), plant(**SAFE, opcua_anonymous=True)()],

@@ -93,10 +93,7 @@ TRIED = {
     (
         "armsight_lab/cell_plan/scene.py",
         "Look at the joints' limits, the workspace and the forbidden boxes (--limits)",
-    ): (
-        walled_in(START, lambda lower, upper: f"workspace: {box(lower, upper)}\n"),
-        in_view,
-    ),
+    ): (walled_in(START, lambda lower, upper: f"workspace: {box(lower, upper)}\n"), in_view),
     ("armsight_lab/cell_plan/scene.py", "and begin there (--start)"): (walled_in(AWAY, pocket), in_view),
     ("ops/compare/run.py", "Convert it first: armsight convert camera"): (
         "compare camera.yml camera.yml -o c",
@@ -117,11 +114,7 @@ TRIED = {
     ),
     ("drivers/aravis.py", "a camera that is set to wait for a trigger"): (silent(), silent(trigger="Line0")),
     ("store/interpret/read.py", "add a column t_s in seconds"): (
-        (
-            MOVING.removesuffix(" && "),
-            untimed("measured.csv", "m.csv"),
-            STREAMS.replace("measured.csv", "m.csv"),
-        ),
+        (MOVING.removesuffix(" && "), untimed("measured.csv", "m.csv"), STREAMS.replace("measured.csv", "m.csv")),
         STREAMS,
     ),
 }

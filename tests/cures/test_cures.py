@@ -5,7 +5,6 @@ A new cure that names a flag, a command or a unit needs its entry: the number of
 
 from __future__ import annotations
 
-import ast
 import re
 import shlex
 import sys
@@ -21,202 +20,144 @@ from cure_inventory import NAMES, ROOT, Cure, cures
 UNTRIED = 0
 """Cures that name a flag, a command or a unit and are followed nowhere yet. Lower it when entries are added."""
 
-REPORTS = "tests/golden/reports/"
-CELL = "tests/truth/test_cell.py::test_a_fault_is_refused_and_the_recording_without_it_is_the_cure"
-IN_TESTS = {
-    (
-        "ops/calibration/board_images.py",
-        "perhaps --board",
-    ): f"{REPORTS}test_old_charuco.py::test_the_old_layout_is_read",
-    ("calibrate/arm/points.py", "armsight measure"): (
-        f"{REPORTS}test_touched.py::test_touched_points_are_named_and_touching_is_the_cure"
-    ),
-    ("calibrate/arm/touch/model.py", "Give reading_m in m"): (
-        "tests/truth/test_touch.py::test_gauges_read_in_millimetres_and_columns_exchanged_are_refused"
-    ),
-    ("calibrate/handeye/one_axis.py", "Give metres, or the unit with the number"): (
-        "tests/truth/test_handeye_one_axis.py::test_a_height_in_millimetres_taken_as_metres_is_refused"
-    ),
-    ("armsight_lab/design/plan.py", "Calibrate them (armsight calibrate cameras)"): (
-        "tests/truth/test_design.py::test_other_cameras_than_a_pair_are_planned_as_they_are_calibrated"
-    ),
-    ("drivers/timed_moments.py", "Set all cameras to one frame rate and one clock"): (
-        "tests/unit/drivers/test_moments.py::test_a_camera_apart_is_told_with_its_cure_and_each_cure_keeps_it"
-    ),
-    ("ops/identification/beacon_observer.py", "Give a target of one light"): (
-        "tests/unit/app/test_identify_live.py::test_a_target_without_a_light_to_follow_is_refused_before_anything_moves"
-    ),
-    ("ops/identification/live.py", "for it in --limits, or less"): (
-        "tests/unit/app/test_identify_live.py::"
-        "test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_moves"
-    ),
-    ("calibrate/arm/senses.py", "Change the sign of {} in the arm"): (
-        f"{REPORTS}test_senses.py::test_a_joint_that_counts_the_other_way_is_named_and_the_cure_works"
-    ),
-    ("calibrate/cameras/lens_choice.py", "Use --lens"): (
-        f"{REPORTS}test_pairs.py::test_a_mount_that_creeps_is_named_and_the_rig_is_right"
-    ),
-    ("calibrate/handeye/pairs.py", "armsight calibrate robot-world"): (
-        f"{REPORTS}test_base_and_tool.py::test_the_rig_stands_in_the_axes_of_the_base_link"
-    ),
-    ("calibrate/handeye/advice.py", "on apart"): (
-        "tests/truth/test_handeye_places.py::test_a_mount_that_slipped_is_told_with_the_row"
-    ),
-    ("calibrate/timing/stamps.py", "Give its stamps in seconds"): (
-        "tests/truth/test_timing_calibration.py::"
-        "test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure"
-    ),
-    ("calibrate/tooltip.py", "25 degrees"): f"{REPORTS}test_tips.py::test_a_narrow_pivot_is_refused_for_its_tilt",
-    ("calibrate/tooltip_result.py", "Leave the point out"): (
-        "tests/truth/test_tooltip.py::test_a_point_that_is_not_where_it_was_measured_is_refused"
-    ),
-    ("calibrate/tooltip_result.py", "on apart"): (
-        "tests/truth/test_tooltip.py::test_two_settings_in_one_table_are_told_with_the_row"
-    ),
-    ("store/interpret/standard.py", "Give --columns with -"): (
-        f"{REPORTS}test_tracker_files.py::test_of_two_bodies_nobody_chooses_by_a_name"
-    ),
-    ("store/recording/record_reader.py", "`armsight record --repair`"): (
-        "tests/unit/recording/test_recording_files.py::test_damage_within_is_told_and_costs_one_chunk"
-    ),
-    ("store/bags.py", "`armsight record --repair {}"): (
-        "tests/unit/store/test_bag_files.py::test_a_file_that_breaks_off_is_saved_as_its_cure_says"
-    ),
-    ("store/bags.py", "`sqlite3 FILE '.clone mended.db3'`"): (
-        "tests/unit/store/test_bag_files.py::test_a_damaged_database_is_saved_as_its_cure_says"
-    ),
-    ("ops/path/picks.py", "; or leave them out with --skip"): (
-        "tests/unit/cli/test_path_from_picks.py::test_what_is_not_found_is_named_and_left_out_only_when_asked"
-    ),
-    ("armsight_lab/history/series.py", "--since"): (
-        "tests/unit/cli/test_history.py::test_two_arms_in_one_cell_are_told_and_not_held_against_each_other"
-    ),
-    ("calibrate/mirrors/calibration.py", "Exchange the sources of --left-only"): (
-        "tests/unit/app/test_mirrors.py::test_covered_views_exchanged_or_joined_are_told"
-    ),
-    **{
-        (f"store/{module}.py", words): f"{REPORTS}test_urdfs.py::test_what_is_refused_is_read_once_its_cure_is_followed"
-        for module, words in (
-            ("urdf_tree", "Write radians"),
-            ("urdf_tree", "Write metres"),
-            ("urdf_elements", "Write radians"),
-            ("urdf", "Write metres here"),
-        )
-    },
-    (
-        "ops/calibration/cell.py",
-        "Give the size of the images in which the spots were found: --size, or --right-size of the right one; give "
-        "frames where images are cut out of larger ones",
-    ): "tests/unit/cli/test_cell.py::test_a_size_that_is_not_the_images_is_refused",
-    ("calibrate/cell/rounds.py", "See that the target's lights shine"): CELL,
-    ("calibrate/cell/rounds.py", "Check that --model is of this arm and its signs"): CELL,
-    ("calibrate/cell/rounds.py", "Switch off the mirroring"): CELL,
-    ("calibrate/cameras/board_shape.py", "Check what --board says"): (
-        "tests/unit/calibrate/test_other_board.py::test_points_that_are_no_such_board_are_refused_by_what_they_miss"
-    ),
-    ("armsight_lab/batch/run.py", "Begin it again, then give --resume"): (
-        "tests/unit/app/test_batch.py::test_resume_does_what_is_missing_changed_or_failed_by_chance"
-    ),
-    ("ops/path/picks.py", "Leave them out with --skip"): (
-        "tests/unit/cli/test_path_from_picks.py::test_what_is_not_found_is_named_and_left_out_only_when_asked"
-    ),
-    ("drivers/remote/wire.py", "Check that `armsight serve` runs there"): (
-        "tests/unit/server/test_server.py::test_nobody_answers"
-    ),
-    ("armsight_plant/opcua/publisher.py", "Choose another port or address with --opcua"): (
-        "tests/unit/publish/test_opcua.py::test_a_port_in_use_is_told"
-    ),
-    ("armsight_lab/batch/work.py", "Make room, then give --resume"): (
-        "tests/unit/app/test_batch.py::test_a_full_disk_ends_the_batch_and_keeps_what_is_done"
-    ),
-    ("armsight_lab/design/simulate.py", "Give --board and --views"): (
-        "tests/unit/app/test_design.py::test_simulated_runs_are_a_batch_and_beside_the_forecast"
-    ),
-    ("ops/identification/solve.py", "Use --method ml"): (
-        "tests/truth/test_identify_doubts.py::test_the_method_of_the_paper_is_refused_where_it_is_useless"
-    ),
-    ("app/guided/cell.py", "Bring the controller's log"): (
-        "tests/unit/app/test_guided_cell.py::test_the_result_is_the_commands_and_all_of_it_is_used_at_once"
-    ),
-    ("cli/files.py", "Give --pdf"): "tests/unit/app/test_print_report.py::test_a_browser_prints_it_with_its_plot",
-    ("store/urdf_tree.py", "with --tip, such as"): (
-        f"{REPORTS}test_base_and_tool.py::test_one_of_two_tools_is_asked_for_and_the_cure_names_it"
-    ),
-    ("measure/consistency/other_setups.py", "Multiply xyz_m of both cameras"): (
-        "tests/unit/app/test_other_scale.py::test_a_rig_in_another_unit_is_named_and_its_cure_works"
-    ),
-    ("armsight_lab/batch/work.py", "fewer workers at once (--jobs)"): (
-        "tests/unit/app/test_batch.py::"
-        "test_a_job_whose_worker_is_killed_is_done_again_and_one_that_kills_three_is_done_by_one_as_its_cure_says"
-    ),
-    ("armsight_lab/cli/batch_commands.py", "Give fewer workers (--jobs)"): (
-        "tests/unit/cli/test_batch.py::test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone"
-    ),
-    ("calibrate/arm/senses.py", "In an arm.yaml (`armsight convert arm` writes one)"): (
-        f"{REPORTS}test_senses.py::test_readings_that_count_from_other_places_are_named_and_the_cure_works"
-    ),
-    ("calibrate/cell/calibrate.py", "Check that --model is this arm"): (
-        "tests/truth/test_cell.py::"
-        "test_a_target_whose_file_says_another_size_is_refused_and_its_size_as_built_is_the_cure"
-    ),
-    ("measure/poses/beacon.py", "cover or mask the others (--mask)"): (
-        "tests/unit/spots/test_coloured_rivals.py::"
-        "test_of_lights_that_look_alike_the_one_that_a_mask_leaves_is_the_beacon"
-    ),
-    ("measure/poses/beacon.py", "or give diameter_m in target.yaml"): (
-        "tests/unit/spots/test_coloured_rivals.py::"
-        "test_the_diameter_tells_the_beacon_from_other_lights_where_lamps_are_masked"
-    ),
-    ("calibrate/arm/touch/faults.py", "Measure it again, and look whether the names"): (
-        "tests/truth/test_touch.py::test_a_length_typed_wrong_is_refused"
-    ),
-    ("calibrate/handeye/calibrate.py", "Leave --target-height away"): (
-        "tests/truth/test_handeye_one_axis.py::test_a_height_that_is_not_needed_is_refused"
-    ),
-    ("ops/calibrate_hand_eye.py", "Give the poses as --pairs, or no height"): (
-        "tests/truth/test_handeye_one_axis.py::test_a_height_that_is_not_needed_is_refused"
-    ),
-    ("calibrate/handeye/one_axis.py", "give it with --target-height"): (
-        "tests/truth/test_handeye_one_axis.py::test_without_a_height_what_is_known_is_told_and_what_is_open_named"
-    ),
-    ("calibrate/handeye/one_axis.py", "Check --setup"): (
-        "tests/truth/test_handeye_one_axis.py::test_gross_pairs_are_left_out_and_a_wrong_setup_is_refused"
-    ),
-    ("ops/calibrate_robot.py", "Leave them away with --touch"): (
-        f"{REPORTS}test_touched.py::test_touched_points_are_named_and_touching_is_the_cure"
-    ),
-    ("store/urdf_tree.py", "Name the last link of the chain you mean with --tip: {}"): (
-        "tests/unit/store/test_urdf_chains.py::test_a_finger_beside_a_fixed_tool_is_no_joint_of_the_arm_unasked"
-    ),
-    ("drivers/linuxcnc/driver.py", "Give its file with --arm"): (
-        "tests/contracts/test_linuxcnc_offsets.py::test_what_offsets_need_is_refused_with_the_line_to_add"
-    ),
-    **dict.fromkeys(
-        (
-            ("control/paths/linuxcnc.py", "with --controller"),
-            ("control/paths/linuxcnc.py", "Lower the path's speed"),
-            ("control/paths/linuxcnc.py", "begin from another posture (--start)"),
-            ("ops/path/export.py", "Give the arm (--arm), and what its joints may"),
-        ),
-        "tests/unit/control/test_linuxcnc_program.py::test_what_is_refused_is_written_once_its_cure_is_followed",
-    ),
-    **{
-        ("drivers/servo_bus/found.py", words): (
-            "tests/contracts/test_servo_bus.py::test_the_ids_that_are_there_and_the_speed_that_is_told_open_it"
-        )
-        for words in ("(--robot-set ids=)", "Give --robot-set baud={}")
-    },
-    ("drivers/servo_bus/robot.py", "Name the arm's servos alone"): (
-        "tests/contracts/test_servo_bus.py::test_ranges_of_the_servos_hold_and_those_of_another_zero_are_refused"
-    ),
-    ("drivers/servo_bus/robot.py", "or signs and zero_steps"): (
-        "tests/contracts/test_servo_bus.py::test_a_direction_that_is_not_the_files_is_refused_and_signs_are_the_cure"
-    ),
-    ("calibrate/cameras/extended.py", "calibrate it again with --again"): (
-        "tests/truth/test_many_cameras.py::test_a_rig_that_is_no_longer_so_is_not_built_on_until_it_is_mended"
-    ),
+FOLLOWED_IN = {
+    "test_the_old_layout_is_read": ["ops/calibration/board_images.py: perhaps --board"],
+    "test_touched_points_are_named_and_touching_is_the_cure": [
+        "calibrate/arm/points.py: armsight measure",
+        "ops/calibrate_robot.py: Leave them away with --touch",
+    ],
+    "test_gauges_read_in_millimetres_and_columns_exchanged_are_refused": [
+        "calibrate/arm/touch/model.py: Give reading_m in m"
+    ],
+    "test_a_height_in_millimetres_taken_as_metres_is_refused": [
+        "calibrate/handeye/one_axis.py: Give metres, or the unit with the number"
+    ],
+    "test_other_cameras_than_a_pair_are_planned_as_they_are_calibrated": [
+        "armsight_lab/design/plan.py: Calibrate them (armsight calibrate cameras)"
+    ],
+    "test_a_camera_apart_is_told_with_its_cure_and_each_cure_keeps_it": [
+        "drivers/timed_moments.py: Set all cameras to one frame rate and one clock"
+    ],
+    "test_a_target_without_a_light_to_follow_is_refused_before_anything_moves": [
+        "ops/identification/beacon_observer.py: Give a target of one light"
+    ],
+    "test_limits_beyond_the_range_that_a_link_tells_are_refused_before_anything_moves": [
+        "ops/identification/live.py: for it in --limits, or less"
+    ],
+    "test_a_joint_that_counts_the_other_way_is_named_and_the_cure_works": [
+        "calibrate/arm/senses.py: Change the sign of {} in the arm"
+    ],
+    "test_a_mount_that_creeps_is_named_and_the_rig_is_right": ["calibrate/cameras/lens_choice.py: Use --lens"],
+    "test_the_rig_stands_in_the_axes_of_the_base_link": ["calibrate/handeye/pairs.py: armsight calibrate robot-world"],
+    "test_a_mount_that_slipped_is_told_with_the_row": ["calibrate/handeye/advice.py: on apart"],
+    "test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure": [
+        "calibrate/timing/stamps.py: Give its stamps in seconds"
+    ],
+    "test_a_narrow_pivot_is_refused_for_its_tilt": ["calibrate/tooltip.py: 25 degrees"],
+    "test_a_point_that_is_not_where_it_was_measured_is_refused": ["calibrate/tooltip_result.py: Leave the point out"],
+    "test_two_settings_in_one_table_are_told_with_the_row": ["calibrate/tooltip_result.py: on apart"],
+    "test_of_two_bodies_nobody_chooses_by_a_name": ["store/interpret/standard.py: Give --columns with -"],
+    "test_damage_within_is_told_and_costs_one_chunk": ["store/recording/record_reader.py: `armsight record --repair`"],
+    "test_a_file_that_breaks_off_is_saved_as_its_cure_says": ["store/bags.py: `armsight record --repair {}"],
+    "test_a_damaged_database_is_saved_as_its_cure_says": ["store/bags.py: `sqlite3 FILE '.clone mended.db3'`"],
+    "test_what_is_not_found_is_named_and_left_out_only_when_asked": [
+        "ops/path/picks.py: ; or leave them out with --skip",
+        "ops/path/picks.py: Leave them out with --skip",
+    ],
+    "test_two_arms_in_one_cell_are_told_and_not_held_against_each_other": ["armsight_lab/history/series.py: --since"],
+    "test_covered_views_exchanged_or_joined_are_told": [
+        "calibrate/mirrors/calibration.py: Exchange the sources of --left-only"
+    ],
+    "test_what_is_refused_is_read_once_its_cure_is_followed": [
+        "store/urdf_tree.py: Write radians",
+        "store/urdf_tree.py: Write metres",
+        "store/urdf_elements.py: Write radians",
+        "store/urdf.py: Write metres here",
+    ],
+    "test_a_size_that_is_not_the_images_is_refused": [
+        "ops/calibration/cell.py: --right-size of the right one; give frames"
+    ],
+    "test_a_fault_is_refused_and_the_recording_without_it_is_the_cure": [
+        "calibrate/cell/rounds.py: See that the target's lights shine",
+        "calibrate/cell/rounds.py: Check that --model is of this arm and its signs",
+        "calibrate/cell/rounds.py: Switch off the mirroring",
+    ],
+    "test_points_that_are_no_such_board_are_refused_by_what_they_miss": [
+        "calibrate/cameras/board_shape.py: Check what --board says"
+    ],
+    "test_resume_does_what_is_missing_changed_or_failed_by_chance": [
+        "armsight_lab/batch/run.py: Begin it again, then give --resume"
+    ],
+    "test_nobody_answers": ["drivers/remote/wire.py: Check that `armsight serve` runs there"],
+    "test_a_port_in_use_is_told": ["armsight_plant/opcua/publisher.py: Choose another port or address with --opcua"],
+    "test_a_full_disk_ends_the_batch_and_keeps_what_is_done": [
+        "armsight_lab/batch/work.py: Make room, then give --resume"
+    ],
+    "test_simulated_runs_are_a_batch_and_beside_the_forecast": [
+        "armsight_lab/design/simulate.py: Give --board and --views"
+    ],
+    "test_the_method_of_the_paper_is_refused_where_it_is_useless": ["ops/identification/solve.py: Use --method ml"],
+    "test_the_result_is_the_commands_and_all_of_it_is_used_at_once": ["app/guided/cell.py: Bring the controller's log"],
+    "test_a_browser_prints_it_with_its_plot": ["cli/files.py: Give --pdf"],
+    "test_one_of_two_tools_is_asked_for_and_the_cure_names_it": ["store/urdf_tree.py: with --tip, such as"],
+    "test_a_rig_in_another_unit_is_named_and_its_cure_works": [
+        "measure/consistency/other_setups.py: Multiply xyz_m of both cameras"
+    ],
+    "test_a_job_whose_worker_is_killed_is_done_again_and_one_that_kills_three_is_done_by_one_as_its_cure_says": [
+        "armsight_lab/batch/work.py: fewer workers at once (--jobs)"
+    ],
+    "test_a_command_that_ends_in_a_crash_or_without_memory_ends_its_job_alone": [
+        "armsight_lab/cli/batch_commands.py: Give fewer workers (--jobs)"
+    ],
+    "test_readings_that_count_from_other_places_are_named_and_the_cure_works": [
+        "calibrate/arm/senses.py: In an arm.yaml (`armsight convert arm` writes one)"
+    ],
+    "test_a_target_whose_file_says_another_size_is_refused_and_its_size_as_built_is_the_cure": [
+        "calibrate/cell/calibrate.py: Check that --model is this arm"
+    ],
+    "test_of_lights_that_look_alike_the_one_that_a_mask_leaves_is_the_beacon": [
+        "measure/poses/beacon.py: cover or mask the others (--mask)"
+    ],
+    "test_the_diameter_tells_the_beacon_from_other_lights_where_lamps_are_masked": [
+        "measure/poses/beacon.py: or give diameter_m in target.yaml"
+    ],
+    "test_a_length_typed_wrong_is_refused": [
+        "calibrate/arm/touch/faults.py: Measure it again, and look whether the names"
+    ],
+    "test_a_height_that_is_not_needed_is_refused": [
+        "calibrate/handeye/calibrate.py: Leave --target-height away",
+        "ops/calibrate_hand_eye.py: Give the poses as --pairs, or no height",
+    ],
+    "test_without_a_height_what_is_known_is_told_and_what_is_open_named": [
+        "calibrate/handeye/one_axis.py: give it with --target-height"
+    ],
+    "test_gross_pairs_are_left_out_and_a_wrong_setup_is_refused": ["calibrate/handeye/one_axis.py: Check --setup"],
+    "test_a_finger_beside_a_fixed_tool_is_no_joint_of_the_arm_unasked": [
+        "store/urdf_tree.py: Name the last link of the chain you mean with --tip: {}"
+    ],
+    "test_what_offsets_need_is_refused_with_the_line_to_add": ["drivers/linuxcnc/driver.py: Give its file with --arm"],
+    "test_what_is_refused_is_written_once_its_cure_is_followed": [
+        "control/paths/linuxcnc.py: with --controller",
+        "control/paths/linuxcnc.py: Lower the path's speed",
+        "control/paths/linuxcnc.py: begin from another posture (--start)",
+        "ops/path/export.py: Give the arm (--arm), and what its joints may",
+    ],
+    "test_the_ids_that_are_there_and_the_speed_that_is_told_open_it": [
+        "drivers/servo_bus/found.py: (--robot-set ids=)",
+        "drivers/servo_bus/found.py: Give --robot-set baud={}",
+    ],
+    "test_ranges_of_the_servos_hold_and_those_of_another_zero_are_refused": [
+        "drivers/servo_bus/robot.py: Name the arm's servos alone"
+    ],
+    "test_a_direction_that_is_not_the_files_is_refused_and_signs_are_the_cure": [
+        "drivers/servo_bus/robot.py: or signs and zero_steps"
+    ],
+    "test_a_rig_that_is_no_longer_so_is_not_built_on_until_it_is_mended": [
+        "calibrate/cameras/extended.py: calibrate it again with --again"
+    ],
 }
-"""By module and words of the cure: the test that follows it, or shows the new data that it asks for."""
+"""By test: the cures, as module and words, that it follows, or shows the new data that they ask for."""
+IN_TESTS = {tuple(cure.split(": ", 1)): test for test, cures_of_it in FOLLOWED_IN.items() for cure in cures_of_it}
 
 ENTRIES = [*TRIED, *IN_TESTS]
 FOLLOWED: set[frozenset[str]] = set()
@@ -271,11 +212,10 @@ def test_a_cure_that_is_followed_to_the_letter_works(entry):
         FOLLOWED.update({flags} - {frozenset()})
 
 
-@pytest.mark.parametrize("entry", IN_TESTS, ids=" ".join)
-def test_the_test_that_follows_a_cure_is_there(entry):
-    file, name = IN_TESTS[entry].split("::")
-    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-    assert name in {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+def test_the_tests_that_follow_cures_are_there():
+    files = (ROOT / "tests").rglob("test_*.py")
+    there = {name for file in files for name in re.findall(r"^ *def (test_\w+)", file.read_text(), re.MULTILINE)}
+    assert set(IN_TESTS.values()) <= there
 
 
 def test_every_entry_is_of_a_cure_that_the_product_gives():

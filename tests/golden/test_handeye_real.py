@@ -15,13 +15,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras import calibrate_camera
-from armsight.calibrate.handeye import (
-    ImageHandEye,
-    PosePairs,
-    Setup,
-    calibrate_eye_in_hand,
-    calibrate_from_views,
-)
+from armsight.calibrate.handeye import ImageHandEye, PosePairs, Setup, calibrate_eye_in_hand, calibrate_from_views
 from armsight.measure.boards import find_board
 from armsight.records import TargetKind, board_target
 

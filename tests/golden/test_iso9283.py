@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.verify.iso9283 import (
-    ArrivalTest,
-    CommandedPath,
-    Iso9283Test,
-    PathRun,
-    PathTest,
-    PoseVisits,
-    evaluate,
-)
+from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, evaluate
 
 MM = 1e-3
 MRAD = 1e-3

@@ -531,13 +531,11 @@ def cell(world: World, row: Row, caller: str, phase: str) -> str:
         return outcome(world.effects(), REFUSED)
 
 
-FOUND: dict[Row, dict[str, list[str]]] = {}
-
-
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: " ".join(row))
 def test_every_message_does_what_its_sender_may(world: World, row: Row) -> None:
-    FOUND[row] = {caller: [cell(world, row, caller, phase) for phase in PHASES] for caller in CALLERS}
-    assert FOUND[row] == {caller: [expected(row, caller, phase) for phase in PHASES] for caller in CALLERS}
+    phases = ("while",) if row[1].startswith("GET") else PHASES  # what is read is the same in all
+    found = {caller: [cell(world, row, caller, phase) for phase in phases] for caller in CALLERS}
+    assert found == {caller: [expected(row, caller, phase) for phase in phases] for caller in CALLERS}
 
 
 def test_no_message_and_no_route_is_left_out(world: World) -> None:

@@ -73,7 +73,7 @@ def stopped(served: Any) -> bool:
     return "stop" in (*orders, *told)
 
 
-def with_wrong_tokens(served: Any, _: ExitStack) -> None:
+def with_wrong_tokens(served: Any, *_: object) -> None:
     for k in range(FAILURES + 1):
         codes = [
             httpx.get(f"{served.at}{say.STATE_PATH}", headers=bearer(f"guess{k}")).status_code,
@@ -82,37 +82,36 @@ def with_wrong_tokens(served: Any, _: ExitStack) -> None:
     assert codes == [429, 429], "wrong ones stay limited"
 
 
-def with_all_connections(served: Any, stack: ExitStack) -> None:
+def with_all_connections(served: Any, stack: ExitStack, way: str) -> None:
     ask = f"GET /nothing HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {served.watch}\r\n\r\n".encode()
-    for at in (served.socket, served.line):
-        for _ in range(PER_ADDRESS):
-            line = stack.enter_context(silent(at))
-            line.sendall(ask)
-            assert line.recv(12)
+    for _ in range(PER_ADDRESS):
+        line = stack.enter_context(silent(served, way))
+        line.sendall(ask)
+        assert line.recv(12)
 
 
-def with_silent_connections(served: Any, stack: ExitStack) -> None:
-    for at in (served.socket, served.line):
-        for _ in range(2 * UNKNOWN_PER_ADDRESS):
-            stack.enter_context(silent(at))
+def with_silent_connections(served: Any, stack: ExitStack, way: str) -> None:
+    for _ in range(2 * UNKNOWN_PER_ADDRESS):
+        stack.enter_context(silent(served, way))
 
 
-def silent(at: str) -> socket.socket:
-    host, _, port = at.rpartition("//")[2].partition(":")
+def silent(served: Any, way: str) -> socket.socket:
+    """Return a connection to the server that a way of stopping goes to."""
+    host, _, port = (served.line if way.startswith("line") else served.socket).rpartition("//")[2].partition(":")
     return socket.create_connection((host, int(port)), timeout=WAIT_S)
 
 
-def with_watchers(served: Any, stack: ExitStack) -> None:
+def with_watchers(served: Any, stack: ExitStack, _: str) -> None:
     for _ in range(WATCHERS_PER_ADDRESS):
         opened(stack, served.socket + say.STREAM_PATH, bearer(served.watch))
 
 
-def with_warnings(served: Any, _: ExitStack) -> None:
+def with_warnings(served: Any, *_: object) -> None:
     for k in range(1000):
         served.service.authority.note("warning", f"{k}")
 
 
-def with_orders(served: Any, _: ExitStack) -> None:
+def with_orders(served: Any, *_: object) -> None:
     line = stop_line.StopLine(served.host.line, served.line_auth)
     with pytest.raises(DeviceLost):
         for _ in range(10_000):
@@ -146,7 +145,7 @@ def test_a_stop_with_a_right_token_passes(at_rest: Any, way: str, state: str) ->
     served = at_rest
     token = served.drive if way == "drive" else served.watch
     with ExitStack() as stack:
-        STATES[state](served, stack)
+        STATES[state](served, stack, way)
         WAYS[way](served, stack, bearer(token))
 
 

@@ -101,11 +101,7 @@ def world_error(seed: int, change: Callable[[ArmPoints], ArmPoints]) -> tuple[Ar
     found = calibrate_world(arm, change(ArmPoints(q=q, xyz_m=xyz, covariance=C)))
     want = T_rig_base.inv()
     turn = (found.pose.rotation * want.rotation.inv()).as_rotvec()
-    return (
-        np.append(found.pose.translation - want.translation, turn),
-        found.covariance.matrix,
-        found.rejected_rows,
-    )
+    return (np.append(found.pose.translation - want.translation, turn), found.covariance.matrix, found.rejected_rows)
 
 
 def test_the_rigs_place_from_rows_weighed_by_their_covariances() -> None:

@@ -243,7 +243,7 @@ def test_a_rig_that_is_further_off_than_it_says_is_told_or_refused() -> None:
         doubted(wave, 101, 10.0)
 
 
-@pytest.mark.parametrize("wave", [Wave(), Wave(views=4, lights=3), Wave(views=7)], ids=["3", "4, a target", "7"])
+@pytest.mark.parametrize("wave", [Wave(), Wave(views=4, lights=3)], ids=["3", "4, a target"])
 def test_clocks_of_many_cameras_are_found_as_well_as_claimed(wave: Wave) -> None:
     found = calibrate_clocks(*recorded(wave, 1))
     e, s = off(wave, found)

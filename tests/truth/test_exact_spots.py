@@ -11,7 +11,7 @@ from armsight.measure.poses.pipeline import Setup
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, spot_target
 
-RIGS, POSES = 20, 100
+RIGS, POSES = 20, 30
 
 
 def random_rig(rng: np.random.Generator) -> Rig:

@@ -92,13 +92,18 @@ def timed(setup: Setup, off: np.ndarray, std_s: float = 1e-4) -> Setup:
 
 
 def run(
-    views: int, seed: int, *, off: tuple[float, ...] = (0.0,) * 4, knock: Callable[[Ring], Ring] | None = None
+    views: int,
+    seed: int,
+    *,
+    off: tuple[float, ...] = (0.0,) * 4,
+    knock: Callable[[Ring], Ring] | None = None,
+    seconds: float = 5.0,
 ) -> tuple[FreeRun, Waved]:
     """Return what is measured of a waved target, which the given cameras see as they stand, and its motion."""
     rng, world = np.random.default_rng(seed), ring(views)
     motion = Waved(rng.uniform(0.0, 2.0 * np.pi, 6))
     setup = timed(setup_of(world), np.add(off[:views], np.append(0.0, rng.normal(0.0, 1e-4, views - 1))))
-    seen = streams(world if knock is None else knock(world), rng, motion)
+    seen = streams(world if knock is None else knock(world), rng, motion, seconds=seconds)
     return measure_free_running(setup, seen, None, None, Silent()), motion
 
 
@@ -153,11 +158,11 @@ def test_a_camera_that_was_knocked_is_named_and_left_out(turn_deg: float) -> Non
         return Ring(R, t)
 
     with pytest.warns(UserWarning, match="c2"):
-        done, motion = run(4, 6, knock=knocked)
+        done, motion = run(4, 6, knock=knocked, seconds=3.0)
     assert [one.names for one in done.consistency.left_out] == [("c2",)]
     assert {view.side for view in done.views} == {0, 1, 3}
     d, q = errors(done, motion)
-    assert len(d) > 100 and np.mean(q < chi2.ppf(0.95, 6)) > 0.85
+    assert len(d) > 60 and np.mean(q < chi2.ppf(0.95, 6)) > 0.85
 
 
 def moments(seed: int) -> tuple[np.ndarray, np.ndarray, int]:
@@ -181,11 +186,10 @@ def moments(seed: int) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def test_frames_put_together_as_moments_are_brought_to_one_time() -> None:
-    for seed in range(2):
-        d, q, n = moments(seed)
-        assert len(d) > 0.95 * n
-        assert np.sqrt(np.mean(np.sum(d[:, :3] ** 2, axis=1))) < 1.5e-4
-        assert np.mean(q < chi2.ppf(0.95, 6)) > 0.92
+    d, q, n = moments(0)
+    assert len(d) > 0.95 * n
+    assert np.sqrt(np.mean(np.sum(d[:, :3] ** 2, axis=1))) < 1.5e-4
+    assert np.mean(q < chi2.ppf(0.95, 6)) > 0.92
 
 
 def test_one_camera_alone_follows_too() -> None:

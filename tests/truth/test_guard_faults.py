@@ -35,12 +35,7 @@ SCENARIO = load_scenario("webcam-cell")[0]
 T_FLANGE_TOOL = RigidTransform.from_components([0.0, 0.0, 0.15], Rotation.from_euler("x", 0.4))
 HOME = np.radians([0.0, -60.0, 90.0, -30.0, 90.0, 0.0])
 SERVO, PLAY, GOAL = "servo", "play", "goal"
-RUNNING, HOLDING, DISABLED, STOPPED = (
-    GuardState.RUNNING,
-    GuardState.HOLDING,
-    GuardState.DISABLED,
-    GuardState.STOPPED,
-)
+RUNNING, HOLDING, DISABLED, STOPPED = (GuardState.RUNNING, GuardState.HOLDING, GuardState.DISABLED, GuardState.STOPPED)
 AGE_S = 0.1
 SILENT_CYCLES = 3.0
 

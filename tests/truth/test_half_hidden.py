@@ -219,11 +219,7 @@ def beacon(cuts: tuple[dict[int, Cut], dict[int, Cut]], *, shade: float = 0.0, s
 
 @pytest.mark.parametrize(
     ("cuts", "shade"),
-    [
-        (({0: (0.3, 1.0)}, {}), 0.0),
-        (({}, {0: (3.3, 1.5)}), 0.0),
-        (({0: (4.7, 1.5)}, {0: (4.7, 1.5)}), 20.0),
-    ],
+    [(({0: (0.3, 1.0)}, {}), 0.0), (({}, {0: (3.3, 1.5)}), 0.0), (({0: (4.7, 1.5)}, {0: (4.7, 1.5)}), 20.0)],
 )
 def test_a_beacon_is_placed_as_surely_as_its_outlines_allow(
     cuts: tuple[dict[int, Cut], dict[int, Cut]], shade: float, monkeypatch: pytest.MonkeyPatch

@@ -15,18 +15,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import (
     HandEyeResult,
-    ObservationModel,
     PosePairs,
-    Setup,
     calibrate_eye_in_hand,
     calibrate_eye_to_hand,
-    calibrate_from_views,
     pairs_of_streams,
     propose,
     time_offset,
 )
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
-from armsight.optics import Camera
 from armsight.records import BoardView, TargetKind, board_target
 from refusals import names_it, refuses
 
@@ -313,31 +309,3 @@ def pictures(seed: int, K: np.ndarray, distortion: np.ndarray) -> tuple[list[Boa
         uv = uv + rng.normal(0, 0.1, uv.shape)
         views.append(BoardView(uv_px=uv, index=np.arange(54), sigma_px=0.05, width=1280, height=960, source=f"{i}.png"))
     return views, shaken(rng, Z * seen.inv() * X.inv(), 0.05 * MM, 0.01 * DEG)
-
-
-def test_images_are_no_worse_than_poses_and_corners_know_the_cameras_share() -> None:
-    K = np.array([[1100.0, 0, 640], [0, 1100, 480], [0, 0, 1]])
-    distortion = np.array([-0.2, 0.05, 1e-3, -5e-4, 0.0])
-    camera = Camera.pinhole(1280, 960, 1100, 1100, 640, 480, distortion=distortion)
-    board = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
-    z, by_image, by_pose = [], [], []
-    for seed in range(6):
-        views, robot = pictures(seed, K, distortion)
-        done = calibrate_from_views(views, list(robot), camera, board, Setup.EYE_IN_HAND)
-        result = done.result
-        assert result.comparison is not None
-        z.append(off(result) / np.sqrt(np.diag(result.covariance.matrix)))
-        assert result.reprojection_rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
-        assert result.noise.robot_m.known
-        by_image.append(off(result)[:3])
-        by_pose.append(off(done.from_poses)[:3])
-    assert np.sqrt((np.array(z) ** 2).mean()) == pytest.approx(1.0, abs=0.35)  # 6 x 12 correlated numbers
-    assert np.linalg.norm(by_image) <= np.linalg.norm(by_pose)  # poses are weighed by what the corners know
-    wrong = Camera.pinhole(1280, 960, 1108, 1108, 640, 480, distortion=distortion)
-    views, robot = pictures(7, K, distortion)
-    freed = calibrate_from_views(views, list(robot), wrong, board, Setup.EYE_IN_HAND, free_camera=True)
-    assert freed.camera.intrinsics[:2] == pytest.approx([1100, 1100], abs=1.5)
-    assert freed.result.comparison is not None and freed.result.comparison.kept is ObservationModel.CORNERS_AND_CAMERA
-    with refuses(Inconsistent, "640x480", "camera file"):
-        small = Camera.pinhole(640, 480, 550, 550, 320, 240)
-        calibrate_from_views(views, list(robot), small, board, Setup.EYE_IN_HAND)

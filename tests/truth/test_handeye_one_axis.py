@@ -42,10 +42,7 @@ def test_one_height_gives_all_of_it_and_the_deviations_hold(setup):
         rng = np.random.default_rng([seed, len(setup)])
         height = float(TARGET.translation[2] + rng.normal(0, sigma))
         done = calibrate_hand_eye(
-            *scara(rng, to_hand=setup == "eye-to-hand"),
-            setup=setup,
-            target_height_m=height,
-            target_height_std_m=sigma,
+            *scara(rng, to_hand=setup == "eye-to-hand"), setup=setup, target_height_m=height, target_height_std_m=sigma
         )
         for found, true, std in (
             (done.T_parent_camera, CAMERA, done.std),

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from armsight.verify.iso9283 import CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, evaluate
 from armsight.verify.iso9283.figure import radial
 
-TRIALS = 300
+TRIALS = 200
 VISITS = 30
 APPROXIMATION = 0.05
 RATIO = 4.0 / sqrt(2.0 * TRIALS) + APPROXIMATION

@@ -52,13 +52,6 @@ def test_the_plane_of_three_points_becomes_x_y() -> None:
         assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
 
 
-def test_equation_two_as_printed_leaves_the_second_point_off_the_plane() -> None:
-    x, y = 3.0, 4.0
-    c, s = x / 5.0, y / 5.0
-    printed = np.array([[c, -s], [s, c]]) @ [x, y]
-    assert abs(printed[1]) > 1.0
-
-
 def test_circumcentres_leave_lines_out() -> None:
     centres, radii = circumcentres(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
     assert len(centres) == 3  # of four combinations one is a line

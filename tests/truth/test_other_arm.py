@@ -57,10 +57,7 @@ def typed(name: str, joint: int, **values: float) -> Arm:
 
 @pytest.mark.parametrize(
     ("built", "nominal", "name", "wanted_m"),
-    [
-        ("ur5e", preset("ur5"), "j4.d_m", 0.1333),
-        ("ur5e", typed("ur5e", 2, a_m=-0.452), "j2.a_m", -0.425),
-    ],
+    [("ur5e", preset("ur5"), "j4.d_m", 0.1333), ("ur5e", typed("ur5e", 2, a_m=-0.452), "j2.a_m", -0.425)],
 )
 def test_another_arms_figures_are_no_gain_and_the_wrong_one_is_named(
     built: str, nominal: Arm, name: str, wanted_m: float

@@ -41,9 +41,9 @@ SWAYING = rows(*[(10.0, 40.0), (10.0, -40.0)] * 2, x_deg=0.7)
 EVERY_CYCLE = np.random.default_rng(3).uniform(0.05, 1.0, 4096)
 
 
-def swaying() -> Case:
+def swaying(path: TaughtPath = SWAYING) -> Case:
     """Turns to and fro as fast as the joints can, while the override changes in every cycle."""
-    return case(SWAYING, lambda k: float(EVERY_CYCLE[k % 4096]), {60: True, 110: False}, speed_m_s=0.06)
+    return case(path, lambda k: float(EVERY_CYCLE[k % 4096]), {60: True, 110: False}, speed_m_s=0.06)
 
 
 @pytest.mark.parametrize("seed", [91, 186, 1007, 1011])
@@ -95,7 +95,7 @@ def test_a_path_that_does_not_wait_for_the_arm_is_left(monkeypatch: pytest.Monke
 def test_an_override_that_changes_at_once_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     made = Track.__init__
     monkeypatch.setattr(Track, "__init__", lambda self, samples, law, _: made(self, samples, law, (1e4, 1e7)))
-    assert run(swaying()).limited
+    assert run(swaying(rows((10.0, 40.0), (10.0, -40.0), x_deg=0.7))).limited
 
 
 def test_a_plan_that_leaves_no_room_to_brake_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -83,11 +83,7 @@ def test_ellipsoids_hold_the_truth_and_likelihood_beats_kabsch() -> None:
         difference = pose_difference(found, T)
         q.append(difference @ np.linalg.solve(covariance, difference))
         points = triangulate_closed(
-            RIG,
-            measured.left.uv_px,
-            measured.right.uv_px,
-            measured.left.covariance_px2,
-            measured.right.covariance_px2,
+            RIG, measured.left.uv_px, measured.right.uv_px, measured.left.covariance_px2, measured.right.covariance_px2
         )
         kabsch = pose_difference(align_points(points.xyz_m, model).T_a_b, T)
         ours.append(difference)

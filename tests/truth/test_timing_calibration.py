@@ -151,7 +151,7 @@ def calibrated(name: str, seed: int) -> TimingResult:
     return calibrate_timing(*record(CASES[name], np.random.default_rng(seed)), PLACES)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [name for name in CASES if name != "25 and 50"])  # like the third, told apart below
 def test_timing_is_found_as_well_as_claimed(name: str) -> None:
     truth = CASES[name]
     errors, claims = [], []

@@ -156,7 +156,7 @@ def test_two_settings_in_one_table_are_told_with_the_row(slip: tuple[NDArray[np.
 @pytest.mark.parametrize("n", [8, 30])
 def test_a_point_that_is_not_where_it_was_measured_is_refused(n: int) -> None:
     rng = np.random.default_rng(9)
-    for _ in range(20):
+    for _ in range(6):
         poses = pivot(rng, n, noise=0.5)
         wrong = MeasuredPoint(xyz_m=POINT + 5 * MM * np.eye(3)[1], sigma_m=0.2 * MM)
         with refuses(Inconsistent, "measured", "--point-sigma"):

@@ -32,10 +32,9 @@ def held(of: Turning) -> dict[str, KnownLens]:
     return {name: KnownLens(camera=Camera(width=SIZE[0], height=SIZE[1], intrinsics=k)) for name, k in each}
 
 
-@pytest.mark.parametrize("angles", [(-25.0, 25.0, 155.0, 205.0), (0.0, 80.0, 180.0, 260.0)])
-def test_cameras_on_opposite_sides_stand_within_the_bound_and_their_claim(angles: tuple[float, ...]) -> None:
-    """In the first cell cameras of one side see nothing that those of the other do: only the turning joins them."""
-    true = plate(angles, 5)
+def test_cameras_on_opposite_sides_stand_within_the_bound_and_their_claim() -> None:
+    """Cameras of one side see nothing that those of the other do: only the turning joins them."""
+    true = plate((-25.0, 25.0, 155.0, 205.0), 5)
     bound, chi2, own = true.bound(SIGMA_PX), [], []
     for seed in range(4):
         done = solve_cameras(true.views(C, SIGMA_PX, np.random.default_rng(seed)), BOTH, PLAIN, lenses=held(true))

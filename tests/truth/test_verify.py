@@ -74,7 +74,7 @@ def arm(known: bool = False) -> Arm:
     return dh_arm("ur", rows, **({"T_world_base": BASE, "T_flange_tool": TOOL} if known else {}))
 
 
-def poses(seed: int, n: int = 60) -> tuple[np.ndarray, np.random.Generator]:
+def poses(seed: int, n: int = 40) -> tuple[np.ndarray, np.random.Generator]:
     rng = np.random.default_rng(seed)
     return MIDDLE + rng.uniform(-1.2, 1.2, (n, 6)), rng
 
@@ -115,7 +115,7 @@ def along_the_view(q: np.ndarray, rng: np.random.Generator) -> tuple[Measured, n
 
 
 def test_a_file_gives_the_fit_of_the_poses_in_memory_and_correlations_count(tmp_path: Path) -> None:
-    q, rng = poses(3)
+    q, rng = poses(3, 24)
     measured, C = along_the_view(q, rng)
     T = RigidTransform.from_components(measured.xyz_m, Rotation.from_matrix(measured.rotation)).as_matrix()
     rows = [
@@ -243,7 +243,7 @@ def test_joint_errors_are_those_put_in() -> None:
 
 
 def test_foreign_and_repeated_rows_are_named_and_the_others_kept() -> None:
-    q, rng = poses(80)
+    q, rng = poses(80, 60)
     good = seen(TABLE, q, rng)
     xyz, R = good.xyz_m.copy(), np.array(good.rotation)
     xyz[[5, 17, 18]] = rng.normal(0.0, 1.0, (3, 3))
@@ -255,7 +255,7 @@ def test_foreign_and_repeated_rows_are_named_and_the_others_kept() -> None:
 
 
 def test_rows_that_a_wrong_zero_throws_far_out_are_not_foreign() -> None:
-    q, rng = poses(80)  # row 25 is stretched, beyond all others
+    q, rng = poses(80, 60)  # row 25 is stretched, beyond all others
     measured = seen(changed(1, 3, np.deg2rad(-0.6)), q, rng)
     nominal = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
     assert [row for row, _ in align(fk(arm(), q), measured, nominal, Align.BOTH).rejected] == [25]
@@ -264,7 +264,7 @@ def test_rows_that_a_wrong_zero_throws_far_out_are_not_foreign() -> None:
 
 
 def test_mirrored_millimetres_and_inverted_rotations_are_recognised() -> None:
-    q, rng = poses(90)
+    q, rng = poses(90, 20)
     good = seen(TABLE, q, rng)
     turned = np.swapaxes(np.array(good.rotation), 1, 2)
     for measured, said in (
@@ -278,7 +278,7 @@ def test_mirrored_millimetres_and_inverted_rotations_are_recognised() -> None:
 
 
 def stream(seed: int, period: float | None = None) -> tuple[Reported, np.ndarray, np.ndarray, np.random.Generator]:
-    """Joints at 125 Hz with 1 % lost, times and joint values of measurements at 100 Hz."""
+    """Joints at 125 Hz with 1 % lost, times and joint values of measurements at 50 Hz."""
     rng = np.random.default_rng(seed)
     size, rate, phase = rng.uniform(0.05, 0.3, (6, 4)), rng.uniform(0.05, 0.4, (6, 4)), rng.uniform(0, 6, (6, 4))
     if period is not None:
@@ -287,7 +287,7 @@ def stream(seed: int, period: float | None = None) -> tuple[Reported, np.ndarray
     def q_at(t: np.ndarray) -> np.ndarray:
         return np.asarray(MIDDLE + (size * np.sin(2 * np.pi * rate * t[:, None, None] + phase)).sum(axis=2))
 
-    t_q, t_m = np.arange(0.0, 20.0, 0.008), np.arange(2.0, 18.0, 0.01)
+    t_q, t_m = np.arange(0.0, 20.0, 0.008), np.arange(2.0, 18.0, 0.02)
     t_q = t_q[rng.random(len(t_q)) > 0.01]
     return Reported(q=q_at(t_q), t_s=t_q), t_m, q_at(t_m), rng
 
@@ -316,7 +316,7 @@ def test_a_clock_takes_up_nothing_of_a_joint_that_is_off() -> None:
     def motion(t_s: np.ndarray) -> np.ndarray:
         return MIDDLE + 0.2 * np.sin(2.0 * np.pi * hz * t_s[:, None, None] + phase).sum(axis=1)
 
-    t = np.arange(0.8, 9.0, 0.025)
+    t = np.arange(0.8, 9.0, 0.04)
     measured = seen(changed(2, 3, 7e-3), motion(t), rng, t + 0.43)
     reported = Reported(q=motion(log := np.arange(0.0, 10.0, 0.01)), t_s=log)
     found = verify(arm(), reported, measured, Align.BOTH)
@@ -332,7 +332,7 @@ def test_rows_in_a_gap_of_the_joints_are_named() -> None:
     assert reported.q is not None and reported.t_s is not None
     there = (reported.t_s < 8.0) | (reported.t_s > 10.0)
     result = verify(arm(), Reported(q=reported.q[there], t_s=reported.t_s[there]), seen(TABLE, q, rng, t_m), Align.BOTH)
-    assert len(result.rejected) == pytest.approx(200, abs=5)
+    assert len(result.rejected) == pytest.approx(100, abs=5)
     assert all("gap" in why for _, why in result.rejected)
 
 
@@ -456,7 +456,7 @@ def test_faults_are_told_of_joints_whose_zero_base_or_tool_take_up(joint: int, k
 def test_a_slide_that_runs_long_is_told_by_its_scale() -> None:
     rng = np.random.default_rng(91)
     slide = Joint(name="rail", type=JointType.PRISMATIC, alpha_rad=QUARTER)
-    q = np.column_stack([rng.uniform(-1.0, 1.0, 60), poses(92)[0]])
+    q = np.column_stack([rng.uniform(-1.0, 1.0, 60), poses(92, 60)[0]])
     turned = Rotation.from_euler("x", QUARTER)
     run = RigidTransform.from_components(np.outer(1.003 * q[:, 0], [0.0, 0.0, 1.0]), turned)
     T = BASE * run * RigidTransform.from_matrix(flange(TABLE, q[:, 1:])) * TOOL

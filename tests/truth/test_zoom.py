@@ -16,7 +16,7 @@ from armsight_sim.lens import SETTINGS, random_zoom_lens
 from armsight_sim.lens import ZoomLens as SimZoomLens
 from refusals import refuses
 
-N_LENSES = 120
+N_LENSES = 60
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 RELATIVE = 2e-4
 """Standard deviation of a calibration's focal length; the others follow as boards give them."""

@@ -133,14 +133,16 @@ class ArmModel:
 
     def arm_at(self, p: Array, tool: int | None = 0) -> Arm:
         """Return the arm of parameters p; its couplings are p's on top of the nominal arm's. tool: None for none."""
-        asked = (p.tobytes(), tool)
-        known, arm = cast(tuple[object, Arm], self.arm.found.get("at", (None, None)))
-        if known != asked:  # errors, levers and derivatives of one p are asked for in a row
-            arm = self._arm_at(p, tool)
-            self.arm.found["at"] = (asked, arm)
-        return arm
+        known, made = cast(tuple[object, dict[int | None, Arm]], self.arm.found.get("at", (None, {})))
+        if known != p.tobytes():  # errors, levers and derivatives of one p are asked for in a row, with the tool or not
+            self.arm.found["at"] = (p.tobytes(), made := {})
+        if tool not in made:
+            mount = RigidTransform.identity() if tool is None else self.pose(p, tool + 1)
+            other = next(iter(made.values()), None)
+            made[tool] = self._arm_at(p, mount) if other is None else replace(other, T_flange_tool=mount)
+        return made[tool]
 
-    def _arm_at(self, p: Array, tool: int | None) -> Arm:
+    def _arm_at(self, p: Array, T_flange_tool: RigidTransform) -> Arm:
         n = self.arm.n
         links, scales, sag = p[: 5 * n].reshape(n, 5), p[5 * n : 6 * n], p[7 * n - 1 : 8 * n - 1]
         soft = sag / np.maximum(self.carried, LEAST_WEIGHT_N) if sag.any() else sag
@@ -159,7 +161,7 @@ class ArmModel:
             joints=joints,
             T_world_base=self.pose(p, 0),
             down_in_base=given.base_down,
-            T_flange_tool=RigidTransform.identity() if tool is None else self.pose(p, tool + 1),
+            T_flange_tool=T_flange_tool,
             covariance=None,
             couplings=self._couplings(p),
         )
@@ -212,12 +214,10 @@ class ArmModel:
         sign = np.array([joint.sign for joint in self.arm.joints])
         scaled = sign * (1.0 + p[5 * n : 6 * n])
         drive = 5 * np.arange(n) + np.where(self.arm.revolute, THETA, D)
-        first = self.arm_at(p)
         for k in range(len(self.labels)):
             rows = np.flatnonzero(which == k)
             q = rest[rows]
-            arm = first if k == 0 else replace(first, T_flange_tool=self.pose(p, k + 1))
-            T[rows], own = parameter_jacobian(arm, q)
+            T[rows], own = parameter_jacobian(self.arm_at(p, k), q)
             J[rows, :, : 5 * n] = own[:, :, : 5 * n]
             # by each joint's own variable, theta or d, through which scale, coupling and sag act: the chain rule's
             # inner part

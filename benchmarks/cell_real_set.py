@@ -39,7 +39,7 @@ from armsight.records import BoardView, Motion, Target, TargetKind, board_target
 
 Array = NDArray[np.float64]
 
-FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "dots_10x10_handeye"
+FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data" / "dots_10x10_handeye"
 CONFIG_M, ROBOT_M, ROBOT_STD_M = 0.0254, 0.02482, 9e-5
 """The dots' pitch by the set's configuration, and by the robot's motion as others have worked it out."""
 APART_S, HELD_S, READING_S, PERIOD_S = 5.0, 0.4, 0.02, 1.0 / 30.0
@@ -292,7 +292,8 @@ def fit_bundle(bundle: Bundle) -> CellFit:
 def learned_noise(model: CellModel, found: CellFit) -> CellData:
     """Return the data with the noise that is likeliest by a fit: of the dots in px, and of each straying."""
     wander, free, normals = found.wander, found.places, found.normals
-    assert wander is not None
+    if wander is None:
+        raise ValueError("the fit knows no straying")
     known = (found.known.information + shape_information(model, found.x, found.known.shape))[np.ix_(free, free)]
 
     def noisier(p: Array) -> tuple[JointDrift, float]:
