@@ -291,27 +291,26 @@ def used_files(T_world_base: RigidTransform) -> dict[str, str]:
 def _rows(done: CellResult) -> Iterator[tuple[str, str]]:
     tip, scale = done.tip, done.scale
     for name, typical, worst in (
-        ("tip, as both cameras measure it", tip.measured_m, tip.measured_worst_m),
+        (f"tip, as {done.all_cameras} measure it", tip.measured_m, tip.measured_worst_m),
         ("tip, as the arm's joints say", tip.commanded_m, tip.commanded_worst_m),
     ):
         yield name, f"± {typical / MM:.2g} mm (1 σ), ± {worst / MM:.2g} mm at worst"
     yield "added by the noise of one pair", f"± {tip.noise_m / MM:.2g} mm"
     yield "scale", f"{scale.ratio:.4f} ± {scale.std:.4f}, the target by the arm's lengths; the {scale.set_by} sets it"
-    yield "baseline", f"{done.baseline_m / MM:.1f} ± {done.baseline_std_m / MM:.2g} mm"
-    yield "residual, RMS", f"left {done.residual_px.left:.3f}, right {done.residual_px.right:.3f} px"
+    if done.baseline_m is not None and done.baseline_std_m is not None:
+        yield "baseline", f"{done.baseline_m / MM:.1f} ± {done.baseline_std_m / MM:.2g} mm"
+    yield "residual, RMS", f"{', '.join(f'{name} {px:.3f}' for name, px in done.residual_px.items())} px"
     yield "seen", f"{done.duration_s:.0f} s of motion, {done.n_frames} frames, {done.n_spots} spots"
-
-
-PARTS = {"left.": "left camera", "right.": "right camera", "light:": "lights", "": "arm"}
-"""What a parameter belongs to, by how its name begins."""
 
 
 def _learned(done: CellResult) -> Iterator[str]:
     """Yield for each part of the cell how much was learned of it."""
-    for start, part in PARTS.items():
+    # by how its name begins
+    parts = {f"{name}.": f"{name} camera" for name in done.rig.names} | {"light:": "lights", "": "arm"}
+    for start, part in parts.items():
         own = [one for one in done.learned if one.name.startswith(start)]
         if not start:
-            own = [one for one in done.learned if not one.name.startswith(tuple(filter(None, PARTS)))]
+            own = [one for one in done.learned if not one.name.startswith(tuple(filter(None, parts)))]
         if not own:
             continue
         bits = [one.bits for one in own if one.bits is not None]

@@ -43,7 +43,6 @@ from armsight.calibrate.cell.observations import CellRecording, Spots
 from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
 from armsight.calibrate.cell.wander import JointDrift
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
-from armsight.optics import SIDES
 from armsight.records import Progress, Target
 
 FIRST_GATE_PX, FIRST_GATE = 3.0, 12.0
@@ -95,7 +94,7 @@ def solve_cell(
     _tell(progress, 1, "finding the cameras")
     lights = _named(recording, starts, weights, target)
     model = CellModel(recording=recording, lights=lights.names)
-    x = start_vector(model, [_camera_vector(recording, side, starts[side]) for side in (0, 1)], lights.xyz_m)
+    x = start_vector(model, [_camera_vector(recording, side, start) for side, start in enumerate(starts)], lights.xyz_m)
 
     def before(at: Array, believed: ArmTolerance) -> Knowledge:
         known = default_knowledge(model, at, believed, target)
@@ -160,13 +159,13 @@ def free_names(model: CellModel, found: CellFit, tolerance: ArmTolerance, *, com
     information = found.normals.A.sum(axis=0) + shape_information(model, found.x, found.known.shape)
     chosen = gauge(model, information, candidates, tolerance)
     # skew is no more than a manufacturer's fault that nobody has seen for decades
-    lens = [f"{side}.{name}" for side in SIDES for name in PER_CAMERA if name != "skew"]
+    lens = [f"{side}.{name}" for side in model.recording.names for name in PER_CAMERA if name != "skew"]
     return (*lens, *chosen, *model.names[model.lights_at :])
 
 
 def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
     starts, weights = [], []
-    for side, name in enumerate(SIDES):
+    for side, name in enumerate(recording.names):
         spots = recording.spots.take(recording.spots.side == side)
         ways = tracklets(spots, recording.clocks[side].number)
         if sum(map(len, ways)) < FEWEST_SPOTS:
@@ -178,7 +177,8 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
             )
         seen = len(np.unique(np.concatenate([spots.frame[rows] for rows in ways])))
         # frames without lights may have no rows in a table: the clock counts them all
-        require_lit(seen / (1 + int(recording.clocks[side].number[-1])), name)
+        if recording.is_pair:  # of more cameras one may see the lights seldom, while the others do
+            require_lit(seen / (1 + int(recording.clocks[side].number[-1])), f"the {name} camera", "its frames")
         tried, alike = delays(recording.arm, recording.log, spots, ways)
         start = find_start(recording.arm, recording.log, spots, ways, recording.sizes[side], tried)
         if start is None or start.rms_px > MAX_START_PX:
@@ -222,21 +222,20 @@ def _require_unchanged(recording: CellRecording, side: int, spots: Spots, ways: 
             found.append(start)
         if len(found) == 2:
             jumped = abs(found[1].delay_s - found[0].delay_s) > JUMP_S
-            clock, moved = ((Cause.LEFT_CLOCK, Cause.LEFT_MOVED), (Cause.RIGHT_CLOCK, Cause.RIGHT_MOVED))[side]
-            cause = clock if jumped else moved
+            cause = Cause.CLOCK_JUMPED if jumped else Cause.CAMERA_MOVED
             raise Inconsistent(
-                f"{cause.value} on the way: what it saw before {at - begin:.0f} s of its frames and after is explained "
-                "by the arm's motion, each by itself, and both together not",
+                f"{recording.names[side]} {cause.value} on the way: what it saw before {at - begin:.0f} s of its "
+                "frames and after is explained by the arm's motion, each by itself, and both together not",
                 consequence="One calibration does not hold for all of the recording, and none is given",
-                cure=CURES[cause],
+                cure=CURES[cause].format(part=recording.names[side]),
             )
 
 
-def require_lit(share: float, side: str) -> None:
-    """Raise NotEnoughData where a camera saw the target's lights in too few of its frames."""
+def require_lit(share: float, who: str, of: str) -> None:
+    """Raise NotEnoughData where a camera saw the lights in too few of its frames, or all cameras in too few moments."""
     if share < FEWEST_LIT:
         raise NotEnoughData(
-            f"the {side} camera saw the target's lights in {100.0 * share:.0f} % of its frames",
+            f"{who} saw the target's lights in {100.0 * share:.0f} % of {of}",
             consequence="What the rest would say is not known, and no cell is calibrated",
             cure="See that the lights shine all the time and stay in view, and record again",
         )
@@ -257,17 +256,17 @@ def thinned(spots: Spots, most: int) -> Spots:
 
 def _coarse(model: CellModel, x: Array, known: Knowledge, starts: Sequence[Start]) -> CellFit:
     """Return the fit of cameras and lights by the nominal arm."""
-    left, right = (FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts)
-    spots, block = blocks_of(model, x, thinned(assign(model, x, model.recording.spots, (left, right)), THIN))
+    gates = [FIRST_GATE_PX + FIRST_GATE * start.rms_px for start in starts]
+    spots, block = blocks_of(model, x, thinned(assign(model, x, model.recording.spots, gates), THIN))
     if len(spots) < FEWEST_SPOTS:
         raise NotEnoughData(
             f"{len(spots)} spots are where the lights should be",
             consequence="Nothing is calibrated",
-            cure="Record two minutes in which both cameras see the target's lights",
+            cure="Record two minutes in which the cameras see the target's lights",
         )
-    free = [f"{side}.{name}" for side in SIDES for name in FIRST_FREE]
+    free = [f"{side}.{name}" for side in model.recording.names for name in FIRST_FREE]
     spread = float(np.median(spots.spread_px))
-    first = (1.0 / spread, 1.0 / spread)  # of a pixel: what the nominal arm leaves, not the spots' own
+    first = (1.0 / spread,) * len(starts)  # of a pixel: what the nominal arm leaves, not the spots' own
     data = CellData(spots=spots, block=block, scale=first)
     return fit_cell(model, x, data, (*free, *model.names[model.lights_at :]), known)
 
@@ -285,7 +284,7 @@ def _round(
     scale = side_scales(before)
     spread = float(np.median(before.spots.spread_px))
     gates = [max(GATE * each * spread, LEAST_GATE_PX) for each in scale]
-    every = assign(model, before.x, model.recording.spots, (gates[0], gates[1]))
+    every = assign(model, before.x, model.recording.spots, gates)
     spots, block = blocks_of(model, before.x, thinned(every, THIN) if thin else every)
     if wander is not None:
         count = np.bincount(block)
