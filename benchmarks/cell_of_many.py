@@ -11,7 +11,6 @@ shares of the tips' and the cameras' errors in the ellipsoids that are claimed t
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "truth"))
 from cell_cameras import HIDDEN_DEG, Track, WebCam
-from cell_world import CellWorld, make_cell, record
+from cell_world import NAMED, CellWorld, watched_by_four
 
 from armsight.calibrate.cell import CellOptions, CellResult, calibrate_cell
 from armsight.calibrate.cell.result import tip_slopes
@@ -31,27 +30,7 @@ from armsight.measure.poses.views import measure_views
 from armsight.records import Motion, Spots, SpotTrack, spot_target
 from armsight.store.arm_file import arm_from_mapping
 
-BESIDE_DEG, EXACT_PX = 50.0, 1e-3
-NAMES = ("left", "right", "east", "west")
-
-
-def beside(camera: WebCam, centre: np.ndarray, by_deg: float, delay_s: float) -> WebCam:
-    """Return a camera carried about a vertical through a centre, by a clock of its own."""
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec([0.0, 0.0, np.radians(by_deg)]).as_matrix()
-    T[:3, 3] = centre - T[:3, :3] @ centre
-    return replace(camera, T_base_camera=T @ camera.T_base_camera, delay_s=delay_s, drift_ppm=-0.7 * camera.drift_ppm)
-
-
-def watched_by_four(seed: int, seconds: float) -> tuple[CellWorld, tuple[WebCam, ...], tuple[Track, ...]]:
-    """Return a cell, its four cameras, and what they saw of one motion."""
-    world = make_cell(seed, seconds=seconds)
-    truth = world.truth
-    centre = truth.tips(truth.samples).mean(axis=0)
-    more = [beside(truth.left, centre, BESIDE_DEG, 0.7), beside(truth.right, centre, -BESIDE_DEG, -1.1)]
-    rng = np.random.default_rng([seed, 4])
-    _, _, east, west = record(rng, replace(truth, left=more[0], right=more[1]), float(world.log_t_s[0]), seconds)
-    return world, (truth.left, truth.right, *more), (world.left, world.right, east, west)
+EXACT_PX = 1e-3
 
 
 def calibrated(world: CellWorld, tracks: tuple[Track, ...]) -> CellResult:
@@ -71,7 +50,7 @@ def calibrated(world: CellWorld, tracks: tuple[Track, ...]) -> CellResult:
         ],
         spot_target(world.target),
         sizes=[one.size for one in tracks],
-        names=NAMES[: len(tracks)],
+        names=NAMED[: len(tracks)],
         options=CellOptions(tip_m=world.truth.tip_target_m),
     )
 
@@ -115,7 +94,7 @@ def places(cameras: tuple[WebCam, ...], done: CellResult) -> list[float]:
         T = model.T_base_camera(done.solved.fit.x, side).as_matrix()
         turn = Rotation.from_matrix(T[:3, :3]) * Rotation.from_matrix(camera.T_base_camera[:3, :3]).inv()
         e = np.concatenate([T[:3, 3] - camera.T_base_camera[:3, 3], turn.as_rotvec()])
-        at = [model.names.index(f"{NAMES[side]}.{key}") for key in ("tx", "ty", "tz", "rx", "ry", "rz")]
+        at = [model.names.index(f"{NAMED[side]}.{key}") for key in ("tx", "ty", "tz", "rx", "ry", "rz")]
         out.append(float(e @ np.linalg.solve(done.covariance[np.ix_(at, at)], e)))
     return out
 

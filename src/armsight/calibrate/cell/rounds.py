@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NoReturn, TypeGuard
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -90,9 +91,11 @@ def solve_cell(
     progress: Progress,
 ) -> Solved:
     """Return the fit of everything that the recording can tell. Raises DataRefused with the reason, Cancelled."""
-    starts, weights = _starts(recording)
+    apart = np.linalg.norm(target.xyz_m[:, None] - target.xyz_m[None], axis=2) + 1e3 * np.eye(len(target.xyz_m))
+    near_m = float(NEAR * apart.min())
+    starts, weights = _starts(recording, near_m)
     _tell(progress, 1, "finding the cameras")
-    lights = _named(recording, starts, weights, target)
+    lights = _named(recording, starts, weights, target, near_m)
     model = CellModel(recording=recording, lights=lights.names)
     x = start_vector(model, [_camera_vector(recording, side, start) for side, start in enumerate(starts)], lights.xyz_m)
 
@@ -138,9 +141,10 @@ def _bearing(model: CellModel, found: CellFit) -> CellFit:
         found = fit_cell(model, x, found, [name for name in found.free if name not in rising], found.known)
 
 
-def _named(recording: CellRecording, starts: Sequence[Start], weights: Sequence[Array], target: Target) -> NamedLights:
-    apart = np.linalg.norm(target.xyz_m[:, None] - target.xyz_m[None], axis=2) + 1e3 * np.eye(len(target.xyz_m))
-    places, _ = places_on_flange([start.lights_m for start in starts], weights, float(NEAR * apart.min()))
+def _named(
+    recording: CellRecording, starts: Sequence[Start], weights: Sequence[Array], target: Target, near_m: float
+) -> NamedLights:
+    places, _ = places_on_flange([start.lights_m for start in starts], weights, near_m)
     fits = all(start.rms_px < POOR * size[0] for start, size in zip(starts, recording.sizes, strict=True))
     return name_lights(places, dict(zip(target.names, target.xyz_m, strict=True)), arm_fits=fits)
 
@@ -163,35 +167,44 @@ def free_names(model: CellModel, found: CellFit, tolerance: ArmTolerance, *, com
     return (*lens, *chosen, *model.names[model.lights_at :])
 
 
-def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
-    starts, weights = [], []
-    for side, name in enumerate(recording.names):
-        spots = recording.spots.take(recording.spots.side == side)
-        ways = tracklets(spots, recording.clocks[side].number)
-        if sum(map(len, ways)) < FEWEST_SPOTS:
-            raise NotEnoughData(
-                f"the {name} camera saw {sum(map(len, ways))} spots that move",
-                consequence="Nothing is calibrated",
-                cure="See that the target's lights shine and stay in its view while the arm moves; set --threshold "
-                "where lights are not found",
-            )
-        seen = len(np.unique(np.concatenate([spots.frame[rows] for rows in ways])))
-        # frames without lights may have no rows in a table: the clock counts them all
-        if recording.is_pair:  # of more cameras one may see the lights seldom, while the others do
-            require_lit(seen / (1 + int(recording.clocks[side].number[-1])), f"the {name} camera", "its frames")
-        tried, alike = delays(recording.arm, recording.log, spots, ways)
-        start = find_start(recording.arm, recording.log, spots, ways, recording.sizes[side], tried)
-        if start is None or start.rms_px > MAX_START_PX:
-            require_alike(float(alike[0]), name)
-            _require_unchanged(recording, side, spots, ways)
-            raise Inconsistent(
-                f"no camera explains what the {name} one saw by the arm's motion"
-                + ("" if start is None else f": {start.rms_px:.0f} px remain"),
-                consequence="Nothing is calibrated",
-                cure="Check that --model is of this arm and its signs, the log in radians and of all this recording, "
-                "the target on the flange, lit all the time, and the camera untouched; or record longer, all joints "
-                "turning further",
-            )
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Seen:
+    """What one camera saw of lights that move: ways (rows of spots), the delays that are likely, and how alike both
+    move at the best one."""
+
+    side: int
+    spots: Spots
+    ways: list[Index]
+    delays_s: Array
+    alike: float
+
+    @property
+    def weights(self) -> Array:
+        """How many spots each piece has that is looked at."""
+        return np.array([len(rows) for rows in best_pieces(self.spots, self.ways)], float)
+
+    def start(self, recording: CellRecording, places: Array | None = None) -> Start | None:
+        """Return the camera that explains it, by lights at known places (k, 3) on the flange where these are given."""
+        size = recording.sizes[self.side]
+        return find_start(recording.arm, recording.log, self.spots, self.ways, size, self.delays_s, places)
+
+
+def _starts(recording: CellRecording, near_m: float) -> tuple[list[Start], list[Array]]:
+    """Return each camera to begin with, and the weights of its pieces; near_m: pieces nearer are of one light."""
+    seen = [_seen(recording, side) for side in range(len(recording.names))]
+    found = [one.start(recording) for one in seen]
+    known = [(start.lights_m, one.weights) for start, one in zip(found, seen, strict=True) if _explains(start)]
+    if known and not recording.is_pair:
+        # a camera that sees too little by itself is placed by the lights that the others have found
+        places, _ = places_on_flange(*zip(*known, strict=True), near_m)
+        found = [
+            start if _explains(start) else one.start(recording, places) for start, one in zip(found, seen, strict=True)
+        ]
+    starts = [
+        start if _explains(start) else _unexplained(recording, one, start)
+        for start, one in zip(found, seen, strict=True)
+    ]
+    for start, name in zip(starts, recording.names, strict=True):
         # a mirrored picture has a camera of its own that explains it, but a left-handed one
         if start.mirrored:
             raise Inconsistent(
@@ -199,9 +212,46 @@ def _starts(recording: CellRecording) -> tuple[list[Start], list[Array]]:
                 consequence="Nothing is calibrated",
                 cure="Switch off the mirroring of its pictures; or check the signs of the joints in --model",
             )
-        starts.append(start)
-        weights.append(np.array([len(rows) for rows in best_pieces(spots, ways)], float))
-    return starts, weights
+    return starts, [one.weights for one in seen]
+
+
+def _explains(start: Start | None) -> TypeGuard[Start]:
+    return start is not None and start.rms_px <= MAX_START_PX
+
+
+def _seen(recording: CellRecording, side: int) -> _Seen:
+    """Return what a camera saw. Raises NotEnoughData where that is too little."""
+    name, number = recording.names[side], recording.clocks[side].number
+    spots = recording.spots.take(recording.spots.side == side)
+    ways = tracklets(spots, number)
+    if sum(map(len, ways)) < FEWEST_SPOTS:
+        raise NotEnoughData(
+            f"the {name} camera saw {sum(map(len, ways))} spots that move",
+            consequence="Nothing is calibrated",
+            cure="See that the target's lights shine and stay in its view while the arm moves; set --threshold "
+            "where lights are not found",
+        )
+    if recording.is_pair:  # of more cameras one may see the lights seldom, while the others do
+        seen = len(np.unique(np.concatenate([spots.frame[rows] for rows in ways])))
+        # frames without lights may have no rows in a table: the clock counts them all
+        require_lit(seen / (1 + int(number[-1])), f"the {name} camera", "its frames")
+    tried, alike = delays(recording.arm, recording.log, spots, ways)
+    return _Seen(side=side, spots=spots, ways=ways, delays_s=tried, alike=float(alike[0]))
+
+
+def _unexplained(recording: CellRecording, seen: _Seen, start: Start | None) -> NoReturn:
+    """Raise Inconsistent for a camera that no place explains, with what it may be."""
+    name = recording.names[seen.side]
+    require_alike(seen.alike, name)
+    _require_unchanged(recording, seen.side, seen.spots, seen.ways)
+    raise Inconsistent(
+        f"no camera explains what the {name} one saw by the arm's motion"
+        + ("" if start is None else f": {start.rms_px:.0f} px remain"),
+        consequence="Nothing is calibrated",
+        cure="Check that --model is of this arm and its signs, the log in radians and of all this recording, "
+        "the target on the flange, lit all the time, and the camera untouched; or record longer, all joints "
+        "turning further",
+    )
 
 
 def _require_unchanged(recording: CellRecording, side: int, spots: Spots, ways: Sequence[Index]) -> None:

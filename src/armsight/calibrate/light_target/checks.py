@@ -61,8 +61,9 @@ def few_frames(
     if many:
         seen = "all lights seen by two cameras at once in some"
     swapped = "; where all are there, check which source is the left one" if n == 0 and not (overlaid or many) else ""
+    views = "two" if many else "both"
     return NotEnoughData(
-        f"{n} of {total} frames show {lights} lights in {'two' if many else 'both'} views, of which {MIN_FRAMES} are the fewest{why}",
+        f"{n} of {total} frames show {lights} lights in {views} views, of which {MIN_FRAMES} are the fewest{why}",
         consequence="The target is not calibrated",
         cure=f"Record 10 frames and more, the target turned to several sides, {seen}{swapped}",
     )
