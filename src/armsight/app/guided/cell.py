@@ -47,12 +47,14 @@ class CellStep:
     """folder: of the cell; every recording has a folder of its own in it, which takes its result as well.
 
     file_of: the file of a key of the cell as it is now, None where it has none. read_joints: of the robot that is
-    connected; None where `log`, a file of the same motion, is brought afterwards. look: how lights are looked for.
+    connected; None where `log`, a file of the same motion, is brought afterwards. sides: the cameras.
+    look: how lights are looked for.
     """
 
     folder: Path
     file_of: Callable[[str], Path | None]
     read_joints: ReadJoints | None
+    sides: tuple[str, ...] = SIDES
     look: Callable[[], DetectionSettings] = DetectionSettings
     clock: Clock = field(default_factory=SystemClock)
     name: str = "cell"
@@ -68,7 +70,7 @@ class CellStep:
     @property
     def watch(self) -> CellWatch:
         """What the recording holds so far."""
-        return CellWatch() if self.recorder is None else self.recorder.watch
+        return CellWatch(sides=self.sides) if self.recorder is None else self.recorder.watch
 
     @property
     def samples(self) -> tuple[Sample, ...]:
@@ -115,7 +117,9 @@ class CellStep:
             unit, factor = displayed("m" if slides else "rad")
             rows.append((f"joint {name}", f"{now / factor:.0f} of {wanted / factor:.0f} {unit}"))
         if watch.n_pictures:
-            rows += [(f"all lights seen, {side}", f"{watch.seen_share(side):.0%} of the pictures") for side in SIDES]
+            rows += [
+                (f"all lights seen, {side}", f"{watch.seen_share(side):.0%} of the pictures") for side in self.sides
+            ]
         return tuple(rows)
 
     def _joints(self) -> Iterator[tuple[str, float, float, bool]]:
@@ -147,7 +151,7 @@ class CellStep:
         if self.recording:
             return
         folder = self._new_folder()
-        made = CellRecorder(station, folder, self.read_joints, self.clock, n_lights=self._read())
+        made = CellRecorder(station, folder, self.read_joints, self.clock, n_lights=self._read(), sides=self.sides)
         made.begin()
         self.recorder, self.log = made, None
 
@@ -231,8 +235,7 @@ class CellStep:
             target=self._needed("target"),
             model=self._needed("arm"),
             out=recorder.folder,
-            left=str(recorder.folder / FRAMES),
-            right=str(recorder.folder / FRAMES),
+            cameras=dict.fromkeys(self.sides, str(recorder.folder / FRAMES)),
             tip=tip,
             threshold=look.threshold,
             inverted=look.inverted,

@@ -28,7 +28,7 @@ from armsight.shown import Shown, Table, digits, parameter_row, pose_rows
 from armsight.units import MM
 
 FEWEST_SEEN, FEWEST_SIGHTS = 3, 4
-"""Lights in both images by which a pair measures a pose; their images, in all cameras, by which others do."""
+"""Lights by which a pose is measured, a pair's each in both images; and sights of them, in all images, by others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,21 +99,23 @@ def tip_slopes(
     w = np.repeat(weight.reshape(k, -1), 2, axis=1)[:, :, None]
     # the pose is where A' W (A dpose + B dx) = 0: what the parameters do to the pixels, the pose takes up
     H = A.transpose(0, 2, 1) @ (w * A)
-    enough = inside.sum(axis=(1, 2)) >= FEWEST_SIGHTS
-    if model.recording.is_pair:
-        enough = inside.all(axis=1).sum(axis=1) >= FEWEST_SEEN
+    pair = model.recording.is_pair
+    enough = (inside.all(axis=1) if pair else inside.any(axis=1)).sum(axis=1) >= FEWEST_SEEN
+    enough &= pair | (inside.sum(axis=(1, 2)) >= FEWEST_SIGHTS)
     seen = enough & np.isfinite(uv).all(axis=(1, 2, 3))
     H[~seen] = np.eye(6)
     inverse = np.linalg.inv(H)
     measured = -(inverse @ (A.transpose(0, 2, 1) @ (w * B)))[:, :3]
     measured[~seen] = np.nan
-    commanded = np.zeros((k, 3, P))
-    links = model.flange_slopes(x, q)  # (k, 6, arm parameters)
-    commanded[:, :, model.arm_at : a] = links[:, :3] + np.cross(
-        links[:, 3:].transpose(0, 2, 1), tip[:, None, :]
-    ).transpose(0, 2, 1)
-    commanded[:, :, a:] = T[:, :3, :3] @ carried[:3]
+    commanded = np.concatenate([_by_links(model, x, q, tip), T[:, :3, :3] @ carried[:3]], axis=2)
     return TipSlopes(measured=measured, commanded=commanded, noise=inverse[:, :3, :3], seen=seen)
+
+
+def _by_links(model: CellModel, x: Array, q: Array, tip: Array) -> Array:
+    """Return how the tip, (k, 3) from the flange, moves (k, 3, arm_at + arm's parameters) with cameras and links."""
+    links = model.flange_slopes(x, q)  # (k, 6, arm parameters)
+    by_arm = links[:, :3] + np.cross(links[:, 3:].transpose(0, 2, 1), tip[:, None, :]).transpose(0, 2, 1)
+    return np.concatenate([np.zeros((len(q), 3, model.arm_at)), by_arm], axis=2)
 
 
 def _inside(model: CellModel, uv: Array) -> NDArray[np.bool_]:

@@ -41,7 +41,7 @@ from armsight.calibrate.cell.knowledge import (
 )
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
-from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start, require_alike
+from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start
 from armsight.calibrate.cell.wander import JointDrift
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.records import Progress, Target
@@ -69,6 +69,8 @@ FEWEST_LIT = 0.55
 PLAIN = 30.0
 """Times beyond chance (without the straying, which makes up some of it) that a change is told before more is fitted."""
 PLAINLY_VISIBLE = 1.0
+LEAST_ALIKE = 0.5
+"""Of another day's log the best of all delays correlates by 0.2 to 0.4."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -242,7 +244,7 @@ def _seen(recording: CellRecording, side: int) -> _Seen:
 def _unexplained(recording: CellRecording, seen: _Seen, start: Start | None) -> NoReturn:
     """Raise Inconsistent for a camera that no place explains, with what it may be."""
     name = recording.names[seen.side]
-    require_alike(seen.alike, name)
+    _require_alike(seen.alike, name)
     _require_unchanged(recording, seen.side, seen.spots, seen.ways)
     raise Inconsistent(
         f"no camera explains what the {name} one saw by the arm's motion"
@@ -252,6 +254,17 @@ def _unexplained(recording: CellRecording, seen: _Seen, start: Start | None) -> 
         "the target on the flange, lit all the time, and the camera untouched; or record longer, all joints "
         "turning further",
     )
+
+
+def _require_alike(r: float, side: str) -> None:
+    """Raise Inconsistent where image and arm never move alike."""
+    if r < LEAST_ALIKE:
+        raise Inconsistent(
+            f"the lights in the {side} camera and the arm's joints never move alike: the correlation of their speeds "
+            f"is {r:.2f} at best",
+            consequence="Nothing is calibrated",
+            cure="Give the robot's log of this very recording, and see that the lights are on this arm's flange",
+        )
 
 
 def _require_unchanged(recording: CellRecording, side: int, spots: Spots, ways: Sequence[Index]) -> None:

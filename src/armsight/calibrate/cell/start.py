@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from armsight.arrays import Array, Index
 from armsight.calibrate.cell.assignment import extent_px
 from armsight.calibrate.cell.observations import JointLog, Spots
-from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, fk
 
 GRID_S = 0.02
@@ -398,18 +397,3 @@ def _decomposed(P: Array, mirrored: bool) -> tuple[float, Array, Array, Array]:
     centre = -np.linalg.solve(P[:, :3], P[:, 3])
     focal = float(np.sqrt(abs(K[0, 0] * K[1, 1])) / abs(K[2, 2]))
     return focal, np.asarray(K[:2, 2] / K[2, 2]), np.asarray(R.T), np.asarray(centre, np.float64)
-
-
-def require_alike(r: float, side: str) -> None:
-    """Raise Inconsistent where image and arm never move alike."""
-    if r < LEAST_ALIKE:
-        raise Inconsistent(
-            f"the lights in the {side} camera and the arm's joints never move alike: the correlation of their speeds "
-            f"is {r:.2f} at best",
-            consequence="Nothing is calibrated",
-            cure="Give the robot's log of this very recording, and see that the lights are on this arm's flange",
-        )
-
-
-LEAST_ALIKE = 0.5
-"""Of another day's log the best of all delays correlates by 0.2 to 0.4."""

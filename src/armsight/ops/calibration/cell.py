@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import combinations
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -36,6 +36,7 @@ from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints
 
 Size = tuple[int, int]
+Source = TypeVar("Source")
 
 OFF_CENTRE = 0.1
 """Of the image's size: webcams' lenses are within 0.05 of its middle; 1280x720 taken for 1920x1080 is 0.16 off."""
@@ -111,7 +112,9 @@ def require_sources(frames: Sequence[Any], tables: Sequence[Any], size: Size | N
         )
 
 
-def by_camera(left: Any, right: Any, named: Mapping[str, Any] | None) -> dict[str, Any]:
+def by_camera(
+    left: Source | None, right: Source | None, named: Mapping[str, Source] | None
+) -> dict[str, Source | None]:
     """Return what is given of each camera; left and right are short for cameras of these names.
 
     Raises UsageError for a camera that is given twice, one source of two and more than a rig has, Inconsistent for what
@@ -120,11 +123,12 @@ def by_camera(left: Any, right: Any, named: Mapping[str, Any] | None) -> dict[st
     short = {} if left is None and right is None else {"left": left, "right": right}
     if not named:
         return short
-    own = {name: one for name, one in short.items() if one is not None}
-    if all(isinstance(one, str) for one in (*own.values(), *named.values())):
-        return dict(named_cameras(named, **own))
-    named_cameras(dict(zip(named, named, strict=True)), **dict(zip(own, own, strict=True)), flags=("-spots", "spots"))
-    return own | dict(named)
+    # tables are no devices: they are told apart by the cameras' names alone
+    frames = all(isinstance(one, str) for one in named.values())
+    own = {name: str(one) if frames else name for name, one in short.items() if one is not None}
+    said = {name: str(one) if frames else name for name, one in named.items()}
+    named_cameras(said, own.get("left"), own.get("right"), flags=("", "camera") if frames else ("-spots", "spots"))
+    return {name: short[name] for name in own} | dict(named)
 
 
 def joints_of(log: Path, arm: Arm, format_: TableFormat) -> Motion:
