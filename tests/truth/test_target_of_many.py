@@ -83,7 +83,7 @@ def test_errors_are_as_large_as_the_deviations_say_where_every_sight_counts() ->
         total, dof = total + float((e**2 / values[free]).sum()), dof + int(free.sum())
         once += int((np.isfinite(done.residual_px).all(axis=3).sum(axis=2) == 1).sum())
         assert done.n_used > 10  # two cameras see all four lights in a third of the moments
-    assert once > 50  # lights that one camera alone saw
+    assert once > 30  # lights that one camera alone saw
     assert chi2_law.ppf(1e-4, dof) < total < chi2_law.isf(1e-4, dof)
 
 

@@ -16,7 +16,7 @@ from armsight.records import Progress
 
 @dataclass(slots=True, kw_only=True)
 class TimingStep:
-    """rig, target, sides (the cameras): of the cell. folder: takes the recording. out: rig.yaml with the timing in it."""
+    """rig, target, sides, the cameras: of the cell. folder: takes the recording. out: rig.yaml with its timing."""
 
     rig: Path
     target: Path

@@ -75,9 +75,8 @@ def tip_slopes(
     k, n, P = len(q), len(model.lights), len(x)
     uv, J = model.standing(x, q)
     T = model.flange(x, q)
-    arm_at = np.array(T_flange_target.apply(tip_m))
+    arm_at, lights = np.array(T_flange_target.apply(tip_m)), model.lights_m(x)
     tip = T[:, :3, :3] @ arm_at  # (k, 3) from the flange
-    lights = model.lights_m(x)
     inside = _inside(model, uv)
     if looked is not None:
         inside &= looked.astype(bool)
@@ -99,16 +98,19 @@ def tip_slopes(
     w = np.repeat(weight.reshape(k, -1), 2, axis=1)[:, :, None]
     # the pose is where A' W (A dpose + B dx) = 0: what the parameters do to the pixels, the pose takes up
     H = A.transpose(0, 2, 1) @ (w * A)
-    pair = model.recording.is_pair
-    enough = (inside.all(axis=1) if pair else inside.any(axis=1)).sum(axis=1) >= FEWEST_SEEN
-    enough &= pair | (inside.sum(axis=(1, 2)) >= FEWEST_SIGHTS)
-    seen = enough & np.isfinite(uv).all(axis=(1, 2, 3))
+    seen = _enough(inside, pair=model.recording.is_pair) & np.isfinite(uv).all(axis=(1, 2, 3))
     H[~seen] = np.eye(6)
     inverse = np.linalg.inv(H)
     measured = -(inverse @ (A.transpose(0, 2, 1) @ (w * B)))[:, :3]
     measured[~seen] = np.nan
     commanded = np.concatenate([_by_links(model, x, q, tip), T[:, :3, :3] @ carried[:3]], axis=2)
     return TipSlopes(measured=measured, commanded=commanded, noise=inverse[:, :3, :3], seen=seen)
+
+
+def _enough(inside: NDArray[np.bool_], *, pair: bool) -> NDArray[np.bool_]:
+    """Return where (k,) sights (k, V, n) make a pose."""
+    lights = (inside.all(axis=1) if pair else inside.any(axis=1)).sum(axis=1)
+    return np.asarray((lights >= FEWEST_SEEN) & (pair | (inside.sum(axis=(1, 2)) >= FEWEST_SIGHTS)))
 
 
 def _by_links(model: CellModel, x: Array, q: Array, tip: Array) -> Array:

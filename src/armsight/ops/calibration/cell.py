@@ -212,11 +212,12 @@ def read_priors(
     Raises UsageError for another kind of file, NotEnoughData for one without a covariance, Inconsistent for cameras of
     another size.
     """
-    known, world_pose = CellPriors(), None
+    known, world_pose, first = CellPriors(), None, names[0]
     for path in paths:
         kind = kind_of(path)
         if kind == "armsight/rig":
-            known = replace(known, rig=_of_rig(path, sizes, names))
+            rig, first = _of_rig(path, sizes, names)
+            known = replace(known, rig=rig)
         elif kind == "armsight/world":
             world = read_world(path)
             if world.parent != "base":
@@ -242,12 +243,12 @@ def read_priors(
                 cure=f"Give {READ}; a calibrated arm as --model, a measured target as --target",
             )
     if world_pose is not None:
-        known = replace(known, base_pose=_of_first(world_pose, known.rig, names))
+        known = replace(known, base_pose=_of_first(world_pose, known.rig, first, names[0]))
     return known if paths else None
 
 
-def _of_rig(path: Path, sizes: Sequence[tuple[int, int]], names: Sequence[str]) -> Rig:
-    """Return what a rig's file says of the cameras that were recorded."""
+def _of_rig(path: Path, sizes: Sequence[tuple[int, int]], names: Sequence[str]) -> tuple[Rig, str]:
+    """Return what a rig's file says of the cameras that were recorded, and which camera is the first one there."""
     rig = read_rig(path, any_cameras=True)
     _told(rig.covariance, path)
     for name, size in zip(names, sizes, strict=True):
@@ -267,23 +268,24 @@ def _of_rig(path: Path, sizes: Sequence[tuple[int, int]], names: Sequence[str]) 
             consequence="It tells nothing of these cameras",
             cure="Name each camera as in the rig's file, by --camera NAME=SRC or --spots NAME=CSV; or leave it out",
         )
-    return rig.only(*both)
+    return rig.only(*both), rig.names[0]
 
 
 def _of_first(
-    pose: tuple[RigidTransform, NamedCovariance], rig: Rig | None, names: Sequence[str]
+    pose: tuple[RigidTransform, NamedCovariance], rig: Rig | None, first: str, recorded: str
 ) -> tuple[RigidTransform, NamedCovariance]:
-    """Return where the first camera stands by where the axes of a rig do, with the covariance of that."""
+    """Return where the camera that was recorded first stands by where the axes of a rig do, with the covariance.
+
+    first: the rig's own first camera, which stands in these axes exactly.
+    """
     T, covariance = pose
-    if rig is None:
-        return pose
-    T_rig_first = rig.cameras[0].T_rig_camera
-    if rig.cameras[0].name != names[0] or f"{names[0]}.tx" in (rig.covariance or covariance).names:
+    if first != recorded:
         raise Inconsistent(
-            f"world.yaml says where the axes of rig.yaml stand, and its camera {names[0]} is not the one that has them",
+            f"world.yaml says where the axes of rig.yaml stand, and its camera {recorded} is not the one that has them",
             consequence="How well its place is known is open",
             cure="Give the cameras of the recording in the order of rig.yaml; or leave world.yaml out",
         )
+    T_rig_first = RigidTransform.identity() if rig is None else rig.cameras[0].T_rig_camera
     if not np.any(T_rig_first.as_matrix() - np.eye(4)):
         return pose
     J = np.eye(6)
