@@ -12,12 +12,15 @@ import cv2
 import numpy as np
 import pytest
 
+from armsight.errors import Inconsistent
+from armsight.ops.calibration.cell import read_priors
 from armsight.ops.simulation.run import simulate
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_world
 from armsight.store.arm_file import read_arm
 from armsight.store.recording import RecordingWriter
 from armsight_lab.history.figures import parameters_of
+from refusals import refuses
 
 Run = Callable[..., Any]
 WRITTEN = {"rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "report.html"}
@@ -199,14 +202,6 @@ WRONG_NAMES: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
         ("of the cameras left, right", "recording of east, west", "leave it out"),
         3,
     ),
-    "not the first": (
-        (
-            *("--spots", "right={0}/right.csv", "--spots", "left={0}/left.csv"),
-            *("--prior", "{0}/other/rig.yaml", "--prior", "{0}/other/world.yaml"),
-        ),
-        ("world.yaml", "camera right is not the one", "in the order of rig.yaml"),
-        3,
-    ),
 }
 
 
@@ -221,6 +216,14 @@ def test_wrong_names_of_cameras_are_refused(
     assert ran.code == code, ran.text
     assert all(part in ran.text for part in says), ran.text
     assert not list(tmp_path.rglob("*.yaml"))
+
+
+def test_a_place_of_another_camera_than_the_first_is_no_prior(done: tuple[Path, Any]) -> None:
+    files = [done[0] / "rig.yaml", done[0] / "world.yaml"]
+    assert read_priors(files, [(1280, 720)] * 2).base_pose is not None
+    with refuses(Inconsistent, ("world.yaml", "camera right is not the one", "in the order of rig.yaml")):
+        read_priors(files, [(1280, 720)] * 2, ("right", "left"))
+    assert read_priors(files[:1], [(1280, 720)] * 2, ("right", "top")).rig.names == ("right",)
 
 
 @pytest.mark.parametrize("name", WRONG)

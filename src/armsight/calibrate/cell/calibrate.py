@@ -190,8 +190,11 @@ def _require_motion(arm: Arm, joints: Motion) -> None:
 def _require_lit(solved: Solved, tracks: Sequence[SpotTrack]) -> None:
     spots, recording = solved.fit.spots, solved.model.recording
     if not recording.is_pair:
-        moments = np.ptp(recording.log.t_s) / BLOCK_S
-        require_lit(min(len(solved.fit.normals.chi2) / moments, 1.0), "all cameras together", "the half seconds")
+        delay = [solved.fit.x[solved.model.camera_slice(side)][CLOCK_AT] for side in solved.model.sides]
+        ends = np.array([clock.t_s[[0, -1]] + by for clock, by in zip(recording.clocks, delay, strict=True)])
+        watched = np.ptp(np.clip(ends, *recording.log.t_s[[0, -1]]))
+        lit = len(solved.fit.normals.chi2) / max(watched / BLOCK_S, 1.0)
+        require_lit(min(lit, 1.0), "all cameras together", "the half seconds")
         return
     for side, track in enumerate(tracks):
         lit = len(np.unique(spots.frame[spots.side == side])) / max(len(track), 1)

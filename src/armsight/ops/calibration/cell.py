@@ -128,7 +128,8 @@ def by_camera(
     own = {name: str(one) if frames else name for name, one in short.items() if one is not None}
     said = {name: str(one) if frames else name for name, one in named.items()}
     named_cameras(said, own.get("left"), own.get("right"), flags=("", "camera") if frames else ("-spots", "spots"))
-    return {name: short[name] for name in own} | dict(named)
+    given = {name: short[name] for name in own} | dict(named)
+    return {side: given[side] for side in SIDES} if set(given) == set(SIDES) else given
 
 
 def joints_of(log: Path, arm: Arm, format_: TableFormat) -> Motion:
