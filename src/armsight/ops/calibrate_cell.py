@@ -33,7 +33,7 @@ Files: TypeAlias = Annotated[Any, Input(f"{HERE}:given_files", kind=list[Path], 
 NamedTables: TypeAlias = Annotated[
     Any,
     Doc("The same of a camera by its name; repeated."),
-    Input(f"{READERS}:named_spots", kind=list[str], hashed=True, files=f"{READERS}:named_files"),
+    Input(f"{READERS}:named_spots", kind=list[str], hashed=True, files=f"{HERE}:named_tables"),
     Flag("--spots", metavar="NAME=CSV", repeated=True),
 ]
 Size: TypeAlias = "tuple[int, int] | None"

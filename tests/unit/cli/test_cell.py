@@ -191,7 +191,11 @@ def test_cameras_by_the_names_of_a_pair_are_the_pair(
 
 
 WRONG_NAMES: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
-    "twice": (("--spots", "left={}/left.csv", "--left-spots", "{}/left.csv"), ("left is given twice", "--spots"), 2),
+    "twice": (
+        ("--spots", "left={}/left.csv", "--left-spots", "{}/left.csv"),
+        ("table of left is given twice", "one of the two"),
+        2,
+    ),
     "one source twice": (("--camera", "east=a.mp4", "--camera", "west=a.mp4"), ("east and west are both a.mp4",), 2),
     "no name": (("--camera", "rig=a.mp4"), ("'rig' is no name of a camera",), 3),
     "frames and tables": (("--camera", "east=a.mp4", "--spots", "west={}/left.csv"), ("which frames", "--spots"), 2),

@@ -66,6 +66,11 @@ def given_files(name: str, value: Any, given: Given, undo: ExitStack) -> list[Pa
     return [Path(fspath(one)) for one in value]
 
 
+def named_tables(text: str) -> Sequence[Path]:
+    """Return the file of NAME=CSV, whose hash goes into the result."""
+    return [Path(text.partition("=")[2])]
+
+
 def require_centred(done: CellResult) -> None:
     """Raise Inconsistent where a lens's middle is far from that of the images whose size was typed."""
     for side in done.rig.names:
@@ -123,12 +128,20 @@ def by_camera(
     short = {} if left is None and right is None else {"left": left, "right": right}
     if not named:
         return short
-    # tables are no devices: they are told apart by the cameras' names alone
-    frames = all(isinstance(one, str) for one in named.values())
-    own = {name: str(one) if frames else name for name, one in short.items() if one is not None}
-    said = {name: str(one) if frames else name for name, one in named.items()}
-    named_cameras(said, own.get("left"), own.get("right"), flags=("", "camera") if frames else ("-spots", "spots"))
-    given = {name: short[name] for name in own} | dict(named)
+    own = {name: one for name, one in short.items() if one is not None}
+    if all(isinstance(one, str) for one in named.values()):
+        texts = {name: str(one) for name, one in named.items()}
+        named_cameras(texts, *(None if one is None else str(one) for one in (left, right)))
+    else:
+        # tables are no devices: they are told apart by the cameras' names alone
+        if twice := sorted(set(own) & set(named)):
+            raise UsageError(
+                f"the table of {twice[0]} is given twice",
+                consequence="It is open which are its spots",
+                cure="Leave one of the two away",
+            )
+        named_cameras({name: name for name in (*own, *named)})
+    given = own | dict(named)
     return {side: given[side] for side in SIDES} if set(given) == set(SIDES) else given
 
 
@@ -267,7 +280,7 @@ def _of_rig(path: Path, sizes: Sequence[tuple[int, int]], names: Sequence[str]) 
         raise Inconsistent(
             f"{path} is of the cameras {', '.join(rig.names)}, and the recording of {', '.join(names)}",
             consequence="It tells nothing of these cameras",
-            cure="Name each camera as in the rig's file, by --camera NAME=SRC or --spots NAME=CSV; or leave it out",
+            cure="Name each camera as in the rig's file; or leave it out",
         )
     return rig.only(*both), rig.names[0]
 

@@ -37,13 +37,7 @@ KINDS = (is_recording, is_bag, is_live, bool)
 """What tells sources apart whose times are of different clocks; the last is of files."""
 
 
-def named_cameras(
-    cameras: Mapping[str, str],
-    left: str | None = None,
-    right: str | None = None,
-    *,
-    flags: tuple[str, str] = ("", "camera"),
-) -> dict[str, str]:
+def named_cameras(cameras: Mapping[str, str], left: str | None = None, right: str | None = None) -> dict[str, str]:
     """Return the sources by their camera's name; left and right are short for cameras of these names.
 
     Raises UsageError for a camera that is given twice, two of one source and more than a rig has, Inconsistent for what
@@ -56,7 +50,7 @@ def named_cameras(
             raise UsageError(
                 f"the camera {name} is given twice, {short[name]} and {cameras[name]}",
                 consequence="It is open which are its frames",
-                cure=f"Leave --{name}{flags[0]} or --{flags[1]} {name}= away",
+                cure=f"Leave --{name} or --camera {name}= away",
             )
     given = short | dict(cameras)
     if len(given) > MOST_CAMERAS:
