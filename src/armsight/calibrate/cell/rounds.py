@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import NoReturn, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -93,11 +93,8 @@ def solve_cell(
     progress: Progress,
 ) -> Solved:
     """Return the fit of everything that the recording can tell. Raises DataRefused with the reason, Cancelled."""
-    apart = np.linalg.norm(target.xyz_m[:, None] - target.xyz_m[None], axis=2) + 1e3 * np.eye(len(target.xyz_m))
-    near_m = float(NEAR * apart.min())
-    starts, weights = _starts(recording, near_m)
+    starts, lights = _starts(recording, target)
     _tell(progress, 1, "finding the cameras")
-    lights = _named(recording, starts, weights, target, near_m)
     model = CellModel(recording=recording, lights=lights.names)
     x = start_vector(model, [_camera_vector(recording, side, start) for side, start in enumerate(starts)], lights.xyz_m)
 
@@ -143,11 +140,11 @@ def _bearing(model: CellModel, found: CellFit) -> CellFit:
         found = fit_cell(model, x, found, [name for name in found.free if name not in rising], found.known)
 
 
-def _named(
-    recording: CellRecording, starts: Sequence[Start], weights: Sequence[Array], target: Target, near_m: float
-) -> NamedLights:
-    places, _ = places_on_flange([start.lights_m for start in starts], weights, near_m)
-    fits = all(start.rms_px < POOR * size[0] for start, size in zip(starts, recording.sizes, strict=True))
+def _named(recording: CellRecording, starts: Sequence[Start], seen: Sequence[_Seen], target: Target) -> NamedLights:
+    apart = np.linalg.norm(target.xyz_m[:, None] - target.xyz_m[None], axis=2) + 1e3 * np.eye(len(target.xyz_m))
+    weights = [one.weights for one in seen]
+    places, _ = places_on_flange([start.lights_m for start in starts], weights, float(NEAR * apart.min()))
+    fits = all(start.rms_px < POOR * recording.sizes[one.side][0] for start, one in zip(starts, seen, strict=True))
     return name_lights(places, dict(zip(target.names, target.xyz_m, strict=True)), arm_fits=fits)
 
 
@@ -191,30 +188,33 @@ class _Seen:
         return find_start(recording.arm, recording.log, self.spots, self.ways, size, self.delays_s, places)
 
 
-def _starts(recording: CellRecording, near_m: float) -> tuple[list[Start], list[Array]]:
-    """Return each camera to begin with, and the weights of its pieces; near_m: pieces nearer are of one light."""
+def _starts(recording: CellRecording, target: Target) -> tuple[list[Start], NamedLights]:
+    """Return each camera to begin with, and the lights by their names."""
     seen = [_seen(recording, side) for side in range(len(recording.names))]
     found = [one.start(recording) for one in seen]
-    known = [(start.lights_m, one.weights) for start, one in zip(found, seen, strict=True) if _explains(start)]
-    if known and not recording.is_pair:
-        # a camera that sees too little by itself is placed by the lights that the others have found
-        places, _ = places_on_flange(*zip(*known, strict=True), near_m)
-        found = [
-            start if _explains(start) else one.start(recording, places) for start, one in zip(found, seen, strict=True)
-        ]
-    starts = [
-        start if _explains(start) else _unexplained(recording, one, start)
-        for start, one in zip(found, seen, strict=True)
-    ]
-    for start, name in zip(starts, recording.names, strict=True):
-        # a mirrored picture has a camera of its own that explains it, but a left-handed one
-        if start.mirrored:
-            raise Inconsistent(
-                f"the {name} camera shows the scene as in a mirror",
-                consequence="Nothing is calibrated",
-                cure="Switch off the mirroring of its pictures; or check the signs of the joints in --model",
-            )
-    return starts, [one.weights for one in seen]
+    strong = [k for k, start in enumerate(found) if _explains(start)]
+    if not strong or recording.is_pair or len(strong) == len(found):
+        starts = [_explained(recording, one, start) for one, start in zip(seen, found, strict=True)]
+        return starts, _named(recording, starts, seen, target)
+    # a camera that sees too little by itself is placed by the lights that the others have found
+    starts = [_explained(recording, seen[k], found[k]) for k in strong]
+    lights = _named(recording, starts, [seen[k] for k in strong], target)
+    again = [start if k in strong else seen[k].start(recording, lights.xyz_m) for k, start in enumerate(found)]
+    return [_explained(recording, one, start) for one, start in zip(seen, again, strict=True)], lights
+
+
+def _explained(recording: CellRecording, seen: _Seen, start: Start | None) -> Start:
+    """Return the camera. Raises Inconsistent where it explains nothing, or is a mirrored one."""
+    if not _explains(start):
+        raise _unexplained(recording, seen, start)
+    # a mirrored picture has a camera of its own that explains it, but a left-handed one
+    if start.mirrored:
+        raise Inconsistent(
+            f"the {recording.names[seen.side]} camera shows the scene as in a mirror",
+            consequence="Nothing is calibrated",
+            cure="Switch off the mirroring of its pictures; or check the signs of the joints in --model",
+        )
+    return start
 
 
 def _explains(start: Start | None) -> TypeGuard[Start]:
@@ -241,12 +241,12 @@ def _seen(recording: CellRecording, side: int) -> _Seen:
     return _Seen(side=side, spots=spots, ways=ways, delays_s=tried, alike=float(alike[0]))
 
 
-def _unexplained(recording: CellRecording, seen: _Seen, start: Start | None) -> NoReturn:
-    """Raise Inconsistent for a camera that no place explains, with what it may be."""
+def _unexplained(recording: CellRecording, seen: _Seen, start: Start | None) -> Inconsistent:
+    """Return the error for a camera that no place explains, with what it may be; raises what is known better."""
     name = recording.names[seen.side]
     _require_alike(seen.alike, name)
     _require_unchanged(recording, seen.side, seen.spots, seen.ways)
-    raise Inconsistent(
+    return Inconsistent(
         f"no camera explains what the {name} one saw by the arm's motion"
         + ("" if start is None else f": {start.rms_px:.0f} px remain"),
         consequence="Nothing is calibrated",

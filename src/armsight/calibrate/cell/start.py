@@ -231,10 +231,9 @@ def _camera(
 ) -> tuple[Array, Array, float, bool] | None:
     """Return P (3, 4) about the middle, the pieces' lights (k, 3), what remains, and whether it shows a mirror."""
     pieces = _Pieces.of(T, xy, middle)
+    found = [] if places is None else [_resected(pieces, places, turns)]
     if places is None:
         found = [_alternated(P, pieces, turns) for P in (_eliminated(T, xy, middle), *_as_one(pieces))]
-    else:
-        found = [_resected(pieces, places, turns)]
     near = [each for each in found if each is not None and np.linalg.norm(each[1], axis=1).max() < FARTHEST_M]
     best = min(near, key=lambda each: each[2], default=None)
     if best is None:
@@ -360,17 +359,19 @@ def _alternated(P: Array, pieces: _Pieces, turns: int) -> tuple[Array, Array, fl
 
 
 def _resected(pieces: _Pieces, places: Array, turns: int) -> tuple[Array, Array, float]:
-    """Return the same of lights at known places (p, 3): from all in the middle, which is which is found by turns."""
+    """Return the same of lights at known places (p, 3): from all in the middle or in one, which is which by turns."""
     own = np.concatenate([places, np.ones((len(places), 1))], axis=1)
-    lights = np.tile(places.mean(axis=0), (len(pieces.products) // 16, 1))
-    for _ in range(turns):
-        P = pieces.matrix(lights)
-        remains = np.einsum("pi,kij,pj->kp", own, pieces.forms(P), own)
-        nearest = places[np.argmin(remains, axis=1)]
-        if (nearest == lights).all():
-            break
-        lights = nearest
-    return P, lights, pieces.remaining(P, lights)
+    found = []
+    for begin in (places.mean(axis=0), *places):
+        lights = np.tile(begin, (len(pieces.products) // 16, 1))
+        for _ in range(turns):
+            P = pieces.matrix(lights)
+            nearest = places[np.argmin(np.einsum("pi,kij,pj->kp", own, pieces.forms(P), own), axis=1)]
+            if (nearest == lights).all():
+                break
+            lights = nearest
+        found.append((P, lights, pieces.remaining(P, lights)))
+    return min(found, key=lambda each: each[2])
 
 
 def _rows(pose: Array, xy: Array, middle: Array) -> tuple[Array, Array]:
