@@ -91,7 +91,7 @@ def test_what_three_cameras_measure_is_claimed_by_what_they_see_not_by_what_is_i
     good: CellResult,
 ) -> None:
     assert good.tip.measured_m < 3e-3
-    assert len(good.samples) == 60 or len(good.samples) > 20
+    assert 20 < len(good.samples) <= 60
 
 
 def test_a_camera_that_looks_when_no_other_does_is_named_and_told_how_to_be_joined(
@@ -102,7 +102,7 @@ def test_a_camera_that_looks_when_no_other_does_is_named_and_told_how_to_be_join
     early = {name: cut(tracks[name], cameras[name].robot_time(tracks[name].t_s) < middle - 0.5) for name in NAMED[:2]}
     late = {"east": cut(tracks["left"], cameras["left"].robot_time(tracks["left"].t_s) > middle + 0.5)}
     done = calibrated(world, {"west": early["right"], **late})
-    assert any(note.startswith("east never saw a light") and "at once" in note for note in done.notes)
+    assert any(note.startswith("east ") and "at once" in note for note in done.notes)
 
 
 def test_which_of_the_cameras_was_touched_is_named(
@@ -114,7 +114,7 @@ def test_which_of_the_cameras_was_touched_is_named(
     touched = replace(track, uv_px=track.uv_px + np.where(half[:, None], [4.0, 2.5], 0.0))
     with pytest.raises(Inconsistent) as caught:
         calibrated(world, {"left": tracks["left"], "top": touched, "east": tracks["east"]})
-    assert names_it(caught.value, "top", "camera", "Fasten the top camera")
+    assert names_it(caught.value, "top camera", "Fasten")
 
 
 def test_an_earlier_calibration_of_some_of_the_cameras_counts(
