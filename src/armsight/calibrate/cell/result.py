@@ -73,8 +73,7 @@ def tip_slopes(
     looked (k, V, n): which lights each camera sees there; None: all that are in its image.
     """
     k, n, P = len(q), len(model.lights), len(x)
-    uv, J = model.standing(x, q)
-    T = model.flange(x, q)
+    (uv, J), T = model.standing(x, q), model.flange(x, q)
     arm_at, lights = np.array(T_flange_target.apply(tip_m)), model.lights_m(x)
     tip = T[:, :3, :3] @ arm_at  # (k, 3) from the flange
     inside = _inside(model, uv)
@@ -91,8 +90,7 @@ def tip_slopes(
     by_x = J.copy()
     by_x[..., model.arm_at : a] = 0.0  # where the arm stands is what is measured
     # how the target moves with its lights; what is no such motion is its shape
-    moves = rigid_moves(lights, arm_at)
-    carried = np.linalg.pinv(moves)  # (6, 3 n)
+    carried = np.linalg.pinv(moves := rigid_moves(lights, arm_at))  # (6, 3 n)
     by_x[..., a:] = by_x[..., a:] @ (np.eye(len(moves)) - moves @ carried)
     A, B = by_pose.reshape(k, -1, 6), by_x.reshape(k, -1, P)
     w = np.repeat(weight.reshape(k, -1), 2, axis=1)[:, :, None]
