@@ -150,7 +150,9 @@ def with_priors(model: CellModel, known: Knowledge, priors: CellPriors, x: Array
 def _tell_rig(model: CellModel, mean: Array, information: Array, rig: Rig, T_first: RigidTransform, x: Array) -> None:
     """Put in what a rig says of its lenses, and of where its cameras stand to its first one, wherever that is."""
     known = NamedCovariance(names=(), matrix=np.empty((0, 0))) if rig.covariance is None else rig.covariance
-    at, places, J = [], [], np.zeros((0, 6))
+    at: list[int] = []
+    places: list[str] = []
+    J = np.zeros((0, 6))
     T_base = T_first  # of the rig's first camera
     for k, one in enumerate(rig.cameras):
         side = model.recording.names.index(one.name)

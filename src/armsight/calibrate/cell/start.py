@@ -9,7 +9,7 @@ piece by piece and the rank of one is restored by alternating.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -153,8 +153,8 @@ def find_start(
     """
     pieces = best_pieces(spots, ways)
     few = [rows[np.linspace(0, len(rows) - 1, min(QUICK_ROWS, len(rows))).astype(np.intp)] for rows in pieces]
-    own = {"arm": arm, "log": log, "spots": spots, "size": size, "places": places}
-    quick = _Look(pieces=few, turns=QUICK_ALTERNATIONS, **own)
+    whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS, places=places)
+    quick = replace(whole, pieces=few, turns=QUICK_ALTERNATIONS)
     best: Start | None = None
     for delay in delays_s.tolist():
         best = _better([best, *(quick.start(delay + step, size[0], 0.0) for step in STEPS_S)])
@@ -165,7 +165,6 @@ def find_start(
     width = STEPS_S[1] - STEPS_S[0]
     # between the steps the linear solution leaves some pixels more; the bundle takes up what is left of the delay
     near = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)]) or best
-    whole = _Look(pieces=pieces, turns=ALTERNATIONS, **own)
     found = _better([whole.start(near.delay_s, near.focal_px, k1) for k1 in LENS_TRIED])
     if found is not None and found.rms_px < GOOD * size[0] / 5.0:
         return found

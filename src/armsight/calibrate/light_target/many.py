@@ -13,6 +13,7 @@ from itertools import combinations
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight.arrays import Array, Index
 from armsight.calibrate.light_target.adjustment import (
@@ -142,7 +143,7 @@ def _sights(
     return sights, of, [(number, why[number]) for number in range(len(moments)) if number not in of]
 
 
-def _order(rig: Rig, labelled: LabelledFrames, keep: Array, *, flat: bool) -> Index:
+def _order(rig: Rig, labelled: LabelledFrames, keep: NDArray[np.bool_], *, flat: bool) -> Index:
     """Return the order of the shape's lights that makes them A, B, C ... by where the first camera would see them."""
     named = labelled.named
     X, T = named.X, rig.cameras[0].T_rig_camera.inv()
