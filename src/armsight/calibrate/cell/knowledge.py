@@ -176,7 +176,8 @@ def _tell_rig(model: CellModel, mean: Array, information: Array, rig: Rig, T_fir
         at += range(begin + POSE_AT, begin + CLOCK_AT)
     if places:
         # where cameras stand to each other is a matter of all, so what is known of it is about all
-        information[np.ix_(at, at)] += J.T @ np.linalg.inv(known.block(tuple(places))) @ J
+        W = np.linalg.inv(known.block(tuple(places)))
+        information[np.ix_(at, at)] += J.T @ W @ J
 
 
 def pair_slopes(T_base_left: RigidTransform, T_base_right: RigidTransform) -> Array:
