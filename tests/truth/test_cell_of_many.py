@@ -44,18 +44,6 @@ def calibrated(world: CellWorld, tracks: dict[str, Track], priors: CellPriors | 
     )
 
 
-def cut(track: Track, kept: np.ndarray) -> Track:
-    """A track of which only some frames show spots."""
-    rows = kept[track.frame]
-    return replace(
-        track,
-        frame=track.frame[rows],
-        uv_px=track.uv_px[rows],
-        covariance_px2=track.covariance_px2[rows],
-        light=track.light[rows],
-    )
-
-
 @pytest.fixture(scope="module")
 def four() -> tuple[CellWorld, dict[str, WebCam], dict[str, Track]]:
     world, cameras, tracks = watched_by_four(SEED, SECONDS)
@@ -92,17 +80,6 @@ def test_what_three_cameras_measure_is_claimed_by_what_they_see_not_by_what_is_i
 ) -> None:
     assert good.tip.measured_m < 3e-3
     assert 20 < len(good.samples) <= 60
-
-
-def test_a_camera_that_looks_when_no_other_does_is_named_and_told_how_to_be_joined(
-    four: tuple[CellWorld, dict[str, WebCam], dict[str, Track]],
-) -> None:
-    world, cameras, tracks = four
-    middle = float(np.mean(world.log_t_s))
-    early = {name: cut(tracks[name], cameras[name].robot_time(tracks[name].t_s) < middle - 0.5) for name in NAMED[:2]}
-    late = {"east": cut(tracks["left"], cameras["left"].robot_time(tracks["left"].t_s) > middle + 0.5)}
-    done = calibrated(world, {"west": early["right"], **late})
-    assert any(note.startswith("east ") and "at once" in note for note in done.notes)
 
 
 def test_which_of_the_cameras_was_touched_is_named(
