@@ -230,7 +230,7 @@ def _camera(
 ) -> tuple[Array, Array, float, bool] | None:
     """Return P (3, 4) about the middle, the pieces' lights (k, 3), what remains, and whether it shows a mirror."""
     pieces = _Pieces.of(T, xy, middle)
-    found = [] if places is None else [_resected(pieces, places, turns)]
+    found: list[tuple[Array, Array, float] | None] = [] if places is None else [_resected(pieces, places, turns)]
     if places is None:
         found = [_alternated(P, pieces, turns) for P in (_eliminated(T, xy, middle), *_as_one(pieces))]
     near = [each for each in found if each is not None and np.linalg.norm(each[1], axis=1).max() < FARTHEST_M]

@@ -141,7 +141,7 @@ def by_camera(
                 cure="Leave one of the two away",
             )
         named_cameras({name: name for name in (*own, *named)})
-    given = own | dict(named)
+    given: dict[str, Source | None] = {**own, **named}
     return {side: given[side] for side in SIDES} if set(given) == set(SIDES) else given
 
 
