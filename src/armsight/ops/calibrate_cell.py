@@ -171,9 +171,9 @@ def calibrate_cell(
 
     for name, value in (("size", size), ("right_size", right_size)):
         recorded.require_size(name, value)
-    sources, tables = recorded.by_camera(left, right, cameras), recorded.by_camera(left_spots, right_spots, spots)
-    recorded.require_sources(list(sources.values()), list(tables.values()), size)
-    sources, tables = ({name: one for name, one in each.items() if one is not None} for each in (sources, tables))
+    given, listed = recorded.by_camera(left, right, cameras), recorded.by_camera(left_spots, right_spots, spots)
+    recorded.require_sources(list(given.values()), list(listed.values()), size)
+    sources, tables = ({name: one for name, one in each.items() if one is not None} for each in (given, listed))
     joints = recorded.joints_of(robot_log, model, table or OURS)
     if size is not None and tables:
         each = [right_size if name == "right" and right_size else size for name in tables]
