@@ -27,7 +27,7 @@ from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.views import measure_views
-from armsight.records import Motion, Spots, SpotTrack, spot_target
+from armsight.records import Motion, PoseStatus, Spots, SpotTrack, spot_target
 from armsight.store.arm_file import arm_from_mapping
 
 EXACT_PX = 1e-3
@@ -80,7 +80,7 @@ def tips(world: CellWorld, cameras: tuple[WebCam, ...], done: CellResult) -> tup
         seen = [Spots.of_centres(px[k][looked[k, s]], EXACT_PX**2 * np.eye(2)) for s, px in enumerate(uv)]
         found = measure_spots(setup, 0.0, *seen) if pair else measure_views(setup, 0.0, seen)
         pose = found.pose.T_parent_target
-        if pose is not None:
+        if pose is not None and found.pose.status is PoseStatus.OK:
             T_rig = RigidTransform.from_matrix(np.asarray(pose))
             off.append((done.T_base_rig * T_rig).apply(truth.tip_target_m) - truth.tips(q[k : k + 1])[0])
             claimed.append(C[k])
