@@ -13,8 +13,8 @@ from armsight.calibrate.cell import ArmTolerance, CellOptions, CellPriors, calib
 from armsight.calibrate.cell.result import tip_slopes
 from armsight.calibrate.cell.rounds import Solved
 from armsight.kinematics import fk
-from armsight.optics import RIGHT_POSE, SIDES, Rig
-from armsight.records import Motion, NamedCovariance
+from armsight.optics import Rig
+from armsight.records import Motion
 from cell_records import Calibrated, arm_of, nominal_axes, target_of, track_of
 
 Array = NDArray[np.float64]
@@ -100,18 +100,6 @@ def efficient(slopes: Array, covariance: Array) -> Array:
     return np.asarray(np.sqrt(((slopes @ steps) ** 2).sum(axis=1).mean(axis=0)))
 
 
-def board_priors(rig: Rig) -> CellPriors:
-    """Return what a board's calibration of the same cameras says."""
-    C = rig.covariance
-    lenses = []
-    for side in SIDES:
-        names = [name for name in C.names if name.startswith(f"{side}.") and name not in RIGHT_POSE]
-        short = tuple(name.partition(".")[2] for name in names)
-        lenses.append((rig.camera(side), NamedCovariance(names=short, matrix=C.block(tuple(names)))))
-    pose = NamedCovariance(names=RIGHT_POSE, matrix=C.block(RIGHT_POSE))
-    return CellPriors(lenses=tuple(lenses), right_pose=(rig.T_rig_left.inv() * rig.T_rig_right, pose))
-
-
 def ours(world: Any, board: Rig | None = None) -> Ours:
     """Calibrate the cell from its one recording, and from a board's calibration of its rig. Raises DataRefused."""
     done = calibrate_cell(
@@ -121,7 +109,7 @@ def ours(world: Any, board: Rig | None = None) -> Ours:
         target_of(world),
         sizes=[track.size for track in (world.left, world.right)],
         options=CellOptions(
-            priors=None if board is None else board_priors(board), tolerance=ArmTolerance(length_m=MAKERS_M)
+            priors=None if board is None else CellPriors(rig=board), tolerance=ArmTolerance(length_m=MAKERS_M)
         ),
     )
     parts, model, truth = done.parts, done.solved.model, world.truth

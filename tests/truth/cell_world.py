@@ -295,3 +295,29 @@ def make_cell(
         target={name: tuple(xyz) for name, xyz in zip(NAMES, shape.tolist(), strict=True)},
         truth=truth,
     )
+
+
+BESIDE_DEG = 50.0
+NAMED = ("left", "right", "east", "west")
+
+
+def beside(camera: WebCam, centre: Array, by_deg: float, delay_s: float) -> WebCam:
+    """Return a camera carried about a vertical through a centre, by a clock of its own."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.0, 0.0, by_deg * DEG]).as_matrix()
+    T[:3, 3] = centre - T[:3, :3] @ centre
+    return replace(camera, T_base_camera=T @ camera.T_base_camera, delay_s=delay_s, drift_ppm=-0.7 * camera.drift_ppm)
+
+
+def watched_by_four(seed: int, seconds: float) -> tuple[CellWorld, tuple[WebCam, ...], tuple[Track, ...]]:
+    """Return a cell, its four cameras by NAMED, and what they saw of one motion.
+
+    Two look from beside the first two, and see the lights, which shine to one side, seldom or in part.
+    """
+    world = make_cell(seed, seconds=seconds)
+    truth = world.truth
+    centre = truth.tips(truth.samples).mean(axis=0)
+    more = [beside(truth.left, centre, BESIDE_DEG, 0.7), beside(truth.right, centre, -BESIDE_DEG, -1.1)]
+    rng = np.random.default_rng([seed, 4])
+    _, _, east, west = record(rng, replace(truth, left=more[0], right=more[1]), float(world.log_t_s[0]), seconds)
+    return world, (truth.left, truth.right, *more), (world.left, world.right, east, west)

@@ -14,6 +14,7 @@ from armsight.errors import ArmsightError
 from armsight.kinematics import Arm
 from armsight.ops.arm_files import load_arm
 from armsight.ops.measurement.run import target_of
+from armsight.optics import SIDES
 from armsight.records import Target
 from armsight.store.cell_file import cell_path
 from armsight.units import MM
@@ -68,7 +69,8 @@ def _lights(console: Console, target: Target | None) -> Lamp:
     if target is None:
         return Lamp("lights", "idle", texts.LIGHTS_UNKNOWN.format(counts=counts))
     n = len(target.names)
-    if min(found.values()) < n:
+    # of more cameras than left and right one may see what another does not
+    if (min if console.pictures == SIDES else max)(found.values()) < n:
         return Lamp("lights", "bad", texts.FEWER.format(counts=counts, n=n))
     if max(found.values()) > n:
         return Lamp("lights", "warn", texts.MORE.format(counts=counts, n=n))

@@ -320,7 +320,8 @@ def _mirrors(console: Console, folder: Path) -> Guided:
 
 def _timing(console: Console, folder: Path) -> Guided:
     rig = console.file("rig")
-    return TimingStep(rig=rig, target=console.file("target"), folder=folder, out=rig)
+    target, sides = console.file("target"), console.pictures
+    return TimingStep(rig=rig, target=target, folder=folder, out=rig, sides=sides)
 
 
 def _tip(console: Console, folder: Path) -> Guided:
@@ -352,6 +353,7 @@ def _whole_cell(console: Console, folder: Path) -> Guided:
         folder=console.folder,
         file_of=lambda name: cell_path(console.folder, getattr(console.cell, name), name),
         read_joints=None if console.robot is None else console.robot.reading,
+        sides=console.pictures,
         look=lambda: console.look,
     )
 
@@ -387,5 +389,5 @@ def _maker(console: Console, name: str) -> Callable[[Console, Path], Guided]:
 def steps_of(console: Console) -> tuple[str, ...]:
     """Return the steps that the page Calibrate offers for a cell, in their order."""
     known = {SIDES: ("stereo", "mirrors", "timing"), (COMPLEX,): ("mirrors",)}
-    of_rig = known.get(console.pictures, ("cameras",) if len(console.pictures) > 1 else ())
+    of_rig = known.get(console.pictures, ("cameras", "timing") if len(console.pictures) > 1 else ())
     return (*lenses_of(console), *of_rig, "tooltip", "handeye", "arm")

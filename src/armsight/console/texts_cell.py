@@ -7,9 +7,8 @@ INTRO = (
     "the arm's base, their clocks, the lights on the flange, and the arm's zeros and lengths. No board, no stops."
 )
 NOT_THIS_CELL = (
-    "This wants two cameras, left and right, that stand beside the robot; this cell has others, or the robot carries "
-    "them. Nothing is recorded here. Take the steps of the page Calibrate instead, or give two cameras that "
-    "stand, on the page Settings."
+    "This wants cameras that stand beside the robot; this cell has mirrors, or the robot carries its cameras. Nothing "
+    "is recorded here. Take the steps of the page Calibrate instead, or give cameras that stand, on the page Settings."
 )
 STEPS = ("Mount", "Move", "Result")
 STEPS_NAME = "The three steps"
@@ -20,8 +19,8 @@ CHECK = "Look yourself, before anything moves"
 CHECKS = (
     "Four lights or more on the flange, not in one plane, 3 to 15 cm apart, none symmetric to the others. They do not "
     "move on the flange.",
-    "Two cameras that look at the place of work from different sides, 20 to 60 degrees between them, fastened well; "
-    "exposure and focus locked.",
+    "Two cameras or more that look at the place of work from different sides, 20 to 60 degrees between them, fastened "
+    "well; exposure and focus locked.",
     "Nothing that moves shines as bright as the lights. Lamps that stand may be in view.",
     "No rig is needed beforehand: without one the state above says that nothing is measured, which does no harm here.",
 )
@@ -29,7 +28,7 @@ TOLD = "What the software sees"
 LEVELS = {"good": "Ready", "warn": "Look", "bad": "Not ready", "idle": "Later"}
 LAMP = "{sign} {name}: {level}"
 LAMPS = {
-    "cameras": "Both cameras",
+    "cameras": "Cameras",
     "lights": "Lights",
     "joints": "The arm's readings",
     "target": "Target",
@@ -40,12 +39,12 @@ PICTURES = "Pictures come, {fps:.0f} pairs a second: {sizes} px."
 SLOW = (
     "{fps:.0f} pairs a second are few: clocks and quick motion are told badly. Lower exposure or size, or move slower."
 )
-NO_CAMERAS = "No cameras are set up, so nothing can be recorded. Give both on the page Settings."
+NO_CAMERAS = "No cameras are set up, so nothing can be recorded. Give them on the page Settings."
 NOT_MEASURING = "No pictures come: {why}. Nothing can be recorded. Look at plugs and power; the page Live starts anew."
 STARTING = "The cameras are being opened."
 LIGHTS = "{counts} of {n} lights are seen."
 FEWER = (
-    "{counts} of {n} lights are seen. Pictures that miss lights tell less. Turn the target to both "
+    "{counts} of {n} lights are seen. Pictures that miss lights tell less. Turn the target to the "
     "cameras, or raise the exposure."
 )
 MORE = (
@@ -83,7 +82,7 @@ TARGET = "{n} lights, over {mm:.0f} mm."
 ARM = "{name}, {n} joints."
 
 MOVE_HELP = (
-    "All joints turn by 20 degrees and more, the last three by far more. The lights go through the whole of both "
+    "All joints turn by 20 degrees and more, the last three by far more. The lights go through the whole of all "
     "pictures, nearer and farther too, fast enough for the clocks (0.2 to 1 m/s), not repeating themselves, for one to "
     "two minutes. Nothing is touched on the way."
 )
@@ -134,6 +133,7 @@ ROWS = {
     "all lights seen, left": "All lights seen, left",
     "all lights seen, right": "All lights seen, right",
     "tip, as both cameras measure it": "The tip, as both cameras measure it",
+    "tip, as the cameras measure it": "The tip, as the cameras measure it",
     "tip, as the arm's joints say": "The tip, as the arm's joints say",
     "added by the noise of one pair": "Added by the noise of one pair",
     "scale": "Scale",

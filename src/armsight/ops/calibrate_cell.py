@@ -11,7 +11,7 @@ from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import CELL, CELL_CALIBRATED
 from armsight.ops.action import Input, action
 from armsight.ops.flags import KNOWN_ARM, SRC, Fps, Inverted, Limit, Table, Threshold, size_of
-from armsight.ops.kinds import FRAMES, READERS
+from armsight.ops.kinds import FRAMES, READERS, CamerasLike
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -30,6 +30,12 @@ BuiltTarget: TypeAlias = Annotated[Any, Input(f"{READERS}:target", hashed=True)]
 NominalArm: TypeAlias = Annotated[Any, Input(f"{HERE}:given_arm", kind=str)]
 TipLike: TypeAlias = Annotated[Any, Input(f"{HERE}:given_tip", kind=str)]
 Files: TypeAlias = Annotated[Any, Input(f"{HERE}:given_files", kind=list[Path], hashed=True)]
+NamedTables: TypeAlias = Annotated[
+    Any,
+    Doc("The same of a camera by its name; repeated."),
+    Input(f"{READERS}:named_spots", kind=list[str], hashed=True, files=f"{HERE}:named_tables"),
+    Flag("--spots", metavar="NAME=CSV", repeated=True),
+]
 Size: TypeAlias = "tuple[int, int] | None"
 
 
@@ -49,6 +55,8 @@ def compliance_called(name: str) -> bool | None:
         "0,0,0.12 -o cell",
         "--robot-log joints.csv --left-spots left.csv --right-spots right.csv --size 1280x720 --target "
         "target.yaml --model arm.yaml -o cell",
+        "--robot-log joints.csv --camera left=left.mp4 --camera right=right.mp4 --camera top=top.mp4 --target "
+        "target.yaml --model arm.yaml -o cell",
     ),
     own=CELL,
     filed=True,
@@ -67,8 +75,10 @@ def calibrate_cell(
     left: Annotated[Any, Doc(f"Left frames, each with its camera's stamp: {SRC}."), FRAMES, Flag(metavar="SRC")] = None,
     right: Annotated[Any, Doc("Right frames, each with its camera's stamp."), FRAMES, Flag(metavar="SRC")] = None,
     *,
+    cameras: CamerasLike = None,
     left_spots: Annotated[TableFile, Doc(f"Instead of frames: {SPOTS}; with --size."), Flag(metavar="CSV")] = None,
     right_spots: Annotated[TableFile, Doc("The same of the right camera."), Flag(metavar="CSV")] = None,
+    spots: NamedTables = None,
     size: Annotated[
         Size, Doc("With tables of spots: size of the images, px."), Flag(metavar="WxH", read=size_of)
     ] = None,
@@ -117,8 +127,12 @@ def calibrate_cell(
         The arm as its data sheet says.
     left, right
         Frames of both cameras, each with its camera's stamps.
-    left_spots, right_spots
-        Instead of frames: columns t_s, u_px, v_px of each camera; size, right_size: of their images (w, h) px.
+    cameras
+        Instead: frames by the names of one to eight cameras, {'left': ..., 'top': ...}. They need not see the lights
+        together, nor all the time; the first one's axes and stamps are the rig's.
+    left_spots, right_spots, spots
+        Instead of frames: columns t_s, u_px, v_px of each camera; spots: by the cameras' names. size, right_size: of
+        their images (w, h) px.
     tip
         Of the tool in target axes: (x, y, z) m, or tip.yaml.
     tolerance_m, tolerance_rad
@@ -157,22 +171,27 @@ def calibrate_cell(
 
     for name, value in (("size", size), ("right_size", right_size)):
         recorded.require_size(name, value)
-    recorded.require_sources((left, right), (left_spots, right_spots), size)
+    given, listed = recorded.by_camera(left, right, cameras), recorded.by_camera(left_spots, right_spots, spots)
+    recorded.require_sources(list(given.values()), list(listed.values()), size)
+    sources, tables = ({name: one for name, one in each.items() if one is not None} for each in (given, listed))
     joints = recorded.joints_of(robot_log, model, table or OURS)
-    if size is not None and left_spots is not None:
-        sizes = (size, right_size or size)
-        tracks = recorded.spots_of_tables((left_spots, right_spots), sizes)
+    if size is not None and tables:
+        each = [right_size if name == "right" and right_size else size for name in tables]
+        tracks, sizes = recorded.spots_of_tables(tables, each)
     else:
-        search = SpotSearch(threshold=threshold, inverted=inverted, fps=fps, limit=frames, origin_of=left)
-        tracks, sizes = recorded.spots_and_sizes(search, (left, right), progress or Silent())
-    recorded.require_two(tracks)
+        first = next(iter(sources.values()))
+        search = SpotSearch(threshold=threshold, inverted=inverted, fps=fps, limit=frames, origin_of=first)
+        tracks, sizes = recorded.spots_and_sizes(search, sources, progress or Silent())
+    recorded.require_own(tracks)
+    names = tuple(tracks)
     options = CellOptions(
         tip_m=tip,
         tolerance=ArmTolerance(length_m=tolerance_m, zero_rad=tolerance_rad, angle_rad=tolerance_rad),
         compliance=compliance,
-        priors=recorded.read_priors(prior or (), sizes),
+        priors=recorded.read_priors(prior or (), sizes, names),
     )
-    done = calibrate_cell(model, joints, tracks, target, sizes=sizes, options=options, progress=progress)
+    every = list(tracks.values())
+    done = calibrate_cell(model, joints, every, target, sizes=sizes, names=names, options=options, progress=progress)
     if size is not None:
         recorded.require_centred(done)
     return done

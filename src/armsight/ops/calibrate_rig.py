@@ -22,7 +22,6 @@ from armsight.ops.kinds import (
     Left,
     NamedSpotsLike,
     Right,
-    RigLike,
     SpotsLike,
     TargetLike,
 )
@@ -160,15 +159,19 @@ def calibrate_cameras(
 @action(
     "calibrate target",
     working="calibrating",
-    examples=("--rig rig.yaml --left frames/left --right frames/right --lights 3 -o target.yaml",),
+    examples=(
+        "--rig rig.yaml --left frames/left --right frames/right --lights 3 -o target.yaml",
+        "--rig rig.yaml --camera left=left --camera right=right --camera top=top --lights 3 -o target.yaml",
+    ),
     judged=True,
     writes="write_lights",
 )
 def calibrate_target(
-    rig: Annotated[RigLike, Doc("rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
+    rig: Annotated[AnyRigLike, Doc("rig.yaml of the cameras, from `armsight calibrate stereo` or `cameras`.")],
     left: Left = None,
     right: Right = None,
     *,
+    cameras: CamerasLike = None,
     image: BothViews = None,
     lights: Annotated[int, Doc("How many lights the target has."), Bounds(least=2, most=6)] = LIT_LIGHTS,
     frames: Limit = None,
@@ -182,12 +185,12 @@ def calibrate_target(
 
     Parameters
     ----------
-    rig, left, right, image
-        As `measure` takes them.
+    rig, left, right, cameras, image
+        As `measure` takes them. Of more cameras than two every sight of a light counts, also that of one camera alone.
     lights
         How many there are.
     frames
-        Pairs to read at most.
+        Pairs to read at most, or moments.
     out
         target.yaml to write.
 
@@ -198,21 +201,25 @@ def calibrate_target(
     """
     from functools import partial
 
-    from armsight.calibrate.light_target import calibrate_target
+    from armsight.calibrate.light_target import calibrate_lights, calibrate_target
     from armsight.drivers import AUTOMATIC
     from armsight.measure.settings import SpotSettings
-    from armsight.ops.calibration.spots_of_frames import lit_frames
+    from armsight.ops.calibration.spots_of_frames import lit_frames, lit_moments, naming, paired
     from armsight.ops.sources.cameras import open_rig
     from armsight.ops.sources.frames import complex_pairs, open_source
     from armsight.records import Silent
 
-    settings, cameras = SpotSettings(threshold=threshold, inverted=inverted), camera_settings or AUTOMATIC
-    if (image is None) == (left is None):
+    settings, each = SpotSettings(threshold=threshold, inverted=inverted), camera_settings or AUTOMATIC
+    if not rig.is_pair and image is None:
+        with open_rig(rig.names, left, right, cameras or {}, settings=each) as moments:
+            views = lit_moments(rig, moments, settings, frames, progress or Silent())
+        return calibrate_lights(rig, views, lights, paired=paired, naming=naming)
+    if (image is None) == (left is None and not cameras):
         raise UsageError("which frames?", cure="Give --left and --right, or --image with both views in one image")
     if image is None:
-        source, overlaid = open_rig(rig.names, left, right, settings=cameras), False
+        source, overlaid = open_rig(rig.names, left, right, cameras or {}, settings=each), False
     else:
-        source, overlaid = complex_pairs(partial(open_source, image, settings=cameras), rig)
+        source, overlaid = complex_pairs(partial(open_source, image, settings=each), rig)
     with source as pairs:
         seen = lit_frames(rig, pairs, settings, frames, progress or Silent())
     return calibrate_target(rig, seen, lights, overlaid=overlaid)

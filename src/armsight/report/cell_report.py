@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
+from itertools import cycle
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from armsight.arrays import Array
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT
 from armsight.calibrate.cell.result import UNLEARNED_BITS, Learned
-from armsight.optics import SIDES
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -62,17 +62,17 @@ def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = (), cre
         page.add("What to know, and to do", "", bullets([*done.notes, *done.advice]))
     page.add(
         "How well the tip is known, where",
-        "In base axes, at places of the recording that both cameras saw; colours are standard deviations of the tip's "
-        "place in mm. Outside of them nothing was checked. Click in the legend for what the calibrated arm's joints "
-        "alone tell.",
+        f"In base axes, at places of the recording that {done.all_cameras} saw; colours are standard deviations of "
+        "the tip's place in mm. Outside of them nothing was checked. Click in the legend for what the calibrated arm's "
+        "joints alone tell.",
         page.plot(tip_figure(done)),
     )
     page.add(
         "Residuals over time",
         "Root mean square of a spot's coordinate in each second of motion. A step or a ramp would be something that "
         "moved; the level is the spots' noise. Stretches that the fit did not see "
-        f"({figure_of(done.left_out_px.left)} and {figure_of(done.left_out_px.right)} px) are met as well as those "
-        f"that it saw ({figure_of(done.residual_px.left)} and {figure_of(done.residual_px.right)} px) where the "
+        f"({' and '.join(map(figure_of, done.left_out_px.values()))} px) are met as well as those "
+        f"that it saw ({' and '.join(map(figure_of, done.residual_px.values()))} px) where the "
         "model is right.",
         page.plot(residual_figure(done)),
     )
@@ -113,7 +113,7 @@ def _add_parameters(page: Page, done: CellResult, inputs: Sequence[tuple[str, st
 
 
 def _cards(done: CellResult) -> list[Card]:
-    tip, rig = done.tip, done.parts.rig
+    tip = done.tip
     return [
         Card(
             name="tip, as the cameras measure it",
@@ -130,18 +130,22 @@ def _cards(done: CellResult) -> list[Card]:
             value=f"± {figure_of(tip.noise_m / MM, 'mm', digits=2)}",
             note="comes on top, goes with the mean",
         ),
-        Card(
-            name="baseline",
-            value=f"{with_deviation(rig.baseline_m / MM, done.baseline_std_m / MM)[0]} mm",
-            note=f"± {figure_of(done.baseline_std_m / MM, 'mm', digits=2)}",
-        ),
+        *_baseline(done),
         Card(
             name="residual, px",
-            value=f"{figure_of(done.residual_px.left, digits=2)}, {figure_of(done.residual_px.right, digits=2)}",
-            note="left and right camera, RMS",
+            value=", ".join(figure_of(px, digits=2) for px in done.residual_px.values()),
+            note=f"{' and '.join(done.rig.names)} camera, RMS",
         ),
         Card(name="scale from", value=f"the {done.scale.set_by}", note=f"ratio {_ratio(done)}"),
     ]
+
+
+def _baseline(done: CellResult) -> list[Card]:
+    far, std = done.baseline_m, done.baseline_std_m
+    if far is None or std is None:
+        return []
+    value = f"{with_deviation(far / MM, std / MM)[0]} mm"
+    return [Card(name="baseline", value=value, note=f"± {figure_of(std / MM, 'mm', digits=2)}")]
 
 
 def _ratio(done: CellResult) -> str:
@@ -161,7 +165,7 @@ def tip_figure(done: CellResult) -> Figure:
         hover = {"text": [f"± {size:.2g} mm" for size in spread.tolist()], "hovertemplate": "%{text}"}
         data.append({**points_in_space(name, done.tip_places_m / MM, marker), "visible": shown, **hover})
     rig = done.parts.rig
-    data += [camera_line(rig, side, done.parts.T_base_rig, depth_m=PYRAMID_M) for side in SIDES]
+    data += [camera_line(rig, side, done.parts.T_base_rig, depth_m=PYRAMID_M) for side in rig.names]
     for k, (name, colour) in enumerate(zip("xyz", (RED, GREEN, BLUE), strict=True)):
         ends = np.zeros((2, 3))
         ends[1, k] = BASE_M / MM
@@ -174,7 +178,7 @@ def residual_figure(done: CellResult) -> Figure:
     t, of_side = _seconds(done), _by_second(done)
     data: list[Plot] = [
         trace("lines", side, t, rms, line={"color": colour, "width": 1.5})
-        for side, rms, colour in zip(SIDES, of_side, (BLUE, ORANGE), strict=True)
+        for side, rms, colour in zip(done.rig.names, of_side, cycle((BLUE, ORANGE, GREEN, RED, INK)), strict=False)
     ]
     high = axis("residual, px", rangemode="tozero")
     return Figure(data=data, layout=layout(xaxis=axis("robot's time, s"), yaxis=high), height_px=320)
@@ -187,19 +191,19 @@ def _seconds(done: CellResult) -> Array:
     return np.asarray(np.bincount(found.block, weights=t) / np.bincount(found.block))
 
 
-def _by_second(done: CellResult) -> tuple[Array, Array]:
+def _by_second(done: CellResult) -> list[Array]:
     """Return the RMS residual of each camera in px in each stretch; NaN where it saw nothing."""
     found = done.solved.fit
     spread = np.sqrt(np.trace(found.spots.covariance_px2, axis1=1, axis2=2) / 2.0)
     own = spread * np.asarray(found.scale)[found.spots.side]
     square = np.mean((found.normals.residuals * own[:, None]) ** 2, axis=1)
     n, out = int(found.block[-1]) + 1, []
-    for side in (0, 1):
+    for side in done.solved.model.sides:
         rows = found.spots.side == side
         count = np.bincount(found.block[rows], minlength=n)
         total = np.bincount(found.block[rows], weights=square[rows], minlength=n)
         out.append(np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan)))
-    return out[0], out[1]
+    return out
 
 
 def information_figure(done: CellResult) -> Figure:
@@ -225,7 +229,7 @@ def information_shares(done: CellResult) -> dict[str, Array]:
     """
     model, found = done.solved.model, done.solved.fit
     free = set(found.places.tolist())
-    cameras = [side * len(PER_CAMERA) for side in (0, 1)]
+    cameras = [side * len(PER_CAMERA) for side in model.sides]
     parts = {
         "lenses": [a + k for a in cameras for k in range(POSE_AT)],
         "cameras' places": [a + k for a in cameras for k in range(POSE_AT, CLOCK_AT)],
@@ -266,8 +270,10 @@ def _checks(done: CellResult) -> str:
             "taken into account in all deviations",
         ],
         ["spots of no light", f"{done.n_left_out}", "lamps, reflections, two lights that touch"],
-        ["left stamps to robot's time", f"{done.delay_s.left:+.5f} s", "in the middle of the recording"],
-        ["right stamps to robot's time", f"{done.delay_s.right:+.5f} s", "in the middle of the recording"],
+    ]
+    rows += [
+        [f"{name} stamps to robot's time", f"{delay:+.5f} s", "in the middle of the recording"]
+        for name, delay in done.delay_s.items()
     ]
     rows += [
         [f"{one.told}?", "no", f"{100.0 * one.evidence:.0f} % of the evidence that would be an alarm"]

@@ -96,6 +96,23 @@ def test_moving_lights_cover_a_picture_and_lamps_that_stand_do_not() -> None:
     assert watch.lost_side == "right"
 
 
+def test_of_cameras_by_name_lights_are_lost_when_none_sees_them() -> None:
+    watch = CellWatch(n_lights=4, sides=("east", "top", "west"))
+    side, few, every = SIDE, lights(50.0, 50.0, 2), lights(50.0, 50.0)
+
+    def moment(t_s: float, *seen: Any) -> Any:
+        spots = tuple(Spots.of_centres(uv, np.tile(np.eye(2), (len(uv), 1, 1))) for uv in seen)
+        cameras = dict.fromkeys(watch.sides, side)
+        return SimpleNamespace(spots=spots, view=SimpleNamespace(t_s=t_s, cameras=cameras, fps=30.0))
+
+    for k in range(2 * LOST_LOOKS):
+        watch.add_pictures(moment(float(k), few, every, few))
+    assert not watch.lost_side and watch.seen_share("top") == 1.0 and set(watch.cells) == {"east", "top", "west"}
+    for k in range(LOST_LOOKS):
+        watch.add_pictures(moment(100.0 + k, few, few, few))
+    assert watch.lost_side == "top"
+
+
 def test_pressed_twice_is_one_recording_with_the_readings_beside_it(tmp_path: Path) -> None:
     clock, station = iter(range(10_000)), FakeStation()
     step = step_of(tmp_path, lambda: reading(1e-2 * next(clock), 0.1, 0.2))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cell.assignment import moves, tracklets
+from armsight.calibrate.cell.calibrate import _alone
 from armsight.calibrate.cell.fit import WAVES, CellData, blocks_of, fit_cell
 from armsight.calibrate.cell.knowledge import ArmTolerance, default_knowledge
 from armsight.calibrate.cell.model import BlockNormals, CellModel, start_vector
@@ -69,6 +71,19 @@ def some(model):
     spots = spots.take(spots.frame % 20 == 0)
     line = np.random.default_rng(1).uniform(-0.5, 0.5, len(spots))
     return Spots(**{name: line if name == "line" else getattr(spots, name) for name in Spots.__slots__})
+
+
+def test_cameras_that_never_look_at_one_moment_are_named(cell):
+    model, x = cell
+    spots = some(model)
+
+    def alone(kept):
+        return _alone(SimpleNamespace(model=model, fit=SimpleNamespace(x=x, spots=spots.take(kept))))
+
+    early = spots.frame < 400
+    assert alone(np.ones(len(spots), bool)) == []
+    assert alone((spots.side == 0) == early) == ["left", "right"]
+    assert alone((spots.side == 0) | (spots.frame > 500)) == []
 
 
 def test_derivatives_of_the_pixels_are_their_differences(cell):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armsight.errors import Inconsistent
+from armsight.ops.calibration.cell import read_priors
 from armsight.ops.simulation.run import simulate
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_world
 from armsight.store.arm_file import read_arm
 from armsight.store.recording import RecordingWriter
 from armsight_lab.history.figures import parameters_of
+from refusals import refuses
 
 Run = Callable[..., Any]
 WRITTEN = {"rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "report.html"}
@@ -28,8 +32,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def words(folder: Path, out: Path, **other: object) -> list[object]:
-    """The command's words; other: flags with other values, None leaves one out."""
+def words(folder: Path, out: Path, *more: object, **other: object) -> list[object]:
+    """The command's words; other: flags with other values, None leaves one out; more: further words."""
     flags: dict[str, object] = {
         "robot-log": folder / "joints.csv",
         "left-spots": folder / "left.csv",
@@ -42,7 +46,7 @@ def words(folder: Path, out: Path, **other: object) -> list[object]:
     }
     flags |= {name.replace("_", "-"): value for name, value in other.items()}
     given = [part for name, value in flags.items() if value is not None for part in (f"--{name}", value)]
-    return ["calibrate", "cell", *given, "-o", out]
+    return ["calibrate", "cell", *given, *more, "-o", out]
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +163,55 @@ WRONG: dict[str, tuple[dict[str, object], tuple[str, ...], int]] = {
     "another arm": ({"model": "kapucu2005"}, ("kapucu2005",), 2),
     "an arm of 7 joints": ({"model": "iiwa14"}, ("6 joints", "has 7"), 3),
 }
+
+
+def test_cameras_by_the_names_of_a_pair_are_the_pair(
+    armsight: Run, made: Path, done: tuple[Path, Any], tmp_path: Path
+) -> None:
+    named = [part for side in ("left", "right") for part in ("--spots", f"{side}={made / side}.csv")]
+    ran = armsight(*words(made, tmp_path / "cell", *named, **NO_SPOTS))
+    assert ran.code == 0, ran.text
+    assert ran.json == done[1]
+
+
+WRONG_NAMES: dict[str, tuple[tuple[str, ...], tuple[str, ...], int]] = {
+    "twice": (
+        ("--spots", "left={}/left.csv", "--left-spots", "{}/left.csv"),
+        ("table of left is given twice", "one of the two"),
+        2,
+    ),
+    "one source twice": (("--camera", "east=a.mp4", "--camera", "west=a.mp4"), ("east and west are both a.mp4",), 2),
+    "no name": (("--camera", "rig=a.mp4"), ("'rig' is no name of a camera",), 3),
+    "frames and tables": (("--camera", "east=a.mp4", "--spots", "west={}/left.csv"), ("which frames", "--spots"), 2),
+    "one table of two": (("--spots", "a={}/left.csv", "--spots", "b={}/left.csv"), ("a and b hold the same spots",), 3),
+    "live": (("--camera", "east=camera:0", "--camera", "west=camera:1"), ("live", "armsight record"), 2),
+    "another rig": (
+        ("--spots", "east={}/left.csv", "--spots", "west={}/right.csv", "--prior", "{}/other/rig.yaml"),
+        ("of the cameras left, right", "recording of east, west", "leave it out"),
+        3,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_NAMES)
+def test_wrong_names_of_cameras_are_refused(
+    armsight: Run, made: Path, done: tuple[Path, Any], tmp_path: Path, name: str
+) -> None:
+    more, says, code = WRONG_NAMES[name]
+    if not (made / "other").exists():
+        shutil.copytree(done[0], made / "other")
+    ran = armsight(*words(made, tmp_path / "cell", *(text.format(made) for text in more), **NO_SPOTS))
+    assert ran.code == code, ran.text
+    assert all(part in ran.text for part in says), ran.text
+    assert not list(tmp_path.rglob("*.yaml"))
+
+
+def test_a_place_of_another_camera_than_the_first_is_no_prior(done: tuple[Path, Any]) -> None:
+    files = [done[0] / "rig.yaml", done[0] / "world.yaml"]
+    assert read_priors(files, [(1280, 720)] * 2).base_pose is not None
+    with refuses(Inconsistent, ("world.yaml", "camera right is not the one", "in the order of rig.yaml")):
+        read_priors(files, [(1280, 720)] * 2, ("right", "left"))
+    assert read_priors(files[:1], [(1280, 720)] * 2, ("right", "top")).rig.names == ("right",)
 
 
 @pytest.mark.parametrize("name", WRONG)

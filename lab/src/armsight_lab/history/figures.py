@@ -173,7 +173,7 @@ def _scalars(result: Content) -> Iterator[Quantity]:
     stds = result.get("std")
     if not isinstance(stds, Mapping):
         return
-    if "baseline_m" in result:
+    if result.get("baseline_m") is not None:  # null of other cameras than a pair
         yield _quantity("baseline_m", result["baseline_m"], stds.get("baseline_m", result.get("baseline_std_m")))
     for key in CAMERA:
         if key in result:

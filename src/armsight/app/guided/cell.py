@@ -47,12 +47,14 @@ class CellStep:
     """folder: of the cell; every recording has a folder of its own in it, which takes its result as well.
 
     file_of: the file of a key of the cell as it is now, None where it has none. read_joints: of the robot that is
-    connected; None where `log`, a file of the same motion, is brought afterwards. look: how lights are looked for.
+    connected; None where `log`, a file of the same motion, is brought afterwards. sides: the cameras.
+    look: how lights are looked for.
     """
 
     folder: Path
     file_of: Callable[[str], Path | None]
     read_joints: ReadJoints | None
+    sides: tuple[str, ...] = SIDES
     look: Callable[[], DetectionSettings] = DetectionSettings
     clock: Clock = field(default_factory=SystemClock)
     name: str = "cell"
@@ -68,7 +70,7 @@ class CellStep:
     @property
     def watch(self) -> CellWatch:
         """What the recording holds so far."""
-        return CellWatch() if self.recorder is None else self.recorder.watch
+        return CellWatch(sides=self.sides) if self.recorder is None else self.recorder.watch
 
     @property
     def samples(self) -> tuple[Sample, ...]:
@@ -115,7 +117,9 @@ class CellStep:
             unit, factor = displayed("m" if slides else "rad")
             rows.append((f"joint {name}", f"{now / factor:.0f} of {wanted / factor:.0f} {unit}"))
         if watch.n_pictures:
-            rows += [(f"all lights seen, {side}", f"{watch.seen_share(side):.0%} of the pictures") for side in SIDES]
+            rows += [
+                (f"all lights seen, {side}", f"{watch.seen_share(side):.0%} of the pictures") for side in self.sides
+            ]
         return tuple(rows)
 
     def _joints(self) -> Iterator[tuple[str, float, float, bool]]:
@@ -147,7 +151,7 @@ class CellStep:
         if self.recording:
             return
         folder = self._new_folder()
-        made = CellRecorder(station, folder, self.read_joints, self.clock, n_lights=self._read())
+        made = CellRecorder(station, folder, self.read_joints, self.clock, n_lights=self._read(), sides=self.sides)
         made.begin()
         self.recorder, self.log = made, None
 
@@ -231,8 +235,7 @@ class CellStep:
             target=self._needed("target"),
             model=self._needed("arm"),
             out=recorder.folder,
-            left=str(recorder.folder / FRAMES),
-            right=str(recorder.folder / FRAMES),
+            cameras=dict.fromkeys(self.sides, str(recorder.folder / FRAMES)),
             tip=tip,
             threshold=look.threshold,
             inverted=look.inverted,
@@ -291,27 +294,26 @@ def used_files(T_world_base: RigidTransform) -> dict[str, str]:
 def _rows(done: CellResult) -> Iterator[tuple[str, str]]:
     tip, scale = done.tip, done.scale
     for name, typical, worst in (
-        ("tip, as both cameras measure it", tip.measured_m, tip.measured_worst_m),
+        (f"tip, as {done.all_cameras} measure it", tip.measured_m, tip.measured_worst_m),
         ("tip, as the arm's joints say", tip.commanded_m, tip.commanded_worst_m),
     ):
         yield name, f"± {typical / MM:.2g} mm (1 σ), ± {worst / MM:.2g} mm at worst"
     yield "added by the noise of one pair", f"± {tip.noise_m / MM:.2g} mm"
     yield "scale", f"{scale.ratio:.4f} ± {scale.std:.4f}, the target by the arm's lengths; the {scale.set_by} sets it"
-    yield "baseline", f"{done.baseline_m / MM:.1f} ± {done.baseline_std_m / MM:.2g} mm"
-    yield "residual, RMS", f"left {done.residual_px.left:.3f}, right {done.residual_px.right:.3f} px"
+    if done.baseline_m is not None and done.baseline_std_m is not None:
+        yield "baseline", f"{done.baseline_m / MM:.1f} ± {done.baseline_std_m / MM:.2g} mm"
+    yield "residual, RMS", f"{', '.join(f'{name} {px:.3f}' for name, px in done.residual_px.items())} px"
     yield "seen", f"{done.duration_s:.0f} s of motion, {done.n_frames} frames, {done.n_spots} spots"
-
-
-PARTS = {"left.": "left camera", "right.": "right camera", "light:": "lights", "": "arm"}
-"""What a parameter belongs to, by how its name begins."""
 
 
 def _learned(done: CellResult) -> Iterator[str]:
     """Yield for each part of the cell how much was learned of it."""
-    for start, part in PARTS.items():
+    # by how its name begins
+    parts = {f"{name}.": f"{name} camera" for name in done.rig.names} | {"light:": "lights", "": "arm"}
+    for start, part in parts.items():
         own = [one for one in done.learned if one.name.startswith(start)]
         if not start:
-            own = [one for one in done.learned if not one.name.startswith(tuple(filter(None, PARTS)))]
+            own = [one for one in done.learned if not one.name.startswith(tuple(filter(None, parts)))]
         if not own:
             continue
         bits = [one.bits for one in own if one.bits is not None]

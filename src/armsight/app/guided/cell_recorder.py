@@ -1,4 +1,4 @@
-"""The recording from which a whole cell is calibrated: both cameras and the arm's readings, and how far it has come."""
+"""The recording from which a whole cell is calibrated: its cameras and the arm's readings, and how far it has come."""
 
 from __future__ import annotations
 
@@ -41,11 +41,10 @@ class CellWatch:
     """
 
     n_lights: int = 0
+    sides: tuple[str, ...] = SIDES
     seconds: float = 0.0
     n_pictures: int = 0
-    cells: dict[str, NDArray[np.int64]] = field(
-        default_factory=lambda: {side: np.zeros((CELLS, CELLS), dtype=np.int64) for side in SIDES}
-    )
+    cells: dict[str, NDArray[np.int64]] = field(default_factory=dict)
     whole: Counter[str] = field(default_factory=Counter)
     missed: dict[str, int] = field(default_factory=dict)
     gap_s: float = 0.0
@@ -54,6 +53,9 @@ class CellWatch:
     _high: Array | None = None
     _first_s: float | None = None
     _before: dict[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.cells = {side: np.zeros((CELLS, CELLS), dtype=np.int64) for side in self.sides}
 
     def add_pictures(self, shown: Snapshot) -> None:
         """Take the pictures of a moment."""
@@ -94,8 +96,12 @@ class CellWatch:
 
     @property
     def lost_side(self) -> str:
-        """The camera that has not seen all lights for a while, empty where both see them."""
-        return next((side for side, n in self.missed.items() if n >= LOST_LOOKS), "")
+        """The camera that has not seen all lights for a while, empty where both see them; of others than a pair where
+        any one does, and else the last to see them."""
+        if self.sides != SIDES and min(self.missed.values(), default=0) < LOST_LOOKS:
+            return ""
+        lost = [side for side, n in self.missed.items() if n >= LOST_LOOKS]
+        return "" if not lost else lost[0] if self.sides == SIDES else min(lost, key=self.missed.__getitem__)
 
     def seen_share(self, side: str) -> float:
         """Return in which share of the pictures a camera saw as many spots as the target has lights."""
@@ -116,9 +122,16 @@ class CellRecorder:
     """
 
     def __init__(
-        self, station: MeasurementProcess, folder: Path, read_joints: ReadJoints | None, clock: Clock, *, n_lights: int
+        self,
+        station: MeasurementProcess,
+        folder: Path,
+        read_joints: ReadJoints | None,
+        clock: Clock,
+        *,
+        n_lights: int,
+        sides: tuple[str, ...] = SIDES,
     ) -> None:
-        self.folder, self.watch, self.failure = folder, CellWatch(n_lights=n_lights), ""
+        self.folder, self.watch, self.failure = folder, CellWatch(n_lights=n_lights, sides=sides), ""
         self.silent, self.dropped = "", 0
         """Why the robot tells nothing just now, empty where it does; pairs that the disk had no time for."""
         self._station, self._read_joints, self._clock = station, read_joints, clock

@@ -1,4 +1,4 @@
-"""When two free-running cameras expose, from a recording of the moving target."""
+"""When free-running cameras expose, from a recording of the moving target."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from armsight.app.live.station import MeasurementProcess
 from armsight.errors import NotEnoughData
 from armsight.ops.calibrate_rig import calibrate_timing
 from armsight.ops.calibration.spots_of_frames import LIVE_S
+from armsight.optics import SIDES
 from armsight.records import Progress
 
 
 @dataclass(slots=True, kw_only=True)
 class TimingStep:
-    """rig, target: of the cell. folder: takes the recording. out: rig.yaml with the timing in it."""
+    """rig, target, sides, the cameras: of the cell. folder: takes the recording. out: rig.yaml with its timing."""
 
     rig: Path
     target: Path
     folder: Path
     out: Path
+    sides: tuple[str, ...] = SIDES
     name: str = "timing"
     _recording: Path | None = None
     _pairs: int = 0
@@ -70,11 +72,14 @@ class TimingStep:
         if self._recording is None:
             raise NotEnoughData("nothing was recorded", consequence="Nothing was calibrated", cure="Record first")
         text = str(self._recording)
-        sides = f"{text}:left", f"{text}:right"
-        done = calibrate_timing(self.rig, self.target, *sides, out=self.out, progress=progress)
-        rows = (
-            ("delay", f"{1e3 * done.clocks['right'].delay_s:.2f} ms"),
-            ("± in the middle", f"{1e3 * done.std_middle_s:.3f} ms (1 σ)"),
-            ("drift", f"{done.clocks['right'].drift_ppm:.1f} ppm"),
-        )
-        return StepResult(verdict=done.verdict_, rows=rows, file=self.out)
+        cameras = {name: f"{text}:{name}" for name in self.sides}
+        done = calibrate_timing(self.rig, self.target, cameras=cameras, out=self.out, progress=progress)
+        rows = []
+        for name in self.sides[1:]:
+            own, of = done.clocks[name], "" if self.sides == SIDES else f", {name}"
+            rows += [
+                (f"delay{of}", f"{1e3 * own.delay_s:.2f} ms"),
+                (f"± in the middle{of}", f"{1e3 * own.std_middle_s:.3f} ms (1 σ)"),
+                (f"drift{of}", f"{own.drift_ppm:.1f} ppm"),
+            ]
+        return StepResult(verdict=done.verdict_, rows=tuple(rows), file=self.out)

@@ -115,7 +115,7 @@ class NamedLights:
 
 
 def places_on_flange(lights_m: Sequence[Array], weights: Sequence[Array], near_m: float) -> tuple[Array, Array]:
-    """Return places (k, 3) at which pieces of both cameras agree, and how many spots each has (k,), most first."""
+    """Return places (k, 3) at which pieces of all cameras agree, and how many spots each has (k,), most first."""
     X, w = np.concatenate(list(lights_m)), np.concatenate(list(weights))
     places: list[Array] = []
     counts: list[float] = []
@@ -191,8 +191,8 @@ def _misfit(at: Array, shape: Array) -> float:
         return np.inf
 
 
-def assign(model: CellModel, x: Array, spots: Spots, gate_px: tuple[float, float]) -> Spots:
-    """Return the spots that are of a light, by where each would be seen; gate_px: of the left and right camera."""
+def assign(model: CellModel, x: Array, spots: Spots, gate_px: Sequence[float]) -> Spots:
+    """Return the spots that are of a light, by where each would be seen; gate_px: of each camera."""
     far = np.empty((len(spots), len(model.lights)))
     for k in range(len(model.lights)):
         seen = model.pixels(x, spots.of_lights(np.full(len(spots), k)))

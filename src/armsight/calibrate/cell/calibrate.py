@@ -11,7 +11,7 @@ from armsight.arrays import Array
 from armsight.calibrate.cell.checks import Cause, alarming, refusal
 from armsight.calibrate.cell.fit import CellFit
 from armsight.calibrate.cell.knowledge import ArmTolerance, CellPriors, shape_terms
-from armsight.calibrate.cell.model import CLOCK_AT
+from armsight.calibrate.cell.model import CLOCK_AT, CellModel
 from armsight.calibrate.cell.observations import BLOCK_S, recording_of
 from armsight.calibrate.cell.parts import CellParts, parts_of
 from armsight.calibrate.cell.result import (
@@ -32,7 +32,6 @@ from armsight.geometry import align_points
 from armsight.kinematics import Arm
 from armsight.optics import SIDES
 from armsight.records import Motion, Progress, Silent, SpotTrack, Target
-from armsight.records.result_parts import BothPixels, BothSeconds
 
 SAMPLES = 60
 """Joint positions of the recording at which the tip's deviation is told."""
@@ -42,6 +41,8 @@ ODD_SCALE = 4.0
 """Standard deviations by which arm and target may differ in scale."""
 LEAST_BASELINE = 0.02
 """Of the distance to the arm: by less a pair measures depth fifty times worse than across."""
+AT_ONCE_S = 0.1
+"""Within which a camera saw a light, where it is said to see it."""
 LEAST_MOVE = 0.1
 """rad, or of the mean link: a joint that moves less tells nothing of its axis."""
 
@@ -68,19 +69,21 @@ def calibrate_cell(
     target: Target,
     *,
     sizes: Sequence[tuple[int, int]],
+    names: Sequence[str] = SIDES,
     options: CellOptions | None = None,
     progress: Progress | None = None,
 ) -> CellResult:
-    """Return the cell's calibration from the arm's log and the spots of two cameras, left and right, by their clocks.
+    """Return the cell's calibration from the arm's log and the spots of one to eight cameras by their own clocks.
 
-    arm: its nominal model. tracks: spots without names. sizes: of the images (w, h) px. Raises NotEnoughData,
-    Inconsistent (another arm, log or target, something changed on the way), Ambiguous, Degenerate (a joint that did not
-    move), NotConverged.
+    arm: its nominal model. tracks: spots without names, of the cameras of these names; the first one's axes and stamps
+    are the rig's. sizes: of the images (w, h) px. Cameras other than left and right alone need not see the lights all
+    the time, nor together: what each saw is tied by the arm. Raises NotEnoughData, Inconsistent (another arm, log or
+    target, something changed on the way), Ambiguous, Degenerate (a joint that did not move), NotConverged.
     """
     options = options or CellOptions()
     compliance = options.compliance
     tip = np.zeros(3) if options.tip_m is None else np.asarray(options.tip_m, float)
-    recording = recording_of(arm, joints, tracks, sizes)
+    recording = recording_of(arm, joints, tracks, sizes, names)
     _require_motion(arm, joints)
     solved = solve_cell(
         recording,
@@ -108,7 +111,7 @@ def _result(nominal: Arm, solved: Solved, target: Target, tip: Array, n_frames: 
     measured, commanded = slopes.spread_m(slopes.measured, covariance), slopes.spread_m(slopes.commanded, covariance)
     if found.wander is not None:  # what the joints say is off by as much as the arm strays from them
         commanded = commanded + slopes.strayed_m(found.wander.columns, found.wander.std)
-    residual, learned = _rms(found), _learned(solved, covariance)
+    residual, learned = _rms(model, found), _learned(solved, covariance)
     return CellResult(
         nominal=nominal,
         parts=parts,
@@ -125,7 +128,7 @@ def _result(nominal: Arm, solved: Solved, target: Target, tip: Array, n_frames: 
         duration_s=BLOCK_S * len(found.normals.chi2),
         residual_px=residual,
         left_out_px=_left_out(solved, residual),
-        delay_s=BothSeconds(*(float(found.x[model.camera_slice(side)][CLOCK_AT]) for side in (0, 1))),
+        delay_s=_by_name(model, [float(found.x[model.camera_slice(side)][CLOCK_AT]) for side in model.sides]),
         learned=learned,
         gauges=_gauges(arm, scale),
         fixed=tuple(name for name in model.arm.geometry if name not in found.free),
@@ -138,15 +141,20 @@ def _result(nominal: Arm, solved: Solved, target: Target, tip: Array, n_frames: 
 
 
 def _require_baseline(solved: Solved, parts: CellParts) -> None:
-    """Raise Inconsistent where both cameras are in one place: nothing is measured by one camera twice."""
+    """Raise Inconsistent where all cameras are in one place: nothing is measured by one camera twice."""
+    if len(parts.rig.cameras) == 1:
+        return
     T = solved.model.flange(solved.fit.x, solved.model.recording.log.q[:: len(solved.model.recording.log.q) // 20])
     far = float(np.median(np.linalg.norm(T[:, :3, 3] - parts.T_base_rig.translation, axis=1)))
-    if parts.rig.baseline_m < LEAST_BASELINE * far:
+    at = np.array([one.T_rig_camera.translation for one in parts.rig.cameras])
+    apart = float(np.linalg.norm(at[:, None] - at, axis=2).max())
+    if apart < LEAST_BASELINE * far:
         raise Inconsistent(
-            f"the two cameras stand {1e3 * parts.rig.baseline_m:.1f} mm apart, {1e3 * far:.0f} mm from the arm",
+            f"the {'two ' if len(at) == 2 else ''}cameras stand {1e3 * apart:.1f} mm apart, {1e3 * far:.0f} mm from "
+            "the arm",
             consequence="They see alike, and depths are not told",
-            cure="Give left and right as recorded by two cameras, which stand apart by a tenth of their distance and "
-            "more",
+            cure="Give the frames as recorded by cameras of their own, which stand apart by a tenth of their distance "
+            "and more",
         )
 
 
@@ -180,19 +188,35 @@ def _require_motion(arm: Arm, joints: Motion) -> None:
 
 
 def _require_lit(solved: Solved, tracks: Sequence[SpotTrack]) -> None:
-    spots = solved.fit.spots
+    spots, recording = solved.fit.spots, solved.model.recording
+    if not recording.is_pair:
+        delay = [solved.fit.x[solved.model.camera_slice(side)][CLOCK_AT] for side in solved.model.sides]
+        ends = np.array([clock.t_s[[0, -1]] + by for clock, by in zip(recording.clocks, delay, strict=True)])
+        watched = np.ptp(np.clip(ends, *recording.log.t_s[[0, -1]]))
+        lit = len(solved.fit.normals.chi2) / max(watched / BLOCK_S, 1.0)
+        require_lit(min(lit, 1.0), "all cameras together", "the half seconds")
+        return
     for side, track in enumerate(tracks):
-        require_lit(len(np.unique(spots.frame[spots.side == side])) / max(len(track), 1), SIDES[side])
+        lit = len(np.unique(spots.frame[spots.side == side])) / max(len(track), 1)
+        require_lit(lit, f"the {recording.names[side]} camera", "its frames")
 
 
 def _tips(solved: Solved, parts: CellParts, tip: Array) -> tuple[Array, TipSlopes, Array]:
     """Return joint positions (k, n) of the recording, how the tip hangs on the parameters there, and where it is."""
     model, found = solved.model, solved.fit
     t = model.times_s(found.x, found.spots)
-    q = model.recording.log.at(np.linspace(t.min(), t.max(), 4 * SAMPLES))[0]
-    own = [float(np.median(found.spread_px[found.spots.side == side])) for side in (0, 1)]
-    slopes = tip_slopes(model, found.x, q, parts.T_flange_target, tip, (own[0], own[1]))
+    at = np.linspace(t.min(), t.max(), 4 * SAMPLES)
+    q = model.recording.log.at(at)[0]
+    own = [float(np.median(found.spread_px[found.spots.side == side])) for side in model.sides]
+    looked = None if model.recording.is_pair else _looked(solved, t, at)
+    slopes = tip_slopes(model, found.x, q, parts.T_flange_target, tip, own, looked)
     rows = np.flatnonzero(slopes.seen)
+    if not len(rows) and not model.recording.is_pair:
+        raise NotEnoughData(
+            "the cameras never saw the lights four times at one moment, all together",
+            consequence="Nothing could be measured with them, and no cell is calibrated",
+            cure="Turn the arm so that lights are seen by more cameras, or take a target of four lights and more",
+        )
     if not len(rows):
         raise NotEnoughData("both cameras never saw three lights together", consequence="No cell is calibrated")
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, SAMPLES).astype(np.intp))]
@@ -214,14 +238,29 @@ def _deviations(measured: Array, commanded: Array, slopes: TipSlopes) -> dict[st
     }
 
 
-def _rms(found: CellFit) -> BothPixels:
+def _looked(solved: Solved, t: Array, at_s: Array) -> Array:
+    """Return which lights each camera saw (k, V, n) about times at_s (k,) of the robot, t (m,) being the spots'."""
+    model, spots = solved.model, solved.fit.spots
+    out = np.zeros((len(at_s), len(model.sides), len(model.lights)), bool)
+    for side, light in np.ndindex(out.shape[1:]):
+        own = np.sort(t[(spots.side == side) & (spots.light == light)])
+        if len(own):
+            k = np.clip(np.searchsorted(own, at_s), 1, max(len(own) - 1, 1))
+            out[:, side, light] = np.minimum(np.abs(own[k - 1] - at_s), np.abs(own[k % len(own)] - at_s)) < AT_ONCE_S
+    return out
+
+
+def _by_name(model: CellModel, values: Sequence[float]) -> dict[str, float]:
+    return dict(zip(model.recording.names, values, strict=True))
+
+
+def _rms(model: CellModel, found: CellFit) -> dict[str, float]:
     """Return the RMS residual of each camera's spots in px."""
     r = found.normals.residuals * found.spread_px[:, None]
-    left, right = (float(np.sqrt(np.mean(r[found.spots.side == side] ** 2))) for side in (0, 1))
-    return BothPixels(left, right)
+    return _by_name(model, [float(np.sqrt(np.mean(r[found.spots.side == side] ** 2))) for side in model.sides])
 
 
-def _left_out(solved: Solved, residual: BothPixels) -> BothPixels:
+def _left_out(solved: Solved, residual: dict[str, float]) -> dict[str, float]:
     """Return the RMS residuals in stretches that are left out of the fit by turns, to first order."""
     model, found = solved.model, solved.fit
     free = found.places
@@ -240,7 +279,7 @@ def _left_out(solved: Solved, residual: BothPixels) -> BothPixels:
         before += float(part.chi2.sum())
         after += float(part.chi2.sum() + 2.0 * g @ step + step @ A @ step)
     factor = float(np.sqrt(max(after, 0.0) / before))
-    return BothPixels(factor * residual[0], factor * residual[1])
+    return {name: factor * px for name, px in residual.items()}
 
 
 def _learned(solved: Solved, covariance: Array) -> tuple[Learned, ...]:
@@ -300,7 +339,7 @@ def _gauges(arm: Arm, scale: ScaleCheck) -> tuple[str, ...]:
 
 def _notes(solved: Solved, scale: ScaleCheck) -> tuple[str, ...]:
     soft = [name for name in solved.fit.free if name.endswith(".sag")]
-    out = []
+    out = [f"{name} never saw a light when another camera did: {ALONE}" for name in _alone(solved)]
     if soft:
         out.append(f"The joints give way under the arm's weight; taken in: {', '.join(soft)}")
     if abs(scale.ratio - 1.0) > NOTED_SCALE * scale.std:
@@ -310,6 +349,27 @@ def _notes(solved: Solved, scale: ScaleCheck) -> tuple[str, ...]:
             "are trusted"
         )
     return tuple(out)
+
+
+ALONE = (
+    "it stands to the others by the arm's joints alone; record a motion that shows the target to it and to another one "
+    "at once"
+)
+
+
+def _alone(solved: Solved) -> list[str]:
+    """Return the cameras, of several, that saw lights only when no other one did."""
+    model, found = solved.model, solved.fit
+    t, side = model.times_s(found.x, found.spots), found.spots.side
+    out = []
+    for k, name in enumerate(model.recording.names):
+        own, others = t[side == k], np.sort(t[side != k])
+        if len(others):
+            at = np.clip(np.searchsorted(others, own), 1, max(len(others) - 1, 1))
+            near = np.minimum(np.abs(others[at - 1] - own), np.abs(others[at % len(others)] - own))
+            if not (near < AT_ONCE_S).any():
+                out.append(name)
+    return out
 
 
 def _advice(learned: Sequence[Learned]) -> tuple[str, ...]:

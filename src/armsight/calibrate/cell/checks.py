@@ -22,7 +22,6 @@ from armsight.calibrate.cell.wander import JointDrift, half_solved
 from armsight.errors import Inconsistent
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.poses import skew
-from armsight.optics import SIDES
 
 FALSE_ALARM = 1e-7
 """Chance by which pure noise raises one of the alarms of a recording, over all moments tried."""
@@ -39,11 +38,9 @@ VISIBLE = 0.15
 class Cause(StrEnum):
     """What may be behind residuals that one model does not explain."""
 
-    LEFT_MOVED = "left camera moved"
-    RIGHT_MOVED = "right camera moved"
+    CAMERA_MOVED = "camera moved"
     TARGET_SLIPPED = "target slipped"
-    LEFT_CLOCK = "left clock jumped"
-    RIGHT_CLOCK = "right clock jumped"
+    CLOCK_JUMPED = "clock jumped"
     JOINT_JUMPED = "joint reading jumped"
     ELASTIC = "joints give way"
 
@@ -52,7 +49,7 @@ class Cause(StrEnum):
 class Suspicion:
     """A change and when: gain of chi-square by k parameters, their values, and how far spots move by it in deviations.
 
-    part: which joint. t_s: when by the robot's clock, None for what holds all along.
+    part: which joint or camera. t_s: when by the robot's clock, None for what holds all along.
     """
 
     cause: Cause
@@ -67,6 +64,8 @@ class Suspicion:
     def told(self) -> str:
         """It in words."""
         what = f"{self.cause.value} ({self.part})" if self.cause is Cause.JOINT_JUMPED else self.cause.value
+        if self.cause in OF_CAMERAS:
+            what = f"{self.part} {what}"
         return what if self.t_s is None else f"{what} at {self.t_s:.1f} s of the robot's log"
 
     @property
@@ -113,16 +112,14 @@ def gives_way(doubts: Sequence[Suspicion]) -> bool:
 
 
 CURES = {
-    Cause.LEFT_MOVED: "Fasten the left camera, and record again without touching it",
-    Cause.RIGHT_MOVED: "Fasten the right camera, and record again without touching it",
+    Cause.CAMERA_MOVED: "Fasten the {part} camera, and record again without touching it",
     Cause.TARGET_SLIPPED: "Clamp the target to the flange, and record again",
-    Cause.LEFT_CLOCK: "Record again with the left camera's own stamps, or close other programs that use it; where "
-    "both cameras are named it was the robot's clock",
-    Cause.RIGHT_CLOCK: "Record again with the right camera's own stamps, or close other programs that use it; where "
-    "both cameras are named it was the robot's clock",
+    Cause.CLOCK_JUMPED: "Record again with the {part} camera's own stamps, or close other programs that use it; where "
+    "all cameras are named it was the robot's clock",
     Cause.JOINT_JUMPED: "Look at that joint's encoder and coupling (a slipped belt, a lost reference); record again",
     Cause.ELASTIC: "Give the links' masses in the arm's file and --compliance on",
 }
+OF_CAMERAS = (Cause.CAMERA_MOVED, Cause.CLOCK_JUMPED)
 
 
 def refusal(doubts: Sequence[Suspicion]) -> Inconsistent:
@@ -133,23 +130,21 @@ def refusal(doubts: Sequence[Suspicion]) -> Inconsistent:
     return Inconsistent(
         f"{first.told}: the spots move by {first.visible:.2g} of their noise by it{also}",
         consequence="One calibration does not hold for all of the recording, and none is given",
-        cure=CURES[first.cause],
+        cure=CURES[first.cause].format(part=first.part),
     )
 
 
 def _changes(model: CellModel, x: Array) -> Iterator[tuple[Cause, str, Array]]:
     """Yield what may change at a moment: its cause, which part, and its directions (P, k) among the parameters."""
     P = len(x)
-    for side, (moved, clock) in enumerate(
-        ((Cause.LEFT_MOVED, Cause.LEFT_CLOCK), (Cause.RIGHT_MOVED, Cause.RIGHT_CLOCK))
-    ):
+    for side, name in enumerate(model.recording.names):
         first = side * len(PER_CAMERA)
         U = np.zeros((P, 6))
         U[first + POSE_AT : first + CLOCK_AT] = np.eye(6)
-        yield moved, SIDES[side], U
+        yield Cause.CAMERA_MOVED, name, U
         U = np.zeros((P, 1))
         U[first + CLOCK_AT] = 1.0
-        yield clock, SIDES[side], U
+        yield Cause.CLOCK_JUMPED, name, U
     lights = model.lights_m(x)
     U = np.zeros((P, 6))
     U[model.lights_at :] = np.concatenate([np.tile(np.eye(3), (len(lights), 1)), -skew(lights).reshape(-1, 3)], axis=1)

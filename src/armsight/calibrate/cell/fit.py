@@ -44,7 +44,7 @@ class CellData:
 
     spots: Spots
     block: NDArray[np.intp]
-    scale: tuple[float, float]
+    scale: tuple[float, ...]
     wander: JointDrift | None = None
 
 
@@ -260,11 +260,11 @@ def straying(model: CellModel, found: CellFit) -> JointDrift:
     )
 
 
-def side_scales(found: CellFit) -> tuple[float, float]:
+def side_scales(found: CellFit) -> tuple[float, ...]:
     """Return by how much each camera's spots scatter more than the fit's deviations say, times its scale so far."""
     dof = 1.0 - len(found.free) / max(2.0 * len(found.spots), 1.0)
     out = []
-    for side in (0, 1):
+    for side in range(len(found.scale)):
         r = found.normals.residuals[found.spots.side == side]
         if not len(r):
             out.append(found.scale[side])
@@ -272,7 +272,7 @@ def side_scales(found: CellFit) -> tuple[float, float]:
         # sqrt(2 log 2) = 1.177 is the median length of two unit normals
         size = np.median(np.linalg.norm(r, axis=1)) / 1.177
         out.append(found.scale[side] * float(size) / np.sqrt(dof))
-    return out[0], out[1]
+    return tuple(out)
 
 
 def learned_tolerance(model: CellModel, found: CellFit, tolerance: ArmTolerance) -> ArmTolerance:

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
-from armsight.calibrate.cell.model import PER_CAMERA, POSE_AT, CellModel
+from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT, CellModel
 from armsight.defaults import ANGLE_RAD, CELL_LENGTH_M, SAG
 from armsight.geometry import align_points
 from armsight.geometry.poses import skew
-from armsight.optics import RIGHT_POSE, Camera
+from armsight.optics import PLACE, Rig
 from armsight.records import NamedCovariance, Target
 
 CENTRE = 0.05
@@ -90,13 +90,12 @@ class Knowledge:
 class CellPriors:
     """What earlier calibrations say of this cell, each with its covariance; None for what is not known.
 
-    lenses: of the left and right camera, the covariance named as Camera.names. right_pose: T_left_right with the
-    covariance of RIGHT_POSE. base_pose: T_base_rig, the left camera's, with that of a pose (dt, dw) in base axes. An
-    arm that was calibrated is the model itself, a measured target the target: their own covariances count.
+    rig: of some of the cameras or all, whose lenses and places to each other count by its covariance. base_pose:
+    T_base_camera of the first camera, with the covariance of a pose (dt, dw) in base axes. An arm that was calibrated
+    is the model itself, a measured target the target: their own covariances count.
     """
 
-    lenses: tuple[tuple[Camera, NamedCovariance] | None, tuple[Camera, NamedCovariance] | None] = (None, None)
-    right_pose: tuple[RigidTransform, NamedCovariance] | None = None
+    rig: Rig | None = None
     base_pose: tuple[RigidTransform, NamedCovariance] | None = None
 
 
@@ -107,7 +106,7 @@ def default_knowledge(model: CellModel, x: Array, tolerance: ArmTolerance, targe
     """
     sigma = np.full(len(x), np.inf)  # of places and lights on the flange nothing is known
     mean = x.copy()
-    for side in (0, 1):
+    for side in model.sides:
         width, height = model.recording.sizes[side]
         first = side * len(PER_CAMERA)
         period = model.recording.clocks[side].period_s
@@ -126,7 +125,7 @@ def default_knowledge(model: CellModel, x: Array, tolerance: ArmTolerance, targe
     if measured is not None:
         names = [name for name in measured.names if name in model.names]
         _tell(information, [model.names.index(name) for name in names], measured.block(tuple(names)))
-    for side in (0, 1):
+    for side in model.sides:
         a = side * len(PER_CAMERA)
         # square pixels: fy - fx is small
         w = 1.0 / (ASPECT * x[a]) ** 2
@@ -138,30 +137,47 @@ def default_knowledge(model: CellModel, x: Array, tolerance: ArmTolerance, targe
 def with_priors(model: CellModel, known: Knowledge, priors: CellPriors, x: Array) -> Knowledge:
     """Return what is known with what other files say; x (P,): a cell near the truth."""
     mean, information = known.x.copy(), known.information.copy()
-    for side, lens in enumerate(priors.lenses):
-        if lens is None:
-            continue
-        camera, covariance = lens
-        first = model.camera_slice(side).start
-        names = [name for name in covariance.names if name in camera.names]
-        at = [first + camera.names.index(name) for name in names]
-        mean[first : first + POSE_AT] = camera.intrinsics
-        _tell(information, at, covariance.block(tuple(names)))
-    left, right = (model.camera_slice(side).start + POSE_AT for side in (0, 1))
-    T_left = model.T_base_camera(x, 0)
+    T_first = model.T_base_camera(x, 0)
     if priors.base_pose is not None:
-        T_left, covariance = priors.base_pose
-        _tell(information, list(range(left, left + 6)), covariance.matrix)
-    mean[left : left + 6] = _vector(T_left)
-    if priors.right_pose is not None:
-        T_left_right, covariance = priors.right_pose
-        mean[right : right + 6] = _vector(T_left * T_left_right)
-        J = pair_slopes(T_left, T_left * T_left_right)
-        at = [*range(left, left + 6), *range(right, right + 6)]
-        W = np.linalg.inv(covariance.block(RIGHT_POSE))
-        # the pair's place is a matter of both cameras, so what is known of it is about both
-        information[np.ix_(at, at)] += J.T @ W @ J
+        T_first, covariance = priors.base_pose
+        _tell(information, list(range(POSE_AT, CLOCK_AT)), covariance.matrix)
+    mean[POSE_AT:CLOCK_AT] = _vector(T_first)
+    if priors.rig is not None:
+        _tell_rig(model, mean, information, priors.rig, T_first, x)
     return replace(known, x=mean, information=information)
+
+
+def _tell_rig(model: CellModel, mean: Array, information: Array, rig: Rig, T_first: RigidTransform, x: Array) -> None:
+    """Put in what a rig says of its lenses, and of where its cameras stand to its first one, wherever that is."""
+    known = NamedCovariance(names=(), matrix=np.empty((0, 0))) if rig.covariance is None else rig.covariance
+    at: list[int] = []
+    places: list[str] = []
+    J = np.zeros((0, 6))
+    T_base = T_first  # of the rig's first camera
+    for k, one in enumerate(rig.cameras):
+        side = model.recording.names.index(one.name)
+        begin, place = model.camera_slice(side).start, tuple(f"{one.name}.{name}" for name in PLACE)
+        own = [f"{one.name}.{name}" for name in one.camera.names]
+        lens = tuple(name for name in known.names if name in own)
+        if lens:
+            mean[begin : begin + POSE_AT] = one.camera.intrinsics
+            _tell(information, [begin + own.index(name) for name in lens], known.block(lens))
+        if k == 0:
+            T_base = T = T_first if side == 0 else model.T_base_camera(x, side)
+        elif set(place) <= set(known.names):
+            T = T_base * (rig.cameras[0].T_rig_camera.inv() * one.T_rig_camera)
+            # the covariance of places is in the rig's axes
+            slopes = np.kron(np.eye(2), rig.cameras[0].T_rig_camera.rotation.as_matrix()) @ pair_slopes(T_base, T)
+            J = np.block([[J, np.zeros((len(J), 6))], [slopes[:, :6], np.zeros((6, len(J))), slopes[:, 6:]]])
+            places += place
+        else:
+            continue
+        mean[begin + POSE_AT : begin + CLOCK_AT] = _vector(T)
+        at += range(begin + POSE_AT, begin + CLOCK_AT)
+    if places:
+        # where cameras stand to each other is a matter of all, so what is known of it is about all
+        W = np.linalg.inv(known.block(tuple(places)))
+        information[np.ix_(at, at)] += J.T @ W @ J
 
 
 def pair_slopes(T_base_left: RigidTransform, T_base_right: RigidTransform) -> Array:

@@ -1,4 +1,4 @@
-"""The whole cell as a function of its parameters: pixels of the arm's lights in both cameras, with derivatives."""
+"""The whole cell as a function of its parameters: pixels of the arm's lights in its cameras, with derivatives."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from armsight.columns import POSITION
 from armsight.fitting.groups import taken
 from armsight.geometry.poses import skew, stepped
 from armsight.kinematics import parameter_jacobian
-from armsight.optics import INTRINSICS, SIDES, Camera
+from armsight.optics import INTRINSICS, Camera
 from armsight.optics.kernels.light_image import see_points
 from armsight.records.camera import PPM
 
@@ -53,8 +53,8 @@ class BlockNormals:
 class CellModel:
     """A recording and the names of its lights; what is fitted are the parameters in `names`, in that order.
 
-    '<side>.<PER_CAMERA>' of both cameras, the arm's as ArmModel has them ('j2.theta_rad', 'j3.scale', 'j2.sag' ..), and
-    'light:<name>.x_m' .. in the flange's axes.
+    '<camera>.<PER_CAMERA>' of each camera, the arm's as ArmModel has them ('j2.theta_rad', 'j3.scale', 'j2.sag' ..),
+    and 'light:<name>.x_m' .. in the flange's axes.
     """
 
     recording: CellRecording
@@ -65,14 +65,19 @@ class CellModel:
     def __post_init__(self) -> None:
         arm = ArmModel(arm=self.recording.arm, labels=("",), turned=False)
         object.__setattr__(self, "arm", arm)
-        cameras = [f"{side}.{name}" for side in SIDES for name in PER_CAMERA]
+        cameras = [f"{side}.{name}" for side in self.recording.names for name in PER_CAMERA]
         lights = [f"light:{light}.{key}" for light in self.lights for key in POSITION]
         object.__setattr__(self, "names", (*cameras, *arm.names[: arm.n_geometry], *lights))
 
     @property
+    def sides(self) -> range:
+        """The cameras, by their places in the order."""
+        return range(len(self.recording.names))
+
+    @property
     def arm_at(self) -> int:
         """Where the arm's parameters begin."""
-        return 2 * len(PER_CAMERA)
+        return len(self.sides) * len(PER_CAMERA)
 
     @property
     def lights_at(self) -> int:
@@ -104,7 +109,7 @@ class CellModel:
     def times_s(self, x: Array, spots: Spots) -> Array:
         """Return when each spot (m,) was exposed by the robot's clock."""
         t = np.empty(len(spots))
-        for side in (0, 1):
+        for side in self.sides:
             rows = spots.side == side
             clock = x[self.camera_slice(side)][CLOCK_AT:]
             middle = self.recording.middle_s[side]
@@ -147,10 +152,10 @@ class CellModel:
         return self._seen(x, spots)
 
     def standing(self, x: Array, q: Array) -> tuple[Array, Array]:
-        """Return pixels (k, 2, n, 2) of all lights in both cameras where the arm stands at q (k, joints), and by x."""
-        k, n = len(q), len(self.lights)
-        m = 2 * n * k
-        side, light = np.tile(np.repeat([0, 1], n), k), np.tile(np.arange(n), 2 * k)
+        """Return pixels (k, V, n, 2) of all lights in all cameras where the arm stands at q (k, joints), and by x."""
+        k, n, V = len(q), len(self.lights), len(self.sides)
+        m = V * n * k
+        side, light = np.tile(np.repeat(self.sides, n), k), np.tile(np.arange(n), V * k)
         middle = np.asarray(self.recording.middle_s)[side]
         spots = Spots(
             side=side,
@@ -161,19 +166,19 @@ class CellModel:
             uv_px=np.zeros((m, 2)),
             covariance_px2=np.tile(np.eye(2), (m, 1, 1)),
         )
-        rows = np.repeat(q, 2 * n, axis=0)
+        rows = np.repeat(q, V * n, axis=0)
         uv, J = self._seen_at(x, spots, rows, np.zeros_like(rows), derivatives=True)
-        return uv.reshape(k, 2, n, 2), J.reshape(k, 2, n, 2, -1)
+        return uv.reshape(k, V, n, 2), J.reshape(k, V, n, 2, -1)
 
     def retract(self, x: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
         """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
-        turns = (side * len(PER_CAMERA) + POSE_AT + 3 for side in (0, 1))
+        turns = (side * len(PER_CAMERA) + POSE_AT + 3 for side in self.sides)
         return stepped(x, step, turns), local + step_local
 
     def difference(self, x: Array, other: Array) -> Array:
         """Return the step (P,) that moves other to x."""
         out = x - other
-        for side in (0, 1):
+        for side in self.sides:
             at = slice(side * len(PER_CAMERA) + POSE_AT + 3, side * len(PER_CAMERA) + CLOCK_AT)
             turn = Rotation.from_rotvec(np.array(x[at])) * Rotation.from_rotvec(np.array(other[at])).inv()
             out[at] = turn.as_rotvec()
@@ -224,7 +229,7 @@ class CellModel:
         X = np.ascontiguousarray(T[:, :3, 3] + arms[:, :, 0])
         uv, slope, by_lens = np.empty((m, 2)), np.empty((m, 2, 3)), np.empty((m, 2, len(INTRINSICS)))
         J = np.zeros((m, 2, P)) if derivatives else np.empty((0, 2, P))
-        for side in (0, 1):
+        for side in self.sides:
             rows = np.flatnonzero(spots.side == side)
             T_camera_base = self.T_base_camera(x, side).inv().as_matrix()
             one, two, three = np.empty((len(rows), 2)), np.empty((len(rows), 2, 3)), np.empty((len(rows), 2, 10))
@@ -244,7 +249,7 @@ class CellModel:
         for k in range(len(self.lights)):
             rows = np.flatnonzero(spots.light == k)
             J[rows, :, self.lights_at + 3 * k : self.lights_at + 3 * k + 3] = by_light[rows]
-        for side in (0, 1):
+        for side in self.sides:
             rows = np.flatnonzero(spots.side == side)
             first = side * len(PER_CAMERA)
             J[rows, :, first : first + POSE_AT] = by_lens[rows]

@@ -1,4 +1,4 @@
-"""What a recording of a cell holds: the arm's joints over time, and the spots of both cameras by their own clocks."""
+"""What a recording of a cell holds: the arm's joints over time, and the spots of its cameras by their own clocks."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ class JointLog:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spots:
-    """Spots (m,) of both cameras, each taken for one light.
+    """Spots (m,) of all cameras, each taken for one light.
 
-    side: 0 left, 1 right; light: its number, -1 where it is none; frame: of its camera; stamp_s: the steady time of
-    that frame by the camera's clock; line from -0.5 to 0.5; uv_px (m, 2); covariance_px2 (m, 2, 2).
+    side: the camera's place in their order; light: its number, -1 where it is none; frame: of its camera; stamp_s: the
+    steady time of that frame by the camera's clock; line from -0.5 to 0.5; uv_px (m, 2); covariance_px2 (m, 2, 2).
     """
 
     side: Index
@@ -88,33 +88,45 @@ class Spots:
         return np.asarray(np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2) / 2.0))
 
     def whitening(self, scale: Sequence[float] = (1.0, 1.0)) -> Array:
-        """Return W (m, 2, 2) by which a residual becomes one of unit variance; scale: of each side's deviations."""
+        """Return W (m, 2, 2) by which a residual becomes one of unit variance; scale: of each camera's deviations."""
         return np.asarray(whitener(self.covariance_px2) / np.asarray(scale)[self.side][:, None, None])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellRecording:
-    """One recording: the arm's nominal model, its log, both cameras' spots, clocks and image sizes (w, h)."""
+    """One recording: the arm's nominal model, its log; its cameras' spots, clocks, image sizes (w, h) and names."""
 
     arm: Arm
     log: JointLog
     spots: Spots
-    clocks: tuple[SteadyStamps, SteadyStamps]
-    sizes: tuple[tuple[int, int], tuple[int, int]]
+    clocks: tuple[SteadyStamps, ...]
+    sizes: tuple[tuple[int, int], ...]
+    names: tuple[str, ...] = SIDES
 
     @property
-    def middle_s(self) -> tuple[float, float]:
+    def middle_s(self) -> tuple[float, ...]:
         """The stamps of each camera at which its delay is taken."""
-        left, right = (float(clock.t_s[0] + clock.t_s[-1]) / 2.0 for clock in self.clocks)
-        return left, right
+        return tuple(float(clock.t_s[0] + clock.t_s[-1]) / 2.0 for clock in self.clocks)
+
+    @property
+    def is_pair(self) -> bool:
+        """Whether its cameras are left and right, by which a light must be seen twice."""
+        return self.names == SIDES
 
 
 def recording_of(
-    arm: Arm, motion: Motion, tracks: Sequence[SpotTrack], sizes: Sequence[tuple[int, int]]
+    arm: Arm,
+    motion: Motion,
+    tracks: Sequence[SpotTrack],
+    sizes: Sequence[tuple[int, int]],
+    names: Sequence[str] = SIDES,
 ) -> CellRecording:
-    """Return what was recorded, checked. Raises NotEnoughData, Inconsistent (another arm's log, degrees)."""
+    """Return what was recorded by the cameras of these names, checked.
+
+    Raises NotEnoughData, Inconsistent (another arm's log, degrees).
+    """
     _check_log(arm, motion)
-    clocks = (camera_clock(tracks[0].t_s, SIDES[0]), camera_clock(tracks[1].t_s, SIDES[1]))
+    clocks = tuple(camera_clock(track.t_s, name) for track, name in zip(tracks, names, strict=True))
     parts = []
     for side, (track, clock, (_, height)) in enumerate(zip(tracks, clocks, sizes, strict=True)):
         m = len(track.names)
@@ -129,12 +141,12 @@ def recording_of(
                 covariance_px2=track.covariance_px2,
             )
         )
-    left, right = parts
-    spots = Spots(**{name: np.concatenate([getattr(left, name), getattr(right, name)]) for name in Spots.__slots__})
+    spots = Spots(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in Spots.__slots__})
     # what is seen is placed on the flange: a tool that the arm's file has stands between it and the lights
     bare = replace(arm.based(), T_flange_tool=RigidTransform.identity())
     driven = Motion(t_s=motion.t_s, q=motion.q @ arm.gearing.T)
-    return CellRecording(arm=bare, log=JointLog.of(driven), spots=spots, clocks=clocks, sizes=(sizes[0], sizes[1]))
+    log, every = JointLog.of(driven), tuple(sizes)
+    return CellRecording(arm=bare, log=log, spots=spots, names=tuple(names), clocks=clocks, sizes=every)
 
 
 def robot_time(stamp_s: Array, line: Array, clock: Array, middle_s: float) -> Array:

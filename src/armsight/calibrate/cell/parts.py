@@ -14,14 +14,14 @@ from armsight.calibrate.cell.model import CLOCK_AT, POSE_AT, CellModel
 from armsight.columns import POSE6, POSITION
 from armsight.geometry import align_points
 from armsight.kinematics import Arm, ToolPoint
-from armsight.optics import Rig, RigKind
+from armsight.optics import INTRINSICS, MountedCamera, Rig
 from armsight.records import CameraTiming, NamedCovariance, Target
 from armsight.records.camera import PPM
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellParts:
-    """A calibrated cell. rig: its axes are the left camera's, its time the left camera's stamps.
+    """A calibrated cell. rig: its axes are the first camera's, its time the first camera's stamps.
 
     T_base_rig with base_covariance (6, 6) named POSE6; T_flange_target; target: with its lights as measured; arm: with
     the target as its tool, and the lights as tool points.
@@ -42,8 +42,7 @@ def parts_of(model: CellModel, found: CellFit, covariance: Array, target: Target
     # the target's axes are those of its file, laid onto the lights that were found
     order = [model.lights.index(name) for name in target.names]
     T_flange_target = align_points(lights[order], target.xyz_m).T_a_b
-    left = model.camera_slice(0).start + POSE_AT
-    place = slice(left, left + 6)
+    place = slice(POSE_AT, CLOCK_AT)
     return CellParts(
         rig=_rig(model, found, covariance),
         T_base_rig=model.T_base_camera(x, 0),
@@ -55,60 +54,71 @@ def parts_of(model: CellModel, found: CellFit, covariance: Array, target: Target
 
 
 def _rig(model: CellModel, found: CellFit, covariance: Array) -> Rig:
-    x = found.x
-    T_left, T_right = model.T_base_camera(x, 0), model.T_base_camera(x, 1)
-    a, b = (model.camera_slice(side).start for side in (0, 1))
-    J = np.zeros((26, len(x)))
-    J[:10, a : a + POSE_AT] = J[10:20, b : b + POSE_AT] = np.eye(10)
-    J[20:, np.r_[a + POSE_AT : a + CLOCK_AT, b + POSE_AT : b + CLOCK_AT]] = pair_slopes(T_left, T_right)
+    x, names, L = found.x, model.recording.names, len(INTRINSICS)
+    T = [model.T_base_camera(x, side) for side in model.sides]
+    at = [model.camera_slice(side).start for side in model.sides]
     rig = Rig(
-        kind=RigKind.STEREO,
-        left=model.camera(x, 0),
-        right=model.camera(x, 1),
-        T_rig_left=RigidTransform.identity(),
-        T_rig_right=T_left.inv() * T_right,
+        cameras=[
+            MountedCamera(
+                name=name,
+                camera=model.camera(x, side),
+                T_rig_camera=T[0].inv() * T[side] if side else RigidTransform.identity(),
+                timing=timing,
+            )
+            for side, (name, timing) in enumerate(zip(names, _timing(model, x, covariance), strict=True))
+        ],
         rms_px=float(np.sqrt(np.mean((found.normals.residuals * found.spread_px[:, None]) ** 2))),
-        timing=_timing(model, x, covariance),
     )
+    J = np.zeros((len(rig.parameters), len(x)))
+    for side in model.sides:
+        J[L * side : L * (side + 1), at[side] : at[side] + POSE_AT] = np.eye(L)
+    for side in model.sides[1:]:
+        row = L * len(names) + 6 * (side - 1)
+        places = np.r_[at[0] + POSE_AT : at[0] + CLOCK_AT, at[side] + POSE_AT : at[side] + CLOCK_AT]
+        J[row : row + 6, places] = pair_slopes(T[0], T[side])
     C = J @ covariance @ J.T
     free = np.flatnonzero(np.diag(C) > 0.0)
     named = NamedCovariance(names=tuple(rig.parameters[k] for k in free), matrix=C[np.ix_(free, free)])
     return replace(rig, covariance=named)
 
 
-def _timing(model: CellModel, x: Array, covariance: Array) -> tuple[CameraTiming, CameraTiming]:
-    """Return the timing of both cameras by the left one's stamps.
+def _timing(model: CellModel, x: Array, covariance: Array) -> tuple[CameraTiming, ...]:
+    """Return the timing of all cameras by the first one's stamps.
 
-    Left stamp l and right stamp r are of one moment of the robot's clock where l + d_l + p_l (l - m_l) is r + d_r + p_r
-    (r - m_r): l = r (1 + p_r) / (1 + p_l) + (d_r - d_l - p_r m_r + p_l m_l) / (1 + p_l).
+    Its stamp l and another one's r are of one moment of the robot's clock where l + d_l + p_l (l - m_l) is r + d_r +
+    p_r (r - m_r): l = r (1 + p_r) / (1 + p_l) + (d_r - d_l - p_r m_r + p_l m_l) / (1 + p_l).
     """
-    left, right = model.recording.clocks
-    (dl, ppm_l, _), (dr, ppm_r, _) = (x[model.camera_slice(side)][CLOCK_AT:] for side in (0, 1))
-    ml, mr = model.recording.middle_s
-    pl, pr = PPM * ppm_l, PPM * ppm_r
-    delay, drift = (dr - dl - pr * mr + pl * ml) / (1.0 + pl), (pr - pl) / (1.0 + pl)
-    at = [model.camera_slice(side).start + CLOCK_AT for side in (0, 1)]
-    J = np.zeros((4, len(x)))  # delay_s, drift_ppm, left and right read-out
-    J[0, at[0] : at[0] + 2], J[0, at[1] : at[1] + 2] = (-1.0, PPM * (ml - delay)), (1.0, -PPM * mr)
-    J[1, at[0] + 1], J[1, at[1] + 1] = -1.0, 1.0
-    J[2, at[0] + 2] = J[3, at[1] + 2] = 1.0
+    clocks, V = model.recording.clocks, len(model.sides)
+    at = [model.camera_slice(side).start + CLOCK_AT for side in model.sides]
+    (dl, ppm_l, _), ml = x[at[0] : at[0] + 3], model.recording.middle_s[0]
+    pl = PPM * ppm_l
+    by_first = [(0.0, 0.0)]
+    J = np.zeros((2 * (V - 1) + V, len(x)))  # delay_s, drift_ppm of all but the first, and the read-outs
+    for side in model.sides[1:]:
+        (dr, ppm_r, _), mr = x[at[side] : at[side] + 3], model.recording.middle_s[side]
+        pr, row = PPM * ppm_r, 2 * (side - 1)
+        delay, drift = (dr - dl - pr * mr + pl * ml) / (1.0 + pl), (pr - pl) / (1.0 + pl)
+        J[row, at[0] : at[0] + 2], J[row, at[side] : at[side] + 2] = (-1.0, PPM * (ml - delay)), (1.0, -PPM * mr)
+        J[row + 1, at[0] + 1], J[row + 1, at[side] + 1] = -1.0, 1.0
+        by_first.append((float(delay), float(drift / PPM)))
+    J[2 * (V - 1) + np.arange(V), np.array(at) + 2] = 1.0
     C = J @ covariance @ J.T
-    sides = []
-    for side, clock in enumerate((left, right)):
-        names = ("delay_s", "drift_ppm", "readout_s", "jitter_s") if side else ("readout_s", "jitter_s")
-        keep = [0, 1, 3] if side else [2]
+    out = []
+    for side, (clock, (delay_s, drift_ppm)) in enumerate(zip(clocks, by_first, strict=True)):
+        names = (*(("delay_s", "drift_ppm") if side else ()), "readout_s", "jitter_s")
+        keep = [*((2 * side - 2, 2 * side - 1) if side else ()), 2 * (V - 1) + side]
         matrix = np.zeros((len(names), len(names)))
         matrix[:-1, :-1], matrix[-1, -1] = C[np.ix_(keep, keep)], clock.jitter_std_s**2
-        sides.append(
+        out.append(
             CameraTiming(
                 readout_s=float(x[at[side] + 2]),
                 jitter_s=clock.jitter_s,
-                delay_s=float(delay) if side else 0.0,
-                drift_ppm=float(drift / PPM) if side else 0.0,
+                delay_s=delay_s,
+                drift_ppm=drift_ppm,
                 covariance=NamedCovariance(names=names, matrix=matrix),
             )
         )
-    return sides[0], sides[1]
+    return tuple(out)
 
 
 def _target(model: CellModel, x: Array, covariance: Array, target: Target, T_flange_target: RigidTransform) -> Target:

@@ -9,7 +9,7 @@ piece by piece and the rank of one is restored by alternating.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from armsight.arrays import Array, Index
 from armsight.calibrate.cell.assignment import extent_px
 from armsight.calibrate.cell.observations import JointLog, Spots
-from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, fk
 
 GRID_S = 0.02
@@ -140,12 +139,22 @@ def best_pieces(spots: Spots, ways: Sequence[Index]) -> list[Index]:
 
 
 def find_start(
-    arm: Arm, log: JointLog, spots: Spots, ways: Sequence[Index], size: tuple[int, int], delays_s: Array
+    arm: Arm,
+    log: JointLog,
+    spots: Spots,
+    ways: Sequence[Index],
+    size: tuple[int, int],
+    delays_s: Array,
+    places: Array | None = None,
 ) -> Start | None:
-    """Return the camera that explains the ways best, near any of the delays (c,); None where nothing does."""
+    """Return the camera that explains the ways best, near any of the delays (c,); None where nothing does.
+
+    places (k, 3): on the flange, at which the lights are, where that is known.
+    """
     pieces = best_pieces(spots, ways)
     few = [rows[np.linspace(0, len(rows) - 1, min(QUICK_ROWS, len(rows))).astype(np.intp)] for rows in pieces]
-    quick = _Look(arm=arm, log=log, spots=spots, pieces=few, size=size, turns=QUICK_ALTERNATIONS)
+    whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS, places=places)
+    quick = replace(whole, pieces=few, turns=QUICK_ALTERNATIONS)
     best: Start | None = None
     for delay in delays_s.tolist():
         best = _better([best, *(quick.start(delay + step, size[0], 0.0) for step in STEPS_S)])
@@ -156,7 +165,6 @@ def find_start(
     width = STEPS_S[1] - STEPS_S[0]
     # between the steps the linear solution leaves some pixels more; the bundle takes up what is left of the delay
     near = _better([best, *(quick.start(best.delay_s + part * width, best.focal_px, 0.0) for part in FINER)]) or best
-    whole = _Look(arm=arm, log=log, spots=spots, pieces=pieces, size=size, turns=ALTERNATIONS)
     found = _better([whole.start(near.delay_s, near.focal_px, k1) for k1 in LENS_TRIED])
     if found is not None and found.rms_px < GOOD * size[0] / 5.0:
         return found
@@ -179,6 +187,7 @@ class _Look:
     pieces: Sequence[Index]
     size: tuple[int, int]
     turns: int
+    places: Array | None
 
     def start(self, delay_s: float, focal_px: float, k1: float) -> Start | None:
         """Return the camera at a delay that explains the pieces best, straightened by k1 and a focal length."""
@@ -188,7 +197,7 @@ class _Look:
         T = [fk(self.arm, log.at(t)[0]) for t in times]
         middle = np.concatenate(T)[:, :3, 3].mean(axis=0)
         xy = [_straight((spots.uv_px[rows] - centre) / focal_px, k1) for rows in self.pieces]
-        found = _camera(T, xy, middle, self.turns)
+        found = _camera(T, xy, middle, self.turns, self.places)
         if found is None:
             return None
         P, lights, rms, mirrored = found
@@ -217,11 +226,13 @@ def _straight(xy: Array, k1: float) -> Array:
 
 
 def _camera(
-    T: Sequence[Array], xy: Sequence[Array], middle: Array, turns: int
+    T: Sequence[Array], xy: Sequence[Array], middle: Array, turns: int, places: Array | None
 ) -> tuple[Array, Array, float, bool] | None:
     """Return P (3, 4) about the middle, the pieces' lights (k, 3), what remains, and whether it shows a mirror."""
     pieces = _Pieces.of(T, xy, middle)
-    found = [_alternated(P, pieces, turns) for P in (_eliminated(T, xy, middle), *_as_one(pieces))]
+    found: list[tuple[Array, Array, float] | None] = [] if places is None else [_resected(pieces, places, turns)]
+    if places is None:
+        found = [_alternated(P, pieces, turns) for P in (_eliminated(T, xy, middle), *_as_one(pieces))]
     near = [each for each in found if each is not None and np.linalg.norm(each[1], axis=1).max() < FARTHEST_M]
     best = min(near, key=lambda each: each[2], default=None)
     if best is None:
@@ -268,13 +279,17 @@ class _Pieces:
 
     def lights(self, P: Array) -> Array:
         """Return where on the flange the light of each piece is (k, 3) for P."""
-        u, v, w = P[0], P[1], P[2]
-        sides = [np.outer(u, u) + np.outer(v, v), -np.outer(u, w), -np.outer(v, w), np.outer(w, w)]
-        forms = np.array([sides[0], sides[1] + sides[1].T, sides[2] + sides[2].T, sides[3]])
-        Q = (self.products @ forms.ravel()).reshape(-1, 4, 4)
+        Q = self.forms(P)
         N = Q[:, :3, :3]
         N = N + 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         return np.asarray(np.linalg.solve(N, -Q[:, :3, 3:])[:, :, 0])
+
+    def forms(self, P: Array) -> Array:
+        """Return Q (k, 4, 4): p' Q p is what remains for a piece's light at p, homogeneous, on the flange."""
+        u, v, w = P[0], P[1], P[2]
+        sides = [np.outer(u, u) + np.outer(v, v), -np.outer(u, w), -np.outer(v, w), np.outer(w, w)]
+        forms = np.array([sides[0], sides[1] + sides[1].T, sides[2] + sides[2].T, sides[3]])
+        return np.asarray((self.products @ forms.ravel()).reshape(-1, 4, 4))
 
     def matrix(self, lights: Array) -> Array:
         """Return P for known lights (normalised DLT)."""
@@ -342,6 +357,22 @@ def _alternated(P: Array, pieces: _Pieces, turns: int) -> tuple[Array, Array, fl
     return P, lights, pieces.remaining(P, lights)
 
 
+def _resected(pieces: _Pieces, places: Array, turns: int) -> tuple[Array, Array, float]:
+    """Return the same of lights at known places (p, 3): from all in the middle or in one, which is which by turns."""
+    own = np.concatenate([places, np.ones((len(places), 1))], axis=1)
+    found = []
+    for begin in (places.mean(axis=0), *places):
+        lights = np.tile(begin, (len(pieces.products) // 16, 1))
+        for _ in range(turns):
+            P = pieces.matrix(lights)
+            nearest = places[np.argmin(np.einsum("pi,kij,pj->kp", own, pieces.forms(P), own), axis=1)]
+            if (nearest == lights).all():
+                break
+            lights = nearest
+        found.append((P, lights, pieces.remaining(P, lights)))
+    return min(found, key=lambda each: each[2])
+
+
 def _rows(pose: Array, xy: Array, middle: Array) -> tuple[Array, Array]:
     """Return the equations (2 m, 12) of P and (2 m, 27) of the products."""
     m = len(xy)
@@ -366,18 +397,3 @@ def _decomposed(P: Array, mirrored: bool) -> tuple[float, Array, Array, Array]:
     centre = -np.linalg.solve(P[:, :3], P[:, 3])
     focal = float(np.sqrt(abs(K[0, 0] * K[1, 1])) / abs(K[2, 2]))
     return focal, np.asarray(K[:2, 2] / K[2, 2]), np.asarray(R.T), np.asarray(centre, np.float64)
-
-
-def require_alike(r: float, side: str) -> None:
-    """Raise Inconsistent where image and arm never move alike."""
-    if r < LEAST_ALIKE:
-        raise Inconsistent(
-            f"the lights in the {side} camera and the arm's joints never move alike: the correlation of their speeds "
-            f"is {r:.2f} at best",
-            consequence="Nothing is calibrated",
-            cure="Give the robot's log of this very recording, and see that the lights are on this arm's flange",
-        )
-
-
-LEAST_ALIKE = 0.5
-"""Of another day's log the best of all delays correlates by 0.2 to 0.4."""

@@ -1,4 +1,4 @@
-"""All frames at once: one shape of the target, one pose per frame, least reprojection error in both views."""
+"""All frames at once: one shape of the target, one pose per frame, least reprojection error in all views."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from armsight.errors import Inconsistent
 from armsight.fitting import Evaluation, Fit, Problem, solve
 from armsight.fitting.groups import whitener, without
 from armsight.geometry.poses import skew
-from armsight.optics import RIG_PARAMETERS, SIDES, PackedRig, Rig, Triangulation, moved_rig, triangulate
-from armsight.optics.kernels.light_image import see_both
+from armsight.optics import SIDES, PackedRig, Rig, Triangulation, moved_rig, triangulate
+from armsight.optics.kernels.light_image import see_all
 from armsight.records import NotSeen, Spots
 
 MAX_CHOICES = 150
@@ -199,10 +199,22 @@ SMALL = 1e-2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LightObservations:
-    """Named spots of the frames: uv_px (g, n, 2, 2) [frame, light, side, axis], cov_px2 (g, n, 2, 2, 2)."""
+    """Named spots of the frames: uv_px (g, n, V, 2) [frame, light, camera, axis], cov_px2 (g, n, V, 2, 2).
+
+    NaN where a camera does not see a light.
+    """
 
     uv_px: Array
     cov_px2: Array
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which camera sees which light (g, n, V)."""
+        return np.asarray(np.isfinite(self.uv_px).all(axis=-1))
+
+    def dof(self, layout: Layout) -> NDArray[np.intp]:
+        """Return the degrees of freedom (g,) that each frame's pose leaves."""
+        return np.asarray(2 * self.seen.sum(axis=(1, 2)) - (5 if layout.on_line else 6))
 
     def take(self, keep: NDArray[np.bool_]) -> LightObservations:
         """Return the frames of the mask."""
@@ -211,9 +223,9 @@ class LightObservations:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LightBundle:
-    """The fit. values (k,): of the layout. poses (g, 6): t, rotation vector. residual_px (g, n, 2, 2) predicted minus
-    seen; left_out_px: the same with the shape of the other frames. frame_chi2 (g,). covariance (k, k): from the spots'
-    standard deviations alone; rig_share (k, k): of the rig's calibration.
+    """The fit. values (k,): of the layout. poses (g, 6): t, rotation vector. residual_px (g, n, V, 2) predicted minus
+    seen, NaN where a light is not; left_out_px: the same with the shape of the other frames. frame_chi2 (g,).
+    covariance (k, k): from the spots' standard deviations alone; rig_share (k, k): of the rig's calibration.
     """
 
     values: Array
@@ -236,8 +248,9 @@ def fit_bundle(
 ) -> LightBundle:
     """Return the bundle from a guess: values (k,) of the layout, R (g, 3, 3), t (g, 3) of the frames."""
     packed = PackedRig.of(rig)
-    whiten = whitener(sightings.cov_px2)  # (g, n, 2, 2, 2)
-    g, n = sightings.uv_px.shape[:2]
+    there = sightings.seen[..., None, None]
+    whiten = np.where(there, whitener(np.where(there, sightings.cov_px2, np.eye(2))), 0.0)  # (g, n, V, 2, 2)
+    g, n, V = sightings.uv_px.shape[:3]
 
     def evaluate(shared: Array, local: Array) -> Evaluation:
         return _evaluate(packed, layout, sightings, whiten, shared, local)
@@ -247,7 +260,7 @@ def fit_bundle(
             names=layout.names,
             guess=values,
             evaluate=evaluate,
-            n_residuals=4 * n * g + (g if layout.on_line else 0),
+            n_residuals=2 * V * n * g + (g if layout.on_line else 0),
             local_names=POSE,
             local_guess=np.concatenate([t, Rotation.from_matrix(R).as_rotvec()], axis=1),
             retract=_retract,
@@ -259,14 +272,16 @@ def fit_bundle(
 def _evaluate(
     packed: PackedRig, layout: Layout, sightings: LightObservations, whiten: Array, shared: Array, local: Array
 ) -> Evaluation:
-    g, n = sightings.uv_px.shape[:2]
+    g, n, V = sightings.uv_px.shape[:3]
     turned, uv, J = _project(packed, layout, shared, local)
-    WJ = whiten @ J  # (g, n, 2, 2, 3)
-    residuals = (whiten @ (uv - sightings.uv_px)[..., None]).reshape(g, -1)
+    there = sightings.seen[..., None]
+    off, J = np.where(there, uv - sightings.uv_px, 0.0), np.where(there[..., None], J, 0.0)
+    WJ = whiten @ J  # (g, n, V, 2, 3)
+    residuals = (whiten @ off[..., None]).reshape(g, -1)
     # p = R X + t moves by dt + dw x (R X): as J by dt, as -J [R X]x by dw
-    own = np.concatenate([WJ, -WJ @ skew(turned)[:, :, None]], axis=-1).reshape(g, 4 * n, 6)
+    own = np.concatenate([WJ, -WJ @ skew(turned)[:, :, None]], axis=-1).reshape(g, 2 * V * n, 6)
     R = _rotations(local)
-    shape = (WJ @ R[:, None, None] @ layout.basis.reshape(1, n, 1, 3, -1)).reshape(g, 4 * n, -1)
+    shape = (WJ @ R[:, None, None] @ layout.basis.reshape(1, n, 1, 3, -1)).reshape(g, 2 * V * n, -1)
     if layout.on_line:  # a row without residual that holds the turn about the line
         held = np.sqrt(HOLD) * np.concatenate([np.zeros((g, 3)), R[:, :, 0]], axis=1)
         residuals = np.concatenate([residuals, np.zeros((g, 1))], axis=1)
@@ -279,7 +294,7 @@ def _judge(
     rig: Rig, layout: Layout, sightings: LightObservations, fit: Fit, at: Evaluation, whiten: Array
 ) -> LightBundle:
     """Return the bundle with its uncertainty, the rig's share and the left-out residuals."""
-    g, n = sightings.uv_px.shape[:2]
+    g, n, V = sightings.uv_px.shape[:3]
     Js, Jl, r = at.shared, at.local, at.residuals
     # residuals and shape as they are once each frame's pose has followed
     free = np.eye(r.shape[1]) - Jl @ np.linalg.solve(Jl.transpose(0, 2, 1) @ Jl, Jl.transpose(0, 2, 1))
@@ -291,52 +306,55 @@ def _judge(
     if g > 1:
         step = without(information, S, (Js.transpose(0, 2, 1) @ e[:, :, None])[:, :, 0])
     # the pose of a frame follows the shape that the others give: e and Js are by what is left of both
-    left_out = (e + (Js @ step[:, :, None])[:, :, 0])[:, : 4 * n].reshape(g, n, 2, 2)
+    left_out = (e + (Js @ step[:, :, None])[:, :, 0])[:, : 2 * V * n].reshape(g, n, V, 2)
     share = np.zeros_like(covariance)
     if rig.covariance is not None:
-        D = _by_rig(rig, layout, fit, whiten)
+        D = _by_rig(rig, layout, fit, whiten, sightings.seen)
         if layout.on_line:
             D = np.concatenate([D, np.zeros((g, 1, D.shape[2]))], axis=1)
         # where the minimum goes when the rig changes: dx = -(J'J)^-1 J' dr, with each frame's pose following
         A = -covariance @ np.einsum("gmk,gmp->kp", Js, D)
         share = A @ PackedRig.of(rig).covariance @ A.T
-    colour = np.linalg.inv(whiten)
+    there = sightings.seen[..., None]
+    colour = np.where(there[..., None], np.linalg.inv(np.where(there[..., None], whiten, np.eye(2))), np.nan)
     return LightBundle(
         values=fit.shared,
         poses=fit.local,
-        residual_px=(colour @ r[:, : 4 * n].reshape(g, n, 2, 2)[..., None])[..., 0],
+        residual_px=(colour @ r[:, : 2 * V * n].reshape(g, n, V, 2)[..., None])[..., 0],
         left_out_px=(colour @ left_out[..., None])[..., 0],
         frame_chi2=(r**2).sum(axis=1),
         covariance=covariance,
         rig_share=share,
-        dof=4 * n * g - (5 if layout.on_line else 6) * g - len(layout.names),
+        dof=int(sightings.dof(layout).sum()) - len(layout.names),
     )
 
 
-def _by_rig(rig: Rig, layout: Layout, fit: Fit, whiten: Array) -> Array:
-    """Return (g, 4 n, 26): whitened residuals by the rig's parameters, by central differences."""
+def _by_rig(rig: Rig, layout: Layout, fit: Fit, whiten: Array, seen: NDArray[np.bool_]) -> Array:
+    """Return (g, 2 V n, 16 V - 6): whitened residuals by the rig's parameters, by central differences."""
     sigma = np.sqrt(np.diag(PackedRig.of(rig).covariance))
-    g, n = whiten.shape[:2]
-    D = np.zeros((g, 4 * n, len(RIG_PARAMETERS)))
+    g, n, V = whiten.shape[:3]
+    D = np.zeros((g, 2 * V * n, len(sigma)))
     for p in np.flatnonzero(sigma > 0.0):
-        step = np.zeros(len(RIG_PARAMETERS))
+        step = np.zeros(len(sigma))
         step[p] = max(SMALL * sigma[p], 1e-9)
         plus, minus = (
             _project(PackedRig.of(moved_rig(rig, s * step)), layout, fit.shared, fit.local)[1] for s in (1.0, -1.0)
         )
-        D[:, :, p] = (whiten @ ((plus - minus) / (2.0 * step[p]))[..., None])[..., 0].reshape(g, -1)
+        moved = np.where(seen[..., None], (plus - minus) / (2.0 * step[p]), 0.0)
+        D[:, :, p] = (whiten @ moved[..., None])[..., 0].reshape(g, -1)
     return D
 
 
 def _project(packed: PackedRig, layout: Layout, values: Array, poses: Array) -> tuple[Array, Array, Array]:
-    """Return R X (g, n, 3), pixels (g, n, 2, 2) and their derivatives (g, n, 2, 2, 3) by the position in rig axes."""
+    """Return R X (g, n, 3), pixels (g, n, V, 2) and their derivatives (g, n, V, 2, 3) by the position in rig axes."""
     X = layout.spots(values)
     g, n = len(poses), len(X)
     turned = np.einsum("gij,nj->gni", _rotations(poses), X)
     positions = np.ascontiguousarray(turned + poses[:, None, :3]).reshape(-1, 3)
-    uv, J = np.empty((g * n, 2, 2)), np.empty((g * n, 2, 2, 3))
-    see_both(packed.k, packed.R, packed.t, positions, uv, J)
-    return turned, uv.reshape(g, n, 2, 2), J.reshape(g, n, 2, 2, 3)
+    V = len(packed.k)
+    uv, J = np.empty((g * n, V, 2)), np.empty((g * n, V, 2, 3))
+    see_all(packed.k, packed.R, packed.t, positions, uv, J)
+    return turned, uv.reshape(g, n, V, 2), J.reshape(g, n, V, 2, 3)
 
 
 def _rotations(poses: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from armsight.calibrate.light_target.adjustment import (
     LightBundle,
     LightObservations,
     LitFrame,
+    Sight,
     fit_bundle,
     line_frame,
     line_layout,
@@ -74,19 +76,26 @@ def calibrate_target(
     labelled = _name(rig, frames, lights, overlaid)
     named, numbers = labelled.named, labelled.numbers
     flat = on_one_line(named)
-    keep = np.ones(len(numbers), bool) if flat else _clear(labelled)
+    keep = np.ones(len(numbers), bool) if flat else clear_frames(labelled)
     seen = _observations(frames, numbers, named)
     order = _order(named, seen, keep, flat)
     layout = line_layout(lights) if flat else plane_layout(lights)
     seen = LightObservations(uv_px=seen.uv_px[:, order], cov_px2=seen.cov_px2[:, order])
-    bundle, used = _fit(rig, layout, seen, labelled, order, keep)
-    turns = _turns(bundle.poses)
-    require_turned(float(turns[0]))
-    require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, int(used.sum()))
+    bundle, used = fit_frames(rig, layout, seen, labelled, keep, *guess(layout, named, order))
+    require_turned(float(turns(bundle.poses)[0]))
+    require_rigid(bundle, epipolar(rig, seen.take(used)), lights, int(used.sum()))
+    return found_target(rig, layout, bundle, [frame.name for frame in frames], numbers[used], labelled.rejected)
+
+
+def found_target(
+    rig: Rig, layout: Layout, bundle: LightBundle, frames: Sequence[str], used: NDArray[np.intp], rejected: Rejected
+) -> TargetResult:
+    """Return the target of a fit to the used of the frames, which are named. Raises Degenerate for lights on a line."""
     covariance = _covariance(layout, bundle)
-    X, names = layout.spots(bundle.values), tuple(LETTERS[:lights])
+    X = layout.spots(bundle.values)
+    names = tuple(LETTERS[: len(X)])
     check_metres(distances(X), TARGET_M, "by this rig the lights are apart by")
-    if flat and lights > 2:
+    if layout.on_line and len(X) > 2:
         raise on_line(distances_of(names, X, covariance))
     return advise(
         TargetResult(
@@ -94,20 +103,20 @@ def calibrate_target(
             xyz_m=X,
             covariance=NamedCovariance(names=tuple(f"{n}.{a}_m" for n in names for a in "xyz"), matrix=covariance),
             n_frames=len(frames),
-            used=tuple(frames[i].name for i in numbers[used]),
-            rejected=tuple(RejectedFrame(frames[i].name, why) for i, why in sorted(labelled.rejected)),
+            used=tuple(frames[i] for i in used),
+            rejected=tuple(RejectedFrame(frames[i], why) for i, why in sorted(rejected)),
             residual_px=bundle.residual_px,
             left_out_px=bundle.left_out_px,
             scale=float(np.sqrt(bundle.scale2)),
             rig_share=None if rig.covariance is None else _share(layout, bundle, covariance),
-            rotation_excitation_rms_rad=turns,
+            rotation_excitation_rms_rad=turns(bundle.poses),
             advice=(),
         )
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _LabelledFrames:
+class LabelledFrames:
     """The shape that frames share with their lights named by it, and the frames' numbers (n,).
 
     rejected: number of each other frame, and why; grows while more are left out. overlaid: as in calibrate_target.
@@ -119,23 +128,38 @@ class _LabelledFrames:
     overlaid: bool
 
 
-def _name(rig: Rig, frames: Sequence[LitFrame], lights: int, overlaid: bool) -> _LabelledFrames:
+def _name(rig: Rig, frames: Sequence[LitFrame], lights: int, overlaid: bool) -> LabelledFrames:
     """Return the frames that share one shape, with their lights named."""
-    sights, rejected = sights_of(rig, frames, lights)
+    return named_by_shape(*sights_of(rig, frames, lights), len(frames), lights, overlaid=overlaid)
+
+
+def named_by_shape(
+    sights: Sequence[Sight],
+    rejected: Rejected,
+    n_frames: int,
+    lights: int,
+    *,
+    overlaid: bool = False,
+    many: bool = False,
+) -> LabelledFrames:
+    """Return the same of frames whose lights are seen; rejected: number of each other one, and why.
+
+    many: any two of several cameras see them, and none of these is called left.
+    """
     if len(sights) < MIN_FRAMES:
-        raise few_frames(len(sights), len(frames), lights, rejected, overlaid=overlaid)
+        raise few_frames(len(sights), n_frames, lights, rejected, overlaid=overlaid, many=many)
     named = find_shape(sights)
     rejected += [
         (sights[s].frame, f"distances of its lights differ by {off / MM:.2g} mm from those of the other frames")
         for s, off in named.misfit
     ]
     if len(named.number) < max(MIN_FRAMES, LEAST_SHARE * len(sights)):
-        raise not_rigid(len(named.number), len(sights), named, overlaid=overlaid)
+        raise not_rigid(len(named.number), len(sights), named, overlaid=overlaid or many)
     numbers = np.array([sights[s].frame for s in named.number], dtype=np.intp)
-    return _LabelledFrames(named=named, numbers=numbers, rejected=rejected, overlaid=overlaid)
+    return LabelledFrames(named=named, numbers=numbers, rejected=rejected, overlaid=overlaid or many)
 
 
-def _clear(labelled: _LabelledFrames) -> Flags:
+def clear_frames(labelled: LabelledFrames) -> Flags:
     """Return the frames whose lights can be named, and say of the others why not."""
     named = labelled.named
     told, other = distinguishable_frames(named)
@@ -179,47 +203,72 @@ def _order(named: Named, seen: LightObservations, keep: Flags, flat: bool) -> ND
     return name_order(X, away, u)
 
 
-def _fit(
-    rig: Rig,
-    layout: Layout,
-    seen: LightObservations,
-    labelled: _LabelledFrames,
-    order: NDArray[np.intp],
-    keep: Flags,
-) -> tuple[LightBundle, Flags]:
-    """Return the bundle of the frames that agree, and which these are; the worst are left out one after the other."""
-    named = labelled.named
+def guess(layout: Layout, named: Named, order: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Return the layout's values (k,), and R (g, 3, 3), t (g, 3) of the frames, as they were named."""
     X = named.X[order]
     axes, origin = (line_frame if layout.on_line else plane_frame)(X)
     own = (X - origin) @ axes
     values = np.asarray(np.linalg.lstsq(layout.basis, own.ravel(), rcond=None)[0], float)
-    R, t = named.R @ axes, named.R @ origin + named.t
-    used, n = keep.copy(), len(X)
+    return values, named.R @ axes, named.R @ origin + named.t
+
+
+def fit_frames(
+    rig: Rig,
+    layout: Layout,
+    seen: LightObservations,
+    labelled: LabelledFrames,
+    keep: Flags,
+    values: Array,
+    R: Array,
+    t: Array,
+) -> tuple[LightBundle, Flags]:
+    """Return the bundle of the frames that agree, and which these are; the worst are left out one after the other.
+
+    values (k,) of the layout, R (g, 3, 3), t (g, 3) of the frames: to begin with.
+    """
+    named, used = labelled.named, keep.copy()
     total = int(used.sum())
     for _ in range(total):
         if used.sum() < MIN_FRAMES or used.sum() < LEAST_SHARE * total:
             raise not_rigid(int(used.sum()), total, named, overlaid=labelled.overlaid)
         bundle = fit_bundle(rig, layout, seen.take(used), values, R[used], t[used])
-        dof = 4 * n - (5 if layout.on_line else 6)
-        middle = max(float(np.median(bundle.frame_chi2)) / float(chi2_ppf(0.5, dof)), 1.0)
-        limit = middle * float(chi2_isf(FALSE_ALARM / total, dof))
+        dof = seen.take(used).dof(layout)
+        middle = max(float(np.median(bundle.frame_chi2 / chi2_ppf(0.5, dof))), 1.0)
+        over = bundle.frame_chi2 / (middle * chi2_isf(FALSE_ALARM / total, dof))
         # one at a time: a wrong frame bends the shape and makes good ones look bad
-        worst = int(np.argmax(bundle.frame_chi2))
-        if bundle.frame_chi2[worst] <= limit:
+        worst = int(np.argmax(over))
+        if over[worst] <= 1.0:
             break
         number = int(np.flatnonzero(used)[worst])
-        rms = float(np.sqrt(np.mean(bundle.residual_px[worst] ** 2)))
+        rms = float(np.sqrt(np.nanmean(bundle.residual_px[worst] ** 2)))
         why = f"residuals of {rms:.2g} px: a reflection, a wrong pair or a blur"
         labelled.rejected.append((int(labelled.numbers[number]), why))
         used[number] = False
     return bundle, used
 
 
-def _epipolar(rig: Rig, seen: LightObservations) -> tuple[float, int]:
-    """Return chi-square of the two views against each other, which no shape can change, and its degrees of freedom."""
-    uv, cov = seen.uv_px.reshape(-1, 2, 2), seen.cov_px2.reshape(-1, 2, 2, 2)
-    points = triangulate(rig, uv[:, 0], uv[:, 1], cov[:, 0], cov[:, 1])
-    return float(points.chi2[points.found].sum()), int(points.found.sum())
+def epipolar(rig: Rig, seen: LightObservations) -> tuple[float, int]:
+    """Return chi-square of the views against each other, which no shape can change, and its degrees of freedom."""
+    V = seen.uv_px.shape[2]
+    uv, cov = seen.uv_px.reshape(-1, V, 2), seen.cov_px2.reshape(-1, V, 2, 2)
+    there = seen.seen.reshape(-1, V)
+    # of more views the first two that see a light: a sample of what all leave
+    order = np.argsort(~there, axis=1, kind="stable")[:, :2]
+    chi2, dof = 0.0, 0
+    for a, b in combinations(range(V), 2):
+        rows = (order == (a, b)).all(axis=1) & there[:, a] & there[:, b]
+        if rows.any():
+            points = triangulate(pair_of(rig, a, b), uv[rows, a], uv[rows, b], cov[rows, a], cov[rows, b])
+            chi2, dof = chi2 + float(points.chi2[points.found].sum()), dof + int(points.found.sum())
+    return chi2, dof
+
+
+def pair_of(rig: Rig, a: int, b: int) -> Rig:
+    """Return two cameras of a rig as left and right, in its axes."""
+    if rig.is_pair:
+        return rig
+    one, two = rig.cameras[a], rig.cameras[b]
+    return Rig(left=one.camera, right=two.camera, T_rig_left=one.T_rig_camera, T_rig_right=two.T_rig_camera)
 
 
 def _covariance(layout: Layout, bundle: LightBundle) -> Array:
@@ -234,7 +283,7 @@ def _share(layout: Layout, bundle: LightBundle, covariance: Array) -> float:
     return float(np.sqrt(own / max(np.trace(covariance), TINY)))
 
 
-def _turns(poses: Array) -> Array:
+def turns(poses: Array) -> Array:
     """Return the root mean square turn (3,) about the principal axes, falling, in rad."""
     rotations = Rotation.from_rotvec(np.array(poses[:, 3:]))
     w = (rotations.mean().inv() * rotations).as_rotvec()

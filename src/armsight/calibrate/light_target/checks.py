@@ -53,14 +53,17 @@ def require_lights(n: int) -> None:
 
 
 def few_frames(
-    n: int, total: int, lights: int, rejected: Sequence[tuple[int, str]], *, overlaid: bool = False
+    n: int, total: int, lights: int, rejected: Sequence[tuple[int, str]], *, overlaid: bool = False, many: bool = False
 ) -> NotEnoughData:
-    """Return the refusal of too few frames; overlaid: both views are in one image."""
+    """Return the refusal of too few frames; overlaid: both views are in one image; many: of several any two count."""
     why = f"; the first of the others: {rejected[0][1]}" if rejected else ""
     seen = "all lights in the image twice, neither path dark" if overlaid else "all lights seen by both cameras"
-    swapped = "; where all are there, check which source is the left one" if n == 0 and not overlaid else ""
+    if many:
+        seen = "all lights seen by two cameras at once in some"
+    swapped = "; where all are there, check which source is the left one" if n == 0 and not (overlaid or many) else ""
+    views = "two" if many else "both"
     return NotEnoughData(
-        f"{n} of {total} frames show {lights} lights in both views, of which {MIN_FRAMES} are the fewest{why}",
+        f"{n} of {total} frames show {lights} lights in {views} views, of which {MIN_FRAMES} are the fewest{why}",
         consequence="The target is not calibrated",
         cure=f"Record 10 frames and more, the target turned to several sides, {seen}{swapped}",
     )
@@ -176,7 +179,7 @@ def require_rigid(bundle: LightBundle, epipolar: tuple[float, int], n: int, fram
     if dof <= 0:
         return
     noise = max(epipolar[0] / max(epipolar[1], 1), 1.0)
-    rms = float(np.sqrt(np.mean(bundle.residual_px**2)))
+    rms = float(np.sqrt(np.nanmean(bundle.residual_px**2)))
     limit = max(SHAPE_LOOSE**2, float(chi2_isf(FALSE_ALARM, dof)) / dof)
     if chi2 / dof > limit * noise and rms > LOOSE_PX:
         raise Inconsistent(

@@ -13,7 +13,7 @@ from armsight.calibrate.light_target.naming import pairs_of
 from armsight.fields import Doc
 from armsight.records import NamedCovariance, Target, spot_target
 from armsight.records.by_value import Saveable
-from armsight.records.checks import freeze
+from armsight.records.checks import checked_array, freeze
 from armsight.records.output import Output, figure, output
 from armsight.records.result_parts import MEANING, Verdict
 from armsight.shown import REJECTED_SHOWN, Shown, Table, digits
@@ -49,10 +49,10 @@ class TargetResult(Output, Saveable):
 
     names (n,) and xyz_m (n, 3) of the lights in the target's frame; covariance of 'A.x_m', ... in that frame.
 
-    used: names of the frames that the answer rests on. residual_px (g, n, 2, 2) [frame, light,
-    side, axis] predicted minus seen; left_out_px: the same, each frame by the shape that the others give. scale:
-    residuals over the spots' own standard deviations; above 1 the covariance is widened by it. rig_share: part of the
-    standard deviation that comes from the rig's calibration, None where the rig has no covariance.
+    used: names of the frames that the answer rests on. residual_px (g, n, V, 2) [frame, light, camera, axis] predicted
+    minus seen, NaN where a camera did not see a light; left_out_px: the same, each frame by the shape that the others
+    give. scale: residuals over the spots' own standard deviations; above 1 the covariance is widened by it. rig_share:
+    part of the standard deviation that comes from the rig's calibration, None where the rig has no covariance.
     rotation_excitation_rms_rad (3,): root mean square turns between frames about their principal axes, falling.
     """
 
@@ -71,7 +71,11 @@ class TargetResult(Output, Saveable):
 
     def __post_init__(self) -> None:
         n = len(self.names)
-        freeze(self, xyz_m=(n, 3), residual_px=(None, n, 2, 2), left_out_px=(None, n, 2, 2))
+        freeze(self, xyz_m=(n, 3))
+        for name in ("residual_px", "left_out_px"):  # NaN is of a light that a camera did not see
+            array = checked_array(name, np.array(getattr(self, name)), (None, n, None, 2), nan=True)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
         freeze(self, rotation_excitation_rms_rad=(3,))
 
     @figure("Place of each light by name, in the target's frame, m.")
@@ -103,11 +107,11 @@ class TargetResult(Output, Saveable):
 
     @figure("Reprojection residual of the fit, RMS, px.")
     def residual_rms_px(self) -> float:
-        return float(np.sqrt(np.mean(self.residual_px**2)))
+        return float(np.sqrt(np.nanmean(self.residual_px**2)))
 
     @figure("Reprojection residual of each frame by the shape of the others, RMS, px.")
     def loo_rms_px(self) -> float:
-        return float(np.sqrt(np.mean(self.left_out_px**2)))
+        return float(np.sqrt(np.nanmean(self.left_out_px**2)))
 
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:

@@ -54,7 +54,7 @@ def calibrate_page(console: Console) -> None:
         for name in steps_of(console):
             title = step_title(console, name)
             button(title, partial(choose, name), kind="act quiet", testid=f"step-{name}")
-        if console.pictures == SIDES:
+        if COMPLEX not in console.pictures:
             text_of("a", texts.WHOLE_CELL, href="/cell")
     body = ui.element("div").style("display: contents")
     choose(next((name for name in steps_of(console) if name in OF_PLACES), steps_of(console)[0]))

@@ -29,8 +29,7 @@ from armsight.console.pages.calibrate import CELLS, hint_text, rows_table, show_
 from armsight.console.state import CELL, Console
 from armsight.console.work import jog_card
 from armsight.errors import ArmsightError
-from armsight.optics import SIDES
-from armsight.store.cell_file import cell_path
+from armsight.store.cell_file import COMPLEX, cell_path
 
 TICK_S = 0.3
 """Time between two updates: a person who moves an arm looks up now and then."""
@@ -44,7 +43,7 @@ MOUNT, MOVE, RESULT = range(3)
 def cell_page(console: Console) -> None:
     """Build the page."""
     text_of("p", texts.INTRO)
-    if console.pictures != SIDES or console.cell.on_robot:
+    if COMPLEX in console.pictures or console.cell.on_robot:
         notice(texts.NOT_THIS_CELL)
         return
     runner = console.step(CELL)
@@ -106,11 +105,11 @@ class _CellPage:
         self._said = text_of("p", role="alert", testid="step-said").classes("hint")
         self._cells: dict[str, list[TextElement]] = {}
         with ui.element("div").classes("columns"):
-            for side in SIDES:
+            for side in self._step.sides:
                 with ui.element("div"):
                     canvas_of(side)
                     with ui.element("div").classes("coverage") as grid:
-                        name = texts.COVERAGE.format(side=shared.SIDES[side])
+                        name = texts.COVERAGE.format(side=shared.SIDES.get(side, side))
                         grid.props.update({"role": "group", "aria-label": name})
                         self._cells[side] = [text_of("span", "0") for _ in range(CELLS)]
         with ui.element("div").classes("columns"):
@@ -251,7 +250,9 @@ class _CellPage:
                 set_text(cell, str(n))
                 set_attribute(cell, "data-level", "good" if n else "idle")
                 place = shared.PLACES[i // 3][i % 3]
-                set_attribute(cell, "aria-label", texts.COVERED.format(side=shared.SIDES[side], place=place, n=n))
+                set_attribute(
+                    cell, "aria-label", texts.COVERED.format(side=shared.SIDES.get(side, side), place=place, n=n)
+                )
         self._spread.clear()
         with self._spread:
             rows_table(state.spread)

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import combinations
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.cell import CellPriors, CellResult
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import is_live
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.geometry.poses import skew
 from armsight.kinematics import Arm
 from armsight.ops.action import Given
 from armsight.ops.calibration.spots_of_frames import SpotSearch, spots_of_frames
 from armsight.ops.flags import point_of
 from armsight.ops.given import as_arm
+from armsight.ops.sources.cameras import named_cameras
 from armsight.ops.sources.frames import is_recording, recording_path
-from armsight.optics import RIGHT_POSE, SIDES
+from armsight.optics import SIDES, Rig
 from armsight.records import Frame, Motion, NamedCovariance, Progress, SpotTrack, checked_array, require_count
 from armsight.store import read_rig, read_spot_track, read_world
 from armsight.store.foreign.storage import kind_of
@@ -32,6 +36,7 @@ from armsight.store.recording import Recording
 from armsight.store.tracks import read_joints
 
 Size = tuple[int, int]
+Source = TypeVar("Source")
 
 OFF_CENTRE = 0.1
 """Of the image's size: webcams' lenses are within 0.05 of its middle; 1280x720 taken for 1920x1080 is 0.16 off."""
@@ -61,9 +66,14 @@ def given_files(name: str, value: Any, given: Given, undo: ExitStack) -> list[Pa
     return [Path(fspath(one)) for one in value]
 
 
+def named_tables(text: str) -> Sequence[Path]:
+    """Return the file of NAME=CSV, whose hash goes into the result."""
+    return [Path(text.partition("=")[2])]
+
+
 def require_centred(done: CellResult) -> None:
     """Raise Inconsistent where a lens's middle is far from that of the images whose size was typed."""
-    for side in SIDES:
+    for side in done.rig.names:
         camera = done.rig.camera(side)
         size = np.array([camera.width, camera.height])
         off = camera.intrinsics[2:4] - (size - 1.0) / 2.0
@@ -85,9 +95,12 @@ def require_size(name: str, value: Any) -> None:
 
 def require_sources(frames: Sequence[Any], tables: Sequence[Any], size: Size | None) -> None:
     """Raise UsageError for frames that are none, or live ones."""
-    if not (all(frames) and not any(tables)) and not (all(tables) and not any(frames)):
+    given = [kind for kind in (frames, [one is not None for one in tables]) if any(kind)]
+    if len(given) != 1 or not all(given[0]):
         raise UsageError(
-            "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
+            "which frames?",
+            cure="Give --left and --right, or --left-spots and --right-spots, one of each camera; or --camera "
+            "NAME=SRC, or --spots NAME=CSV, of each of one to eight cameras",
         )
     if any(is_live(text or "") for text in frames):
         raise UsageError(
@@ -96,12 +109,40 @@ def require_sources(frames: Sequence[Any], tables: Sequence[Any], size: Size | N
             cure="Record first, while the robot moves and logs its joints: armsight record --left ... --right ... "
             "-o cell.mcap; then give --left cell.mcap --right cell.mcap",
         )
-    if all(tables) and size is None:
+    if tables and tables[0] is not None and size is None:
         raise UsageError(
             "tables of spots do not tell how large the images are",
             consequence="Nothing is calibrated",
             cure="Add --size 1280x720, and --right-size where the right camera's is another",
         )
+
+
+def by_camera(
+    left: Source | None, right: Source | None, named: Mapping[str, Source] | None
+) -> dict[str, Source | None]:
+    """Return what is given of each camera; left and right are short for cameras of these names.
+
+    Raises UsageError for a camera that is given twice, one source of two and more than a rig has, Inconsistent for what
+    is no name.
+    """
+    short = {} if left is None and right is None else {"left": left, "right": right}
+    if not named:
+        return short
+    own = {name: one for name, one in short.items() if one is not None}
+    if all(isinstance(one, str) for one in named.values()):
+        texts = {name: str(one) for name, one in named.items()}
+        named_cameras(texts, *(None if one is None else str(one) for one in (left, right)))
+    else:
+        # tables are no devices: they are told apart by the cameras' names alone
+        if twice := sorted(set(own) & set(named)):
+            raise UsageError(
+                f"the table of {twice[0]} is given twice",
+                consequence="It is open which are its spots",
+                cure="Leave one of the two away",
+            )
+        named_cameras({name: name for name in (*own, *named)})
+    given: dict[str, Source | None] = {**own, **named}
+    return {side: given[side] for side in SIDES} if set(given) == set(SIDES) else given
 
 
 def joints_of(log: Path, arm: Arm, format_: TableFormat) -> Motion:
@@ -113,26 +154,29 @@ def joints_of(log: Path, arm: Arm, format_: TableFormat) -> Motion:
     return Motion(t_s=np.array([one.t_s for one in readings]), q=np.array([one.q for one in readings]))
 
 
-def spots_of_tables(paths: tuple[Path, Path], sizes: tuple[Size, Size]) -> tuple[SpotTrack, SpotTrack]:
-    """Return the spots of both cameras, whose images are of these sizes (w, h) px. Raises Inconsistent, BadFile."""
-    left, right = read_spot_track(paths[0]), read_spot_track(paths[1])
-    for track, path, size in ((left, paths[0], sizes[0]), (right, paths[1], sizes[1])):
-        _require_inside(track, path, size)
-    return left, right
+def spots_of_tables(
+    tables: Mapping[str, Path | SpotTrack], sizes: Sequence[Size]
+) -> tuple[dict[str, SpotTrack], Sequence[Size]]:
+    """Return the spots by camera, whose images are of these sizes (w, h) px. Raises Inconsistent, BadFile."""
+    tracks = {}
+    for (name, table), size in zip(tables.items(), sizes, strict=True):
+        tracks[name] = table if isinstance(table, SpotTrack) else read_spot_track(table)
+        _require_inside(tracks[name], f"the table of {name}" if isinstance(table, SpotTrack) else table, size)
+    return tracks, sizes
 
 
 def spots_and_sizes(
-    search: SpotSearch, sources: tuple[str, str], progress: Progress
-) -> tuple[tuple[SpotTrack, SpotTrack], tuple[Size, Size]]:
-    """Return the spots in frames of both cameras, and the sizes of their images. Raises UsageError, Inconsistent."""
-    tracks, found = [], []
-    for side, text in zip(SIDES, sources, strict=True):
+    search: SpotSearch, sources: Mapping[str, str], progress: Progress
+) -> tuple[dict[str, SpotTrack], Sequence[Size]]:
+    """Return the spots in frames by camera, and the sizes of their images. Raises UsageError, Inconsistent."""
+    tracks, found = {}, []
+    for name, text in sources.items():
         seen: list[Size] = []
-        tracks.append(spots_of_frames(search, side, text, progress, _one_size(seen)))
+        tracks[name] = spots_of_frames(search, name, text, progress, _one_size(seen))
         if not seen:
             raise UsageError(f"{text} holds no frames", cure="Give the frames of the recording")
         found.append(seen[0])
-    return (tracks[0], tracks[1]), (found[0], found[1])
+    return tracks, found
 
 
 def _one_size(seen: list[Size]) -> Callable[[Frame], None]:
@@ -152,18 +196,18 @@ def _one_size(seen: list[Size]) -> Callable[[Frame], None]:
     return check
 
 
-def require_two(tracks: tuple[SpotTrack, SpotTrack]) -> None:
-    """Raise Inconsistent where both cameras are one."""
-    left, right = tracks
-    if left.uv_px.shape == right.uv_px.shape and len(left.uv_px) and (left.uv_px == right.uv_px).all():
-        raise Inconsistent(
-            "left and right hold the same spots: they are one camera",
-            consequence="Nothing is known of a second one, and no cell is calibrated",
-            cure="Give each side the frames or spots of its own camera",
-        )
+def require_own(tracks: Mapping[str, SpotTrack]) -> None:
+    """Raise Inconsistent where two cameras are one."""
+    for (name, one), (other, two) in combinations(tracks.items(), 2):
+        if one.uv_px.shape == two.uv_px.shape and len(one.uv_px) and (one.uv_px == two.uv_px).all():
+            raise Inconsistent(
+                f"{name} and {other} hold the same spots: they are one camera",
+                consequence="Nothing is known of a second one, and no cell is calibrated",
+                cure="Give each side the frames or spots of its own camera",
+            )
 
 
-def _require_inside(track: SpotTrack, path: Path, size: Size) -> None:
+def _require_inside(track: SpotTrack, path: Path | str, size: Size) -> None:
     """Raise Inconsistent where spots are outside of images of a size."""
     most = track.uv_px.max(axis=0)
     if (most > np.array(size) - 0.5).any() or track.uv_px.min() < -0.5:
@@ -174,17 +218,20 @@ def _require_inside(track: SpotTrack, path: Path, size: Size) -> None:
         )
 
 
-def read_priors(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> CellPriors | None:
-    """Return what files say of a cell whose images are of these sizes (w, h) px; None for no file.
+def read_priors(
+    paths: Sequence[Path], sizes: Sequence[tuple[int, int]], names: Sequence[str] = SIDES
+) -> CellPriors | None:
+    """Return what files say of a cell whose cameras have these names and sizes (w, h) px; None for no file.
 
     Raises UsageError for another kind of file, NotEnoughData for one without a covariance, Inconsistent for cameras of
     another size.
     """
-    known = CellPriors()
+    known, world_pose, first = CellPriors(), None, names[0]
     for path in paths:
         kind = kind_of(path)
         if kind == "armsight/rig":
-            known = _of_rig(known, path, sizes)
+            rig, first = _of_rig(path, sizes, names)
+            known = replace(known, rig=rig)
         elif kind == "armsight/world":
             world = read_world(path)
             if world.parent != "base":
@@ -192,7 +239,7 @@ def read_priors(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> Cell
                     f"{path}: says where the rig stands in the world, not to the base",
                     cure="Give the world.yaml that `armsight calibrate robot-world` or `calibrate cell` wrote",
                 )
-            known = replace(known, base_pose=(world.T_parent_rig, _told(world.covariance, path)))
+            world_pose = (world.T_parent_rig, _told(world.covariance, path))
         elif kind == "armsight/handeye":
             hand = read_handeye(path)
             if hand.setup is not Setup.EYE_TO_HAND:
@@ -209,30 +256,55 @@ def read_priors(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> Cell
                 f"{path}: a {kind or 'file of no known kind'} tells nothing here",
                 cure=f"Give {READ}; a calibrated arm as --model, a measured target as --target",
             )
+    if world_pose is not None:
+        known = replace(known, base_pose=_of_first(world_pose, known.rig, first, names[0]))
     return known if paths else None
 
 
-def _of_rig(known: CellPriors, path: Path, sizes: Sequence[tuple[int, int]]) -> CellPriors:
-    rig = read_rig(path)
-    covariance = _told(rig.covariance, path)
-    lenses = []
-    for side, size in zip(SIDES, sizes, strict=True):
-        camera = rig.camera(side)
+def _of_rig(path: Path, sizes: Sequence[tuple[int, int]], names: Sequence[str]) -> tuple[Rig, str]:
+    """Return what a rig's file says of the cameras that were recorded, and which camera is the first one there."""
+    rig = read_rig(path, any_cameras=True)
+    _told(rig.covariance, path)
+    for name, size in zip(names, sizes, strict=True):
+        if name not in rig.names:
+            continue
+        camera = rig.camera(name)
         if (camera.width, camera.height) != tuple(size):
             raise Inconsistent(
-                f"{path}: the {side} camera has {camera.width}x{camera.height} px, the recording {size[0]}x{size[1]}",
+                f"{path}: the {name} camera has {camera.width}x{camera.height} px, the recording {size[0]}x{size[1]}",
                 consequence="Its lens is not that of these images",
                 cure="Give the rig.yaml of these cameras in this mode",
             )
-        names = tuple(name for name in covariance.names if name.startswith(f"{side}.") and name not in RIGHT_POSE)
-        short = tuple(name.partition(".")[2] for name in names)
-        lenses.append((camera, NamedCovariance(names=short, matrix=covariance.block(names))) if names else None)
-    pose = (
-        (rig.T_rig_left.inv() * rig.T_rig_right, NamedCovariance(names=RIGHT_POSE, matrix=covariance.block(RIGHT_POSE)))
-        if set(RIGHT_POSE) <= set(covariance.names)
-        else None
-    )
-    return replace(known, lenses=(lenses[0], lenses[1]), right_pose=pose)
+    both = [name for name in names if name in rig.names]
+    if not both:
+        raise Inconsistent(
+            f"{path} is of the cameras {', '.join(rig.names)}, and the recording of {', '.join(names)}",
+            consequence="It tells nothing of these cameras",
+            cure="Name each camera as in the rig's file; or leave it out",
+        )
+    return rig.only(*both), rig.names[0]
+
+
+def _of_first(
+    pose: tuple[RigidTransform, NamedCovariance], rig: Rig | None, first: str, recorded: str
+) -> tuple[RigidTransform, NamedCovariance]:
+    """Return where the camera that was recorded first stands by where the axes of a rig do, with the covariance.
+
+    first: the rig's own first camera, which stands in these axes exactly.
+    """
+    T, covariance = pose
+    if first != recorded:
+        raise Inconsistent(
+            f"world.yaml says where the axes of rig.yaml stand, and its camera {recorded} is not the one that has them",
+            consequence="How well its place is known is open",
+            cure="Give the cameras of the recording in the order of rig.yaml; or leave world.yaml out",
+        )
+    T_rig_first = RigidTransform.identity() if rig is None else rig.cameras[0].T_rig_camera
+    if not np.any(T_rig_first.as_matrix() - np.eye(4)):
+        return pose
+    J = np.eye(6)
+    J[:3, 3:] = -skew(T.rotation.apply(T_rig_first.translation))
+    return T * T_rig_first, NamedCovariance(names=covariance.names, matrix=J @ covariance.matrix @ J.T)
 
 
 def _told(covariance: NamedCovariance | None, path: Path) -> NamedCovariance:

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
-from armsight.arrays import Array
-from armsight.calibrate.light_target import LitFrame
+from armsight.arrays import Array, Index
+from armsight.calibrate.light_target import LitFrame, LitMoment, NamedSights
 from armsight.clock import SystemClock
-from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, is_live, pairs_of
+from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, is_live, moments_of, pairs_of
 from armsight.errors import Cancelled, UsageError
 from armsight.measure.poses.beacon import without_standing
 from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.pipeline import check_size, check_sizes
+from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.views import measure_views
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.ops.sources.cameras import cameras_of
 from armsight.ops.sources.frames import camera_source
 from armsight.optics import PackedRig, Rig
-from armsight.records import Frame, Progress, Silent, Spots, SpotTrack
+from armsight.records import Frame, NotSeen, PoseStatus, Progress, Silent, Spots, SpotTrack, Target
 
+Moment = TypeVar("Moment")
+OTHER_FRAMES = "The calibration says nothing about such frames; no target is given"
 LIVE_S = 20.0
 """For how long live cameras are watched where --frames says nothing."""
 
@@ -171,19 +176,59 @@ def lit_frames(
     rig: Rig, pairs: MomentSource, settings: SpotSettings, limit: int | None, progress: Progress
 ) -> list[LitFrame]:
     """Return the lights in pairs of frames, those that stand still left out. Raises DataRefused, Cancelled."""
-    packed, seen = PackedRig.of(rig), []
-    total = min(limit or pairs.total, pairs.total) if pairs.total else limit or 0
-    for left, right in islice(pairs_of(pairs), limit):
-        check_sizes(rig, (left, right), "The calibration says nothing about such frames; no target is given")
+    packed, seen, overlaid = PackedRig.of(rig), [], False
+    for left, right in _counted(pairs_of(pairs), pairs.total, limit, progress):
+        check_sizes(rig, (left, right), OTHER_FRAMES)
         overlaid = left is right
         at_left = find_spots(left.image, settings)
-        at_right = at_left if overlaid else find_spots(right.image, settings)
-        seen.append((left.source, at_left, at_right))
-        progress.update(len(seen), total, "looking for lights")
-        if progress.cancelled():
-            raise Cancelled(f"stopped after {len(seen)} pairs", consequence="No target was written")
+        seen.append((left.source, at_left, at_left if overlaid else find_spots(right.image, settings)))
     names, lefts, rights = zip(*seen, strict=True) if seen else ((), (), ())
-    overlaid = bool(seen) and lefts[0] is rights[0]
     moving = without_standing(lefts)
     others = moving if overlaid else without_standing(rights)
     return [lit_frame(packed, *frame, overlaid=overlaid) for frame in zip(names, moving, others, strict=True)]
+
+
+def lit_moments(
+    rig: Rig, moments: MomentSource, settings: SpotSettings, limit: int | None, progress: Progress
+) -> list[LitMoment]:
+    """Return the lights of each camera in moments, those that stand still left out. Raises DataRefused, Cancelled."""
+    names, seen = [], []
+    for frames in _counted(moments_of(moments), moments.total, limit, progress):
+        check_sizes(rig, frames, OTHER_FRAMES)
+        names.append(next((frame.source for frame in frames if frame is not None), ""))
+        there = [None if frame is None or frame.unreadable else frame for frame in frames]
+        seen.append([Spots.none() if frame is None else find_spots(frame.image, settings) for frame in there])
+    moving = [without_standing(view) for view in zip(*seen, strict=True)]
+    return [LitMoment(name=name, views=views) for name, views in zip(names, zip(*moving, strict=True), strict=True)]
+
+
+def _counted(
+    moments: Generator[Moment, None, None], total: int | None, limit: int | None, progress: Progress
+) -> Iterator[Moment]:
+    """Yield moments up to a limit, telling after each. Raises Cancelled."""
+    most = min(limit or total, total) if total else limit or 0
+    for count, moment in enumerate(islice(moments, limit), 1):
+        yield moment
+        progress.update(count, most, "looking for lights")
+        if progress.cancelled():
+            raise Cancelled(f"stopped after {count} pairs", consequence="No target was written")
+
+
+def paired(two: Rig, left: Spots, right: Spots) -> Index:
+    """Return the spots (p, 2) of two views that agree with the epipolar lines."""
+    return pair_spots(PackedRig.of(two), left, right).index
+
+
+def naming(rig: Rig, target: Target) -> Callable[[Sequence[Spots]], NamedSights | NotSeen]:
+    """Return what finds a target in the views of a moment, as measuring does."""
+    setup = Setup(rig=rig, target=target)
+
+    def look(views: Sequence[Spots]) -> NamedSights | NotSeen:
+        found = measure_views(setup, 0.0, views)
+        T = found.pose.T_parent_target
+        if found.pose.status is not PoseStatus.OK or T is None:
+            return found.missed
+        shown = tuple(found.names_in(side) for side in range(len(views)))
+        return NamedSights(T_rig_target=np.asarray(T), spots=found.spots, names=shown)
+
+    return look

@@ -80,10 +80,10 @@ def see_light(camera, p, radius, normal, uv, J):
 
 
 @kernel
-def see_both(k, R, t, X, uv, J):
-    """Fill uv (n, 2, 2) [light, side] and J (n, 2, 2, 3) = d uv / d X for X (n, 3) in rig axes; NaN behind a camera."""
+def see_all(k, R, t, X, uv, J):
+    """Fill uv (n, V, 2) [light, camera] and J (n, V, 2, 3) = d uv / d X for X (n, 3) in rig axes; NaN without image."""
     for i in range(X.shape[0]):
-        for s in range(2):
+        for s in range(k.shape[0]):
             if not see_point(k[s], R[s], t[s], X[i], uv[i, s], J[i, s]):
                 # not zero: that would be a residual like any other, and pull the light behind the camera
                 uv[i, s] = np.nan

@@ -1,0 +1,210 @@
+"""A lit target's geometry from any number of cameras, which need not see its lights together: every sight counts.
+
+Moments in which two cameras see all lights name them and tell their shape, as a pair's do. By that shape the lights of
+all moments are named in all views, as in measuring, and all sights make one bundle: a light that one camera alone sees
+has no point, and counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.arrays import Array, Index
+from armsight.calibrate.light_target.adjustment import (
+    LETTERS,
+    Layout,
+    LightBundle,
+    LightObservations,
+    LitFrame,
+    Sight,
+    line_frame,
+    line_layout,
+    name_order,
+    plane_layout,
+    sights_of,
+)
+from armsight.calibrate.light_target.calibrate import (
+    LabelledFrames,
+    Rejected,
+    clear_frames,
+    epipolar,
+    fit_frames,
+    found_target,
+    guess,
+    named_by_shape,
+    pair_of,
+    turns,
+)
+from armsight.calibrate.light_target.checks import (
+    MIN_FRAMES,
+    on_one_line,
+    require_lights,
+    require_rigid,
+    require_turned,
+)
+from armsight.calibrate.light_target.result import TargetResult
+from armsight.defaults import LIT_LIGHTS
+from armsight.errors import UsageError
+from armsight.optics import PackedRig, Rig
+from armsight.records import NotSeen, Spots, Target, spot_target
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LitMoment:
+    """All spots of one moment by camera, in the rig's order; name: how the moment is called to people."""
+
+    name: str
+    views: tuple[Spots, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NamedSights:
+    """A known target in one moment: T_rig_target (4, 4), and by view its spots and which lights they are."""
+
+    T_rig_target: Array
+    spots: tuple[Spots, ...]
+    names: tuple[tuple[str, ...], ...]
+
+
+Pairing: TypeAlias = Callable[[Rig, Spots, Spots], Index]
+"""Rows (p, 2) of two views' spots, by a rig of these two as left and right, that may be the same light."""
+Naming: TypeAlias = Callable[[Rig, Target], Callable[[Sequence[Spots]], NamedSights | NotSeen]]
+"""What finds a known target in the views of a moment."""
+
+
+def calibrate_lights(
+    rig: Rig, moments: Sequence[LitMoment], lights: int = LIT_LIGHTS, *, paired: Pairing, naming: Naming
+) -> TargetResult:
+    """Return where the lights are in the target's own frame, from moments of a calibrated rig of two cameras and more.
+
+    paired, naming: how spots are put together, as in measuring. A is leftmost in the first camera's image. Raises as
+    calibrate_target, and UsageError for a rig of one camera.
+    """
+    require_lights(lights)
+    if len(rig.cameras) == 1:
+        raise UsageError(
+            "lights that one camera alone sees have no distances",
+            consequence="Nothing tells how large the target is",
+            cure="Give the rig.yaml of two cameras and more, and frames of each",
+        )
+    sights, of, rejected = _sights(rig, moments, lights, paired)
+    labelled = named_by_shape(sights, rejected, len(moments), lights, many=True)
+    flat = on_one_line(labelled.named)
+    keep = np.ones(len(labelled.numbers), bool) if flat else clear_frames(labelled)
+    order = _order(rig, labelled, keep, flat=flat)
+    layout = line_layout(lights) if flat else plane_layout(lights)
+    seen = _observations(rig, moments, of, labelled, order)
+    bundle, used = fit_frames(rig, layout, seen, labelled, keep, *guess(layout, labelled.named, order))
+    numbers, rejected = labelled.numbers[used], labelled.rejected
+    complete = None if flat else _completed(rig, moments, layout, bundle, naming)
+    if complete is not None and len(complete[0]) >= MIN_FRAMES:
+        again, seen, rejected, R, t = complete
+        labelled = replace(labelled, numbers=again, rejected=rejected)
+        bundle, used = fit_frames(rig, layout, seen, labelled, np.ones(len(again), bool), bundle.values, R, t)
+        numbers = again[used]
+    require_turned(float(turns(bundle.poses)[0]))
+    require_rigid(bundle, epipolar(rig, seen.take(used)), lights, int(used.sum()))
+    return found_target(rig, layout, bundle, [moment.name for moment in moments], numbers, rejected)
+
+
+def _sights(
+    rig: Rig, moments: Sequence[LitMoment], n: int, paired: Pairing
+) -> tuple[list[Sight], dict[int, tuple[int, int, Index]], Rejected]:
+    """Return the moments in which two cameras see all lights, by which two and which of their spots are paired.
+
+    Of several such pairs that of the widest angle is taken.
+    """
+    axes = PackedRig.of(rig).R[:, 2]
+    pairs = sorted(combinations(range(len(rig.cameras)), 2), key=lambda p: float(abs(axes[p[0]] @ axes[p[1]])))
+    sights: list[Sight] = []
+    of: dict[int, tuple[int, int, Index]] = {}
+    why = dict.fromkeys(range(len(moments)), f"no two cameras see all {n} lights")
+    for a, b in pairs:
+        two = pair_of(rig, a, b)
+        left = [number for number in range(len(moments)) if number not in of]
+        frames, index = [], []
+        for number in left:
+            views = moments[number].views
+            rows = paired(two, views[a], views[b])
+            frames.append(LitFrame(name="", left=views[a].take(rows[:, 0]), right=views[b].take(rows[:, 1])))
+            index.append(rows)
+        found, _ = sights_of(two, frames, n)
+        for one in found:
+            number = left[one.frame]
+            sights.append(Sight(frame=number, rows=one.rows, xyz_m=one.xyz_m, cov_m2=one.cov_m2))
+            of[number] = a, b, index[one.frame]
+    sights.sort(key=lambda one: one.frame)
+    return sights, of, [(number, why[number]) for number in range(len(moments)) if number not in of]
+
+
+def _order(rig: Rig, labelled: LabelledFrames, keep: NDArray[np.bool_], *, flat: bool) -> Index:
+    """Return the order of the shape's lights that makes them A, B, C ... by where the first camera would see them."""
+    named = labelled.named
+    X, T = named.X, rig.cameras[0].T_rig_camera.inv()
+    at = np.einsum("gij,nj->gni", named.R[keep], X) + named.t[keep][:, None]
+    at = T.apply(at.reshape(-1, 3)).reshape(at.shape)
+    at = at[(at[:, :, 2] > 0.0).all(axis=1)]
+    if not len(at):  # never before the first camera: by how they lie in the rig's axes
+        at = np.einsum("gij,nj->gni", named.R[keep], X) + np.array([0.0, 0.0, 1.0])
+    u = at[:, :, 0] / at[:, :, 2]
+    u = (u - u.mean(axis=1, keepdims=True)).mean(axis=0)
+    if flat:
+        order = np.argsort(X @ line_frame(X)[0][:, 0])
+        return np.asarray(order if u[order[0]] <= u[order[-1]] else order[::-1])
+    eye = np.mean([one.T_rig_camera.translation for one in rig.cameras], axis=0)
+    rays = named.t[keep] + named.R[keep] @ X.mean(axis=0) - eye
+    away = np.einsum("gji,gj->gi", named.R[keep], rays / np.linalg.norm(rays, axis=1, keepdims=True)).mean(axis=0)
+    return name_order(X, away, u)
+
+
+def _blank(g: int, n: int, V: int) -> tuple[Array, Array]:
+    return np.full((g, n, V, 2), np.nan), np.full((g, n, V, 2, 2), np.nan)
+
+
+def _observations(
+    rig: Rig,
+    moments: Sequence[LitMoment],
+    of: dict[int, tuple[int, int, Index]],
+    labelled: LabelledFrames,
+    order: Index,
+) -> LightObservations:
+    """Return the spots by which the lights were named, those of two cameras in each moment."""
+    uv, cov = _blank(len(labelled.numbers), len(order), len(rig.cameras))
+    for g, (number, rows) in enumerate(zip(labelled.numbers.tolist(), labelled.named.rows, strict=True)):
+        a, b, index = of[number]
+        for side, at in ((a, index[rows[order], 0]), (b, index[rows[order], 1])):
+            spots = moments[number].views[side]
+            uv[g, :, side], cov[g, :, side] = spots.uv_px[at], spots.covariance_px2[at]
+    return LightObservations(uv_px=uv, cov_px2=cov)
+
+
+def _completed(
+    rig: Rig, moments: Sequence[LitMoment], layout: Layout, bundle: LightBundle, naming: Naming
+) -> tuple[Index, LightObservations, Rejected, Array, Array]:
+    """Return the moments that show the target as it is known so far, all sights of its lights, why the others do not,
+    and R (g, 3, 3), t (g, 3) of it."""
+    X = layout.spots(bundle.values)
+    names = LETTERS[: len(X)]
+    look = naming(rig, spot_target({name: tuple(xyz) for name, xyz in zip(names, X.tolist(), strict=True)}))
+    numbers, rejected, R, t = [], [], [], []
+    uv, cov = _blank(len(moments), len(X), len(rig.cameras))
+    for number, moment in enumerate(moments):
+        found = look(moment.views)
+        if isinstance(found, NotSeen):
+            rejected.append((number, found.why))
+            continue
+        for side, (spots, shown) in enumerate(zip(found.spots, found.names, strict=True)):
+            at = [names.index(name) for name in shown]
+            uv[number, at, side], cov[number, at, side] = spots.uv_px, spots.covariance_px2
+        numbers.append(number)
+        R.append(found.T_rig_target[:3, :3])
+        t.append(found.T_rig_target[:3, 3])
+    kept = np.array(numbers, dtype=np.intp)
+    sights = LightObservations(uv_px=uv[kept], cov_px2=cov[kept])
+    return kept, sights, rejected, np.array(R).reshape(-1, 3, 3), np.array(t).reshape(-1, 3)

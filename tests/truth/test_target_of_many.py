@@ -1,0 +1,105 @@
+"""A target's lights by three cameras that see some of them, against OpenCV's projection: truth and deviations."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import chi2 as chi2_law
+
+from armsight.calibrate.light_target import LitMoment, TargetResult, calibrate_lights
+from armsight.errors import NotEnoughData, UsageError
+from armsight.ops.calibration.spots_of_frames import naming, paired
+from armsight.optics import Camera, MountedCamera, Rig
+from armsight.records import Spots
+from armsight.units import DEG
+from refusals import refuses
+
+CAMERA = Camera.pinhole(1280, 720, 1131.0, 1127.0, 643.5, 352.25, distortion=(-0.28, 0.09, 8e-4, -5e-4, -0.012))
+SIGMA_PX, FAR_M = 0.05, 0.7
+LIGHTS = np.array([[-0.045, 0.0, 0.0], [0.03, 0.03, 0.0], [0.015, -0.03, 0.0], [0.0, 0.012, 0.03]])
+
+
+def about(by_deg: float) -> RigidTransform:
+    """A camera that looks at (0, 0, FAR_M) from beside the first one."""
+    turn = Rotation.from_euler("y", by_deg, degrees=True)
+    centre = np.array([0.0, 0.0, FAR_M])
+    return RigidTransform.from_components(centre - turn.apply(centre), turn)
+
+
+RIG = Rig(
+    cameras=[
+        MountedCamera(name=name, camera=CAMERA, T_rig_camera=about(by))
+        for name, by in (("front", 0.0), ("east", -35.0), ("west", 35.0))
+    ]
+)
+
+
+def frame_axes(X: np.ndarray) -> np.ndarray:
+    """Lights in Pachidis's frame, written once more from eqs. (7)-(8)."""
+    G = (X[0] + X[1] + X[2]) / 3.0
+    u = (G - X[0]) / np.linalg.norm(G - X[0])
+    w = np.cross(X[1] - G, X[0] - G)
+    w /= np.linalg.norm(w)
+    return (X - G) @ np.array([u, np.cross(w, u), w]).T
+
+
+def moments(rng: np.random.Generator, n: int, hidden: float) -> list[LitMoment]:
+    """Moments of the turned target, each sight hidden by that chance, its spots in an order of their own."""
+    out = []
+    for number in range(n):
+        T = RigidTransform.from_components(
+            [*rng.uniform(-0.05, 0.05, 2), FAR_M + rng.uniform(-0.05, 0.05)],
+            Rotation.from_rotvec(rng.normal(0, 14.0 * DEG, 3)),
+        )
+        views = []
+        for one in RIG.cameras:
+            back = one.T_rig_camera.inv()
+            uv = cv2.projectPoints(
+                np.ascontiguousarray(T.apply(LIGHTS)),
+                back.rotation.as_rotvec(),
+                back.translation,
+                CAMERA.matrix,
+                CAMERA.distortion,
+            )[0][:, 0]
+            uv = uv[rng.permutation(len(uv))[rng.random(len(uv)) >= hidden]]
+            spots = uv + rng.normal(0.0, SIGMA_PX, uv.shape)
+            views.append(Spots.of_centres(spots, SIGMA_PX**2 * np.eye(2)) if len(uv) else Spots.none())
+        out.append(LitMoment(name=f"moment {number}", views=tuple(views)))
+    return out
+
+
+def calibrated(seen: list[LitMoment]) -> TargetResult:
+    return calibrate_lights(RIG, seen, len(LIGHTS), paired=paired, naming=naming)
+
+
+def test_errors_are_as_large_as_the_deviations_say_where_every_sight_counts() -> None:
+    total, dof, once = 0.0, 0, 0
+    for seed in range(6):
+        done = calibrated(moments(np.random.default_rng([5, seed]), 20, 0.22))
+        values, vectors = np.linalg.eigh(done.covariance.matrix)
+        free = values > 1e-9 * values.max()
+        e = vectors[:, free].T @ (done.xyz_m - frame_axes(LIGHTS)).ravel()
+        total, dof = total + float((e**2 / values[free]).sum()), dof + int(free.sum())
+        once += int((np.isfinite(done.residual_px).all(axis=3).sum(axis=2) == 1).sum())
+        assert done.n_used > 10  # two cameras see all four lights in a third of the moments
+    assert once > 30  # lights that one camera alone saw
+    assert chi2_law.ppf(1e-4, dof) < total < chi2_law.isf(1e-4, dof)
+
+
+def test_moments_that_no_two_cameras_see_in_full_make_the_shape_surer() -> None:
+    seen = moments(np.random.default_rng(3), 30, 0.3)
+    both = [one for one in seen if sum(len(view) == len(LIGHTS) for view in one.views) >= 2]
+    assert 3 <= len(both) < 0.7 * len(seen)
+    few, every = calibrated(both), calibrated(seen)
+    assert np.trace(every.covariance.matrix) < 0.7 * np.trace(few.covariance.matrix)
+
+
+def test_a_target_that_no_two_cameras_see_in_full_is_refused_by_name() -> None:
+    seen = moments(np.random.default_rng(4), 8, 0.0)
+    alone = [LitMoment(name=one.name, views=(one.views[0], Spots.none(), Spots.none())) for one in seen]
+    with refuses(NotEnoughData, ("0 of 8", "two views", "two cameras at once")):
+        calibrated(alone)
+    rig = RIG.only("front")
+    with refuses(UsageError, ("one camera alone", "two cameras and more")):
+        calibrate_lights(rig, seen, len(LIGHTS), paired=paired, naming=naming)
