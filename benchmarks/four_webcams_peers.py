@@ -70,6 +70,8 @@ def opencv() -> list[np.ndarray]:
         np.zeros(C, np.uint8),
         list(K.copy()),
         list(d.copy()),
+        [np.eye(3) for _ in range(C)],
+        [np.zeros((3, 1)) for _ in range(C)],
         flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_INTRINSIC,
     )
     R, t = next((a, b) for a, b in pairwise(found[1:]) if np.shape(a[0]) in ((3, 3), (3, 1)))
@@ -87,7 +89,7 @@ def caliscope() -> list[np.ndarray]:
     import pandas as pd
     from caliscope.cameras.camera_array import CameraArray, CameraData
     from caliscope.core.bootstrap_pose.build_paired_pose_network import build_paired_pose_network
-    from caliscope.core.capture_volume.capture_volume import CaptureVolume
+    from caliscope.core.capture_volume import CaptureVolume
     from caliscope.core.point_data import ImagePoints
 
     cameras = CameraArray({c: CameraData(cam_id=c, size=size, matrix=K[c], distortions=d[c]) for c in range(C)})
