@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import sys
-from itertools import pairwise
 
 import numpy as np
 
@@ -74,7 +73,7 @@ def opencv() -> list[np.ndarray]:
         [np.zeros((3, 1)) for _ in range(C)],
         flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_INTRINSIC,
     )
-    R, t = next((a, b) for a, b in pairwise(found[1:]) if np.shape(a[0]) in ((3, 3), (3, 1)))
+    _, _, _, R, t = found[:5]
     out = []
     for r, shift in zip(R, t, strict=True):
         T = np.eye(4)
@@ -97,7 +96,8 @@ def caliscope() -> list[np.ndarray]:
         {
             "sync_index": g,
             "cam_id": c,
-            "point_id": i,
+            "object_id": 0,
+            "keypoint_id": i,
             "img_loc_x": uv[c, g, i, 0],
             "img_loc_y": uv[c, g, i, 1],
             "obj_loc_x": X[i, 0],

@@ -53,9 +53,9 @@ def calibrated(views: int, seed: int = 1) -> tuple[Rig, np.ndarray]:
     T[:, :3, :3], T[:, :3, 3] = ring.R, ring.t
     T = np.linalg.inv(T)
     poses, seen = [], []
-    while len(poses) < 60 + 20 * views:
-        near = len(poses) >= 60
-        of = (len(poses) - 60) // 20 if near else rng.integers(views)
+    while len(poses) < 60 * (views > 1) + 20 * views:
+        near = views == 1 or len(poses) >= 60
+        of = max(len(poses) - 60, 0) // 20 if near else rng.integers(views)
         own = boards.moved(np.eye(4), np.r_[0, 0, 0, rng.uniform(-0.5, 0.5, 3)])
         middle = [*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.4, 0.6)] if near else [*rng.uniform(-0.5, 0.5, 2), 1.2]
         own[:3, 3] = middle - own[:3, :3] @ boards.BOARD.xyz_m.mean(axis=0)
