@@ -281,10 +281,9 @@ def main() -> None:
             cells += [own, left]
             print(f"{words}, {name}: delays {np.round(delays, 1)} ms, {took:.2f} s of processor", flush=True)
         rows.append([words, *cells])
-    found = {(python, program) for python in asked.peers for program in PEERS if has(python, program)}
-    rows += [[program, *of_peer(python, program, sessions)] for python, program in sorted(found)]
-    skipped = [program for program in PEERS if program not in {one for _, one in found}]
-    rows += [[f"{program}: skipped, as measured before", *BEFORE[program]] for program in skipped]
+    found = {program: python for program in PEERS for python in reversed(asked.peers) if has(python, program)}
+    rows += [[program, *of_peer(python, program, sessions)] for program, python in found.items()]
+    rows += [[f"{program}: skipped, as measured before", *BEFORE[program]] for program in PEERS if program not in found]
     head = ["program", *(f"{name}, {what}, px" for name in SESSIONS for what in ("in the fit", "left out"))]
     bench.table("Corners of four webcams, RMS of one coordinate", head, rows)
 

@@ -305,7 +305,7 @@ def _as_expected(setup: Setup, ways: list[Hypothesis], predicted: Prediction | N
     if predicted is None:
         return None
     no_pair = np.zeros(0, np.intp)
-    poses = [Assignment(names=(), pair=no_pair, chi2=way.chi2, R=way.T[:3, :3], t_m=way.T[:3, 3]) for way in ways]
+    poses = [Assignment(names=(), pair=no_pair, chi2=0.0, R=way.T[:3, :3], t_m=way.T[:3, 3]) for way in ways]
     every = list(zip(ways, poses, strict=True))
     for way, pose in sorted(every, key=lambda one: one[0].score):
         others = [rival for other, rival in every if contradict(way, other)]
