@@ -51,17 +51,20 @@ from armsight.optics import Camera
 from armsight.records import BoardView, spot_target
 from armsight.store.targets import parse_board
 
-DATA = Path(__file__).resolve().parents[1] / "shared" / "data" / "four_webcams"
+DATA = bench.DATA / "four_webcams"
 BOARD = parse_board("charuco:4x5:0.054:0.0405:DICT_4X4_1000")
 SESSIONS = ("post_optimization", "charuco_calibration")
 BLOCKS, LEAST = 5, 6
-ANCHORS = {
-    "OpenCV 5.1 calibrateMultiview, whole boards": ("1.17", "0.92"),
-    "multical 0.4.0": ("1.14", "-"),
-    "caliscope 0.11.8": ("1.11", "0.92"),
-    "aniposelib 0.8.0": ("1.32", "1.03"),
+PEERS = {"caliscope": "caliscope", "aniposelib": "aniposelib", "multical": "multical", "opencv": "cv2"}
+"""Programs, and the module that each is; multical takes its own detections alone, from pictures."""
+BEFORE = {
+    "opencv": ("1.17", "-", "0.92", "-"),
+    "multical": ("1.14", "-", "-", "-"),
+    "caliscope": ("1.11", "-", "0.92", "-"),
+    "aniposelib": ("1.32", "-", "1.03", "-"),
 }
-"""All corners in the fit, RMS of one coordinate, px; measured on these corners with these lenses in 2026."""
+"""All corners in the fit; measured on these corners with these lenses in 2026: OpenCV 5.1 by whole boards, multical
+0.4.0, caliscope 0.11.8, aniposelib 0.8.0."""
 
 
 def read(
@@ -178,6 +181,31 @@ def peer(python: str, name: str, views: dict, lenses: dict, at: np.ndarray) -> n
     return np.array(json.loads(done.stdout.strip().splitlines()[-1]))
 
 
+def has(python: str, program: str) -> bool:
+    """Whether an interpreter has a program; of OpenCV, which all of them bring, the version that can."""
+    asks = f"import {PEERS[program]} as it; assert it.__name__ != 'cv2' or it.__version__ >= '5'"
+    return subprocess.run([python, "-c", asks], capture_output=True, check=False).returncode == 0
+
+
+def of_peer(python: str, program: str, sessions: dict) -> list[object]:
+    """Return what a program leaves in the fit and on blocks left out (px), session by session, or why nothing."""
+    cells: list[object] = []
+    for views, lenses, times in sessions.values():
+        n = len(views["cam0"])
+        found = peer(python, program, views, lenses, np.arange(n))
+        if isinstance(found, str):
+            return [found, *[""] * (2 * len(sessions) - 1)]
+        parts = [(out, peer(python, program, views, lenses, stay)) for stay, out in blocks(n)]
+        left = [
+            judged(taken(views, out), lenses, taken(times, out), part, None)
+            for out, part in parts
+            if not isinstance(part, str)
+        ]
+        held = rms(np.concatenate(left)) if len(left) == BLOCKS else float("nan")
+        cells += [rms(judged(views, lenses, times, found, None)), held]
+    return cells
+
+
 def drawn(n: int) -> None:
     """Print how errors, claims and the bound compare over n drawn sets of each kind."""
     world, plates = bench.test_scene("ring_of_cameras"), bench.test_scene("turning_plate")
@@ -243,40 +271,21 @@ def main() -> None:
         return
     if not asked.data.is_dir():
         raise SystemExit(f"{asked.data} is not there: give the folder with the corners")
-    lines = ["| program | " + " | ".join(f"{name}: fit / left out, px" for name in SESSIONS) + " |", "|---|---|---|"]
+    print(bench.machine())
     sessions = {name: read(asked.data, name) for name in SESSIONS}
+    rows = []
     for words, timed in (("armsight, delays", True), ("armsight, no times", False)):
         cells = []
         for name in SESSIONS:
             own, left, delays, took = armsight(*sessions[name], timed)
-            cells.append(f"{own:.2f} / {left:.2f}")
+            cells += [own, left]
             print(f"{words}, {name}: delays {np.round(delays, 1)} ms, {took:.2f} s of processor", flush=True)
-        lines.append(f"| {words} | {' | '.join(cells)} |")
-    print("\n".join(lines), flush=True)
-    for python in asked.peers:
-        for program in ("caliscope", "aniposelib", "multical", "opencv"):
-            cells = []
-            for name in SESSIONS:
-                views, lenses, times = sessions[name]
-                n = len(views["cam0"])
-                found = peer(python, program, views, lenses, np.arange(n))
-                if isinstance(found, str):
-                    print(f"{program} in {python}, {name}: skipped: {found}", flush=True)
-                    continue
-                left = []
-                for stay, out in blocks(n):
-                    part = peer(python, program, views, lenses, stay)
-                    if isinstance(part, str):
-                        break
-                    left.append(judged(taken(views, out), lenses, taken(times, out), part, None))
-                held = rms(np.concatenate(left)) if len(left) == BLOCKS else float("nan")
-                cells.append(f"{rms(judged(views, lenses, times, found, None)):.2f} / {held:.2f}")
-            if len(cells) == len(SESSIONS):
-                lines.append(f"| {program} | {' | '.join(cells)} |")
-    lines += [
-        f"| {words}, as measured before | {' | '.join(f'{one} / -' for one in px)} |" for words, px in ANCHORS.items()
-    ]
-    print("\n".join(lines))
+        rows.append([words, *cells])
+    found = {program: python for program in PEERS for python in reversed(asked.peers) if has(python, program)}
+    rows += [[program, *of_peer(python, program, sessions)] for program, python in found.items()]
+    rows += [[f"{program}: skipped, as measured before", *BEFORE[program]] for program in PEERS if program not in found]
+    head = ["program", *(f"{name}, {what}, px" for name in SESSIONS for what in ("in the fit", "left out"))]
+    bench.table("Corners of four webcams, RMS of one coordinate", head, rows)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import sys
-from itertools import pairwise
 
 import numpy as np
 
@@ -70,9 +69,11 @@ def opencv() -> list[np.ndarray]:
         np.zeros(C, np.uint8),
         list(K.copy()),
         list(d.copy()),
+        [np.eye(3) for _ in range(C)],
+        [np.zeros((3, 1)) for _ in range(C)],
         flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_INTRINSIC,
     )
-    R, t = next((a, b) for a, b in pairwise(found[1:]) if np.shape(a[0]) in ((3, 3), (3, 1)))
+    _, _, _, R, t = found[:5]
     out = []
     for r, shift in zip(R, t, strict=True):
         T = np.eye(4)
@@ -87,7 +88,7 @@ def caliscope() -> list[np.ndarray]:
     import pandas as pd
     from caliscope.cameras.camera_array import CameraArray, CameraData
     from caliscope.core.bootstrap_pose.build_paired_pose_network import build_paired_pose_network
-    from caliscope.core.capture_volume.capture_volume import CaptureVolume
+    from caliscope.core.capture_volume import CaptureVolume
     from caliscope.core.point_data import ImagePoints
 
     cameras = CameraArray({c: CameraData(cam_id=c, size=size, matrix=K[c], distortions=d[c]) for c in range(C)})
@@ -95,7 +96,8 @@ def caliscope() -> list[np.ndarray]:
         {
             "sync_index": g,
             "cam_id": c,
-            "point_id": i,
+            "object_id": 0,
+            "keypoint_id": i,
             "img_loc_x": uv[c, g, i, 0],
             "img_loc_y": uv[c, g, i, 1],
             "obj_loc_x": X[i, 0],

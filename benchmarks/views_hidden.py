@@ -256,7 +256,7 @@ def of_pictures(world: Any, n: int, views: int) -> list[object]:
     rig = rig_from_mapping(world.rig, "rig")
     if views == 2:
         rig = Rig(cameras=[replace(one, name=side) for one, side in zip(rig.cameras, ("left", "right"), strict=True)])
-    setup = Setup(rig, target_from_mapping(world.target, "target"), many=views != 2)
+    setup = Setup(rig, target_from_mapping(world.target, "target"))
     q: list[float] = []
     ok, cold = np.zeros(len(could), bool), np.zeros(len(could), bool)
     track = None

@@ -182,7 +182,7 @@ def _filed(face: CommandUI, filing: Filing | None) -> Iterator[None]:
 app = typer.Typer(
     name="armsight",
     cls=Group,
-    help="See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty.",
+    help="See where a robot arm really is: one to eight cameras, light beacons, poses with honest uncertainty.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

@@ -63,7 +63,7 @@ def root(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
     ] = False,
 ) -> None:
-    """See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty."""
+    """See where a robot arm really is: one to eight cameras, light beacons, poses with honest uncertainty."""
 
 
 @command(app, keeps=(*MEASURED, *SIMULATED, *VIEWS, DEMO, "pictures"), own=DEMO)

@@ -70,7 +70,7 @@ MaxSkew: TypeAlias = Annotated[
 ]
 
 
-CAMERAS = "Live cameras (both the same)"
+CAMERAS = "Live cameras (all the same)"
 LIVE, MASTERING = "With --live", "With --mastering"
 TABLES = "Tables that are not armsight's own (see the guide: tables)"
 

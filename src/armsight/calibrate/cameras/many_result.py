@@ -154,14 +154,14 @@ class CamerasCalibration(FromBoards):
         clocks = {head: (key, of) for head, (key, of) in clocks.items() if any(one is not None for one in of.values())}
         rows = []
         for name in self.used.cameras:
-            place = [digits(at / MM, 5) for at in self.position_m[name]]
+            place = [f"{at / MM:.2f}" for at in self.position_m[name]]
             spread = max((self.std.get(f"{name}.t{axis}_m", 0.0) for axis in "xyz"), default=0.0)
             lens = "stays" if name in self.fixed else "given" if name in self.solved.known else "found"
             seen = [str(self.n_views[name]), digits(self.camera_rms_px[name])]
             times = [_time_ms(of[name], self.std.get(f"{name}.{key}")) for key, of in clocks.values()]
             rows.append([name, lens, *seen, *place, digits(spread / MM, 2) if spread else "", *times])
         head = ["camera", "lens", "views", "px RMS", "x, mm", "y", "z", "+-", *clocks]
-        yield Table(f"Rig of {len(self.rig.names)}, {self.n_used} of {self.n_moments} moments", head, rows)
+        yield Table(f"Rig of {len(self.rig.names)} cameras, {self.n_used} of {self.n_moments} moments", head, rows)
         if self.back_m is not None:
             doubt = max(self.std.get(f"{BACK}.t{axis}_m", 0.0) for axis in "xyz")
             behind = ", ".join(digits(at / MM) for at in self.back_m)

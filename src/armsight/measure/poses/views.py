@@ -25,7 +25,7 @@ from armsight.measure.poses.kernels import one_view as kernels
 from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.poses.kernels.pose_ambiguity import POSSIBLE
 from armsight.measure.poses.kernels.tracking import transform_lights
-from armsight.measure.poses.outcome import Assignment, Measured, Track, doubted, lost_moment
+from armsight.measure.poses.outcome import Assignment, Measured, Prediction, Track, doubted, lost_moment
 from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
 from armsight.measure.poses.pose import PoseSolution, lost, no_points
 from armsight.measure.poses.setup import Setup, fit_limit
@@ -39,7 +39,7 @@ from armsight.measure.poses.solving import (
     why_hidden,
     widen,
 )
-from armsight.measure.poses.tracking import continuation, doubtful, next_track, positions_of
+from armsight.measure.poses.tracking import continuation, doubtful, expected, next_track, positions_of
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
 from armsight.records.checks import for_kernels
 
@@ -112,11 +112,12 @@ def measure_views(
     near where the track expects them, so that the pose must go on from its motion.
     """
     sights = Sights.of(setup, seen)
+    predicted = expected(setup, track, t_s)
     found: list[Hypothesis] = []
     most = sum(min(len(spots), len(setup.model)) for spots in seen)
 
     def decided() -> Measured:
-        chosen = _choose(setup, found)
+        chosen = _choose(setup, found, predicted)
         if isinstance(chosen, NotSeen):
             return lost_moment(t_s, sights.by_view, chosen, track)
         return doubted(_judged(setup, t_s, sights, chosen, track, frames, in_windows=in_windows))
@@ -274,20 +275,43 @@ def completed(setup: Setup, seen: Sights, way: Hypothesis) -> Hypothesis | None:
     return way._replace(chance=way.chance * CONFIRMED ** (way.n - own))
 
 
-def _choose(setup: Setup, found: list[Hypothesis]) -> Hypothesis | NotSeen:
-    """Return the likeliest hypothesis, where none nearly as likely has other names for the same spots."""
+def _choose(setup: Setup, found: list[Hypothesis], predicted: Prediction | None) -> Hypothesis | NotSeen:
+    """Return the likeliest hypothesis; of some that are nearly as likely and name spots otherwise the expected one."""
     found = [way for way in found if _faces(setup, way)]
     if not found:
         return NotSeen("no arrangement of the spots is the target's", Unseen.LIGHTS_MISSING)
     best = min(found, key=lambda way: way.score)
-    for other in found:
-        both = (best.rows >= 0) & (other.rows >= 0) & (best.rows != other.rows)
-        if both.any() and other.score < best.score + RIVAL:
+    possible = [way for way in found if way.score < best.score + RIVAL and (way is best or contradict(best, way))]
+    if len(possible) > 1:
+        chosen = _as_expected(setup, possible, predicted)
+        if chosen is None:
             return NotSeen("ambiguous: several assignments of names fit equally well", Unseen.AMBIGUOUS)
+        best = chosen
     if best.chance >= BY_CHANCE:
         why = f"{best.n} sights fit the target, but no better than some would by chance"
         return NotSeen(why, Unseen.CROWD)
     return best
+
+
+def contradict(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two hypotheses give a light two spots of a view, or a spot two lights: parts of a target may be alike."""
+    same = (a.rows[:, None] == b.rows[None]) & (a.rows[:, None] >= 0)  # (m, m, v): light i of one, j of the other
+    other_spot = (a.rows >= 0) & (b.rows >= 0) & (a.rows != b.rows)
+    return bool(other_spot.any() or same[~np.eye(len(a.rows), dtype=np.bool_)].any())
+
+
+def _as_expected(setup: Setup, ways: list[Hypothesis], predicted: Prediction | None) -> Hypothesis | None:
+    """Return the hypothesis by which lights are where they are expected, and by all that contradict it far from it."""
+    if predicted is None:
+        return None
+    no_pair = np.zeros(0, np.intp)
+    poses = [Assignment(names=(), pair=no_pair, chi2=0.0, R=way.T[:3, :3], t_m=way.T[:3, 3]) for way in ways]
+    every = list(zip(ways, poses, strict=True))
+    for way, pose in sorted(every, key=lambda one: one[0].score):
+        others = [rival for other, rival in every if contradict(way, other)]
+        if all(predicted.choice(setup.model, [pose, rival]) is pose for rival in others):
+            return way
+    return None
 
 
 def _faces(setup: Setup, way: Hypothesis) -> bool:
