@@ -187,7 +187,7 @@ def test_three_blobs_of_noise_that_pair_up_are_no_target_of_unknown_geometry(see
 
 def test_both_views_beside_each_other_give_the_same_answer() -> None:
     for pair in (among_lamps(0), frames(pose_at(0).apply(X), 0)):
-        one, two = (measure_pair(replace(SETUP, pace=pace), *pair) for pace in (Pace(), Pace(both=SideBySide())))
+        one, two = (measure_pair(replace(SETUP, pace=pace), *pair) for pace in (Pace(), Pace(each=SideBySide())))
         np.testing.assert_array_equal(one.pose.T_parent_target, two.pose.T_parent_target)
         np.testing.assert_array_equal(one.left_seen.uv_px, two.left_seen.uv_px)
         np.testing.assert_array_equal(one.right_seen.uv_px, two.right_seen.uv_px)
@@ -196,10 +196,8 @@ def test_both_views_beside_each_other_give_the_same_answer() -> None:
 def test_no_view_waits_for_a_thread_that_does_not_begin() -> None:
     beside, hold = SideBySide(), threading.Event()
     beside._pool.submit(hold.wait)  # as on a machine without a free core
-    assert beside(lambda side: (side, threading.current_thread())) == (
-        (0, threading.current_thread()),
-        (1, threading.current_thread()),
-    )
+    here = threading.current_thread()
+    assert beside(lambda side: (side, threading.current_thread()), 3) == [(0, here), (1, here), (2, here)]
     hold.set()
 
 
