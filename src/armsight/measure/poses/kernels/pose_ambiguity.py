@@ -245,8 +245,8 @@ def depth_chi2(rig, P, S):
     """Return the rise of chi-square that the depths of the points P (n, 3), S (n, 3, 3) set against the mirrored tilt.
 
     Each light's depth beyond their mean, along the line of sight to it, would change its sign. A pair is near enough
-    together for the rig's origin to stand for both; of other rigs it is the camera with the least. P is NaN where a
-    light has no point.
+    together for the rig's origin to stand for both; of other rigs it is the camera with the least. NaN where a light
+    has no point.
     """
     rig, views = RigK(*rig), rig[0].shape[0]
     eye = np.zeros(3)
@@ -254,26 +254,23 @@ def depth_chi2(rig, P, S):
     for s in range(1 if views == 2 else views):
         if views != 2:
             centre_of(rig.R[s], rig.t[s], eye)
-        least = min(least, depth_chi2_from(eye, P, S))
+        chi2 = depth_chi2_from(eye, P, S)
+        if not chi2 >= least:
+            least = chi2
     return least
 
 
 @inner_kernel
 def depth_chi2_from(eye, P, S):
     """Return the same for the lines of sight from one eye (3,)."""
-    n = 0
-    for i in range(P.shape[0]):
-        n += not np.isnan(P[i, 0])
+    n = P.shape[0]
     centre, p = np.zeros(3), np.empty(3)
-    for i in range(P.shape[0]):
-        if not np.isnan(P[i, 0]):
-            for a in range(3):
-                centre[a] += (P[i, a] - eye[a]) / n
+    for i in range(n):
+        for a in range(3):
+            centre[a] += (P[i, a] - eye[a]) / n
     far = sqrt(dot(centre, centre))
     chi2 = 0.0
-    for i in range(P.shape[0]):
-        if np.isnan(P[i, 0]):
-            continue
+    for i in range(n):
         variance = 0.0
         for a in range(3):
             p[a] = P[i, a] - eye[a]

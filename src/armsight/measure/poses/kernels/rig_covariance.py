@@ -267,7 +267,7 @@ def solve_whole(rig, views, rules, lights, start, covariance, points, pose, resi
     if factor > 1.0:
         one_astray(rig, lights, views, T, chi2, C)
         doubt = ONE_OFF
-    if depth_chi2(rig, P, S) < PLAIN * factor:
+    if not depth_chi2(rig, P, S) >= PLAIN * factor:  # NaN where a light has no point
         folded = fold(rig, lights, views, T, factor, C)
         if doubt == NO_DOUBT and folded > FOLDED_FROM:
             doubt = FOLDED
