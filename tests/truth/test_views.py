@@ -17,7 +17,7 @@ from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.views import measure_views
 from armsight.optics import Camera, MountedCamera, Rig
-from armsight.records import CameraTiming, Frame, NamedCovariance, PoseStatus, Spots, spot_target, unmeasured_target
+from armsight.records import Frame, NamedCovariance, PoseStatus, Spots, spot_target, unmeasured_target
 from refusals import names_it, refuses
 
 SIGMA_PX = 0.05
@@ -250,36 +250,6 @@ def test_pictures_are_tracked_a_lost_camera_is_left_and_a_half_hidden_light_goes
     sights = shown(measured, 6, 3)
     assert not sights[2, 0] and sights[2, 1:].all() and sights[:, 0].sum() == 5
     assert len(measured.notes) == 1 and names_it(measured.notes[0], "C")
-
-
-@pytest.mark.parametrize("views", [2, 3])
-def test_cameras_that_expose_apart_are_brought_to_one_time(views: int) -> None:
-    """The second camera exposes 8 ms after its stamp, at 0.4 m/s; a rig that does not say so is off by millimetres."""
-    world, delays_s = ring(views, spread_rad=0.5), np.array([0.0, 0.008, 0.0])[:views]
-    setup = setup_of(world)
-    clocks = [CameraTiming(delay_s=delay_s) for delay_s in delays_s.tolist()]
-    cameras = [replace(one, timing=clock) for one, clock in zip(setup.rig.cameras, clocks, strict=True)]
-    off_m: dict[bool, float] = {}
-    for told in (True, False):
-        rng = np.random.default_rng(20)
-        T, at_s = pose(rng, tilt_rad=0.1), 0.02 * np.arange(6)
-        tracker = TargetTracker(replace(setup, rig=Rig(cameras=cameras)) if told else setup)
-        for number, t_s in enumerate(at_s.tolist()):
-            moment: list[Frame | None] = []
-            for s, delay_s in enumerate(delays_s.tolist()):
-                there = T.copy()
-                there[0, 3] += 0.4 * (t_s + delay_s)
-                moment.append(replace(draw(world, there, rng)[s], t_s=t_s, sequence=number))
-            measured = tracker.take(*moment)
-        truth = T.copy()
-        truth[0, 3] += 0.4 * (t_s + (delays_s.mean() if told else 0.0))
-        assert measured.pose.t_s == pytest.approx(t_s + (delays_s.mean() if told else 0.0), abs=1e-12)
-        found = measured.pose.T_parent_target
-        off_m[told] = np.inf if found is None else float(np.linalg.norm((found - truth)[:3, 3]))
-        if told:
-            assert measured.pose.status is PoseStatus.OK, measured.pose.why
-            assert mahalanobis2(measured, truth) < WRONG
-    assert off_m[True] < 3e-4 and off_m[False] > 10.0 * off_m[True]
 
 
 def test_a_followed_target_goes_on_where_a_view_is_missing_or_cannot_be_read() -> None:

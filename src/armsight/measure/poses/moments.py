@@ -19,7 +19,7 @@ from armsight.measure.poses.pipeline import check_sizes, measure_pair
 from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import MOST_UNNAMED
-from armsight.measure.poses.tracking import MAX_GAP_S, half_window_px, predicted, predicted_apart
+from armsight.measure.poses.tracking import MAX_GAP_S, half_window_px
 from armsight.measure.poses.views import measure_views
 from armsight.measure.spots import find_candidates, track_spots
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
@@ -111,8 +111,11 @@ def _by_windows(
     Windows are where a light is expected inside a picture: what is not found there need not be, it may be hidden, and
     what is found may be another light's. So the spots are named as those of whole pictures are.
     """
-    t_s, late_s = when
-    at = predicted_apart(setup, track, t_s - track.t_s, late_s)
+    n, v, (t_s, late_s) = len(track.names), len(frames), when
+    at = np.empty((v, n, 2))
+    for late in set(late_s.tolist()):
+        of = late_s == late
+        at[of] = _predicted(setup, track, t_s - track.t_s + late)[of]
 
     last = np.array([[one.camera.width - 1.0, one.camera.height - 1.0] for one in setup.rig.cameras])
     inside = ((at > 0.0) & (at < last[:, None])).all(axis=2)
@@ -124,18 +127,26 @@ def _by_windows(
         near = at[s][inside[s]]
         return track_spots(frame.image, near, track.half_window_px, setup.sides[s])[0] if len(near) else Spots.none()
 
-    seen = setup.pace.each(look, len(frames))
+    seen = setup.pace.each(look, v)
     measured = _of_spots(setup, frames, seen, when, track, in_windows=True)
     if measured.pose.status is not PoseStatus.OK or measured.track is None or measured.sights is None:
         return None
     lights, innovation = np.array([track.names.index(name) for name in measured.names]), 0.0
-    at = predicted(setup, track, t_s - track.t_s)
+    at = _predicted(setup, track, t_s - track.t_s)
     for s, spots in enumerate(measured.spots):
         if len(spots):
             there = np.ascontiguousarray(at[s][lights[measured.sights[:, s]]])
             innovation = max(innovation, kernels.largest_innovation(spots.uv_px, there))
     window = half_window_px(measured.spots, innovation)
     return replace(measured, tracked=True, track=replace(measured.track, half_window_px=window))
+
+
+def _predicted(setup: Setup, track: Track, after_s: float) -> Array:
+    """Return where the lights of a track are expected (v, n, 2) some time after it."""
+    n = len(track.names)
+    predicted, at = np.empty((n, 3)), np.empty((len(setup.packed.k), n, 2))
+    kernels.predict_views(setup.packed.arrays, track.xyz_m, track.velocity_m_s, after_s, predicted, at)
+    return at
 
 
 # A target followed over moments: each tells the next where to look, and what shows nothing is lost.

@@ -35,27 +35,26 @@ def apart(setup: Setup, late_s: Array) -> bool:
 
 
 def at_one_time(setup: Setup, seen: Sequence[Spots], late_s: Array, state: MotionState) -> list[Spots]:
-    """Return the spots as they would have been seen at the moment's time: see view_at_one_time."""
-    return [view_at_one_time(setup, s, spots, late_s[s], state) for s, spots in enumerate(seen)]
+    """Return the spots as they would have been seen at the moment's time, by the target's motion so far.
 
-
-def view_at_one_time(setup: Setup, s: int, spots: Spots, late_s: float, state: MotionState) -> Spots:
-    """Return the spots of view s as they would have been seen at the moment's time, by the target's motion so far.
-
-    late_s: see rig_times. state: expected at the moment's time. Each spot goes as the light does that is expected
+    late_s (v,): see rig_times. state: expected at the moment's time. Each spot goes as the light does that is expected
     nearest to it. What is open of that way is added to its covariance, times the number of lights: those of a view
     share it, so that their mean is no surer.
     """
-    X, timing, height = setup.model.xyz_m, setup.rig.timing[s] or AT_ONCE, setup.rig.cameras[s].camera.height
-    now, then = _expected(setup, state, s, np.zeros(len(X))), None
-    if now is not None:
-        then = _expected(setup, state, s, late_s + timing.line_time(now[0][:, 1], height))
-    if now is None or then is None or not len(spots):
-        return spots
-    way, slope = now[0] - then[0], (now[1] - then[1]).reshape(len(X), 2, N)
-    doubt = len(X) * np.einsum("mia,ab,mjb->mij", slope, state.C, slope)
-    of = np.linalg.norm(spots.uv_px[:, None] - then[0], axis=2).argmin(axis=1)
-    return replace(spots, uv_px=spots.uv_px + way[of], covariance_px2=spots.covariance_px2 + doubt[of])
+    out, X = [], setup.model.xyz_m
+    for s, spots in enumerate(seen):
+        timing = setup.rig.timing[s] or AT_ONCE
+        height, now, then = setup.rig.cameras[s].camera.height, _expected(setup, state, s, np.zeros(len(X))), None
+        if now is not None:
+            then = _expected(setup, state, s, late_s[s] + timing.line_time(now[0][:, 1], height))
+        if now is None or then is None or not len(spots):
+            out.append(spots)
+            continue
+        way, slope = now[0] - then[0], (now[1] - then[1]).reshape(len(X), 2, N)
+        doubt = len(X) * np.einsum("mia,ab,mjb->mij", slope, state.C, slope)
+        of = np.linalg.norm(spots.uv_px[:, None] - then[0], axis=2).argmin(axis=1)
+        out.append(replace(spots, uv_px=spots.uv_px + way[of], covariance_px2=spots.covariance_px2 + doubt[of]))
+    return out
 
 
 def _expected(setup: Setup, state: MotionState, s: int, tau_s: Array) -> tuple[Array, Array] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +13,11 @@ from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
 from armsight.measure.poses.from_spots import measure_among, measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
-from armsight.measure.poses.one_time import apart, rig_times, view_at_one_time
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_seen
-from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track, predicted_apart
+from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
@@ -36,7 +35,6 @@ from armsight.records import (
 __all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_up"]
 
 Pair = tuple[Frame, Frame]
-Together = Callable[[int, Spots], Spots]
 
 NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring stops here"
 _MASK = "mask the background, lower the exposure, or give the target one more light"
@@ -61,18 +59,17 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
 
 
 def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Measured:
-    t_s, late_s = _when(setup, left, right)
+    t_s = 0.5 * (left.t_s + right.t_s)
     if setup.target.is_board:
         return measure_board_pair(setup, left, right, t_s)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
-    together = _together(setup, t_s, late_s, track)
     if track is not None and track.complete:
-        measured = _measure_windows(setup, left, right, t_s, track, late_s, together)
+        measured = _measure_windows(setup, left, right, t_s, track)
         if measured is not None:
             return measured
-    at_left, at_right = _candidates(setup, left, right, together)
-    frames = None if together is not None else (left, right)
+    at_left, at_right = _candidates(setup, left, right)
+    frames = left, right
     measured = _measure_candidates(setup, frames, t_s, at_left, at_right, track)
     if measured.pose.status is PoseStatus.OK or measured.alternatives or len(measured.names) == len(setup.model):
         return measured
@@ -86,31 +83,6 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
 
 
-def _when(setup: Setup, left: Frame, right: Frame) -> tuple[float, Array]:
-    """Return the time of a pair, and by how much later (2,) each frame was taken, as far as the rig's file tells."""
-    if setup.target.is_board or setup.overlaid or all(one is None for one in setup.rig.timing):
-        return 0.5 * (left.t_s + right.t_s), np.zeros(2)
-    return rig_times(setup, (left, right))
-
-
-def _together(setup: Setup, t_s: float, late_s: Array, track: Track | None) -> Together | None:
-    """Return what brings the spots of a view to the moment's time; None where they are of it, or no motion is known."""
-    if track is None or track.motion is None or not apart(setup, late_s):
-        return None
-    state, late = track.motion.at(t_s), late_s.tolist()
-    return lambda s, spots: view_at_one_time(setup, s, spots, late[s], state)
-
-
-def _moved(found: Candidates, s: int, together: Together) -> Candidates:
-    """Return the candidates of a view, of which what is measured is brought to the moment's time."""
-
-    def fit(chosen: Index, others: int) -> Spots:
-        return together(s, found.fit(chosen, others))
-
-    closer = None if found.look_closer is None else lambda: _moved(found.closer(), s, together)
-    return replace(found, fit=fit, look_closer=closer)
-
-
 def _too_many(setup: Setup, measured: Measured) -> bool:
     """Whether more lights are seen than a target of unknown geometry has, which names none of them."""
     return not setup.target.model_known and min(len(measured.left_seen), len(measured.right_seen)) > len(setup.model)
@@ -121,17 +93,12 @@ def _more_to_see(candidates: Candidates, seen: Spots) -> bool:
     return candidates.room or any(why in SECOND_LOOK for _, _, why in seen.rejected)
 
 
-def _candidates(setup: Setup, left: Frame, right: Frame, together: Together | None) -> tuple[Candidates, Candidates]:
+def _candidates(setup: Setup, left: Frame, right: Frame) -> tuple[Candidates, Candidates]:
     """Return what may be a light in both images; one image that holds both views is searched once."""
     if setup.overlaid:
         found = find_candidates(left.image, setup.sides[0], setup.pace)
         return found, found
-
-    def look(side: int) -> Candidates:
-        found = find_candidates((left, right)[side].image, setup.sides[side], setup.pace)
-        return found if together is None else _moved(found, side, together)
-
-    return setup.pace.both(look)
+    return setup.pace.both(lambda side: find_candidates((left, right)[side].image, setup.sides[side], setup.pace))
 
 
 def _closer(setup: Setup, left: Candidates, right: Candidates) -> tuple[Candidates, Candidates]:
@@ -151,7 +118,7 @@ def _spots_of(setup: Setup, left: Candidates, right: Candidates, chosen: tuple[I
 
 
 def _measure_candidates(
-    setup: Setup, frames: Pair | None, t_s: float, left: Candidates, right: Candidates, track: Track | None
+    setup: Setup, frames: Pair, t_s: float, left: Candidates, right: Candidates, track: Track | None
 ) -> Measured:
     """Return the pose from candidates: all measured where they are few, else those that may be the target's."""
     if left.quiet and right.quiet:
@@ -187,7 +154,7 @@ def _late(setup: Setup, among: Shortlist, chosen: tuple[Index, Index]) -> str:
 
 def _measure_chosen(
     setup: Setup,
-    frames: Pair | None,
+    frames: Pair,
     t_s: float,
     left: Candidates,
     right: Candidates,
@@ -271,29 +238,13 @@ def check_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
         )
 
 
-def _measure_windows(
-    setup: Setup,
-    left: Frame,
-    right: Frame,
-    t_s: float,
-    track: Track,
-    late_s: Array,
-    together: Together | None,
-) -> Measured | None:
-    """Return the pose from windows around the predicted spots; None where not every one of them is found and fits.
-
-    late_s (2,): by how much later each view was taken; together: see _together.
-    """
+def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
+    """Return the pose from windows around the predicted spots; None where not every one of them is found and fits."""
     n, packed = len(track.names), setup.packed
-    predicted, at = np.empty((n, 3)), np.empty((2, n, 2))
+    predicted, (at_left, at_right) = np.empty((n, 3)), (at := np.empty((2, n, 2)))
     dt = t_s - track.t_s
     if not kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, dt, predicted, at):
         return None
-    at_left, at_right = at
-    if late_s.any():
-        at_left, at_right = at = predicted_apart(setup, track, dt, late_s)
-        if not np.isfinite(at).all():
-            return None
     if setup.overlaid:
         both = _in_windows(left, np.concatenate([at_left, at_right]), track.half_window_px, setup.sides[0])
         left_seen, right_seen = (
@@ -304,10 +255,7 @@ def _measure_windows(
         right_seen = None if left_seen is None else _in_windows(right, at_right, track.half_window_px, setup.sides[1])
     if left_seen is None or right_seen is None:
         return None
-    if together is not None:
-        left_seen, right_seen = together(0, left_seen), together(1, right_seen)
-    # outlines lie where their own frames have them: of moved spots they are not looked at
-    seen = solve_seen(setup, t_s, track.names, left_seen, right_seen, (left, right) if together is None else None)
+    seen = solve_seen(setup, t_s, track.names, left_seen, right_seen, (left, right))
     solved, left_seen, right_seen = seen.solved, seen.left, seen.right
     if not solved.fits or solved.pose.status is PoseStatus.LOST or seen.hidden:
         return None

@@ -51,31 +51,15 @@ def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None
     """Return the predicted positions in the order of the target's names, and how far off they may be."""
     if track is None:
         return None
-    places, dt = track.predict(t_s), t_s - track.t_s
+    predicted, dt = track.predict(t_s), t_s - track.t_s
     moved = MOST_ACCELERATION * dt * dt if track.velocity_m_s.any() else MOST_SPEED * dt
     if track.names != setup.model.names:
         out = np.full((len(setup.model), 3), np.nan)
-        for name, place in zip(track.names, places, strict=True):
+        for name, place in zip(track.names, predicted, strict=True):
             out[setup.model.names.index(name)] = place
-        places = out
+        predicted = out
     turned = STILL_M + MOST_ANGULAR_ACCELERATION * dt * dt * _radius_m(setup)
-    return Prediction(places, STILL_M + moved, turned if track.velocity_m_s.any() else np.inf)
-
-
-def predicted(setup: Setup, track: Track, after_s: float) -> Array:
-    """Return where the lights of a track are expected (v, n, 2) some time after it, NaN behind a camera."""
-    n = len(track.names)
-    xyz_m, at = np.empty((n, 3)), np.empty((len(setup.packed.k), n, 2))
-    kernels.predict_views(setup.packed.arrays, track.xyz_m, track.velocity_m_s, after_s, xyz_m, at)
-    return at
-
-
-def predicted_apart(setup: Setup, track: Track, after_s: float, late_s: Array) -> Array:
-    """Return the same by views of which each was taken later by late_s (v,)."""
-    at = np.empty((len(late_s), len(track.names), 2))
-    for late in set(late_s.tolist()):
-        at[late_s == late] = predicted(setup, track, after_s + late)[late_s == late]
-    return at
+    return Prediction(predicted, STILL_M + moved, turned if track.velocity_m_s.any() else np.inf)
 
 
 def _radius_m(setup: Setup) -> float:
@@ -85,25 +69,25 @@ def _radius_m(setup: Setup) -> float:
 
 def jumped(setup: Setup, track: Track, t_s: float, solved: PoseSolution) -> bool:
     """Tell whether a pose in windows puts a light where no target comes from the moment before, its doubt allowed."""
-    put = expected(setup, track, t_s)
-    if put is None or not setup.target.model_known or len(setup.model) < 3:
+    predicted = expected(setup, track, t_s)
+    if predicted is None or not setup.target.model_known or len(setup.model) < 3:
         return False
     C = solved.pose.covariance
     if solved.T is None or C is None:  # the points by themselves, in the order of the track
         positions, at = solved.points.xyz_m, track.predict(t_s)
         uncertainty = np.sqrt(np.trace(solved.points.covariance_m2, axis1=1, axis2=2))
     else:
-        positions, at = positions_of(setup, solved.T), put.xyz_m
+        positions, at = positions_of(setup, solved.T), predicted.xyz_m
         arm = np.linalg.norm(setup.model.xyz_m, axis=1)
         uncertainty = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
     off = positions - at
-    if np.any(np.linalg.norm(off, axis=1) > put.within_m + JUMP_SIGMA * uncertainty):
+    if np.any(np.linalg.norm(off, axis=1) > predicted.within_m + JUMP_SIGMA * uncertainty):
         return True
     if solved.T is None or C is None:
         return False
     turn_doubt = JUMP_SIGMA * _radius_m(setup) * np.sqrt(np.trace(C[3:, 3:]))
     apart = np.linalg.norm(off - off.mean(axis=0), axis=1)
-    return bool(np.any(apart > put.turned_m + turn_doubt))
+    return bool(np.any(apart > predicted.turned_m + turn_doubt))
 
 
 class Continuation(NamedTuple):
