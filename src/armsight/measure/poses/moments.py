@@ -118,7 +118,7 @@ def _by_windows(
         at[of] = _predicted(setup, track, t_s - track.t_s + late)[of]
 
     last = np.array([[one.camera.width - 1.0, one.camera.height - 1.0] for one in setup.rig.cameras])
-    inside = ((at > 0.0) & (at < last[:, None])).all(axis=2)
+    inside = np.asarray(((at > 0.0) & (at < last[:, None])).all(axis=2))
 
     def look(s: int) -> Spots:
         frame = frames[s]
