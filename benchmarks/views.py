@@ -8,6 +8,7 @@ own way, by which a light must be seen by both.
     python benchmarks/views.py                  # 2,000 poses a row
     python benchmarks/views.py --poses 200
     python benchmarks/views.py --rig            # with the uncertainty of the rig's calibration
+    python benchmarks/views.py --times --views 2 4
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.moments import measure_moment
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.views import measure_views
+from armsight.measure.settings import Pace
+from armsight.ops.sources.pace import SideBySide
 from armsight.records import PoseStatus
 from bench import machine, table
 from knocked_camera import drawn
@@ -34,6 +37,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from tests.truth import camera_ring as world
 from tests.truth import test_views as scene
 
+LIGHTS = {"discs, 10 px": 6.5, "points, 3 px": 2.0}
+"""Radius of the lights in px at 1 m."""
 SCENES = ((0.0, 0), (0.2, 0), (0.2, 2))
 WRONG = float(chi2.isf(1e-8, 6))
 
@@ -88,23 +93,29 @@ def of_rigs(views: int, poses: int) -> list[object]:
     return [views, 100.0 * len(q) / poses, *ratios, 100.0 * float((np.array(q) < chi2.ppf(0.95, 6)).mean())]
 
 
-def of_pictures(views: int, passes: int = 30) -> list[object]:
-    """Return the least times in ms of 1280x720 pictures in memory, searched as a whole and tracked."""
+def of_pictures(views: int, lights: str, passes: int = 30) -> list[object]:
+    """Return the least times in ms of 1280x720 pictures in memory, searched as a whole and tracked.
+
+    Of the processor on one core, then by the clock with the views side by side on two, as live pictures are.
+    """
     rng, cameras = np.random.default_rng(views), world.ring(views)
     setup, T, moments = scene.setup_of(cameras), world.pose(rng, tilt_rad=0.1), []
-    for number in range(4):
+    for number in range(6):
         T[0, 3] += 0.001
-        pictures = scene.draw(cameras, T, rng)
+        pictures = scene.draw(cameras, T, rng, radius_px_m=LIGHTS[lights])
         moments.append([replace(one, t_s=0.01 * number, sequence=number) for one in pictures])
-    least = {False: np.inf, True: np.inf}
-    for _ in range(passes):
-        track = None
-        for frames in moments:
-            start = time.process_time()
-            measured = measure_moment(setup, frames, track)
-            least[measured.tracked] = min(least[measured.tracked], 1e3 * (time.process_time() - start))
-            track = measured.track
-    return [views, least[False], least[True]]
+    row: list[object] = [views, lights]
+    for pace, clock in ((Pace(), time.process_time), (Pace(each=SideBySide()), time.perf_counter)):
+        least, setup = {False: np.inf, True: np.inf}, replace(setup, pace=pace)
+        for _ in range(passes):
+            track = None
+            for frames in moments:
+                start = clock()
+                measured = measure_moment(setup, frames, track)
+                least[measured.tracked] = min(least[measured.tracked], 1e3 * (clock() - start))
+                track = measured.track
+        row += [least[False], least[True]]
+    return row
 
 
 def main() -> None:
@@ -113,13 +124,18 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=2000)
     parser.add_argument("--views", type=int, nargs="+", default=[1, 2, 3, 4, 8])
     parser.add_argument("--rig", action="store_true", help="rigs as uncertain as a calibration leaves them")
+    parser.add_argument("--times", action="store_true", help="the times of pictures alone")
     args = parser.parse_args()
     print(machine())
     if args.rig:
         head = ["cameras", "ok, %", "position / claimed", "rotation / claimed", "in 95 %, %"]
         table("Poses by rigs drawn from their covariance", head, [of_rigs(v, args.poses) for v in args.views])
         return
-    rows = [run(v, *scene_, args.poses, 10 * v + i) for v in args.views for i, scene_ in enumerate(SCENES)]
+    rows = (
+        []
+        if args.times
+        else [run(v, *scene_, args.poses, 10 * v + i) for v in args.views for i, scene_ in enumerate(SCENES)]
+    )
     head = [
         "cameras",
         "hidden",
@@ -132,8 +148,9 @@ def main() -> None:
         "ms",
     ]
     table("Poses from spots without a track", head, rows)
-    head = ["cameras", "whole pictures, ms", "tracked, ms"]
-    table("Processor time of a moment, least of many", head, [of_pictures(v) for v in args.views])
+    head = ["cameras", "lights", "whole pictures, ms", "tracked, ms", "whole, two cores, ms", "tracked, two cores, ms"]
+    timed = [of_pictures(v, lights) for v in args.views for lights in LIGHTS]
+    table("Time of a moment, least of many: of the processor, and by the clock on two cores", head, timed)
 
 
 if __name__ == "__main__":

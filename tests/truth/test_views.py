@@ -238,7 +238,9 @@ def test_one_camera_before_a_flat_target_calls_no_flipped_tilt_ok() -> None:
     assert ok > 20
 
 
-def draw(world: Ring, T: np.ndarray, rng: np.random.Generator, cut: tuple[int, int] | None = None) -> list[Frame]:
+def draw(
+    world: Ring, T: np.ndarray, rng: np.random.Generator, cut: tuple[int, int] | None = None, radius_px_m: float = 6.5
+) -> list[Frame]:
     """Pictures of all cameras; of one light (light, view) an edge hides a part. Lights of 14 mm are 5 px at 1.3 m."""
     frames, P = [], LIGHTS @ T[:3, :3].T + T[:3, 3]
     for s, uv in enumerate(np.swapaxes(world.pixels(P), 0, 1)):
@@ -246,7 +248,7 @@ def draw(world: Ring, T: np.ndarray, rng: np.random.Generator, cut: tuple[int, i
         for light, (u, v) in enumerate(uv):
             a, b = int(u), int(v)
             y, x = np.mgrid[b - 15 : b + 16, a - 15 : a + 16]
-            disc = 200.0 * np.clip(0.5 + 6.5 / depth_m[light] - np.hypot(x - u, y - v), 0.0, 1.0)
+            disc = 200.0 * np.clip(0.5 + radius_px_m / depth_m[light] - np.hypot(x - u, y - v), 0.0, 1.0)
             image[b - 15 : b + 16, a - 15 : a + 16] += np.where((light, s) == cut, disc * (x < u + CUT_PX), disc)
         image += rng.normal(0.0, 1.0, image.shape)
         frames.append(Frame(image=np.clip(image, 0, 255).astype(np.uint8), t_s=0.0, sequence=0, source=f"view {s}"))

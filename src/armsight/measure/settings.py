@@ -120,25 +120,25 @@ LIVE_S = 0.1
 """Deadline of a picture before which somebody waits."""
 
 
-class Both(Protocol):
-    """Does a piece of work for both sides, 0 and 1, and returns what comes of them."""
+class Each(Protocol):
+    """Does a piece of work for each of n views, 0 to n - 1, and returns what comes of them."""
 
-    def __call__(self, work: Callable[[int], T], /) -> tuple[T, T]:
-        """Return (work(0), work(1))."""
+    def __call__(self, work: Callable[[int], T], n: int, /) -> list[T]:
+        """Return [work(0), work(1), ...]."""
 
 
-def in_turn(work: Callable[[int], T]) -> tuple[T, T]:
-    """Do it for one side after the other."""
-    return work(0), work(1)
+def in_turn(work: Callable[[int], T], n: int) -> list[T]:
+    """Do it for one view after the other."""
+    return [work(s) for s in range(n)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """deadline_s: for a pair, on a machine like that of the benchmarks; None: as long as it takes. both: side by side
+    """deadline_s: for a pair, on a machine like that of the benchmarks; None: as long as it takes. each: side by side
     on two cores where the caller has them."""
 
     deadline_s: float | None = None
-    both: Both = in_turn
+    each: Each = in_turn
 
     def __post_init__(self) -> None:
         if self.deadline_s is not None and not self.deadline_s > 0.0:
@@ -148,6 +148,11 @@ class Pace:
     def live(self) -> bool:
         """Whether somebody waits: what cannot be looked at in time is refused."""
         return self.deadline_s is not None
+
+    def both(self, work: Callable[[int], T]) -> tuple[T, T]:
+        """Return what comes of a piece of work for both views of a pair."""
+        left, right = self.each(work, 2)
+        return left, right
 
     def most(self, whole: int, each_s: float, share: float) -> int:
         """Return how many pieces of work of each_s fit into a share of the deadline; `whole` where there is none."""

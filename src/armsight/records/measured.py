@@ -78,7 +78,8 @@ class Spots:
     def take(self, index: Index | list[int]) -> Spots:
         """Return the spots at the given positions, in that order."""
         i = np.asarray(index)
-        if i.ndim != 1 or (i.size and i.dtype.kind not in "iu") or (i.size and not 0 <= i.min() <= i.max() < len(self)):
+        at = i.tolist() if i.ndim == 1 and (not i.size or i.dtype.kind in "iu") else [-1]
+        if at and not 0 <= min(at) <= max(at) < len(self):
             raise UsageError(f"{index!r} are not positions of {len(self)} spots", cure="Give whole numbers from 0")
         i = i.astype(np.intp)
         return checks.trusted(
@@ -87,7 +88,7 @@ class Spots:
             covariance_px2=self.covariance_px2[i],
             peak=self.peak[i],
             size_px=self.size_px[i],
-            model=tuple([self.model[k] for k in i.tolist()]),
+            model=tuple([self.model[k] for k in at]),
             rejected=self.rejected,
         )
 

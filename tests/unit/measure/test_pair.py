@@ -135,6 +135,22 @@ def test_what_a_deadline_leaves_no_time_to_look_at_is_refused_with_its_reason() 
     assert_pose(quiet, pose_at(0))
 
 
+def test_both_views_beside_each_other_give_the_same_answer() -> None:
+    for pair in (among_lamps(0), frames(pose_at(0).apply(X), 0)):
+        one, two = (measure_pair(replace(SETUP, pace=pace), *pair) for pace in (Pace(), Pace(each=SideBySide())))
+        np.testing.assert_array_equal(one.pose.T_parent_target, two.pose.T_parent_target)
+        np.testing.assert_array_equal(one.left_seen.uv_px, two.left_seen.uv_px)
+        np.testing.assert_array_equal(one.right_seen.uv_px, two.right_seen.uv_px)
+
+
+def test_no_view_waits_for_a_thread_that_does_not_begin() -> None:
+    beside, hold = SideBySide(), threading.Event()
+    beside._pool.submit(hold.wait)  # as on a machine without a free core
+    here = threading.current_thread()
+    assert beside(lambda side: (side, threading.current_thread()), 3) == [(0, here), (1, here), (2, here)]
+    hold.set()
+
+
 def test_a_tracker_goes_on_after_what_shows_nothing() -> None:
     """Views exchanged once, a frame that cannot be read: lost with the reason, and the next pair is measured."""
     tracker = TargetTracker(SETUP)

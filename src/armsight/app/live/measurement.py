@@ -249,7 +249,7 @@ class LiveMeasurement:
             if self._job.complex:
                 spots: tuple[Spots, ...] = (seen(0),) * 2
             else:
-                spots = tuple(pace.both(seen) if len(frames) == len(SIDES) else map(seen, range(len(frames))))
+                spots = tuple(pace.each(seen, len(frames)))
             return replace(lost_frames(frames, NOT_CALIBRATED), seen=spots)
         try:
             measured = self._tracker.take(*frames)

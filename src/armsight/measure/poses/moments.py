@@ -58,7 +58,7 @@ def measure_moment(
     if track is not None and track.complete:
         measured = _by_windows(setup, frames, (t_s, late_s), track, whole)
     if measured is None:
-        seen = [_spots(setup, s, frame) for s, frame in enumerate(frames)]
+        seen = setup.pace.each(lambda s: _spots(setup, s, frames[s]), len(frames))
         measured = _of_spots(setup, frames, seen, (t_s, late_s), track)
     return measured
 
@@ -136,12 +136,21 @@ def _by_windows(
     """
     n, v, (t_s, late_s) = len(track.names), len(frames), when
     at = np.empty((v, n, 2))
-    for s, late in enumerate(late_s.tolist()):
-        at[s] = _predicted(setup, track, t_s - track.t_s + late)[s]
-    seen = [
-        _spots(setup, s, frame) if s in whole else _in_view(setup, s, frame, at[s], track.half_window_px)
-        for s, frame in enumerate(frames)
-    ]
+    for late in set(late_s.tolist()):
+        of = late_s == late
+        at[of] = _predicted(setup, track, t_s - track.t_s + late)[of]
+
+    last = np.array([[one.camera.width - 1.0, one.camera.height - 1.0] for one in setup.rig.cameras])
+    inside = np.asarray(((at > 0.0) & (at < last[:, None])).all(axis=2))
+
+    def look(s: int) -> Spots:
+        frame = frames[s]
+        if frame is None or s in whole:
+            return _spots(setup, s, frame)
+        near = at[s][inside[s]]
+        return track_spots(frame.image, near, track.half_window_px, setup.sides[s])[0] if len(near) else Spots.none()
+
+    seen = setup.pace.each(look, v)
     measured = _of_spots(setup, frames, seen, when, track, in_windows=True)
     if measured.pose.status is not PoseStatus.OK or measured.track is None or measured.sights is None:
         return None
@@ -161,16 +170,6 @@ def _predicted(setup: Setup, track: Track, after_s: float) -> Array:
     predicted, at = np.empty((n, 3)), np.empty((len(setup.packed.k), n, 2))
     kernels.predict_views(setup.packed.arrays, track.xyz_m, track.velocity_m_s, after_s, predicted, at)
     return at
-
-
-def _in_view(setup: Setup, s: int, frame: Frame | None, at: Array, half_px: int) -> Spots:
-    """Return the spots found in windows around those of at (n, 2) inside a picture."""
-    if frame is None:
-        return Spots.none()
-    inside = ((at > 0.0) & (at < [frame.width - 1.0, frame.height - 1.0])).all(axis=1)
-    if not inside.any():
-        return Spots.none()
-    return track_spots(frame.image, at[inside], half_px, setup.sides[s])[0]
 
 
 # A target followed over moments: each tells the next where to look, and what shows nothing is lost.

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from armsight.arrays import Array, Index
+from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.setup import Setup
-from armsight.measure.poses.solving import Views, take_spots, views_of
-from armsight.records import Spots
+from armsight.measure.poses.solving import Views, outline_shifts, take_spots
+from armsight.records import Spots, trusted
 
 
 class Sights(NamedTuple):
@@ -29,8 +29,13 @@ class Sights(NamedTuple):
     @classmethod
     def of(cls, setup: Setup, seen: Sequence[Spots]) -> Sights:
         """Put the spots of each view one after the other."""
-        each = [views_of(setup, (spots,), (s,)) for s, spots in enumerate(seen)]
-        uv, cov, radius = (np.concatenate([getattr(one, name)[:, 0] for one in each]) for name in Views._fields[:3])
+        uv, cov = (np.concatenate([getattr(spots, name) for spots in seen]) for name in ("uv_px", "covariance_px2"))
+        if setup.model.radius_m > 0.0:
+            radius = np.array([setup.model.radius_m * (kind == OUTLINE) for spots in seen for kind in spots.model])
+        else:
+            radius, focal_px = np.zeros(len(uv)), setup.packed.k[:, 0].tolist()
+            shifts = [outline_shifts(spots, f) for spots, f in zip(seen, focal_px, strict=True)]
+            cov += np.concatenate(shifts)[:, None, None] * np.eye(2)
         return cls(uv, cov, radius, np.cumsum([0, *map(len, seen)]), tuple(seen))
 
     def named(self, setup: Setup, rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
@@ -54,7 +59,8 @@ class Sights(NamedTuple):
                 out.append(take_spots(spots, at))
                 continue
             shown = spots.take(np.maximum(at, 0)) if len(spots) else _NO_SPOT.take(np.zeros(len(at), np.intp))
-            out.append(replace(shown, size_px=np.where(none, 0.0, shown.size_px)))
+            fields = {name: getattr(shown, name) for name in Spots.__slots__}
+            out.append(trusted(Spots, **(fields | {"size_px": np.where(none, 0.0, shown.size_px)})))
         return tuple(out)
 
 

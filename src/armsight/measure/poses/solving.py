@@ -16,6 +16,7 @@ from armsight.geometry.kernels import rotvec
 from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.kernels.moved import moved_poses
 from armsight.measure.poses.kernels.rig_covariance import MAX_DOUBTFUL_SIGMA
 from armsight.measure.poses.outcome import Assignment
 from armsight.measure.poses.pairs import Pairs
@@ -73,12 +74,12 @@ def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, r
     return solve_views(setup, t_s, names, views_of(setup, (left, right)))
 
 
-def views_of(setup: Setup, spots: Sequence[Spots], of: Sequence[int] = (0, 1)) -> Views:
-    """Return the spots of these views, in doubt by what perspective may do to outlines of unknown size."""
+def views_of(setup: Setup, spots: Sequence[Spots]) -> Views:
+    """Return the spots of a pair's views, in doubt by what perspective may do to outlines of unknown size."""
     radius_m = setup.model.radius_m
     views = Views(*stack_spots(spots), _radii(radius_m, spots))
     if radius_m <= 0.0:
-        add_outline_shift(setup.packed.k[list(of)], spots, views.cov_px2)
+        add_outline_shift(setup.packed.k, spots, views.cov_px2)
     return views
 
 
@@ -145,13 +146,13 @@ def misfit_chi2(solved: PoseSolution, left: Spots, right: Spots) -> float:
 
 def take_spots(spots: Spots, index: Index) -> Spots:
     """Return the spots in the order of index; itself where that changes nothing."""
-    if len(index) == len(spots) and (index[:-1] < index[1:]).all():
+    if len(index) == len(spots) and index.tolist() == list(range(len(spots))):
         return spots
     return spots.take(index)
 
 
 OUTLINE_SHARE = 0.35
-"""Root mean square of sin a cos a over tilts of up to 90 degrees: see _add_outline_shift."""
+"""Root mean square of sin a cos a over tilts of up to 90 degrees: see outline_shifts."""
 
 WRONG_SIZE = 1.6
 BLOOM_PX = 2.0
@@ -159,16 +160,20 @@ BLOOM_PX = 2.0
 
 
 def add_outline_shift(k: Array, views: Sequence[Spots], cov: Array) -> None:
-    """Widen cov (n, v, 2, 2) by how far the perspective may shift a flat light's outline that is not corrected for.
+    """Widen cov (n, v, 2, 2) by how far the perspective may shift a flat light's outline that is not corrected for."""
+    for side, spots in enumerate(views):
+        for i, shift2 in enumerate(outline_shifts(spots, float(k[side][0]))):
+            cov[i, side, 0, 0] += shift2
+            cov[i, side, 1, 1] += shift2
+
+
+def outline_shifts(spots: Spots, focal_px: float) -> list[float]:
+    """Return the variance of each spot's centre in px^2 by its outline, 0 where it is none.
 
     The centre of a disc's image is off by r^2 sin a cos a / f, r in px, at a tilt of a.
     """
-    for side, spots in enumerate(views):
-        for i, kind in enumerate(spots.model):
-            if kind == OUTLINE:
-                shift = OUTLINE_SHARE * spots.size_px[i] ** 2 / k[side][0]
-                cov[i, side, 0, 0] += shift * shift
-                cov[i, side, 1, 1] += shift * shift
+    shifts = [OUTLINE_SHARE * size**2 / focal_px for size in spots.size_px.tolist()]
+    return [d * d if kind == OUTLINE else 0.0 for kind, d in zip(spots.model, shifts, strict=True)]
 
 
 def impossible(setup: Setup, names: tuple[str, ...], solved: PoseSolution, left: Spots, right: Spots) -> NotSeen | None:
@@ -301,35 +306,41 @@ def widen(
     C = np.array(own)
     sides, lights = np.nonzero(found[:, :, outlines.UU] + found[:, :, outlines.VV] > 0.0)
     hidden = found[sides, lights][:, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]
-    variances, ways = np.linalg.eigh(hidden)
-    steps = np.sqrt(np.maximum(variances, 0.0))[:, None, :] * ways
-    for i, side, step in zip(lights.tolist(), sides.tolist(), steps, strict=True):
-        for way in step.T:
-            possible = _moves(setup, names, views, T, (i, side), way)
-            if possible:
-                moved = np.array(possible)
-                C += moved.T @ moved / len(possible)
+    variances, axes = np.linalg.eigh(hidden)
+    steps = (np.sqrt(np.maximum(variances, 0.0))[:, None, :] * axes).swapaxes(1, 2).reshape(-1, 2)
+    at, long = np.stack([lights, sides], axis=1).repeat(2, axis=0), (steps**2).sum(axis=1) > LEAST_STEP_PX**2
+    for moved in _moves(setup, names, views, T, at[long], steps[long]):
+        if len(moved):
+            C += moved.T @ moved / len(moved)
     before = float(max(own[3, 3], own[4, 4], own[5, 5]))
     if max(C[3, 3], C[4, 4], C[5, 5]) > max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * before):
         return None
     return with_covariance(solved, C)
 
 
-def _moves(
-    setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: tuple[int, int], step_px: Array
-) -> list[Array]:
-    """Return the ways (6,) from the pose T to those with the spot at (light, side) moved by step_px (2,), both ways.
+def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: Index, steps_px: Array) -> list[Array]:
+    """Return the ways (0 to 2, 6) from the pose T to those with a spot moved by a step both ways: k of each.
 
-    Where the target then fits neither way, less is hidden; nothing where it never does.
+    at (k, 2): light and view; steps_px (k, 2). Where the target then fits neither way, less is hidden; none where it
+    never does. A pair's poses begin as if nothing were known, those of other rigs from T.
     """
-    if not step_px @ step_px > LEAST_STEP_PX**2:
-        return []
+    if views.uv_px.shape[1] == TWO:
+        return [_moved(setup, names, views, T, (i, s), way) for (i, s), way in zip(at.tolist(), steps_px, strict=True)]
+    limit, slack_px, _ = _rules(setup, names, views)
+    spots, ways = named_spots(setup, names, views), np.empty((len(at), 2, 6))
+    lights = for_kernels(spots.xyz_m), spots.radius_m, spots.normal
+    moved_poses(setup.packed.arrays, views[:2], (slack_px**2, limit), lights, T, at, steps_px, np.array(SHARES), ways)
+    return [both[np.isfinite(both[:, 0])] for both in ways]
+
+
+def _moved(setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: tuple[int, int], step_px: Array) -> Array:
+    """Return the ways (0 to 2, 6) from the pose T of a pair to those with one spot moved; see _moves."""
     for share in SHARES:
         moved = [_moved_by(setup, names, views, T, at, sign * share * step_px) for sign in (-1.0, 1.0)]
         possible = [d for d in moved if d is not None]
         if possible:
-            return possible
-    return []
+            return np.array(possible)
+    return np.empty((0, 6))
 
 
 def _moved_by(

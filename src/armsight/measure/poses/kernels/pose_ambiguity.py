@@ -24,7 +24,7 @@ from armsight.measure.poses.kernels.pose import (
     weights,
 )
 from armsight.optics.kernels.camera import RigK
-from armsight.optics.kernels.triangulation import invert_2, missing
+from armsight.optics.kernels.triangulation import centre_of, invert_2, missing
 
 POSSIBLE = 25.0
 """Rise of chi-square (one quantity) up to which another pose is possible: five standard deviations."""
@@ -241,23 +241,41 @@ def looks(rig, Rp, centre, plane, C):
 
 
 @inner_kernel
-def depth_chi2(P, S):
+def depth_chi2(rig, P, S):
     """Return the rise of chi-square that the depths of the points P (n, 3), S (n, 3, 3) set against the mirrored tilt.
 
-    Each light's depth beyond their mean, along the line of sight to it, would change its sign.
+    Each light's depth beyond their mean, along the line of sight to it, would change its sign. A pair is near enough
+    together for the rig's origin to stand for both; of other rigs it is the camera with the least. NaN where a light
+    has no point.
     """
+    rig, views = RigK(*rig), rig[0].shape[0]
+    eye = np.zeros(3)
+    least = np.inf
+    for s in range(1 if views == 2 else views):
+        if views != 2:
+            centre_of(rig.R[s], rig.t[s], eye)
+        chi2 = depth_chi2_from(eye, P, S)
+        if not chi2 >= least:
+            least = chi2
+    return least
+
+
+@inner_kernel
+def depth_chi2_from(eye, P, S):
+    """Return the same for the lines of sight from one eye (3,)."""
     n = P.shape[0]
-    centre = np.zeros(3)
+    centre, p = np.zeros(3), np.empty(3)
     for i in range(n):
         for a in range(3):
-            centre[a] += P[i, a] / n
+            centre[a] += (P[i, a] - eye[a]) / n
     far = sqrt(dot(centre, centre))
     chi2 = 0.0
     for i in range(n):
         variance = 0.0
         for a in range(3):
+            p[a] = P[i, a] - eye[a]
             variance += centre[a] * dot(S[i, a], centre) / far**2
-        chi2 += 4.0 * ((dot(P[i], centre) - far * far) / far) ** 2 / max(variance, 1e-30)
+        chi2 += 4.0 * ((dot(p, centre) - far * far) / far) ** 2 / max(variance, 1e-30)
     return chi2
 
 

@@ -267,8 +267,7 @@ def solve_whole(rig, views, rules, lights, start, covariance, points, pose, resi
     if factor > 1.0:
         one_astray(rig, lights, views, T, chi2, C)
         doubt = ONE_OFF
-    # with other than two cameras no one line of sight stands for all of them
-    if cov.shape[1] != 2 or depth_chi2(P, S) < PLAIN * factor:
+    if not depth_chi2(rig, P, S) >= PLAIN * factor:  # NaN where a light has no point
         folded = fold(rig, lights, views, T, factor, C)
         if doubt == NO_DOUBT and folded > FOLDED_FROM:
             doubt = FOLDED
