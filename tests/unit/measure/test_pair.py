@@ -1,7 +1,6 @@
 """Two frames in, pose out: sizes, windows around predictions, what is handed from call to call, boards."""
 
-from __future__ import annotations
-
+import threading
 from dataclasses import replace
 
 import cv2
@@ -15,6 +14,7 @@ from armsight.measure.poses.board_pose import pose_of_views
 from armsight.measure.poses.moments import TargetTracker
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import LIVE_S, Pace
+from armsight.ops.sources.pace import SideBySide
 from armsight.optics import Camera, converged_rig
 from armsight.records import BoardView, Frame, PoseStatus, TargetKind, board_target, spot_target
 from refusals import names_it, refuses

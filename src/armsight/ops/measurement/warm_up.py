@@ -84,7 +84,9 @@ def _frame(uv_px: NDArray[np.float64]) -> Frame:
 
 
 def compile_views() -> None:
-    """Compile the poses of other rigs than pairs: by three cameras, then by one of them alone."""
+    """Compile the poses of other rigs than pairs: by three cameras, lights half hidden, then by one alone."""
+    from armsight.measure.poses.kernels.hidden import FINDING, UU, VV
+    from armsight.measure.poses.solving import Views, solve_views, widen
     from armsight.measure.poses.views import measure_views
     from armsight.optics import MountedCamera, Rig
 
@@ -97,3 +99,7 @@ def compile_views() -> None:
     setup = Setup(Rig(cameras=cameras), spot_target(dict(zip("ABCD", xyz_m.tolist(), strict=True))))
     measure_views(setup, 0.0, seen)
     measure_views(setup, 0.0, [seen[0], Spots.none(), Spots.none()])
+    uv_px, cov_px2 = (np.stack([getattr(one, part) for one in seen], axis=1) for part in ("uv_px", "covariance_px2"))
+    views, hidden = Views(uv_px, cov_px2, np.zeros(uv_px.shape[:2])), np.zeros((len(seen), len(xyz_m), FINDING))
+    hidden[:, :, [UU, VV]] = 1.0
+    widen(setup, 0.0, tuple("ABCD"), views, solve_views(setup, 0.0, tuple("ABCD"), views), hidden)
