@@ -109,7 +109,10 @@ TRIED = {
         f"{MEASURE.replace('rig.yaml', 'z.yaml')} --zoom-left 100 && "
         "convert rig z.yaml -o fixed.yaml --zoom-left 100 && doctor --rig fixed.yaml",
     ),
-    ("optics/rig.py", "Give the rig.yaml of a pair"): ("doctor --rig three.yaml", f"{STEREO} && doctor --rig c.yaml"),
+    ("optics/rig.py", "Give the rig.yaml of a pair"): (
+        "doctor --rig three.yaml --depth 1 --accuracy 1",
+        f"{STEREO} && doctor --rig c.yaml --depth 1 --accuracy 1",
+    ),
     ("ops/flags.py", "Write for instance --camera"): (f"{OF_CAMERAS} --camera left", OF_NAMED),
     ("ops/sources/cameras.py", "Leave --{} or --camera {}= away"): (
         f"{MEASURE} --camera left=left",

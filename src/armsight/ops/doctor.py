@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated
 
 import cv2
+import numpy as np
 
 from armsight._version import __version__
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, cameras_there, cores, folder, known
@@ -229,6 +230,10 @@ def _depths(rig: Rig) -> list[float]:
     if rig.is_pair:
         return [factor * rig.baseline_m for factor in DEPTHS_IN_BASELINES]
     depth_m = float(rig.cameras[0].T_rig_camera.inv().apply(shared_point(rig))[2])
+    places = np.array([one.T_rig_camera.translation for one in rig.cameras])
+    span_m = float(np.linalg.norm(places[:, None] - places, axis=2).max())
+    if not 0.5 * span_m < depth_m < DEPTHS_IN_BASELINES[-1] * span_m:  # they look in parallel, or apart
+        return [factor * span_m for factor in DEPTHS_IN_BASELINES]
     return [factor * depth_m for factor in DEPTHS_IN_SHARED]
 
 

@@ -10,6 +10,7 @@ from armsight.optics.rig import (
     PackedRig,
     Rig,
     RigKind,
+    as_pair,
     converged_rig,
     moved_rig,
     parallel_rig,

@@ -198,12 +198,6 @@ class Rig(records.Saveable):
         rig = Rig(cameras=cameras, rms_px=self.rms_px)
         return replace(rig, covariance=None if self.covariance is None else _held(self, self.covariance, rig))
 
-    def only_pair(self, a: int, b: int) -> Rig:
-        """Return the rig of its cameras a and b (from 0) as left and right, its axes as they are; exact."""
-        if self.is_pair and (a, b) == (0, 1):
-            return self
-        return Rig(cameras=[replace(self.cameras[i], name=side) for i, side in zip((a, b), SIDES, strict=True)])
-
     def pair(self) -> Rig:
         """Return the rig of its cameras left and right alone. Raises UsageError where it has none."""
         if self.is_pair:
@@ -345,6 +339,13 @@ def moved_rig(rig: Rig, step: Array) -> Rig:
         for one, lens, T in zip(rig.cameras, lenses, poses, strict=True)
     )
     return Rig(kind=rig.kind, cameras=cameras)
+
+
+def as_pair(rig: Rig, a: int, b: int) -> Rig:
+    """Return the rig of the cameras a and b (from 0) of a rig as left and right, its axes as they are; exact."""
+    if rig.is_pair and (a, b) == (0, 1):
+        return rig
+    return Rig(cameras=[replace(rig.cameras[i], name=side) for i, side in zip((a, b), SIDES, strict=True)])
 
 
 def parallel_rig(camera: Camera, baseline_m: float, right: Camera | None = None) -> Rig:

@@ -159,5 +159,5 @@ def test_cameras_are_measured_in_the_rigs_order_and_have_their_steps(cell: Path)
     assert made is not None and tuple(made.cameras) == NAMES and not made.complex and made.live
     steps = steps_of(console)
     assert steps[4] == "cameras" and set(steps[:4]) == {f"camera-{name}" for name in NAMES}
-    assert not {"stereo", "mirrors", "timing"} & set(steps)
+    assert not {"stereo", "mirrors"} & set(steps)
     assert console.step("camera-c3").step.name == "camera-c3" and console.step("cameras").step.name == "cameras"

@@ -16,7 +16,7 @@ from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.defaults import LOOK_S, LOST_LOOKS
 from armsight.errors import ArmsightError, DeviceFailed, NotEnoughData
-from armsight.optics import Rig, triangulate
+from armsight.optics import Rig, as_pair, triangulate
 from armsight.records import TargetPose
 from armsight.records.motion import JointHistory
 
@@ -168,7 +168,7 @@ class StationObserver:
         uv, covariance = found
         self._lost, self._uv = 0, (view.t_s, uv)
         at = [s for s, one in enumerate(uv) if np.isfinite(one).all()]
-        pair = self._rig.only_pair(*at[:2])  # where it is, roughly: the fit takes the pixels of all
+        pair = as_pair(self._rig, *at[:2])  # where it is, roughly: the fit takes the pixels of all
         xyz_m = triangulate(pair, *(uv[s : s + 1] for s in at[:2]), *(covariance[s] for s in at[:2])).xyz_m[0]
         worst = np.linalg.eigvalsh(covariance[at])[:, 1].max()  # of all views, each in its worse direction
         return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m, std_px=float(np.sqrt(worst)))

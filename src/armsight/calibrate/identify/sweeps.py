@@ -14,7 +14,7 @@ from armsight.arrays import Array
 from armsight.calibrate.identify.kernels import see_many
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.fitting.groups import taken, whitener
-from armsight.optics import SIDES, PackedRig, Rig, moved_rig, triangulate
+from armsight.optics import SIDES, PackedRig, Rig, as_pair, moved_rig, triangulate
 from armsight.records.checks import checked_array, freeze
 
 FEWEST = 3
@@ -120,7 +120,7 @@ def _placed_by_views(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
     for a, b in combinations(range(len(rig.cameras)), 2):
         rows = np.flatnonzero(seen[:, a] & seen[:, b] & (np.cumsum(seen, axis=1)[:, b] == 2))  # its first two
         if len(rows):
-            X[rows] = triangulate(rig.only_pair(a, b), uv[rows, a], uv[rows, b], np.eye(2), np.eye(2)).xyz_m
+            X[rows] = triangulate(as_pair(rig, a, b), uv[rows, a], uv[rows, b], np.eye(2), np.eye(2)).xyz_m
     loose = np.where(seen.sum(axis=1) > 1, 0.0, OPEN_M**-2.0)[:, None, None] * np.eye(3)
     first, at, D = X.copy(), np.empty(uv.shape), np.empty((*uv.shape, 3))
     for _ in range(SETTLED):

@@ -267,7 +267,8 @@ def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
 
 
 def _check(job: LiveSweeps, known: Known) -> None:
-    require_two(known.rig)
+    if known.rig is not None:
+        require_two(known.rig)
     if known.model is not None and known.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
     if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames_per_reading < 1:

@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.errors import BadFile, UsageError
-from armsight.optics import Camera, LensKind, MountedCamera, Rig
+from armsight.optics import SIDES, Camera, LensKind, MountedCamera, Rig
 from armsight.store.atomic import write_json, write_text
 from armsight.store.codec import named
 from armsight.store.foreign import numbers
@@ -91,6 +91,8 @@ def rig_of(found: Sequence[Placed], where: str, asked: Asked, names: Sequence[st
             if len(loose) < len(cameras)
             else "Convert each as a camera, and calibrate how they stand",
         )
+    if sorted(one.name for one in cameras) == list(SIDES):
+        cameras.sort(key=lambda one: one.name)  # a pair's first is left
     mounted: list[MountedCamera] = []
     (R_first, t_first), *_ = poses = [one.pose for one in cameras if one.pose is not None]
     for one, name, (R, t) in zip(cameras, names or _plain(cameras, asked), poses, strict=True):
@@ -104,7 +106,13 @@ def rig_of(found: Sequence[Placed], where: str, asked: Asked, names: Sequence[st
 
 
 def _plain(cameras: Sequence[Placed], asked: Asked) -> list[str]:
-    """Return names that a rig takes: a letter first, no other signs; what is changed is told."""
+    """Return names that a rig takes: of two cameras left and right, else a letter first and no other signs.
+
+    What is changed is told.
+    """
+    if len(cameras) == len(SIDES) and {one.name for one in cameras} != set(SIDES):
+        asked.told.append(f"the cameras {cameras[0].name} and {cameras[1].name} are called left and right here")
+        return list(SIDES)
     plain = []
     for one in cameras:
         name = NO_NAME.sub("-", one.name)[:16]
