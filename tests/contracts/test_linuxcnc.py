@@ -262,12 +262,8 @@ def towards_singular(twin: LinuxcncTwin) -> str:
         run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=20), lambda: None)
         here, there = (np.radians(twin.joints_deg()) for _ in range(2))
         there[4] = 0.0  # the wrist in line
-        ends = [MODEL.flange(q) for q in (here, there)]
-        way = 1e3 * (ends[1] - ends[0])[:3, 3]
-        turn = np.subtract(*(Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True) for T in ends[::-1]))
         robot.listen(lambda t_s, q: rows.append((t_s, q)))
-        axes = " ".join(f"{axis}{value:.4f}" for axis, value in zip("XYZABC", [*way, *turn], strict=True))
-        runs(twin, f"G21 G91 G64\nG1 F150 {axes}")
+        runs(twin, moved(here, there))
         with contextlib.suppress(DeviceFailed):  # it stops between two corrections
             run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=4000), lambda: None)
         why = robot.why
@@ -276,8 +272,19 @@ def towards_singular(twin: LinuxcncTwin) -> str:
         until(lambda: bool(np.ptp([q for _, q in rows[-20:]], axis=0).max() < 1e-6))
     q, t_s = np.array([q for _, q in rows]), np.array([t for t, _ in rows])
     assert np.degrees(np.abs(q[5:] - q[:-5]).max(axis=1) / (t_s[5:] - t_s[:-5])).max() < 30.0
+    runs(twin, moved(np.radians(twin.joints_deg()), here))
+    until(lambda: not is_on(twin, "halui.program.is-running"))
     runs(twin)
     return why
+
+
+def moved(here: Any, there: Any) -> str:
+    """Return a program that leads from joints (rad) to others in a straight line of the flange."""
+    ends = [MODEL.flange(q) for q in (here, there)]
+    way = 1e3 * (ends[1] - ends[0])[:3, 3]
+    turn = np.subtract(*(Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True) for T in ends[::-1]))
+    axes = " ".join(f"{axis}{value:.4f}" for axis, value in zip("XYZABC", [*way, *turn], strict=True))
+    return f"G21 G91 G64\nG1 F150 {axes}"
 
 
 def test_a_killed_client_leaves_its_correction_and_a_paused_program(twin: LinuxcncTwin) -> None:
