@@ -99,8 +99,12 @@ def measure_chosen(setup: Setup, t_s: float, seen: Sequence[Spots]) -> Measured:
 def require_views(setup: Setup, n: int) -> None:
     """Raise UsageError where n frames are not the rig's, or where other than two cameras cannot measure the target."""
     v = len(setup.rig.cameras)
-    if v == TWO:
-        setup.rig.require_pair("measuring by two cameras")
+    if v == TWO and not setup.rig.is_pair:
+        first, second = setup.rig.names
+        raise UsageError(
+            f"the rig's two cameras are called {first} and {second}, and two cameras are measured as left and right",
+            cure=f"Write left for {first}, right for {second} and kind: stereo in the rig's file, and give them so",
+        )
     if n != v:
         raise UsageError(f"{n} frames for a rig of {v} cameras", cure="Give one for each, None where there is none")
     known = setup.target.model_known and not setup.target.is_board and len(setup.model) >= 3
