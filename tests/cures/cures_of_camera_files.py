@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+
+from armsight.measure.poses.moments import require_views
+from armsight.measure.poses.setup import Setup
+from armsight.records import spot_target
+from armsight.store import read_rig
 
 SIDE = "fx=700\nfy=700\ncx=640\ncy=360\nk1=-0.1\nk2=0.02\np1=0\np2=0\nk3=0\n"
 BOARD = {
@@ -34,6 +40,14 @@ def halcon(kappa):
     return "ParGroup: Camera: Parameter;\n" + "".join(lines) + "ImageWidth:imgw: 768;\nImageHeight:imgh: 576;\n"
 
 
+def called_otherwise():
+    """Measure by two cameras that are not called left and right."""
+    text = Path("rig.yaml").read_text().replace("left", "east").replace("right", "west")
+    Path("ew.yaml").write_text(text.replace("version: 1", "version: 2").replace("kind: stereo", "kind: cameras"))
+    target = spot_target({"A": (0.0, 0.0, 0.0), "B": (0.1, 0.0, 0.0), "C": (0.0, 0.1, 0.0)})
+    require_views(Setup(rig=read_rig(Path("ew.yaml"), any_cameras=True), target=target), 2)
+
+
 FILES = {
     "SN1.conf": f"[LEFT_CAM_HD]\n{SIDE}[RIGHT_CAM_HD]\n{SIDE}[LEFT_CAM_VGA]\nfx=350\n"
     "[STEREO]\nBaseline=120\nTY=0\nTZ=0\nCV_HD=0\nRX_HD=0\nRZ_HD=0\n",
@@ -47,6 +61,10 @@ FILES = {
 }
 OAK = "convert camera oak.json -o b.yaml"
 TRIED = {
+    ("measure/poses/moments.py", "Write its file anew"): (
+        called_otherwise,
+        "convert rig ew.yaml --name east --name west -o pair.yaml && doctor --rig pair.yaml",
+    ),
     ("store/foreign/devices.py", "Give the size of one camera's images"): (
         "convert rig SN1.conf -o z.yaml",
         "convert rig SN1.conf --size 1280x720 -o z.yaml",

@@ -1,6 +1,7 @@
 """Cameras' files of devices and other programs, written here in their form from a world that OpenCV projects."""
 
 import json
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -9,7 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from armsight.errors import BadFile, UsageError
+from armsight.geometry import is_close
 from armsight.ops.conversion import convert_camera, convert_rig, load_camera, load_rig
+from armsight.records import NamedCovariance
+from armsight.store import write_rig
 from armsight.store.foreign import READ, Asked, kind_of
 from refusals import names_it, refuses
 
@@ -326,3 +330,18 @@ def test_a_rig_of_colmap_is_read_and_written(tmp_path):
 def test_every_kind_that_is_read_has_a_case_here_or_of_its_own_program():
     here = {"zed", "depthai", "aniposelib", "caliscope", "multical", "metashape", "halcon"}
     assert set(READ) == here | {"colmap", "ros", "opencv", "kalibr"}  # tests/golden/test_foreign_files.py
+
+
+def test_two_cameras_of_a_larger_rig_become_a_pair_with_their_covariance(tmp_path):
+    aniposelib(tmp_path / "c.toml", (LEFT, RIGHT, THIRD))
+    rig = load_rig([tmp_path / "c.toml"])
+    A = np.random.default_rng(2).normal(size=(42, 50))
+    known = replace(rig, covariance=NamedCovariance(names=rig.parameters, matrix=1e-8 * A @ A.T))
+    write_rig(tmp_path / "rig.yaml", known)
+    done = convert_rig([tmp_path / "rig.yaml"], [tmp_path / "pair.yaml"], asked=Asked(names=("c2", "c1")))
+    assert names_it(done.note, "c2", "c1", "left", "right")
+    pair, part = load_rig([tmp_path / "pair.yaml"]), known.only("c2", "c1")
+    assert pair.names == ("left", "right") and is_close(pair.T_rig_right, rig.T_rig_camera("c1"), tol_m=0, tol_rad=0)
+    renamed = [name.replace("c2.", "left.").replace("c1.", "right.") for name in part.covariance.names]
+    order = [renamed.index(name) for name in pair.covariance.names]
+    assert np.allclose(pair.covariance.matrix, part.covariance.matrix[np.ix_(order, order)], rtol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ import numpy as np
 from armsight.calibrate.handeye import Setup
 from armsight.errors import BadFile, UsageError
 from armsight.fields import Doc
-from armsight.optics import Camera, Rig
+from armsight.optics import SIDES, Camera, Rig
 from armsight.optics.mirrors import pinhole_pair
 from armsight.records.output import Output, output
 from armsight.shown import Shown
@@ -105,8 +106,23 @@ def load_rig(sources: Sequence[Path], asked: Asked | None = None) -> Rig:
     kind = _kind(sources[0], "armsight/rig")
     _count("input", sources, kind, FORMATS[kind].files if kind in FORMATS else (1,))
     if kind == "armsight":
-        return read_rig(sources[0], any_cameras=True)
+        rig = read_rig(sources[0], any_cameras=True)
+        return _of_names(rig, asked) if asked is not None and asked.names else rig
     return read_foreign_rig(kind, sources, asked or Asked())
+
+
+def _of_names(rig: Rig, asked: Asked) -> Rig:
+    """Return the rig of some of a rig's cameras with its covariance; two of them are left and right from then on."""
+    part = rig.only(*asked.names)
+    if len(part.cameras) != len(SIDES) or set(part.names) == set(SIDES):
+        return part
+    asked.told.append(f"the cameras {part.names[0]} and {part.names[1]} are called left and right here")
+    sides, known = dict(zip(part.names, SIDES, strict=True)), part.covariance
+    if known is not None:
+        split = [name.partition(".") for name in known.names]
+        known = replace(known, names=tuple(f"{sides[camera]}.{rest}" for camera, _, rest in split))
+    cameras = [replace(one, name=sides[one.name]) for one in part.cameras]
+    return Rig(cameras=cameras, covariance=known, rms_px=part.rms_px)
 
 
 def convert_rig(
@@ -119,7 +135,7 @@ def convert_rig(
     """
     asked = asked or Asked()
     kind = _kind(sources[0], "armsight/rig")
-    to = _wanted(kind, to)
+    to = _wanted(kind, to or ("armsight" if asked.names else None))
     rig = load_rig(sources, asked)
     _count("output", outs, to, FORMATS[to].outs if to in FORMATS else (1,))
     if to in ("ros", "opencv"):

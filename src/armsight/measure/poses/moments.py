@@ -103,7 +103,8 @@ def require_views(setup: Setup, n: int) -> None:
         first, second = setup.rig.names
         raise UsageError(
             f"the rig's two cameras are called {first} and {second}, and two cameras are measured as left and right",
-            cure=f"Write left for {first}, right for {second} and kind: stereo in the rig's file, and give them so",
+            cure=f"Write its file anew: armsight convert rig rig.yaml --name {first} --name {second} -o pair.yaml; and "
+            f"give {first} as left, {second} as right",
         )
     if n != v:
         raise UsageError(f"{n} frames for a rig of {v} cameras", cure="Give one for each, None where there is none")
