@@ -31,7 +31,11 @@ if TYPE_CHECKING:
 __all__ = ["check_robot", "jog"]
 
 
-@action("robot test", working="reading", examples=("--robot rsi:49152 --for 60",))
+@action(
+    "robot test",
+    working="reading",
+    examples=("--robot rsi:49152 --for 60", "--robot feetech:/dev/ttyACM0 --for 300 --record joints.csv"),
+)
 def check_robot(
     robot: RobotLike,
     *,
@@ -40,12 +44,23 @@ def check_robot(
     for_s: Annotated[
         float, Doc("How many seconds to read it."), Bounds(above=0.0, most=1e5), Flag("--for", metavar="S")
     ] = 5.0,
+    record: Annotated[
+        Path | None, Doc("A joints.csv for the readings, such as of an arm led by hand."), Flag(metavar="FILE.csv")
+    ] = None,
     progress: Progress | None = None,
 ) -> RobotTestOutput:
     """Read a robot once a cycle and tell how punctual that is. Nothing moves.
 
-    robot, robot_settings, rsi_config: as `servo` takes them. Raises UsageError, DeviceNotFound, DeviceLost, StaleData,
-    DeviceFailed, Cancelled.
+    Parameters
+    ----------
+    robot, robot_settings, rsi_config
+        As `servo` takes them.
+    record
+        A joints.csv for the readings, by the link's clock from the first one on; also where Ctrl-C ends it.
+
+    Raises
+    ------
+    UsageError, DeviceNotFound, DeviceLost, StaleData, DeviceFailed, Cancelled
 
     Examples
     --------
@@ -56,7 +71,7 @@ def check_robot(
     from armsight.ops.robot.opening import clocked_robot
     from armsight.records import Silent
 
-    return test_robot(robot.robot.partition(":")[0], clocked_robot(robot), for_s, progress or Silent())
+    return test_robot(robot.robot.partition(":")[0], clocked_robot(robot), for_s, progress or Silent(), record)
 
 
 @action(

@@ -19,6 +19,7 @@ from armsight.ops.robot.jog import _Watcher
 from armsight.ops.robot.opening import ClockedRobot, open_robot
 from armsight.records import JointReading
 from armsight.store.limits_file import read_limits, write_limits
+from armsight.store.tracks import read_joints
 from refusals import names_it, refuses
 from robot_runs import acted
 
@@ -36,9 +37,9 @@ def jog(clock: ManualClock | None = None, confirm=yes, progress=None, **job):
     return acted(robots.jog, robot=ClockedRobot(robot=robot, clock=clock, called=SIM), **asked)
 
 
-def read_link(for_s: float, clock: ManualClock, robot=None):
+def read_link(for_s: float, clock: ManualClock, robot=None, **job):
     given = ClockedRobot(robot=robot or open_robot(SIM, clock), clock=clock, called=SIM)
-    return acted(robots.check_robot, robot=given, for_s=for_s)
+    return acted(robots.check_robot, robot=given, for_s=for_s, **job)
 
 
 def test_a_link_test_moves_nothing() -> None:
@@ -51,12 +52,22 @@ def test_a_link_test_moves_nothing() -> None:
     assert done.state == "ready"
 
 
-def test_a_link_that_falls_silent_is_a_failure() -> None:
+def test_the_readings_of_a_link_test_are_kept_up_to_a_failure_and_replace_nothing(tmp_path) -> None:
+    done = read_link(0.4, ManualClock(), record=tmp_path / "joints.csv")
+    kept = read_joints(tmp_path / "joints.csv")
+    np.testing.assert_allclose(np.diff(kept.t_s), 0.008, atol=1e-9)
+    assert (len(kept.t_s), kept.t_s[0], kept.q[-1].tolist()) == (51, 0.0, done.q)
+    with pytest.raises(UsageError, match="already"):
+        read_link(0.4, ManualClock(), record=tmp_path / "joints.csv")
+
+
+def test_a_link_that_falls_silent_is_a_failure(tmp_path) -> None:
     clock = ManualClock()
     robot = open_robot(SIM, clock)
+    robot.fault("frozen")
     with pytest.raises(StaleData):
-        robot.fault("frozen")
-        read_link(2.0, clock, robot)
+        read_link(2.0, clock, robot, record=tmp_path / "joints.csv")
+    assert len(read_joints(tmp_path / "joints.csv").t_s) >= 1
 
 
 def test_readings_that_stop_for_a_moment_are_told_and_the_test_goes_on() -> None:

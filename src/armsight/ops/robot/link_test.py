@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Annotated
+
+import numpy as np
 
 from armsight.clock import Clock
 from armsight.control.loop import LATE_SHARE, quiet_interpreter
 from armsight.control.status import Jitter
 from armsight.drivers import Robot, RobotState
-from armsight.errors import Cancelled, DeviceFailed, StaleData
+from armsight.errors import Cancelled, DeviceFailed, StaleData, UsageError
 from armsight.fields import Doc
 from armsight.ops.robot.opening import ClockedRobot
 from armsight.ops.robot.recorder import run_with_progress
-from armsight.records import JointReading, Progress
+from armsight.records import JointReading, Motion, Progress
 from armsight.records.output import Output, output
 from armsight.shown import Shown
+from armsight.store.tracks import write_joints
 from armsight.units import MS
 
 UNPROVEN = "not proven yet: the first motion begins with a probe of 0.04 degrees"
@@ -65,18 +69,29 @@ class RobotTestOutput(Output):
         yield from (f"note: {note}" for note in self.notes)
 
 
-def test_robot(driver: str, device: ClockedRobot, for_s: float, progress: Progress) -> RobotTestOutput:
+def test_robot(
+    driver: str, device: ClockedRobot, for_s: float, progress: Progress, record: Path | None = None
+) -> RobotTestOutput:
     """Read a robot once a cycle for a time, and return how punctual that was and where it stands.
 
-    Raises DeviceNotFound, BadFile, DeviceLost, StaleData, DeviceFailed, Cancelled.
+    record: a joints.csv of what was read, by the link's own clock from its first reading on; also where the test is cut
+    short. Raises UsageError, DeviceNotFound, BadFile, DeviceLost, StaleData, DeviceFailed, Cancelled.
     """
     arm, clock, shown = device.robot, device.clock, progress
+    if record is not None and record.exists():
+        raise UsageError(f"{record} is there already", consequence="Nothing is read", cure="Choose another name")
+    readings: list[JointReading] = []
     with arm:
         start_s = clock.now_s()
-        jitter, reading, silence_s = run_with_progress(
-            lambda: _watched(arm, for_s, shown.cancelled, clock),
-            lambda: shown.update(min(for_s, clock.now_s() - start_s), for_s),
-        )
+        try:
+            jitter, silence_s = run_with_progress(
+                lambda: _watched(arm, for_s, shown.cancelled, clock, readings),
+                lambda: shown.update(min(for_s, clock.now_s() - start_s), for_s),
+            )
+        finally:
+            if record is not None and readings:
+                t_s = np.array([reading.t_s for reading in readings])
+                write_joints(record, Motion(t_s=t_s - t_s[0], q=np.array([reading.q for reading in readings])))
         state, measured_s = arm.state, getattr(arm, "measured_cycle_s", None)
         proven, notes = getattr(arm, "proven", True), list(getattr(arm, "notes", ()))
     timing = jitter.timing()
@@ -89,7 +104,7 @@ def test_robot(driver: str, device: ClockedRobot, for_s: float, progress: Progre
         missed=timing.missed,
         period_ms=PeriodOutput(median=median, p99=p99, max=most),
         silence_ms=silence_s / MS,
-        q=reading.q.tolist(),
+        q=readings[-1].q.tolist(),
         state=state.value,
         measured_cycle_s=measured_s,
         proof="" if proven else getattr(arm, "unproven", UNPROVEN),
@@ -98,11 +113,14 @@ def test_robot(driver: str, device: ClockedRobot, for_s: float, progress: Progre
 
 
 def _watched(
-    robot: Robot, for_s: float, cancelled: Callable[[], bool], clock: Clock
-) -> tuple[Jitter, JointReading, float]:
-    """Return how punctual cycles were that read the robot, its last reading, and the longest time without a new one."""
+    robot: Robot, for_s: float, cancelled: Callable[[], bool], clock: Clock, readings: list[JointReading]
+) -> tuple[Jitter, float]:
+    """Return how punctual cycles were that read the robot, and the longest time without a new reading.
+
+    Each new reading is appended to readings.
+    """
     jitter = Jitter(LATE_SHARE * robot.cycle_s)
-    reading = robot.read()
+    readings.append(robot.read())
     start_s = due_s = new_s = clock.now_s()
     silence_s = 0.0
     with quiet_interpreter():
@@ -110,17 +128,18 @@ def _watched(
             due_s += robot.cycle_s
             clock.sleep_until(due_s)
             woke_s = clock.now_s()
-            newest = _newest(robot, reading)
+            newest = _newest(robot, readings[-1])
             silence_s = max(silence_s, woke_s - new_s)
-            new_s = woke_s if newest.sequence != reading.sequence else new_s
-            reading = newest
+            if newest.sequence != readings[-1].sequence:
+                new_s = woke_s
+                readings.append(newest)
             _check(robot, woke_s - new_s)
             missed = int((woke_s - due_s) / robot.cycle_s)
             jitter.cycle(woke_s, woke_s - due_s, clock.now_s(), missed)
             due_s += missed * robot.cycle_s
             if cancelled():
                 raise Cancelled("stopped", consequence="The link was not tested to the end")
-    return jitter, reading, silence_s
+    return jitter, silence_s
 
 
 def _newest(robot: Robot, last: JointReading) -> JointReading:

@@ -138,7 +138,8 @@ def check_usage(
 
 def readings_of(arm: Arm, file: MeasuredFile, measured: Path, joints: Path | None, table: TableFormat) -> Expected:
     """Return what the controller says: of its log, or of the measured file's own columns."""
-    found = file.reported if joints is None else read_reported_joints(joints, table.of_arm(arm))
+    own = joints is None or Path(joints).absolute() == Path(measured).absolute()  # of one file rows belong together
+    found = file.reported if own or joints is None else read_reported_joints(joints, table.of_arm(arm))
     if found is None or found.q is None:
         raise UsageError(
             f"{measured} has no columns q1 .. qn, and no --joints were given",
