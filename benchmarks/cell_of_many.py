@@ -14,45 +14,23 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "truth"))
-from cell_cameras import HIDDEN_DEG, Track, WebCam
+from cell_calibrated import calibrated, camera_squares
+from cell_cameras import HIDDEN_DEG, WebCam
 from cell_world import NAMED, CellWorld, watched_by_four
 
-from armsight.calibrate.cell import CellOptions, CellResult, calibrate_cell
+from armsight.calibrate.cell import CellResult
 from armsight.calibrate.cell.result import tip_slopes
 from armsight.errors import ArmsightError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.views import measure_views
-from armsight.records import Motion, PoseStatus, Spots, SpotTrack, spot_target
-from armsight.store.arm_file import arm_from_mapping
+from armsight.records import PoseStatus, Spots
 
 EXACT_PX = 1e-3
-
-
-def calibrated(world: CellWorld, tracks: tuple[Track, ...]) -> CellResult:
-    """Return the calibration by the first so many cameras."""
-    return calibrate_cell(
-        arm_from_mapping(world.nominal),
-        Motion(t_s=world.log_t_s, q=world.log_q),
-        [
-            SpotTrack(
-                t_s=one.t_s,
-                frame=one.frame,
-                names=("",) * len(one.frame),
-                uv_px=one.uv_px,
-                covariance_px2=one.covariance_px2,
-            )
-            for one in tracks
-        ],
-        spot_target(world.target),
-        sizes=[one.size for one in tracks],
-        names=NAMED[: len(tracks)],
-        options=CellOptions(tip_m=world.truth.tip_target_m),
-    )
 
 
 def tips(world: CellWorld, cameras: tuple[WebCam, ...], done: CellResult) -> tuple[np.ndarray, np.ndarray]:
@@ -87,18 +65,6 @@ def tips(world: CellWorld, cameras: tuple[WebCam, ...], done: CellResult) -> tup
     return np.array(off), np.array(claimed)
 
 
-def places(cameras: tuple[WebCam, ...], done: CellResult) -> list[float]:
-    """Return chi-square (6 degrees of freedom) of each camera's pose in base axes."""
-    model, out = done.solved.model, []
-    for side, camera in enumerate(cameras):
-        T = model.T_base_camera(done.solved.fit.x, side).as_matrix()
-        turn = Rotation.from_matrix(T[:3, :3]) * Rotation.from_matrix(camera.T_base_camera[:3, :3]).inv()
-        e = np.concatenate([T[:3, 3] - camera.T_base_camera[:3, 3], turn.as_rotvec()])
-        at = [model.names.index(f"{NAMED[side]}.{key}") for key in ("tx", "ty", "tz", "rx", "ry", "rz")]
-        out.append(float(e @ np.linalg.solve(done.covariance[np.ix_(at, at)], e)))
-    return out
-
-
 def main(seeds: int, seconds: float) -> None:
     """Print the table, a line after each seed."""
     rows: dict[int, list[tuple[float, float, np.ndarray, list[float], int]]] = {2: [], 3: [], 4: []}
@@ -106,14 +72,15 @@ def main(seeds: int, seconds: float) -> None:
         world, cameras, tracks = watched_by_four(seed, seconds)
         for V, kept in rows.items():
             try:
-                done = calibrated(world, tracks[:V])
+                done = calibrated(world, dict(zip(NAMED[:V], tracks, strict=False)))
             except ArmsightError as error:
                 print(f"seed {seed}, {V} cameras: {error}", flush=True)
                 continue
             off, C = tips(world, cameras[:V], done)
             chi2 = np.einsum("ki,ki->k", off, np.linalg.solve(C, off[:, :, None])[:, :, 0])
             rms, claimed = np.sqrt((off**2).sum(axis=1).mean()), np.sqrt(np.trace(C, axis1=1, axis2=2).mean())
-            kept.append((rms, claimed, chi2, places(cameras[:V], done), len(off)))
+            squares = camera_squares(dict(zip(NAMED, cameras, strict=True)), done)
+            kept.append((rms, claimed, chi2, squares, len(off)))
             print(
                 f"seed {seed}, {V} cameras: tip off by {1e3 * rms:.2f} mm, claimed {1e3 * claimed:.2f}, at {len(off)} "
                 f"of 60; cameras' chi2/6 {' '.join(f'{one / 6:.2f}' for one in kept[-1][3])}; {'; '.join(done.notes)}",

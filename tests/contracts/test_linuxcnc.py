@@ -230,26 +230,42 @@ def flange(twin: LinuxcncTwin) -> RigidTransform:
     return MODEL.fk(np.radians(twin.joints_deg()))
 
 
+TOO_LATE = "no answer for too long"
+"""Why a busy machine's link is lost; LinuxCNC's program is then paused, and the arm comes to rest: as it should."""
+
+
 def test_a_correction_arrives_while_linuxcnc_runs_a_program(twin: LinuxcncTwin) -> None:
+    told = [corrected_meanwhile(twin)]
+    while TOO_LATE in told[-1] and len(told) < 4:
+        told.append(corrected_meanwhile(twin))
+    assert told[-1] == ""
+
+
+def corrected_meanwhile(twin: LinuxcncTwin) -> str:
+    """Run a program of six seconds and correct UP meanwhile; return why the link was lost, if it was."""
     runs(twin)
     with corrects(twin.address.partition(":")[2]) as robot:
         run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=20), lambda: None)
         before = flange(twin)
-        runs(twin, "G21 G91 G64\nG1 F600 Y60")  # six seconds
+        runs(twin, "G21 G91 G64\nG1 F600 Y60")
         run_with_progress(lambda: corrected(robot, UP, cycles=250), lambda: None)
-        assert robot.why == ""
-        assert is_on(twin, "halui.program.is-running"), "the correction arrived meanwhile"
+        meanwhile = is_on(twin, "halui.program.is-running")
         until(lambda: not is_on(twin, "halui.program.is-running"))
+        if TOO_LATE in robot.why:
+            return robot.why
+        assert robot.why == ""
+        assert meanwhile, "the correction arrived meanwhile"
         way = np.asarray(flange(twin).translation) - np.asarray(before.translation)
         turn = (flange(twin).rotation * before.rotation.inv()).as_rotvec()
         assert way == pytest.approx([0.0, 0.06, 0.002], abs=2e-5)
         assert turn == pytest.approx(UP.rotation.as_rotvec(), abs=2e-5)
         run_with_progress(lambda: corrected(robot, RigidTransform.identity(), cycles=300), lambda: None)
+    return ""
 
 
 def test_a_program_towards_a_singular_pose_is_paused(twin: LinuxcncTwin) -> None:
     told = [towards_singular(twin)]
-    while "no answer for too long" in told[-1] and len(told) < 4:  # a busy machine, and the arm came to rest as well
+    while TOO_LATE in told[-1] and len(told) < 4:
         told.append(towards_singular(twin))
     assert "singular" in told[-1]
 

@@ -10,40 +10,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.cell import CellOptions, CellResult, calibrate_cell
+from armsight.calibrate.cell import CellResult
 from armsight.errors import DataRefused, Degenerate, Inconsistent, NotEnoughData
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.setup import Setup
-from armsight.records import Motion, Spots, SpotTrack, spot_target
-from armsight.store.arm_file import arm_from_mapping
+from armsight.records import Spots
 from refusals import names_it
 
 sys.path.insert(0, str(Path(__file__).parent))
+from cell_calibrated import calibrated
 from cell_world import CellWorld, make_cell
 
 SECONDS, SEED = 40.0, 1
 EXACT_PX = 1e-3
-
-
-def calibrated(world: CellWorld) -> CellResult:
-    tracks = [
-        SpotTrack(
-            t_s=track.t_s,
-            frame=track.frame,
-            names=("",) * len(track.frame),
-            uv_px=track.uv_px,
-            covariance_px2=track.covariance_px2,
-        )
-        for track in (world.left, world.right)
-    ]
-    return calibrate_cell(
-        arm_from_mapping(world.nominal),
-        Motion(t_s=world.log_t_s, q=world.log_q),
-        tracks,
-        spot_target(world.target),
-        sizes=[world.left.size, world.right.size],
-        options=CellOptions(tip_m=world.truth.tip_target_m),
-    )
 
 
 @pytest.fixture(scope="module")

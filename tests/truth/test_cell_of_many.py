@@ -8,40 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.cell import CellOptions, CellPriors, CellResult, calibrate_cell
+from armsight.calibrate.cell import CellPriors, CellResult
 from armsight.errors import Inconsistent
-from armsight.records import Motion, SpotTrack, spot_target
-from armsight.store.arm_file import arm_from_mapping
 from refusals import names_it
 
 sys.path.insert(0, str(Path(__file__).parent))
+from cell_calibrated import calibrated, camera_squares
 from cell_cameras import Track, WebCam
 from cell_world import NAMED, CellWorld, watched_by_four
 
 SECONDS, SEED = 40.0, 1
-
-
-def calibrated(world: CellWorld, tracks: dict[str, Track], priors: CellPriors | None = None) -> CellResult:
-    return calibrate_cell(
-        arm_from_mapping(world.nominal),
-        Motion(t_s=world.log_t_s, q=world.log_q),
-        [
-            SpotTrack(
-                t_s=one.t_s,
-                frame=one.frame,
-                names=("",) * len(one.frame),
-                uv_px=one.uv_px,
-                covariance_px2=one.covariance_px2,
-            )
-            for one in tracks.values()
-        ],
-        spot_target(world.target),
-        sizes=[one.size for one in tracks.values()],
-        names=list(tracks),
-        options=CellOptions(tip_m=world.truth.tip_target_m, priors=priors),
-    )
 
 
 @pytest.fixture(scope="module")
@@ -60,14 +37,8 @@ def test_cameras_stand_where_they_are_said_to_though_they_see_the_lights_seldom(
     four: tuple[CellWorld, dict[str, WebCam], dict[str, Track]], good: CellResult
 ) -> None:
     _, cameras, tracks = four
-    model, squares = good.solved.model, []
-    for side, name in enumerate(good.rig.names):
-        T, true = model.T_base_camera(good.solved.fit.x, side).as_matrix(), cameras[name].T_base_camera
-        turn = Rotation.from_matrix(T[:3, :3]) * Rotation.from_matrix(true[:3, :3]).inv()
-        e = np.concatenate([T[:3, 3] - true[:3, 3], turn.as_rotvec()])
-        at = [model.names.index(f"{name}.{key}") for key in ("tx", "ty", "tz", "rx", "ry", "rz")]
-        squares.append(float(e @ np.linalg.solve(good.covariance[np.ix_(at, at)], e)))
-    assert max(squares) < 22.5  # chi-square of 6, 99.9 %
+    model = good.solved.model
+    assert max(camera_squares(cameras, good)) < 22.5  # chi-square of 6, 99.9 %
     # the rig's axes and stamps are the first camera's
     np.testing.assert_allclose(good.T_base_rig.as_matrix(), model.T_base_camera(good.solved.fit.x, 0).as_matrix())
     late = good.rig.cameras[2].timing.delay_s - (cameras["east"].delay_s - cameras["west"].delay_s)
