@@ -384,7 +384,9 @@ class CyclicRobot(ABC):
         reading = self._linked("move")
         if self._stopped:
             raise DeviceFailed(
-                f"{self.name} is stopped: {self._stopped}", consequence="Nothing was sent", cure="Reset it first"
+                f"{self.name} is stopped: {self._stopped}",
+                consequence="Nothing was sent",
+                cure="Set that right on its controller, then reset it or open it again",
             )
         return reading
 

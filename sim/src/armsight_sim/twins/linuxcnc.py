@@ -216,6 +216,7 @@ class LinuxcncTwin:
                     os.sched_setscheduler(int(task.name), os.SCHED_FIFO, os.sched_param(BRIDGE_FIRST + (not ours)))
 
     def _log(self) -> str:
-        log = self.folder / "linuxcnc.log"
-        lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
+        logs = [self.folder / "linuxcnc_print.txt", self.folder / "linuxcnc.log"]  # what refuses an INI is in the first
+        text = "\n".join(log.read_text(errors="replace") for log in logs if log.exists())
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
         return "; ".join(lines[-LOG_LINES:]) or "it said nothing"
