@@ -18,7 +18,16 @@ from armsight.measure.consistency import kernels
 from armsight.measure.consistency.all_sights import refit_views, with_all_sights
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
 from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, judge, possible
-from armsight.measure.consistency.evidence import BIAS_PX, BLOCKS, STILL_PX, WINDOW, Block, Evidence, frame_of, rig_of
+from armsight.measure.consistency.evidence import (
+    BLOCKS,
+    STILL_PX,
+    WINDOW,
+    Block,
+    Evidence,
+    frame_of,
+    look_weight,
+    rig_of,
+)
 from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.consistency.other_setups import what_fits
 from armsight.measure.motion.estimate import Filtered, Start
@@ -251,7 +260,7 @@ def _weights(views: Sequence[View]) -> Array:
         ):
             anchor[s], still[s] = view, 0
         variance = float(np.einsum("nii->", view.cov_px2)) / (2.0 * len(view.lights))
-        out[k] = 1.0 / (1.0 + still[s] * BIAS_PX**2 / variance) ** 2
+        out[k] = look_weight(still[s], variance)
         still[s] += 1
     return out
 
