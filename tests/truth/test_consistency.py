@@ -13,7 +13,7 @@ from scipy.stats import chi2 as chi2_law
 from armsight.geometry import pose_difference
 from armsight.measure.consistency.causes import causes_of
 from armsight.measure.consistency.check import RunCheck, advice, sentence
-from armsight.measure.consistency.evidence import target_basis
+from armsight.measure.consistency.evidence import StillLights, target_basis
 from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels.rig_covariance import misfit_factor
@@ -262,6 +262,17 @@ def test_a_target_that_stands_still_proves_little(sigma_px: float, noise: float,
         assert found.verdict == "ok", sentence(found)
         found, _ = run(World(rig=turned(0.008, 0.0, 0.0)), seed=seed, frames=20, **spots)
         assert found.verdict != "ok" or found.refused > 0.9
+
+
+def test_a_light_that_comes_and_goes_makes_no_new_look_of_the_others() -> None:
+    uv, still = np.random.default_rng(0).uniform(100.0, 900.0, (4, 2, 2)), StillLights(4, 2)
+    C = np.tile(0.01 * np.eye(2), (4, 2, 1, 1))
+    worth = [still.weight(np.arange(n), uv[:n], C[:n]) for n in [3, 4] * 20]
+    assert worth[0] == 1.0 and sum(worth) < 2.0
+    strays = uv + [[[0.0, 0.0]], [[0.0, 0.0]], [[0.0, 0.0]], [[30.0, 0.0]]]
+    wide = np.concatenate([C[:3], 1e4 * C[3:]])
+    assert still.weight(np.arange(4), strays, wide) < 0.1  # a light half hidden, claimed so
+    assert still.weight(np.arange(4), strays + 2.0, C) == 1.0
 
 
 def test_poses_are_widened_once_the_residuals_prove_a_fault() -> None:

@@ -20,12 +20,11 @@ from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
 from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, judge, possible
 from armsight.measure.consistency.evidence import (
     BLOCKS,
-    STILL_PX,
     WINDOW,
     Block,
     Evidence,
+    StillLights,
     frame_of,
-    look_weight,
     rig_of,
 )
 from armsight.measure.consistency.findings import Consistency, Finding
@@ -217,7 +216,8 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     seen_s, side, first = run.rows.views
     side = side + len(judged.k) - len(setup.packed.k)  # before the cameras of other rigs than pairs stands one more
     dp, ds = (np.zeros((n, run.Cs.shape[1], q)) for _ in range(2))
-    weight = _weights(views)
+    still = [StillLights(len(setup.model.xyz_m), 1) for _ in setup.packed.k]
+    weight = np.array([still[one.side].weight(one.lights, one.uv_px[:, None], one.cov_px2[:, None]) for one in views])
     for start in starts:
         weight[start.view : start.view + SETTLED_VIEWS] = 0.0
     information, score, chi2 = np.zeros((BLOCKS, q, q)), np.zeros((BLOCKS, q)), np.zeros(BLOCKS)
@@ -245,24 +245,6 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     evidence.claimed_m2, evidence.claimed_rad2 = float(variances[:, :3].sum()), float(variances[:, 3:6].sum())
     evidence.frames = n
     return MovingCheck(verdict=judge(evidence), slopes=ds[:, :6])
-
-
-def _weights(views: Sequence[View]) -> Array:
-    """Return what one more look at lights that stand still is worth (n,), as of pairs."""
-    out, still, anchor = np.ones(len(views)), dict[int, int](), dict[int, View]()
-    for k, view in enumerate(views):
-        s, last = view.side, anchor.get(view.side)
-        if (
-            last is None
-            or len(last.lights) != len(view.lights)
-            or (last.lights != view.lights).any()
-            or np.abs(last.uv_px - view.uv_px).max(initial=0.0) > STILL_PX
-        ):
-            anchor[s], still[s] = view, 0
-        variance = float(np.einsum("nii->", view.cov_px2)) / (2.0 * len(view.lights))
-        out[k] = look_weight(still[s], variance)
-        still[s] += 1
-    return out
 
 
 SHOWN = {"1": (100.0, " %"), "m": (1.0 / MM, " mm"), "rad": (1.0 / DEG, "°"), "s": (1e3, " ms")}

@@ -26,8 +26,9 @@ MAX_GAP_S = 0.2
 BIAS_PX = 0.02
 """What a spot's centre keeps of its place within the pixel and does not lose by averaging, at least."""
 
-STILL_PX = 1.0
-"""Lights that moved less than this since a place was taken stand still."""
+STILL_PX, STRAY = 1.0, 4.0
+"""Lights that moved less than this since they were first seen there stand still, or less than so many of their standard
+deviations: a light half hidden scatters by pixels."""
 
 OUTLIER = 3.0
 """A frame whose chi-square is this many times the usual one counts less, by the square of what is beyond: a spot far
@@ -44,14 +45,32 @@ BLOCKS = 16
 """Stretches of the run that are kept apart, so that a change shows; when full, neighbours are merged."""
 
 
-def look_weight(still: int, variance_px2: float) -> float:
-    """Return what one more look at lights that stood still for so many is worth.
+class StillLights:
+    """What one more look at lights is worth that have not moved since they were first seen there.
 
     They are looks at one and the same error: n count n / (1 + n bias^2 / sigma^2). What is claimed is mostly bias, of
     an edge behind the light or a light half hidden, where the scatter is 0.03 px: in rendered rooms the bias of lights
-    at rest is 0.7 of the claim (RMS), over claims from 0.014 to 1.3 px.
+    at rest is 0.7 of the claim (RMS), over claims from 0.014 to 1.3 px. A light that comes or goes moves no other.
     """
-    return 1.0 / (1.0 + still * max(1.0, BIAS_PX**2 / variance_px2)) ** 2
+
+    def __init__(self, lights: int, views: int) -> None:
+        self._uv_px = np.full((lights, views, 2), np.nan)
+        self._looks = np.zeros((lights, views))
+
+    def weight(self, lights: Index, uv_px: Array, cov_px2: Array) -> float:
+        """Return the worth, 0 to 1, of pixels (n, views, 2) of lights (n,) with covariances; NaN: not seen."""
+        seen = np.isfinite(uv_px[..., 0]) & np.isfinite(cov_px2[..., 0, 0])
+        variance = 0.5 * (cov_px2[..., 0, 0] + cov_px2[..., 1, 1])
+        way = np.abs(self._uv_px[lights] - uv_px).max(axis=2)
+        if (seen & (way > np.maximum(STILL_PX, STRAY * np.sqrt(np.where(seen, variance, 1.0))))).any():
+            self._uv_px[:], self._looks[:] = np.nan, 0.0
+        rows, views = np.nonzero(seen)
+        at = (lights[rows], views)
+        new = np.isnan(self._uv_px[at][:, 0])
+        self._uv_px[at] = np.where(new[:, None], uv_px[rows, views], self._uv_px[at])
+        worth = 1.0 / (1.0 + self._looks[at] * np.maximum(1.0, BIAS_PX**2 / variance[rows, views])) ** 2
+        self._looks[at] += 1.0
+        return float(worth.mean())
 
 
 @dataclass(slots=True, eq=False)
@@ -128,13 +147,13 @@ class Evidence:
     _per_block: int = 4
     _before: Frame | None = None
     _last: Frame | None = None
-    _anchor: Frame | None = None
-    _still: int = 0
+    _still: StillLights = field(init=False)
     _window: deque[FrameStatistics] = field(default_factory=lambda: deque(maxlen=WINDOW))
     _waiting: int = 0
 
     def __post_init__(self) -> None:
         self.shift_m2, self.shift_rad2 = np.zeros((self.size, self.size)), np.zeros((self.size, self.size))
+        self._still = StillLights(len(self.basis), len(self.rig.k))
 
     @classmethod
     def of(cls, setup: Setup) -> Evidence:
@@ -193,7 +212,8 @@ class Evidence:
         dof = 2.0 * int(np.isfinite(frame.cov_px2[..., 0, 0]).sum()) - 6.0
         if dof <= 0.0:
             return
-        seen = FrameStatistics(frame.t_s, chi2, dof, N, b, self._weight(frame))
+        worth = self._still.weight(frame.lights, frame.uv_px, frame.cov_px2)
+        seen = FrameStatistics(frame.t_s, chi2, dof, N, b, worth)
         self.shift_m2 += S[:3].T @ S[:3]
         self.shift_rad2 += S[3:].T @ S[3:]
         self.claimed_m2 += frame.claimed[0]
@@ -225,21 +245,6 @@ class Evidence:
         block.chi2 += weight * seen.chi2
         block.dof += weight * seen.dof
         block.frames += 1
-
-    def _weight(self, frame: Frame) -> float:
-        """Return what one more look at lights that stand still is worth."""
-        anchor = self._anchor
-        if (
-            anchor is None
-            or len(anchor.lights) != len(frame.lights)
-            or (anchor.lights != frame.lights).any()
-            or not np.nanmax(np.abs(anchor.uv_px - frame.uv_px), initial=0.0) <= STILL_PX
-        ):
-            self._anchor, self._still = frame, 0
-        seen = np.isfinite(frame.cov_px2[..., :1, :1])
-        variance = float(np.einsum("nsii->", np.where(seen, frame.cov_px2, 0.0))) / (2.0 * int(seen.sum()))
-        self._still += 1
-        return look_weight(self._still - 1, variance)
 
     def _block(self, t_s: float) -> Block:
         if self.blocks and self.blocks[-1].frames < self._per_block:
