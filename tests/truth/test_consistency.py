@@ -269,7 +269,8 @@ def test_a_light_that_comes_and_goes_makes_no_new_look_of_the_others() -> None:
     C = np.tile(0.01 * np.eye(2), (4, 2, 1, 1))
     worth = [still.weight(np.arange(n), uv[:n], C[:n]) for n in [3, 4] * 20]
     assert worth[0] == 1.0 and sum(worth) < 2.0
-    strays = uv + [[[0.0, 0.0]], [[0.0, 0.0]], [[0.0, 0.0]], [[30.0, 0.0]]]
+    strays = uv.copy()
+    strays[3, :, 0] += 30.0
     wide = np.concatenate([C[:3], 1e4 * C[3:]])
     assert still.weight(np.arange(4), strays, wide) < 0.1  # a light half hidden, claimed so
     assert still.weight(np.arange(4), strays + 2.0, C) == 1.0
