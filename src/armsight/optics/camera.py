@@ -238,6 +238,13 @@ class Camera(records.Saveable):
         return min([WIDEST_RAD, *folds])
 
     @property
+    def named(self) -> dict[str, float]:
+        """The intrinsics by name, in their order, without empty places."""
+        return {
+            name: value for name, value in zip(self.names, self.intrinsics.tolist(), strict=True) if name != EMPTY_PLACE
+        }
+
+    @property
     def matrix(self) -> Array:
         """The (3, 3) camera matrix in px."""
         fx, fy, cx, cy, skew = self.intrinsics[:5]
