@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -15,9 +15,9 @@ from armsight.arrays import Array
 from armsight.calibrate.cameras.kernels import move_poses, view_normal_equations
 from armsight.calibrate.cameras.moving_board import motion_of
 from armsight.calibrate.cameras.observations import Known, Observations
-from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
+from armsight.fitting import Evaluation, Fit, NormalEquations, Prior, Problem, Settings, solve
 from armsight.optics import INTRINSICS, LensKind
-from armsight.optics.camera import EMPTY_PLACE, INTRINSICS_OF, PACKED, RATIONAL_INTRINSICS, names_beside
+from armsight.optics.camera import EMPTY_PLACE, INTRINSICS_OF, PACKED, names_beside
 from armsight.optics.kernels.camera import FISHEYE, RATIONAL
 from armsight.records import Progress
 
@@ -28,7 +28,12 @@ DELAY = "delay"
 READOUT = "readout"
 BACK = "board:back"
 """Before the names of where a board's back is behind its front; no camera is called so."""
-DENOMINATOR = frozenset(RATIONAL_INTRINSICS[len(INTRINSICS) :])
+RADIAL = ("k1", "k2", "k3", "k4", "k5", "k6")
+"""Of a rational lens: many sets of them say nearly the same, as k1 and k4 do of a lens that bends little."""
+DENOMINATOR = RADIAL[3:]
+BENDS = Prior(mean=0.0, sigma=30.0)
+"""What is known of k4, k5, k6 beforehand: makers' files hold 0.3 to 10, seldom 90. Where the images do not tell them
+it keeps a pole that a zero hides out of the picture."""
 WIDEST_FIT = float(np.tan(np.radians(89.9)))
 """Tangent of the angle up to which a wide lens's points may come to lie on the way of a fit."""
 PACKED_AS = {
@@ -127,8 +132,16 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
         local_names=POSE * (local.shape[1] // len(POSE)),
         local_guess=local,
         fixed=fixed,
+        priors=dict.fromkeys(_of_rational(observations, DENOMINATOR), BENDS),
         retract=retract,
     )
+
+
+def _of_rational(observations: Observations, coefficients: Iterable[str]) -> list[str]:
+    """Return the names of some coefficients of the rational lenses among the shared parameters."""
+    own = zip(observations.cameras, observations.lenses, strict=True)
+    before = [f"{camera}." * (observations.n_cameras > 1) for camera, lens in own if lens is LensKind.RATIONAL]
+    return [f"{camera}{name}" for camera in before for name in coefficients]
 
 
 def _with_known(
@@ -229,12 +242,13 @@ def adjust(
     Raises NotConverged, Undetermined, Cancelled as the engine does.
     """
     settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=COST_SETTLED)
-    later = frozenset(name for name in names_of(observations) if name.split(".")[-1] in DENOMINATOR) - fixed
+    later = frozenset(_of_rational(observations, DENOMINATOR)) - fixed
     if later and not start.k[:, len(INTRINSICS) :].any():
         # of no distortion k1 and k4 say the same: first without the denominator
         start = bundle_of(adjust(observations, start, fixed | later, max_iterations=max_iterations), len(start.k))
     if observations.has_wide:
-        settings = replace(settings, max_iterations=VALLEY * max_iterations, cost_tolerance=VALLEY_SETTLED)
+        many, loose = VALLEY * max_iterations, frozenset(_of_rational(observations, RADIAL))
+        settings = replace(settings, max_iterations=many, cost_tolerance=VALLEY_SETTLED, loose=loose)
     fit = solve(problem_of(observations, start, fixed), settings, progress)
     if observations.chained:
         fit = motion_of(observations, start.delays_s, start.readouts_s).of_moments(fit)

@@ -70,6 +70,14 @@ def fit_without_outliers(
         if beyond.any():  # the model ends there: such points would push all others aside
             observations = without(observations, beyond)
             state = bundle_of(fit, observations.n_cameras)
+            stay = np.flatnonzero((observations.weight > 0.0).sum(axis=2).max(axis=1) >= LEAST_POINTS)
+            gone = sorted(set(range(observations.n_views)) - set(stay.tolist()))
+            if gone:
+                rejected += [
+                    (named(observations, g), "too few of its points are within the lens's angle") for g in gone
+                ]
+                _require_views(len(stay), observations.n_views, rejected)
+                observations, kept, state = observations.take(stay), kept[stay], start_at(state, stay)
             fit = adjust(observations, state, fixed, max_iterations=options.max_iterations, progress=progress)
         wider = _freed(observations, fit, fixed, options)
         judged = options.reject and (wider == fixed or not observations.has_wide)

@@ -334,7 +334,7 @@ def rational_start(k1, k2, k3, k4, k5, k6, widest, image):
     than image, the ray there.
     """
     low, high = 0.0, widest
-    r = min(image, high)
+    r = image if image < high else 0.5 * high  # at the widest one there may be a pole
     for _ in range(UNDISTORT_STEPS):
         radial, slope, _ = rational_radial(k1, k2, k3, k4, k5, k6, r * r)
         error = r * radial - image
@@ -354,7 +354,8 @@ def rational_start(k1, k2, k3, k4, k5, k6, widest, image):
 @lean_kernel
 def undistort_rational(k1, k2, p1, p2, k3, k4, k5, k6, widest, xd, yd):
     """As undistort_pinhole, of a rational lens, from the ray that the radial terms alone give."""
-    stretch = rational_start(k1, k2, k3, k4, k5, k6, widest, sqrt(xd * xd + yd * yd))
+    image = sqrt(xd * xd + yd * yd)
+    stretch = rational_start(k1, k2, k3, k4, k5, k6, widest, image)
     x = stretch * xd
     y = stretch * yd
     for _ in range(UNDISTORT_STEPS):
@@ -366,7 +367,7 @@ def undistort_rational(k1, k2, p1, p2, k3, k4, k5, k6, widest, xd, yd):
         ey = fy - yd
         x -= (dyy * ex - dxy * ey) / det
         y -= (dxx * ey - dxy * ex) / det
-        if abs(ex) + abs(ey) < UNDISTORT_TOLERANCE:
+        if abs(ex) + abs(ey) < UNDISTORT_TOLERANCE * (1.0 + image):  # near a pole the image has no end
             return x * x + y * y <= widest * widest, x, y, dxx, dxy, dyy
     return False, x, y, 0.0, 0.0, 0.0
 
