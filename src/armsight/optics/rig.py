@@ -17,8 +17,8 @@ from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import pose_from_rotvec
 from armsight.geometry.poses import skew
-from armsight.optics.camera import INTRINSICS, PACKED, SIDES, Camera, names_beside
-from armsight.optics.kernels.camera import n_intrinsics, project_many
+from armsight.optics.camera import INTRINSICS, PACKED, RATIONAL_INTRINSICS, SIDES, Camera, names_beside
+from armsight.optics.kernels.camera import RATIONAL, project_many
 from armsight.optics.mounted import MountedCamera, MountedZoom, place_of, require_names, with_each
 
 PLACE = ("tx", "ty", "tz", "rx", "ry", "rz")
@@ -289,7 +289,7 @@ class PackedRig:
     @property
     def n_intrinsics(self) -> int:
         """How many parameters the calibration has of each lens."""
-        return n_intrinsics(self.k)
+        return len(RATIONAL_INTRINSICS if (self.k[:, len(INTRINSICS)] == RATIONAL).any() else INTRINSICS)
 
     @property
     def arrays(self) -> tuple[Array, Array, Array]:

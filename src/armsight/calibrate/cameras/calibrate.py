@@ -51,7 +51,7 @@ def calibrate_camera(
     """
     options = options or BoardOptions()
     require_views(views, board)
-    options, on_lens = chosen([pack([views], board)], options)
+    options, on_lens = chosen({"the camera": views}, board, options)
     require_points(board, options.lens)
     observations = pack([views], board, (options.lens,))
     kept, repeated = different_views(observations)
@@ -184,9 +184,9 @@ def fit_pairs(
     progress: Progress | None = None,
 ) -> tuple[RobustFit, list[tuple[str, str]], list[str]]:
     """Return the fit of the pairs that agree, (source, why) of others, and advice; raises as calibrate_stereo."""
-    if options.choose_lens:
-        require_views(left, board)
-    options, on_lens = chosen([pack([one], board) for one in (left, right)], options)
+    for views in (left, right) if options.choose_lens else ():
+        require_views(views, board)
+    options, on_lens = chosen({"the left camera": left, "the right camera": right}, board, options)
     observations, rejected = _different_pairs(left, right, board, options.lenses)
     advice = [*on_lens, *check_count(observations.n_views)]
     starts = [start_of(observations.camera(c)) for c in range(2)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,12 +24,13 @@ from armsight.calibrate.cameras.initial_guess import (
     start_intrinsics,
     start_of_fisheye,
 )
-from armsight.calibrate.cameras.observations import BoardOptions, Observations
+from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers, fixed_names
 from armsight.calibrate.cameras.pairing import camera_of
 from armsight.calibrate.cameras.preconditions import DOUBTFUL_TILT_DEG
 from armsight.errors import DataRefused, Inconsistent
 from armsight.optics import INTRINSICS, LensKind
+from armsight.records import BoardView, Target
 
 OTHERS = {
     LensKind.PINHOLE: (LensKind.FISHEYE, LensKind.RATIONAL),
@@ -141,17 +142,19 @@ WILD = 5.0
 """Times the median distance; a point further off counts as one there: a wrong corner is no lens's fault."""
 
 
-def chosen(seen: Sequence[Observations], options: BoardOptions) -> tuple[BoardOptions, list[str]]:
-    """Return the options with the kinds of lens that leave least, by camera, and what to say of them.
+def chosen(
+    views: Mapping[str, Sequence[BoardView]], board: Target, options: BoardOptions
+) -> tuple[BoardOptions, list[str]]:
+    """Return the options with the kinds of lens that leave least, and what to say of them; as they are where those are
+    not asked for.
 
-    seen: what each camera alone saw. Where the kinds are not asked for, the options as they are.
+    views: of one camera, or of left and right, by what it is called.
     """
     if not options.choose_lens:
         return options, []
-    found = [least(one, options) for one in seen]
-    kinds = [kind for kind, _ in found]
-    named = zip(("the camera",) if len(seen) == 1 else ("the left camera", "the right camera"), found, strict=True)
-    told = [f"{name}: {words}" for name, (_, words) in named]
+    found = {name: least(pack([one], board), options) for name, one in views.items()}
+    kinds = [kind for kind, _ in found.values()]
+    told = [f"{name}: {words}" for name, (_, words) in found.items()]
     return replace(options, choose_lens=False, lens=kinds[0], right_lens=kinds[-1]), told
 
 

@@ -192,8 +192,8 @@ class BoardOptions:
     """Options of calibrate_camera and calibrate_stereo.
 
     fixed: intrinsics held at their start (zero for skew and distortion, the image's middle for cx and cy).
-    automatic_k3: hold k3 at zero unless the data ask for it (by a score test); of a fisheye lens k3 and k4, of a
-    rational one k3 to k6. lens: of
+    automatic_k3: hold k3 at zero unless the data ask for it (by a score test); of a fisheye lens k3 and k4; a
+    rational one has all. lens: of
     the camera, or of both. right_lens: of a pair's right camera, where it is another. reject: leave out views and
     points that do not fit the others, and say so. folds: of the left-out error (0: none; as many as views: leave one
     out). choose_lens: of each camera take the kind of lens that leaves least on images left out (lens_choice.py).

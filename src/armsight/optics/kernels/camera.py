@@ -57,7 +57,7 @@ def is_wide(k):
     return k.shape[0] > 10 and k[10] < 0.0
 
 
-@kernel
+@inline_kernel
 def n_intrinsics(k):
     """Return how many parameters the calibration of cameras k (V, 15) has of each lens: 13 where one is rational."""
     for s in range(k.shape[0]):
