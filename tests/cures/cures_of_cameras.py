@@ -224,7 +224,7 @@ TRIED = {
         "measure --rig rig.yaml --target target.yaml --left a.mcap -o m",
     ),
     ("ops/sources/cameras.py", "or give one recording that has all"): ("record --left left -o a.mcap", RECORD),
-    ("store/foreign/numbers.py", "Calibrate it with armsight calibrate camera"): (
+    ("store/foreign/opencv_lens.py", "Calibrate it with armsight calibrate camera"): (
         "convert camera rational.yml -o c.yaml",
         CAMERA,
     ),

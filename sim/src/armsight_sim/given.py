@@ -70,14 +70,14 @@ def pair_of(rig: Mapping[str, Any]) -> Pair:
 
 def _lens(camera: Mapping[str, Any]) -> Lens:
     k = [float(value) for value in camera.get("distortion") or ()]
-    d = [*k, 0.0, 0.0, 0.0, 0.0, 0.0]
+    n = 8 if camera.get("lens") == "rational" else 5
     return Lens(
         width=int(camera["width"]),
         height=int(camera["height"]),
         focal_px=(float(camera["fx"]), float(camera["fy"])),
         centre_px=(float(camera["cx"]), float(camera["cy"])),
         skew_px=float(camera.get("skew") or 0.0),
-        distortion=(d[0], d[1], d[2], d[3], d[4]),
+        distortion=tuple([*k, *[0.0] * n][:n]),
         fisheye=camera.get("lens") == "fisheye",
     )
 

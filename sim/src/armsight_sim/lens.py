@@ -23,10 +23,11 @@ from armsight_sim.lenses.kernels import see_points, trace_rays
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lens:
-    """A pinhole with skew behind a Brown-Conrady lens, or a fisheye lens.
+    """A pinhole with skew behind a Brown-Conrady lens, one of OpenCV's rational model, or a fisheye lens.
 
     width, height, focal_px (fx, fy), centre_px (cx, cy) and skew_px in px; distortion is k1, k2, p1, p2, k3
-    without unit, of a fisheye k1, k2, k3, k4, 0. A ray (x, y, 1) lands at u = fx xd + skew yd + cx, v = fy yd + cy.
+    without unit, of a fisheye k1, k2, k3, k4, 0, of a rational lens with k4, k5, k6 behind them. A ray (x, y, 1) lands
+    at u = fx xd + skew yd + cx, v = fy yd + cy.
     """
 
     width: int
@@ -34,20 +35,24 @@ class Lens:
     focal_px: tuple[float, float]
     centre_px: tuple[float, float]
     skew_px: float = 0.0
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     fisheye: bool = False
 
     def __post_init__(self) -> None:
-        frozen_array("lens", self.vector, (11,))
+        frozen_array("lens", self.vector, (14,))
         if self.width < 1 or self.height < 1 or min(self.focal_px) <= 0.0:
             raise Inconsistent(f"a lens of {self.width}x{self.height} px with focal lengths {self.focal_px} cannot be")
 
     @property
     def vector(self) -> Array:
-        """The eleven numbers in the order the kernels take them."""
-        return np.array(
-            [*self.focal_px, *self.centre_px, self.skew_px, *self.distortion, float(self.fisheye)], dtype=np.float64
-        )
+        """The fourteen numbers in the order the kernels take them."""
+        first, rest = self.distortion[:5], self.distortion[5:] or (0.0, 0.0, 0.0)
+        return np.array([*self.focal_px, *self.centre_px, self.skew_px, *first, float(self.fisheye), *rest], np.float64)
+
+    @property
+    def rational(self) -> bool:
+        """Whether it is one of OpenCV's rational model."""
+        return len(self.distortion) > 5
 
     def project(self, points_m: ArrayLike) -> Array:
         """Return the pixels (..., 2) of points (..., 3) in camera axes; NaN for points not in front."""
@@ -67,7 +72,7 @@ class Lens:
         """Return the intrinsics as rig.yaml writes them."""
         (fx, fy), (cx, cy) = self.focal_px, self.centre_px
         return {
-            **({"lens": "fisheye"} if self.fisheye else {}),
+            **({"lens": "fisheye"} if self.fisheye else {"lens": "rational"} if self.rational else {}),
             "width": self.width,
             "height": self.height,
             "fx": fx,

@@ -30,13 +30,13 @@ STANDING_EYE_M = 1.0
 
 
 def _lens(keys: LensKeys, cameras: CameraKeys) -> Lens:
-    k1, k2, k3, k4, k5 = [*keys.distortion, *[0.0] * 5][:5]
+    n = 8 if keys.lens == "rational" else 5
     return Lens(
         width=cameras.width,
         height=cameras.height,
         focal_px=(keys.fx, keys.fy),
         centre_px=(keys.cx, keys.cy),
-        distortion=(k1, k2, k3, k4, k5),
+        distortion=tuple([*keys.distortion, *[0.0] * n][:n]),
         fisheye=keys.lens == "fisheye",
     )
 

@@ -113,7 +113,8 @@ class ZoomKeys(Keys):
 
 
 class LensKeys(Keys):
-    """A lens: focal lengths and principal point in px, distortion k1, k2, p1, p2, k3, of a fisheye k1, k2, k3, k4.
+    """A lens: focal lengths and principal point in px, distortion k1, k2, p1, p2, k3, of a fisheye k1, k2, k3, k4, of
+    a rational lens k1, k2, p1, p2, k3, k4, k5, k6.
 
     With zoom the focal length is that at the wide end, and the distortion is the zoom lens's own.
     """
@@ -122,17 +123,17 @@ class LensKeys(Keys):
     fy: Positive
     cx: Finite
     cy: Finite
-    lens: Literal["pinhole", "fisheye"] = "pinhole"
-    distortion: Annotated[list[Finite], Field(max_length=5)] = Field(default=[0.0, 0.0, 0.0, 0.0, 0.0])
+    lens: Literal["pinhole", "fisheye", "rational"] = "pinhole"
+    distortion: Annotated[list[Finite], Field(max_length=8)] = Field(default=[0.0, 0.0, 0.0, 0.0, 0.0])
     zoom: ZoomKeys | None = None
 
     @model_validator(mode="after")
     def _one_lens(self) -> Self:
-        n = 4 if self.lens == "fisheye" else 5
+        n = {"fisheye": 4, "rational": 8}.get(self.lens, 5)
         if len(self.distortion) != n and any(self.distortion):
             raise ValueError(f"distortion of a {self.lens} lens has {n} numbers, not {len(self.distortion)}")
-        if self.lens == "fisheye" and self.zoom is not None:
-            raise ValueError("zoom: a fisheye lens does not zoom here")
+        if self.lens != "pinhole" and self.zoom is not None:
+            raise ValueError(f"zoom: a {self.lens} lens does not zoom here")
         if self.zoom is not None and any(self.distortion):
             raise ValueError("zoom brings its own distortion: leave distortion away, or give zoom.barrel and cushion")
         return self

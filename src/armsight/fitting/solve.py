@@ -82,6 +82,9 @@ RANK_TOLERANCE = 1e-11
 """Eigenvalues of the scaled information below this mean 'not determined': rounding leaves 1e-14, the worst
 honest correlation met in practice (k1, k2, k3 of a narrow lens) 1e-8."""
 
+LEAST_SEEN = 1e-13
+"""Ten times what rounding leaves."""
+
 SHARE_OF_NULL = 0.1
 """A parameter belongs to an undetermined group where its share of the null vector exceeds this."""
 
@@ -92,7 +95,8 @@ class Settings:
 
     estimate_noise: the residuals' common scale is unknown and estimated from them (else their given standard
     deviations are taken as true). allow_undetermined: report parameters that cannot be told apart instead of
-    raising. cost_tolerance, step_tolerance: relative.
+    raising. loose: names of which combinations may be open, see inverse_information. cost_tolerance, step_tolerance:
+    relative.
     """
 
     max_iterations: int = ITERATIONS
@@ -102,6 +106,7 @@ class Settings:
     initial_damping: float = 1e-4
     estimate_noise: bool = False
     allow_undetermined: bool = False
+    loose: frozenset[str] = frozenset()
 
 
 @dataclass(slots=True)
@@ -238,7 +243,7 @@ def _fit(
     """Form covariances, scale and rank verdict at the final point."""
     normal = problem.normal_equations(state.evaluation, state.shared, free)
     names = problem.free
-    covariance, undetermined = inverse_information(normal.reduced_system(), np.diag(normal.A), names)
+    covariance, undetermined = inverse_information(normal.reduced_system(), np.diag(normal.A), names, settings.loose)
     n_priors = sum(name not in problem.fixed for name in problem.priors)
     dof = problem.n_residuals + n_priors - len(free) - state.local.size
     scale = float(np.sqrt(2.0 * state.cost / dof)) if dof > 0 else float("nan")
@@ -269,11 +274,13 @@ def _fit(
 
 
 def inverse_information(
-    information: Array, influence: Array, names: tuple[str, ...]
+    information: Array, influence: Array, names: tuple[str, ...], loose: frozenset[str] = frozenset()
 ) -> tuple[Array, tuple[tuple[str, ...], ...]]:
     """Return the covariance (F, F) (pseudo-inverse where needed) and the groups that cannot be told apart.
 
     influence: how much the residuals feel each parameter by itself (F,), the diagonal before others are eliminated.
+    loose: names of which a combination that cannot be told apart does no harm, as no residual feels it: it gets the
+    least information that rounding lets one see, LEAST_SEEN.
     """
     silent = influence <= FLOOR  # no residual feels the parameter at all
     scale = 1.0 / np.sqrt(np.where(silent, 1.0, influence))
@@ -281,10 +288,13 @@ def inverse_information(
     # no residual feels, and its vector names the parameters in it
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     null = values < RANK_TOLERANCE
-    groups = [
-        tuple(name for name, share in zip(names, np.abs(vectors[:, k]), strict=True) if share > SHARE_OF_NULL)
-        for k in np.flatnonzero(null)
-    ]
+    groups = []
+    for k in np.flatnonzero(null):
+        group = tuple(name for name, share in zip(names, np.abs(vectors[:, k]), strict=True) if share > SHARE_OF_NULL)
+        if group and loose.issuperset(group):
+            null[k], values[k] = False, max(values[k], LEAST_SEEN)
+        else:
+            groups.append(group)
     kept = vectors[:, ~null]
     inverse = (kept / values[~null]) @ kept.T
     return np.asarray(inverse * np.outer(scale, scale)), tuple(group for group in groups if group)

@@ -62,13 +62,20 @@ Detector: TypeAlias = Annotated[
 ]
 Lens: TypeAlias = Annotated[
     str,
-    Doc("pinhole, or fisheye (OpenCV's fisheye, Kalibr's equidistant); of a pair also both: fisheye,pinhole."),
+    Doc(
+        "pinhole, rational (OpenCV's, with k1 to k6), or fisheye (OpenCV's fisheye, Kalibr's equidistant); of a pair "
+        "also two: fisheye,pinhole. auto: the one that leaves least on images left out."
+    ),
     Flag(metavar="NAME"),
 ]
 CameraOut: TypeAlias = Annotated[
     Path | None, Doc("camera.yaml to write; with --noise alone, to add to."), Flag("-o --out", needed=True)
 ]
 RigOut: TypeAlias = Annotated[Path | None, Doc("rig.yaml to write."), Flag("-o --out", needed=True)]
+
+
+AUTO = "auto"
+"""--lens where the kind that leaves least is to be taken."""
 
 
 @action(
@@ -305,19 +312,20 @@ def board_options(given: BoardOptions | None, lens: str, *, most: int, zoom: flo
     from armsight.records import require_kind
 
     require_kind("options", given, BoardOptions, NoneType, cure="Give BoardOptions(...)")
-    names = lens.split(",")
+    names = ["pinhole"] if lens == AUTO else lens.split(",")
     for name in names:
         if name not in list(LensKind):
             raise UsageError(
-                f"{name[:40]!r} is not a kind of lens", cure=f"Give --lens with one of {', '.join(LensKind)}"
+                f"{name[:40]!r} is not a kind of lens", cure=f"Give --lens with one of {', '.join(LensKind)}, or auto"
             )
     if len(names) > most:
         raise UsageError(
             f"{len(names)} kinds of lens are given", cure="Give one, or for a pair left and right: fisheye,pinhole"
         )
-    options = given or BoardOptions(lens=LensKind(names[0]), right_lens=LensKind(names[-1]))
-    if zoom is not None and LensKind.FISHEYE in options.lenses:
-        raise UsageError("a fisheye lens with --zoom", cure="Settings of a zoom lens are pinholes: leave one away")
+    kinds = {"lens": LensKind(names[0]), "right_lens": LensKind(names[-1])}
+    options = given or BoardOptions(**kinds, choose_lens=lens == AUTO)
+    if zoom is not None and (options.choose_lens or {*options.lenses} != {LensKind.PINHOLE}):
+        raise UsageError(f"--lens {lens} with --zoom", cure="Settings of a zoom lens are pinholes: leave one away")
     return options
 
 

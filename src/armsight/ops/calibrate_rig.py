@@ -45,7 +45,7 @@ Lenses: TypeAlias = Annotated[
     Any,
     Doc(
         "camera.yaml of a lens calibrated before, which moves within its covariance; repeated. The kind of all others, "
-        "pinhole or fisheye, without a name. [default: pinhole]"
+        "pinhole, rational, fisheye or auto, without a name. [default: pinhole]"
     ),
     NAMED_LENSES,
     Flag("--lens", metavar="NAME=FILE|KIND", repeated=True),

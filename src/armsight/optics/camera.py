@@ -1,19 +1,21 @@
-"""A camera with skew: a pinhole with Brown-Conrady distortion, or a fisheye lens."""
+"""A camera with skew: a pinhole with Brown-Conrady distortion, OpenCV's rational model, or a fisheye lens."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import NoneType
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 
 from armsight import records
 from armsight.arrays import Array
 from armsight.defaults import GLASS
 from armsight.errors import Inconsistent
-from armsight.optics.kernels.camera import FISHEYE, project_many, undistort_many
+from armsight.optics.kernels.camera import FISHEYE, RATIONAL, project_many, undistort_many
 
 SIDES = ("left", "right")
 
@@ -23,9 +25,12 @@ INTRINSICS = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3")
 FISHEYE_INTRINSICS = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "k3", "k4", "none")
 """The same of a fisheye lens; the last place is empty, zero and never free."""
 
+RATIONAL_INTRINSICS = (*INTRINSICS, "k4", "k5", "k6")
+"""The same of a rational lens, in OpenCV's order of its eight coefficients."""
+
 WIDEST_RAD = float(np.radians(85.0))
 """Rays are X/Z, Y/Z here, which a ray at 90 degrees has not; at 85 they are 11.4 and a pixel changes them by 130 times
-what it does in the middle. Beyond it a fisheye lens is not used."""
+what it does in the middle. Beyond it a fisheye or rational lens is not used."""
 
 FURTHEST_OUTSIDE = 1.0
 """Image sizes by which the principal point may lie outside, as in the corner of a sensor that was cut out of it; and
@@ -35,13 +40,35 @@ NO_TURN, NO_SHIFT = records.frozen_array("R", np.eye(3), (3, 3)), records.frozen
 
 
 class LensKind(StrEnum):
-    """A pinhole with Brown-Conrady distortion, or a fisheye (OpenCV's fisheye, Kalibr's equidistant)."""
+    """A pinhole with Brown-Conrady distortion, a fisheye (OpenCV's fisheye, Kalibr's equidistant), or OpenCV's rational
+    model with eight coefficients."""
 
     PINHOLE = "pinhole"
     FISHEYE = "fisheye"
+    RATIONAL = "rational"
 
 
-INTRINSICS_OF = {LensKind.PINHOLE: INTRINSICS, LensKind.FISHEYE: FISHEYE_INTRINSICS}
+PACKED = len(RATIONAL_INTRINSICS) + 2
+"""Numbers of a camera as compiled code takes it."""
+INTRINSICS_OF = {
+    LensKind.PINHOLE: INTRINSICS,
+    LensKind.FISHEYE: FISHEYE_INTRINSICS,
+    LensKind.RATIONAL: RATIONAL_INTRINSICS,
+}
+EMPTY_PLACE = FISHEYE_INTRINSICS[-1]
+"""The name of a place among intrinsics that stands for nothing."""
+
+
+def coefficients_of(lens: LensKind) -> tuple[str, ...]:
+    """Return the names of a lens's distortion coefficients, in the order of files."""
+    return tuple(name for name in INTRINSICS_OF[lens][5:] if name != EMPTY_PLACE)
+
+
+def names_beside(lenses: Sequence[LensKind]) -> list[tuple[str, ...]]:
+    """Return the names of the intrinsics of cameras of these lenses, equally many of each, the rest empty places."""
+    own = [INTRINSICS_OF[lens] for lens in lenses]
+    n = max(map(len, own))
+    return [names + (EMPTY_PLACE,) * (n - len(names)) for names in own]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,15 +88,17 @@ class Plate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera(records.Saveable):
-    """Image size in px and intrinsics (10,) in the order of INTRINSICS, of a fisheye lens of FISHEYE_INTRINSICS.
+    """Image size in px and intrinsics (10,) in the order of INTRINSICS, of a fisheye lens of FISHEYE_INTRINSICS, of a
+    rational one (13,) of RATIONAL_INTRINSICS.
 
     Model: x = X/Z, y = Y/Z; Brown-Conrady with k1, k2, k3 radial and p1, p2 tangential (OpenCV's order in
     files: k1, k2, p1, p2, k3); u = fx xd + skew yd + cx, v = fy yd + cy. Fisheye: (xd, yd) = (x, y) theta_d / r with
     r = hypot(x, y), theta = atan(r), theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (Kannala
-    and Brandt 2006, equation 6); points further than widest_rad from the axis have no image. plate: the camera looks
-    through one, its normal (-1, 0, 1); the camera's centre is then where the optical axis seems to come from
-    (MATH 3.1). packed (12,): intrinsics and plate as the compiled code takes them; zeros without a plate, see its
-    FISHEYE.
+    and Brandt 2006, equation 6). Rational: Brown-Conrady, the radial factor divided by 1 + k4 r^2 + k5 r^4 + k6 r^6. Of
+    both points further than widest_rad from the axis have no image. plate: the camera looks through one, its normal
+    (-1, 0, 1); the camera's centre is then where the optical axis seems to come from
+    (MATH 3.1). packed (15,): intrinsics and plate as the compiled code takes them; zeros without a plate, see its
+    FISHEYE and RATIONAL.
     """
 
     width: int
@@ -84,7 +113,7 @@ class Camera(records.Saveable):
         records.require_count("height", self.height)
         records.require_kind("plate", self.plate, Plate, NoneType)
         object.__setattr__(self, "lens", records.one_of(LensKind, "lens", self.lens))
-        k = records.frozen_array("intrinsics", self.intrinsics, (len(INTRINSICS),))
+        k = records.frozen_array("intrinsics", self.intrinsics, (len(self.names),))
         object.__setattr__(self, "intrinsics", k)
         if self.width < 1 or self.height < 1:
             raise Inconsistent(f"an image of {self.width}x{self.height} px cannot be", cure="Give its size in px")
@@ -101,11 +130,16 @@ class Camera(records.Saveable):
                 consequence="The model has k1, k2, k3, k4 and no plate",
                 cure="Say lens: pinhole for five coefficients or a mirror rig",
             )
-        if self.lens is LensKind.FISHEYE:
-            rest = (FISHEYE, float(np.tan(self.widest_rad)))
+        if self.lens is LensKind.RATIONAL and self.plate is not None:
+            raise Inconsistent(
+                "a rational lens with a glass plate before it", cure="Say lens: pinhole for a mirror rig"
+            )
+        flag = {LensKind.FISHEYE: FISHEYE, LensKind.RATIONAL: RATIONAL}.get(self.lens)
+        if flag is not None:
+            rest = (flag, float(np.tan(self.widest_rad)))
         else:
             rest = (0.0, 1.0) if self.plate is None else (self.plate.thickness_m, self.plate.index)
-        packed = np.concatenate([k, rest])
+        packed = np.concatenate([k[:10], rest, k[10:], np.zeros(len(RATIONAL_INTRINSICS) - len(k))])
         packed.setflags(write=False)
         object.__setattr__(self, "packed", packed)
 
@@ -168,6 +202,23 @@ class Camera(records.Saveable):
         intrinsics = _intrinsics(fx, fy, cx, cy, skew, [*records.checked_array("distortion", k, (4,)), 0.0])
         return cls(width=width, height=height, intrinsics=intrinsics, lens=LensKind.FISHEYE)
 
+    @classmethod
+    def rational(
+        cls,
+        width: int,
+        height: int,
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        *,
+        skew: float = 0.0,
+        distortion: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    ) -> Camera:
+        """Return a camera with OpenCV's rational model; distortion is k1, k2, p1, p2, k3, k4, k5, k6."""
+        k = records.checked_array("distortion", distortion, (8,))
+        return cls(width=width, height=height, intrinsics=_intrinsics(fx, fy, cx, cy, skew, k), lens=LensKind.RATIONAL)
+
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the intrinsics, in their order."""
@@ -175,13 +226,23 @@ class Camera(records.Saveable):
 
     @property
     def widest_rad(self) -> float:
-        """The angle from the optical axis up to which it is used: 90 degrees; a fisheye's 85, less where it folds."""
+        """The angle from the optical axis up to which it is used: 90 degrees; a fisheye's or a rational lens's 85, less
+        where it folds: where its image no longer grows outwards."""
         if self.lens is LensKind.PINHOLE:
             return float(np.pi / 2.0)
+        if self.lens is LensKind.RATIONAL:
+            return min(WIDEST_RAD, float(np.arctan(np.sqrt(_rational_end(self.intrinsics)))))
         k1, k2, k3, k4 = self.intrinsics[5:9]
         turns = np.roots([9.0 * k4, 7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])  # theta^2 where d theta_d / d theta = 0
         folds = [float(np.sqrt(q.real)) for q in turns if abs(q.imag) < 1e-9 * abs(q) and q.real > 0.0]
         return min([WIDEST_RAD, *folds])
+
+    @property
+    def named(self) -> dict[str, float]:
+        """The intrinsics by name, in their order, without empty places."""
+        return {
+            name: value for name, value in zip(self.names, self.intrinsics.tolist(), strict=True) if name != EMPTY_PLACE
+        }
 
     @property
     def matrix(self) -> Array:
@@ -191,8 +252,8 @@ class Camera(records.Saveable):
 
     @property
     def distortion(self) -> Array:
-        """k1, k2, p1, p2, k3; of a fisheye lens k1, k2, k3, k4."""
-        return np.asarray(self.intrinsics[5:9] if self.lens is LensKind.FISHEYE else self.intrinsics[5:])
+        """k1, k2, p1, p2, k3; of a fisheye lens k1, k2, k3, k4; of a rational one k1, k2, p1, p2, k3, k4, k5, k6."""
+        return np.asarray(self.intrinsics[5 : 5 + len(coefficients_of(self.lens))])
 
     def project(self, points_m: ArrayLike) -> Array:
         """Return pixels (n, 2) of points (n, 3) or (3,) in camera axes, m; NaN without one. Raises Inconsistent."""
@@ -212,6 +273,10 @@ class Camera(records.Saveable):
         undistort_many(self.packed, uv, xy)
         return xy
 
+    def moved(self, step: Array) -> Camera:
+        """Return the camera with its intrinsics moved by a step (n,), whose places beyond them are empty."""
+        return replace(self, intrinsics=self.intrinsics + step[: len(self.names)])
+
     def is_close(self, other: Camera, *, tol: float) -> bool:
         """Tell whether two cameras have the same size, lens, intrinsics and plate within tol."""
         records.require_kind("other", other, Camera)
@@ -219,6 +284,15 @@ class Camera(records.Saveable):
         return (self.width, self.height, self.lens) == (other.width, other.height, other.lens) and bool(
             np.allclose(self.packed, other.packed, rtol=0.0, atol=tol)
         )
+
+
+def _rational_end(k: Array) -> float:
+    """Return r^2 where a rational lens of intrinsics k (13,) first has a pole or folds, infinity where never."""
+    top, bottom = Polynomial([1.0, *k[[5, 6, 9]]]), Polynomial([1.0, *k[10:]])
+    # d (r top / bottom) / d r has the sign of this, in q = r^2
+    growth = top * bottom + Polynomial([0.0, 2.0]) * (top.deriv() * bottom - top * bottom.deriv())
+    ends = np.concatenate([part.trim().roots() for part in (bottom, growth)])
+    return float(min(ends.real[(abs(ends.imag) < 1e-9 * abs(ends)) & (ends.real > 0.0)], default=np.inf))
 
 
 def _intrinsics(fx: float, fy: float, cx: float, cy: float, skew: float, distortion: ArrayLike) -> Array:

@@ -15,17 +15,19 @@ from armsight.defaults import SPOT_STD_PX
 from armsight.errors import Degenerate, Inconsistent, UsageError
 from armsight.fields import Doc
 from armsight.optics.camera import INTRINSICS
-from armsight.optics.rig import RIGHT_POSE, Rig, moved_rig
+from armsight.optics.rig import Rig, moved_rig
 from armsight.optics.triangulate import triangulate
 from armsight.records import NamedCovariance, frozen_array
 from armsight.records.checks import Shape
 from armsight.records.output import Output, output
 
-DERIVATIVE_STEPS = (1e-3,) * 5 + (1e-6,) * 5
-"""Steps of the central differences by INTRINSICS, in px and without unit."""
+PX_STEP, OWN_STEP = 1e-3, 1e-6
+"""Steps of the central differences by intrinsics in px, and by all else: in m, rad and without unit."""
 
-POSE_STEP = 1e-6
-"""... and by T_rig_right, in m and rad."""
+
+def difference_step(name: str) -> float:
+    """Return the step of the central difference by a parameter of a rig, as Rig.parameters names it."""
+    return PX_STEP if name.split(".")[-1] in INTRINSICS[:5] else OWN_STEP
 
 
 @output
@@ -100,7 +102,7 @@ def _deviations(rig: Rig, covariance: NamedCovariance, depths: Array) -> Array:
     for name in names:
         step = np.zeros(len(rig.parameters))
         i = rig.parameters.index(name)
-        step[i] = POSE_STEP if name in RIGHT_POSE else DERIVATIVE_STEPS[i % len(INTRINSICS)]
+        step[i] = difference_step(name)
         plus, minus = (_measures(moved_rig(rig, sign * step), depths) for sign in (1.0, -1.0))
         columns.append((plus - minus) / (2.0 * step[i]))
     J = np.column_stack(columns)  # (6 + n, p)
@@ -183,11 +185,11 @@ def _by_views(rig: Rig, depth_m: float, sigma_px: float) -> Resolution:
     axes = T.rotation.as_matrix()
     point = np.asarray(T.apply([0.0, 0.0, depth_m]))
     inside, J = [], []
-    steps = POSE_STEP * np.vstack([np.eye(3), -np.eye(3)])
+    steps = OWN_STEP * np.vstack([np.eye(3), -np.eye(3)])
     for one, uv, moved in zip(rig.cameras, rig.project(point), rig.project(point + steps), strict=True):
         there = bool(((uv[0] >= 0.0) & (uv[0] <= [one.camera.width - 1, one.camera.height - 1])).all())
         inside.append(there)
-        J.append((moved[:3] - moved[3:]).T / (2.0 * POSE_STEP))  # (2, 3)
+        J.append((moved[:3] - moved[3:]).T / (2.0 * OWN_STEP))  # (2, 3)
     count = inside if sum(inside) > 1 else [bool(np.isfinite(one).all()) for one in J]
     A = np.array([one for one, counts in zip(J, count, strict=True) if counts]).reshape(-1, 3)
     if np.linalg.matrix_rank(A) < 3:

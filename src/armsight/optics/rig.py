@@ -17,8 +17,8 @@ from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import pose_from_rotvec
 from armsight.geometry.poses import skew
-from armsight.optics.camera import INTRINSICS, SIDES, Camera
-from armsight.optics.kernels.camera import project_many
+from armsight.optics.camera import INTRINSICS, PACKED, RATIONAL_INTRINSICS, SIDES, Camera, names_beside
+from armsight.optics.kernels.camera import RATIONAL, project_many
 from armsight.optics.mounted import MountedCamera, MountedZoom, place_of, require_names, with_each
 
 PLACE = ("tx", "ty", "tz", "rx", "ry", "rz")
@@ -133,10 +133,13 @@ class Rig(records.Saveable):
     def parameters(self) -> tuple[str, ...]:
         """The 16 V - 6 parameters that the covariance of V cameras may name, in the order of moved_rig.
 
-        Of a pair the places of RIG_PARAMETERS.
+        Of a pair the places of RIG_PARAMETERS. Where one lens is rational they are 19 V - 6, some of them empty places.
         """
-        lenses = [f"{one.name}.{name}" for one in self.cameras for name in one.camera.names]
-        return (*lenses, *(f"{one.name}.{name}" for one in self.cameras[1:] for name in PLACE))
+        lenses = zip(self.names, names_beside([one.camera.lens for one in self.cameras]), strict=True)
+        return (
+            *(f"{one}.{name}" for one, names in lenses for name in names),
+            *(f"{one.name}.{name}" for one in self.cameras[1:] for name in PLACE),
+        )
 
     @property
     def left(self) -> Camera:
@@ -258,8 +261,8 @@ def _held(rig: Rig, known: records.NamedCovariance, new: Rig) -> records.NamedCo
     first = new.cameras[0]
     if first.name != rig.cameras[0].name:
         b = names.index(f"{first.name}.tx")
-        for k, one in enumerate(new.cameras[1:]):
-            row = len(INTRINSICS) * len(new.cameras) + len(PLACE) * k
+        for one in new.cameras[1:]:
+            row = wanted.index(f"{one.name}.tx")
             apart = np.asarray(one.T_rig_camera.translation) - np.asarray(first.T_rig_camera.translation)
             J[row : row + 6, b : b + 6] -= np.eye(6)
             J[row : row + 3, b + 3 : b + 6] += skew(apart)
@@ -270,10 +273,10 @@ def _held(rig: Rig, known: records.NamedCovariance, new: Rig) -> records.NamedCo
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PackedRig:
-    """Intrinsics and plates k (V, 12); R (V, 3, 3), t (V, 3) with p_camera = R p_rig + t; first index: the camera.
+    """Intrinsics and plates k (V, 15); R (V, 3, 3), t (V, 3) with p_camera = R p_rig + t; first index: the camera.
 
     baseline (3,): from the first camera to the second in rig axes, in m; zero where there is one alone. covariance:
-    (16 V - 6, 16 V - 6) of Rig.parameters where the calibration brings one, zero for the parameters it held fixed;
+    (q, q) of the q Rig.parameters where the calibration brings one, zero for the parameters it held fixed;
     (0, 0) where the rig is taken as exact.
     """
 
@@ -282,6 +285,11 @@ class PackedRig:
     t: Array
     baseline: Array
     covariance: Array
+
+    @property
+    def n_intrinsics(self) -> int:
+        """How many parameters the calibration has of each lens."""
+        return len(RATIONAL_INTRINSICS if (self.k[:, len(INTRINSICS)] == RATIONAL).any() else INTRINSICS)
 
     @property
     def arrays(self) -> tuple[Array, Array, Array]:
@@ -305,7 +313,7 @@ class PackedRig:
         poses, V = [one.T_rig_camera.inv() for one in rig.cameras], len(rig.cameras)
         first, second = rig.cameras[0].T_rig_camera, rig.cameras[min(1, V - 1)].T_rig_camera
         return cls(
-            k=records.frozen_array("k", [one.camera.packed for one in rig.cameras], (V, 12)),
+            k=records.frozen_array("k", [one.camera.packed for one in rig.cameras], (V, PACKED)),
             R=records.frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (V, 3, 3)),
             t=records.frozen_array("t", [pose.translation for pose in poses], (V, 3)),
             baseline=records.frozen_array("baseline", second.translation - first.translation, (3,)),
@@ -324,18 +332,17 @@ def _covariance(rig: Rig) -> Array:
 
 
 def moved_rig(rig: Rig, step: Array) -> Rig:
-    """Return the rig, without covariance, its parameters moved by step (16 V - 6,); poses as t + dt, Exp(dw) R."""
-    V, n = len(rig.cameras), len(INTRINSICS)
-    lenses, places = step[: n * V].reshape(V, n), step[n * V :].reshape(V - 1, 6)
+    """Return the rig, without covariance, its Rig.parameters moved by step; poses as t + dt, Exp(dw) R."""
+    V = len(rig.cameras)
+    split = len(step) - len(PLACE) * (V - 1)
+    lenses, places = step[:split].reshape(V, -1), step[split:].reshape(V - 1, 6)
     poses = [rig.cameras[0].T_rig_camera]
     for one, move in zip(rig.cameras[1:], places, strict=True):
         T = one.T_rig_camera
         turned = Rotation.from_rotvec(move[3:]) * T.rotation
         poses.append(RigidTransform.from_components(np.asarray(T.translation) + move[:3], turned))
     cameras = tuple(
-        MountedCamera(
-            name=one.name, camera=replace(one.camera, intrinsics=one.camera.intrinsics + lens), T_rig_camera=T
-        )
+        MountedCamera(name=one.name, camera=one.camera.moved(lens), T_rig_camera=T)
         for one, lens, T in zip(rig.cameras, lenses, poses, strict=True)
     )
     return Rig(kind=rig.kind, cameras=cameras)

@@ -59,7 +59,7 @@ class ZoomSetting:
     def __post_init__(self) -> None:
         if self.camera.lens is not LensKind.PINHOLE:
             raise Inconsistent(
-                f"zoom {self.zoom:g}: a fisheye lens as a setting of a zoom lens",
+                f"zoom {self.zoom:g}: a {self.camera.lens} lens as a setting of a zoom lens",
                 consequence="Curves between settings are of pinholes",
                 cure="Calibrate a fisheye without --zoom",
             )

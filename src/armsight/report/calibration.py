@@ -11,7 +11,7 @@ from armsight.arrays import Array
 from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
 from armsight.calibrate.cameras.preconditions import image_share
 from armsight.calibrate.mirrors.result import MirrorsOutput
-from armsight.optics import INTRINSICS, SIDES, Camera
+from armsight.optics import SIDES, Camera
 from armsight.records import NamedCovariance
 from armsight.report.figures import BLUE, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, bullets, table, text
@@ -171,10 +171,9 @@ def _mounted(done: CamerasCalibration, name: str, camera: Camera) -> list[list[s
 
 def _intrinsics(prefix: str, camera: Camera, covariance: NamedCovariance | None) -> list[list[str]]:
     std: Mapping[str, float] = covariance.std() if covariance else {}
-    values = zip((f"{prefix}{name}" for name in INTRINSICS), camera.intrinsics, strict=True)
     return [
-        [name, *with_deviation(float(value), std.get(name)), "px" if i < 5 else ""]
-        for i, (name, value) in enumerate(values)
+        [f"{prefix}{name}", *with_deviation(value, std.get(f"{prefix}{name}")), "px" if i < 5 else ""]
+        for i, (name, value) in enumerate(camera.named.items())
     ]
 
 

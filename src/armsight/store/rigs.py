@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.columns import POSE6
 from armsight.errors import BadFile
-from armsight.optics import Camera, MountedCamera, MountedZoom, Plate, Rig, RigKind, Zooms, at_zoom
+from armsight.optics import Camera, LensKind, MountedCamera, MountedZoom, Plate, Rig, RigKind, Zooms, at_zoom
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel, Saveable
 from armsight.store import codec
 from armsight.store.schema import Kind, Origin, read_document, write_document
@@ -90,6 +90,13 @@ class CamerasModel(Origin):
     covariance: codec.CovarianceModel | None = None
 
 
+class WideRigModel(CamerasModel):
+    """rig.yaml of any cameras of which one has a rational lens, which earlier versions do not know."""
+
+    version: Literal[3]  # type: ignore[assignment]  # of the same key
+    kind: Literal["stereo", "cameras"]  # type: ignore[assignment]  # of the same key
+
+
 class CameraModel(Origin, IntrinsicsModel):
     """camera.yaml."""
 
@@ -100,9 +107,15 @@ class CameraModel(Origin, IntrinsicsModel):
     timing: TimingKey | None = None
 
 
+class RationalCameraModel(CameraModel):
+    """camera.yaml of a rational lens."""
+
+    version: Literal[2]  # type: ignore[assignment]  # of the same key
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraFile:
-    """What a camera.yaml holds: the camera; where it says so, how well it is known (names of INTRINSICS), its noise."""
+    """What a camera.yaml holds: the camera; where it says so, how well it is known (by its names), its noise."""
 
     camera: Camera
     covariance: NamedCovariance | None = None
@@ -141,12 +154,18 @@ def _rig(model: RigModel | CamerasModel) -> Rig:
 def rig_mapping(rig: Rig) -> dict[str, Any]:
     """Return the rig as rig.yaml's structure, without format and origin, and without the version of a pair."""
     return {
-        **({} if rig.is_pair else {"version": 2}),
+        **_version(rig),
         "kind": rig.kind.value,
         "cameras": {one.name: _mounted_mapping(one) for one in rig.cameras},
         "rms_px": rig.rms_px,
         "covariance": codec.covariance_mapping(rig.covariance) if rig.covariance else None,
     }
+
+
+def _version(rig: Rig) -> dict[str, int]:
+    if any(one.camera.lens is LensKind.RATIONAL for one in rig.cameras):
+        return {"version": 3}
+    return {} if rig.is_pair else {"version": 2}
 
 
 def _mounted_mapping(one: MountedCamera) -> dict[str, Any]:
@@ -166,7 +185,9 @@ def camera_mapping(camera: Camera) -> dict[str, Any]:
     return {"width": camera.width, "height": camera.height, **intrinsics_mapping(camera), **plate}
 
 
-RIG_YAML: Kind[Rig] = Kind(name="rig", model=RigModel, record=_rig, content=rig_mapping, later=(CamerasModel,))
+RIG_YAML: Kind[Rig] = Kind(
+    name="rig", model=RigModel, record=_rig, content=rig_mapping, later=(CamerasModel, WideRigModel)
+)
 rig_from_mapping, write_rig = RIG_YAML.parse, RIG_YAML.write
 
 ALONE = "camera"
@@ -203,6 +224,7 @@ def _camera(model: CameraModel) -> CameraFile:
 
 def _camera_content(file: CameraFile) -> dict[str, Any]:
     return {
+        **({"version": 2} if file.camera.lens is LensKind.RATIONAL else {}),
         **camera_mapping(file.camera),
         "rms_px": file.rms_px,
         "covariance": codec.covariance_mapping(file.covariance) if file.covariance else None,
@@ -211,7 +233,9 @@ def _camera_content(file: CameraFile) -> dict[str, Any]:
     }
 
 
-CAMERA_YAML: Kind[CameraFile] = Kind(name="camera", model=CameraModel, record=_camera, content=_camera_content)
+CAMERA_YAML: Kind[CameraFile] = Kind(
+    name="camera", model=CameraModel, record=_camera, content=_camera_content, later=(RationalCameraModel,)
+)
 
 
 def read_camera_file(path: Path) -> CameraFile:

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, LensKind, ZoomLens, ZoomSetting
+from armsight.optics.camera import coefficients_of
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel
 from armsight.records.camera import TIMING
 from armsight.store import codec
@@ -50,30 +51,30 @@ NotNegative = Annotated[codec.Finite, Field(ge=0.0)]
 
 
 class LensModel(codec.Strict):
-    """Intrinsics in px; distortion k1, k2, p1, p2, k3, of a fisheye lens k1, k2, k3, k4."""
+    """Intrinsics in px; distortion k1, k2, p1, p2, k3, of a fisheye lens k1, k2, k3, k4, of a rational one with k4, k5,
+    k6 behind a pinhole's."""
 
-    lens: Literal["pinhole", "fisheye"] = "pinhole"
+    lens: Literal["pinhole", "fisheye", "rational"] = "pinhole"
 
     fx: codec.Finite
     fy: codec.Finite
     cx: codec.Finite
     cy: codec.Finite
     skew: codec.Finite = 0.0
-    distortion: Annotated[list[codec.Finite], Field(min_length=4, max_length=5)]
+    distortion: Annotated[list[codec.Finite], Field(min_length=4, max_length=8)]
 
     @model_validator(mode="after")
     def _coefficients(self) -> Self:
-        wanted = 4 if self.lens == "fisheye" else 5
-        if len(self.distortion) != wanted:
-            names = "k1, k2, k3, k4" if wanted == 4 else "k1, k2, p1, p2, k3"
+        names = coefficients_of(LensKind(self.lens))
+        if len(self.distortion) != len(names):
             raise ValueError(
-                f"distortion of a {self.lens} lens is {names}, and {len(self.distortion)} numbers are given"
+                f"distortion of a {self.lens} lens is {', '.join(names)}, and {len(self.distortion)} numbers are given"
             )
         return self
 
     def of_size(self, width: int, height: int) -> Camera:
         """Return the record; Inconsistent where no camera can be like this."""
-        make = Camera.fisheye if self.lens == "fisheye" else Camera.pinhole
+        make = {"fisheye": Camera.fisheye, "rational": Camera.rational}.get(self.lens, Camera.pinhole)
         return make(width, height, self.fx, self.fy, self.cx, self.cy, skew=self.skew, distortion=self.distortion)
 
 

@@ -166,7 +166,7 @@ def renamed(content, name):
 
 
 REFUSED = {
-    "newer": (lambda c: c.update(version=3), ("version 3", "version 1 to 2", "Update armsight")),
+    "newer": (lambda c: c.update(version=4), ("version 4", "version 1 to 3", "Update armsight")),
     "no version": (lambda c: c.pop("version"), "top"),
     "another kind": (lambda c: c.update(kind="stereo"), "cameras"),
     "no cameras": (lambda c: c.update(cameras={}), ("0 cameras", "one to 8")),

@@ -87,7 +87,7 @@ REFUSED_RIGS = {
     "text for a number": ("cameras.left.fx", "wide", ("cameras.left.fx", "wide")),
     "fraction of a pixel": ("cameras.left.width", 640.5, "cameras.left.width"),
     "kind": ("kind", "trinocular", ("stereo", "mirror")),
-    "version of the future": ("version", 3, ("version 3", "1 to 2", "Update")),
+    "version of the future": ("version", 4, ("version 4", "1 to 3", "Update")),
     "focal length": ("cameras.left.fx", -800.0, "focal lengths"),
     "no rotation": ("cameras.right.T_rig_camera.quat_xyzw", [1.0, 1.0, 0.0, 0.0], "quaternion"),
     "no baseline": ("cameras.right.T_rig_camera.xyz_m", [0.0, 0.0, 0.0], "same place"),

@@ -16,8 +16,9 @@ from armsight.geometry.poses import skew
 from armsight.measure.poses.kernels.rig_covariance import FOLDED_FROM
 from armsight.measure.poses.pose import TWO, UNKNOWN, NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup, symmetries
-from armsight.optics import FISHEYE_INTRINSICS, INTRINSICS, Rig, moved_rig
-from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
+from armsight.optics import Rig, moved_rig
+from armsight.optics.camera import EMPTY_PLACE
+from armsight.optics.parallelism import difference_step
 from armsight.records import NoiseModel, PoseStatus, Target, TargetPose
 from armsight.units import DEG
 
@@ -319,11 +320,11 @@ def _slopes(rig: Rig, points: Array) -> tuple[Array, Array]:
     J = [(_pixels(rig, points + h) - _pixels(rig, points - h)) / (2.0 * POINT_STEP_M) for h in POINT_STEP_M * np.eye(3)]
     D, v = [], len(rig.names)
     for i, name in enumerate(rig.parameters):
-        if name.endswith(f".{FISHEYE_INTRINSICS[-1]}"):  # an empty place, which nothing follows
+        if name.endswith(f".{EMPTY_PLACE}"):  # an empty place, which nothing follows
             D.append(np.zeros((*points.shape[:2], v, 2)))
             continue
         step = np.zeros(len(rig.parameters))
-        step[i] = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < v * len(INTRINSICS) else POSE_STEP
+        step[i] = difference_step(name)
         plus, minus = (_pixels(moved_rig(rig, sign * step), points) for sign in (1.0, -1.0))
         D.append((plus - minus) / (2.0 * step[i]))
     return np.stack(J, axis=-1), np.stack(D, axis=-1)

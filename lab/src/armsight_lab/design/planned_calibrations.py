@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras.bundle_adjustment import BY_CHANCE, Bundle, problem_of
+from armsight.calibrate.cameras.bundle_adjustment import BY_CHANCE, Bundle, problem_of, side_by_side
 from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import LAST_TERMS, fixed_names
 from armsight.calibrate.cameras.pairing import in_frame, of_one_lens, rig_of
@@ -161,7 +161,7 @@ def _expected(rig: Rig, views: PlannedViews) -> tuple[Observations, Bundle]:
     T_left_middle = rig.T_rig_left.inv() * poses * RigidTransform.from_translation(middle)
     T_left_right = rig.T_rig_left.inv() * rig.T_rig_right
     return observations, Bundle(
-        k=np.stack([rig.left.intrinsics, rig.right.intrinsics]),
+        k=side_by_side([rig.left.intrinsics, rig.right.intrinsics]),
         sides=np.concatenate([T_left_right.translation, T_left_right.rotation.as_rotvec()])[None],
         poses=np.column_stack([T_left_middle.translation, T_left_middle.rotation.as_rotvec()]),
     )

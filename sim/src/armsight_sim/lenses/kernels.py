@@ -1,7 +1,8 @@
 """Compiled lenses: where points are seen, and the rays behind pixels.
 
-A lens travels as one vector p (11,): fx, fy, cx, cy, skew (px), then k1, k2, p1, p2, k3; with the eleventh number over
-0 it is a fisheye, of k1, k2, k3, k4. The centre of the top-left pixel is (0, 0).
+A lens travels as one vector p (14,): fx, fy, cx, cy, skew (px), then k1, k2, p1, p2, k3; with the eleventh number over
+0 it is a fisheye, of k1, k2, k3, k4; the last three are k4, k5, k6 of OpenCV's rational model, by whose polynomial the
+radial series is divided. The centre of the top-left pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ def bend(p, x, y):
     # Brown (1966): x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and y alike with p1 and p2 exchanged
     rr = x * x + y * y
     stretch = 1.0 + p[5] * rr + p[6] * rr * rr + p[9] * rr * rr * rr
+    stretch /= 1.0 + p[11] * rr + p[12] * rr * rr + p[13] * rr * rr * rr
     decentre = 2.0 * (p[7] * y + p[8] * x)  # both decentring terms share 2 (p1 y + p2 x) along the ray
     return x * (stretch + decentre) + p[8] * rr, y * (stretch + decentre) + p[7] * rr
 

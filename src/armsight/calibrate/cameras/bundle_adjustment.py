@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -15,10 +15,10 @@ from armsight.arrays import Array
 from armsight.calibrate.cameras.kernels import move_poses, view_normal_equations
 from armsight.calibrate.cameras.moving_board import motion_of
 from armsight.calibrate.cameras.observations import Known, Observations
-from armsight.fitting import Evaluation, Fit, NormalEquations, Problem, Settings, solve
+from armsight.fitting import Evaluation, Fit, NormalEquations, Prior, Problem, Settings, solve
 from armsight.optics import INTRINSICS, LensKind
-from armsight.optics.camera import INTRINSICS_OF
-from armsight.optics.kernels.camera import FISHEYE
+from armsight.optics.camera import EMPTY_PLACE, INTRINSICS_OF, PACKED, names_beside
+from armsight.optics.kernels.camera import FISHEYE, RATIONAL
 from armsight.records import Progress
 
 EMPTY = np.empty((0, 0, 0))
@@ -28,15 +28,24 @@ DELAY = "delay"
 READOUT = "readout"
 BACK = "board:back"
 """Before the names of where a board's back is behind its front; no camera is called so."""
-EMPTY_PLACE = "none"
-"""The name of a fisheye's tenth intrinsic, which stands for nothing."""
+RADIAL = ("k1", "k2", "k3", "k4", "k5", "k6")
+"""Of a rational lens: many sets of them say nearly the same, as k1 and k4 do of a lens that bends little."""
+DENOMINATOR = RADIAL[3:]
+BENDS = Prior(mean=0.0, sigma=30.0)
+"""What is known of k4, k5, k6 beforehand: makers' files hold 0.3 to 10, seldom 90. Where the images do not tell them
+it keeps a pole that a zero hides out of the picture."""
 WIDEST_FIT = float(np.tan(np.radians(89.9)))
-"""Tangent of the angle up to which a fisheye's points may come to lie on the way of a fit."""
+"""Tangent of the angle up to which a wide lens's points may come to lie on the way of a fit."""
+PACKED_AS = {
+    LensKind.PINHOLE: (0.0, 1.0),
+    LensKind.FISHEYE: (FISHEYE, WIDEST_FIT),
+    LensKind.RATIONAL: (RATIONAL, WIDEST_FIT),
+}
 BY_CHANCE = 1e-3
 """Further distortion coefficients are freed where chi-square would fall by more than noise does this often."""
 VALLEY, VALLEY_SETTLED = 8, 1e-10
-"""A fisheye's four terms lead through a narrow, bent valley: damped steps in it lower the cost by little each, and so
-many times the iterations are needed."""
+"""A fisheye's four terms, and a rational lens's eight, lead through a narrow, bent valley: damped steps in it lower the
+cost by little each, and so many times the iterations are needed."""
 COST_SETTLED = 1e-6
 """Relative fall of the cost that ends the fit. The step that brings it is a hundredth of the doubt, and convergence is
 quadratic: the next one would not be seen."""
@@ -44,7 +53,8 @@ quadratic: the next one would not be seen."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bundle:
-    """A state of the adjustment: intrinsics k (C, 10); T_first_camera of the others (C - 1, 6) and T_first_board (G, 6)
+    """A state of the adjustment: intrinsics k (C, n), of any rational lens n is 13, else 10;
+    T_first_camera of the others (C - 1, 6) and T_first_board (G, 6)
     as (t, rotvec); by how much the others' clocks are late, delays_s (C - 1,), none where they are not asked for; of a
     board with two sides T_front_back, back (6,), between their middles; how long each camera takes to read a picture,
     readouts_s (C,), none where that is not asked."""
@@ -57,12 +67,19 @@ class Bundle:
     readouts_s: Array = field(default_factory=lambda: np.zeros(0))
 
 
+def side_by_side(lenses: Sequence[Array]) -> Array:
+    """Return the intrinsics of cameras (C, n), zero in the places that some have not."""
+    n = max(map(len, lenses))
+    return np.array([np.pad(k, (0, n - len(k))) for k in lenses])
+
+
 def names_of(observations: Observations) -> tuple[str, ...]:
     """Return the names of the shared parameters: plain for one camera, else by camera, with the others' poses."""
     lenses, cameras = observations.lenses, observations.cameras
     if len(lenses) == 1:
         return INTRINSICS_OF[lenses[0]]
-    each = [f"{camera}.{name}" for camera, lens in zip(cameras, lenses, strict=True) for name in INTRINSICS_OF[lens]]
+    own = zip(cameras, names_beside(lenses), strict=True)
+    each = [f"{camera}.{name}" for camera, names in own for name in names]
     each += [f"{camera}.{name}" for camera in cameras[1:] for name in POSE]
     each += [] if observations.n_front is None else [f"{BACK}.{name}" for name in POSE]
     each += [] if observations.t_s is None else delays_of(cameras)
@@ -93,7 +110,7 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
     names = names_of(observations)
     if equations.tied:
         fixed = fixed | RIGHT
-    if LensKind.FISHEYE in observations.lenses:
+    if observations.has_wide:
         fixed = fixed | {name for name in names if name.split(".")[-1] == EMPTY_PLACE}
     guess = np.concatenate([k0.ravel(), start.sides.ravel()])
     evaluate, retract, local, rows = equations.evaluate, equations.retract, start.poses, 2 * observations.n_points
@@ -115,8 +132,16 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
         local_names=POSE * (local.shape[1] // len(POSE)),
         local_guess=local,
         fixed=fixed,
+        priors=dict.fromkeys(_of_rational(observations, DENOMINATOR), BENDS),
         retract=retract,
     )
+
+
+def _of_rational(observations: Observations, coefficients: Iterable[str]) -> list[str]:
+    """Return the names of some coefficients of the rational lenses among the shared parameters."""
+    own = zip(observations.cameras, observations.lenses, strict=True)
+    before = [f"{camera}." * (observations.n_cameras > 1) for camera, lens in own if lens is LensKind.RATIONAL]
+    return [f"{camera}{name}" for camera in before for name in coefficients]
 
 
 def _with_known(
@@ -157,14 +182,15 @@ class BoardEquations:
     def evaluate(self, shared: Array, local: Array) -> Evaluation:
         """Return the normal equations at intrinsics and cameras' poses (shared), and the boards' poses (local)."""
         seen, n_cameras, G = self.observations, self.observations.n_cameras, self.observations.n_views
-        S, L, split = len(shared), len(POSE), len(INTRINSICS) * n_cameras
+        S, L, split = len(shared), len(POSE), seen.n_intrinsics * n_cameras
         r, A, b = np.empty((G, 2 * len(seen.X) * n_cameras)), np.empty((S, S)), np.empty(S)
         C, c, W = np.empty((G, L, L)), np.empty((G, L)), np.empty((G, S, L))
         k = shared[:split].reshape(n_cameras, -1)
         if self.tied:
             k = np.ascontiguousarray(k[[0, 0]])
-        kinds = [[FISHEYE, WIDEST_FIT] if lens is LensKind.FISHEYE else [0.0, 1.0] for lens in seen.lenses]
-        packed = np.ascontiguousarray(np.column_stack([k, kinds]))
+        packed = np.zeros((n_cameras, PACKED))
+        packed[:, :10], packed[:, 10:12] = k[:, :10], [PACKED_AS[lens] for lens in seen.lenses]
+        packed[:, 12 : 2 + k.shape[1]] = k[:, 10:]
         sides, poses = np.array(shared[split:].reshape(-1, L)), np.array(local)  # writable: one compilation serves all
         board, views = (seen.X, seen.radius_m), (seen.uv, seen.weight)
         fine = view_normal_equations((packed, sides, poses), board, views, r, (A, b, C, c, W))
@@ -179,7 +205,7 @@ class BoardEquations:
 
     def retract(self, shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
         """Return both after a step; poses are turned, and a shared lens moves in both views."""
-        split = len(INTRINSICS) * self.observations.n_cameras
+        split = self.observations.n_intrinsics * self.observations.n_cameras
         moved, poses = shared + step_shared, np.empty_like(local)
         move_poses(np.array(local), np.array(step_local), poses)
         if self.tied:
@@ -216,8 +242,13 @@ def adjust(
     Raises NotConverged, Undetermined, Cancelled as the engine does.
     """
     settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=COST_SETTLED)
-    if LensKind.FISHEYE in observations.lenses:
-        settings = replace(settings, max_iterations=VALLEY * max_iterations, cost_tolerance=VALLEY_SETTLED)
+    later = frozenset(_of_rational(observations, DENOMINATOR)) - fixed
+    if later and not start.k[:, len(INTRINSICS) :].any():
+        # of no distortion k1 and k4 say the same: first without the denominator
+        start = bundle_of(adjust(observations, start, fixed | later, max_iterations=max_iterations), len(start.k))
+    if observations.has_wide:
+        many, loose = VALLEY * max_iterations, frozenset(_of_rational(observations, RADIAL))
+        settings = replace(settings, max_iterations=many, cost_tolerance=VALLEY_SETTLED, loose=loose)
     fit = solve(problem_of(observations, start, fixed), settings, progress)
     if observations.chained:
         fit = motion_of(observations, start.delays_s, start.readouts_s).of_moments(fit)
@@ -229,7 +260,7 @@ def adjust(
 
 def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
     """Return the state that a fit has reached."""
-    split = len(INTRINSICS) * n_cameras
+    split = _n_intrinsics(fit.names, n_cameras) * n_cameras
     end = split + len(POSE) * (n_cameras - 1)
     late = end + sum(name.startswith(BACK) for name in fit.names)
     rolled = len(fit.names) - sum(name.endswith(f".{READOUT}") for name in fit.names)
@@ -241,6 +272,12 @@ def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
         back=fit.shared[end:late],
         readouts_s=fit.shared[rolled:],
     )
+
+
+def _n_intrinsics(names: tuple[str, ...], n_cameras: int) -> int:
+    """Return how many intrinsics of each camera a fit of names_of has."""
+    first = names[0].removesuffix("fx")
+    return len(names) if n_cameras == 1 else next(i for i, name in enumerate(names) if not name.startswith(first))
 
 
 def asks_to_be_freed(observations: Observations, fit: Fit, fixed: frozenset[str], names: frozenset[str]) -> bool:

@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape, doubtful, refuse_misfit, refuse_other_board
-from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
-from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
+from armsight.calibrate.cameras.bundle_adjustment import (
+    Bundle,
+    adjust,
+    bundle_of,
+    poses_of_boards,
+    residuals_px,
+    side_by_side,
+)
+from armsight.calibrate.cameras.lens_choice import chosen, refuse_other_lens, start_of, with_hint
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names, left_out, metric_of
 from armsight.calibrate.cameras.pair_effects import pair_effects
@@ -44,11 +51,12 @@ def calibrate_camera(
     """
     options = options or BoardOptions()
     require_views(views, board)
+    options, on_lens = chosen({"the camera": views}, board, options)
     require_points(board, options.lens)
     observations = pack([views], board, (options.lens,))
     kept, repeated = different_views(observations)
     observations = observations.take(kept)
-    advice = check_count(len(kept)) + check_spread(observations, 0, "the camera")
+    advice = [*on_lens, *check_count(len(kept)), *check_spread(observations, 0, "the camera")]
     try:
         robust_fit, on_tilt = fit_tilted(observations, start_of(observations), options, "the camera", progress)
     except (Degenerate, NotConverged, NotEnoughData, Undetermined) as error:
@@ -176,12 +184,15 @@ def fit_pairs(
     progress: Progress | None = None,
 ) -> tuple[RobustFit, list[tuple[str, str]], list[str]]:
     """Return the fit of the pairs that agree, (source, why) of others, and advice; raises as calibrate_stereo."""
+    for views in (left, right) if options.choose_lens else ():
+        require_views(views, board)
+    options, on_lens = chosen({"the left camera": left, "the right camera": right}, board, options)
     observations, rejected = _different_pairs(left, right, board, options.lenses)
-    advice = check_count(observations.n_views)
+    advice = [*on_lens, *check_count(observations.n_views)]
     starts = [start_of(observations.camera(c)) for c in range(2)]
     for c, side in enumerate(SIDES):
         advice += check_spread(observations, c, f"the {side} camera")
-        if options.lenses[c] is LensKind.PINHOLE:
+        if options.lenses[c] is not LensKind.FISHEYE:
             check_tilt(starts[c].poses, f"the {side} camera")
     observations, starts, paired = _paired(observations, starts, board, options)
     agree = np.flatnonzero(paired.agreeing)
@@ -192,7 +203,7 @@ def fit_pairs(
             consequence="Nothing was calibrated",
             cure="Expose both cameras at once, or hold the board still",
         )
-    start = Bundle(k=np.concatenate([s.k for s in starts]), sides=paired.side_pose[None], poses=starts[0].poses[agree])
+    start = Bundle(k=side_by_side([s.k[0] for s in starts]), sides=paired.side_pose[None], poses=starts[0].poses[agree])
     given = observations.take(agree)
     try:
         robust_fit, on_tilt = fit_tilted(given, start, options, "the pair", progress)

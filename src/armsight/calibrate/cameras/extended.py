@@ -37,7 +37,8 @@ def with_standing(names: Sequence[str], start: Bundle, rig: Rig) -> Bundle:
     k, sides = start.k.copy(), start.sides.copy()
     for c, name in enumerate(names):
         if name in rig.names:
-            k[c], T = rig.camera(name).intrinsics, rig.T_rig_camera(name)
+            own, T = rig.camera(name).intrinsics, rig.T_rig_camera(name)
+            k[c, : len(own)] = own
             if c:
                 sides[c - 1] = np.concatenate([T.translation, T.rotation.as_rotvec()])
     return replace(start, k=k, sides=sides)

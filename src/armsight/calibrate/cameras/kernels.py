@@ -12,29 +12,45 @@ import numpy as np
 
 from armsight._numba import inline_sum_kernel, inner_kernel, inner_sum_kernel, kernel, sum_kernel
 from armsight.geometry.kernels import Pose, rotation_from_rotvec, rotvec_of
-from armsight.optics.kernels.camera import NEAR_AXIS, distort_pinhole, is_fisheye, see_fisheye
+from armsight.optics.kernels.camera import (
+    NEAR_AXIS,
+    RATIONAL,
+    distort_pinhole,
+    is_wide,
+    lens_of,
+    n_intrinsics,
+    rational_radial,
+    see_wide,
+)
 
 N_INTRINSICS = 10
 N_POSE = 6
 RESIDUAL = N_INTRINSICS + N_POSE
 N_COLUMNS = RESIDUAL + 1 + N_POSE
 """Columns of one view: intrinsics, pose of the board, residual, and for every camera but the first its pose."""
+N_DENOMINATOR = 3
+N_WIDE = N_COLUMNS + N_DENOMINATOR
+"""... and of a rational lens k4, k5, k6."""
 
 
 class Lens(NamedTuple):
-    """Coefficients of distortion, of a fisheye k1 to k4 in the first four, and its widest tangent."""
+    """Coefficients of distortion as see_wide takes them; wide: whether the lens is a fisheye or rational."""
 
-    fisheye: Any
+    wide: Any
+    kind: Any
     k1: Any
     k2: Any
     p1: Any
     p2: Any
     k3: Any
     widest: Any
+    k4: Any
+    k5: Any
+    k6: Any
 
 
 class View(NamedTuple):
-    """What one camera saw of one board: its packed intrinsics k (12,), uv (n, 2) px and weight (n,)."""
+    """What one camera saw of one board: its packed intrinsics k (15,), uv (n, 2) px and weight (n,)."""
 
     k: Any
     uv: Any
@@ -134,19 +150,22 @@ def _inner(columns, m, n, H):
 @sum_kernel
 def view_normal_equations(state, board, seen, r, normal):
     """Fill whitened residuals and the normal equations of their squares; False where a point lies behind a camera or
-    beside a fisheye.
+    where a fisheye or rational lens has no image.
 
-    state: k (C, 12), packed intrinsics of C cameras, without a plate; sides (C - 1, 6), T_first_camera of the others as
+    state: k (C, 15), packed intrinsics of C cameras, without a plate; sides (C - 1, 6), T_first_camera of the others as
     (t m, rotation vector rad); poses (G, 6), T_first_board alike. board: X (n, 3), its points, and the radius of
     printed circles in m, 0 for points. seen: uv (G, C, n, 2) px; weight (G, C, n), 1 / sigma, 0 where not seen.
-    r (G, C 2n). normal: A (S, S), b (S,) of the shared parameters, S = 10 C + 6 (C - 1), intrinsics and then the steps
+    r (G, C 2n). normal: A (S, S), b (S,) of the shared parameters, S = 10 C + 6 (C - 1), or 13 C +
+    6 (C - 1) where a lens is rational, intrinsics and then the steps
     (dt, dw) of T_first_camera; C (G, 6, 6), c (G, 6) of the step of each board's pose; W (G, S, 6), mixed.
     """
     k, sides, poses = state
     uv, weight = seen
     n_views, n_cameras, n = weight.shape
+    own = n_intrinsics(k)
     R, S, first = np.empty((3, 3)), np.empty((n_cameras, 3, 3)), np.zeros(6)
-    cols, H = np.empty((N_COLUMNS, 2 * n)), np.empty((N_COLUMNS, N_COLUMNS))
+    cols, H = np.empty((N_WIDE, 2 * n)), np.empty((N_WIDE, N_WIDE))
+    cols[:] = 0.0
     for c in range(1, n_cameras):
         rotation_from_rotvec(sides[c - 1, 3:], S[c])
     r[:] = 0.0
@@ -165,8 +184,11 @@ def view_normal_equations(state, board, seen, r, normal):
             if used < 0:
                 return False
             if used > 0:
-                _inner(cols, N_COLUMNS if other else RESIDUAL + 1, used, H)
-                _scatter(H, c, n_cameras, g, normal)
+                rational = k[c, 10] == RATIONAL
+                _inner(cols, N_WIDE if rational else (N_COLUMNS if other else RESIDUAL + 1), used, H)
+                _scatter(H, c, n_cameras, own, g, normal)
+                if rational:
+                    _scatter_denominator(H, c, n_cameras, g, normal)
     for m in range(A.shape[0]):
         for o in range(m):
             A[o, m] = A[m, o]
@@ -175,7 +197,7 @@ def view_normal_equations(state, board, seen, r, normal):
 
 @inline_sum_kernel
 def _fill_columns(view, pose, side, other, board, cols, r):
-    """Fill cols (23, 2n) with derivatives and residuals of the points that are seen, and r (2n,) with the residuals.
+    """Fill cols (26, 2n) with derivatives and residuals of the points that are seen, and r (2n,) with the residuals.
 
     Returns how many columns there are, -1 where a point is impossible. other: whether the view is of a camera that has
     a pose of its own, not of the first.
@@ -191,7 +213,8 @@ def _fill_columns(view, pose, side, other, board, cols, r):
     S, ts = side
     X, radius = board
     fx, fy, cx, cy, skew = kc[0], kc[1], kc[2], kc[3], kc[4]
-    lens = Lens(is_fisheye(kc), kc[5], kc[6], kc[7], kc[8], kc[9], kc[11])
+    lens = Lens(is_wide(kc), *lens_of(kc))
+    rational = lens.kind == RATIONAL
     used = 0
     for i in range(weight.shape[0]):
         w = weight[i]
@@ -228,7 +251,9 @@ def _fill_columns(view, pose, side, other, board, cols, r):
                 e, jx, jy = fy * yd + cy - uv[i, h], fy * dxy, fy * dyy
                 s, v = 0.0, w * fy
                 cols[0, o], cols[1, o], cols[2, o], cols[3, o], cols[4, o] = 0.0, w * yd, 0.0, w, 0.0
-            cols[5, o], cols[6, o], cols[7, o], cols[8, o], cols[9, o] = _by_coefficients(lens.fisheye, s, v, x, y)
+            cols[5, o], cols[6, o], cols[7, o], cols[8, o], cols[9, o] = _by_coefficients(lens, s, v, x, y)
+            if rational:
+                _by_denominator(lens, x, y, cols, o)
             j0, j1 = w * jx * iz, w * jy * iz  # x = q0 / q2, y = q1 / q2
             j2 = -(j0 * x + j1 * y)
             if other:
@@ -250,19 +275,21 @@ def _fill_columns(view, pose, side, other, board, cols, r):
 @inline_sum_kernel
 def _through_lens(lens, x, y):
     """Return whether a lens sees a normalised point, where it puts it, and the derivatives of that."""
-    if lens.fisheye:
-        return see_fisheye(lens.k1, lens.k2, lens.p1, lens.p2, lens.widest, x, y)
+    if lens.wide:
+        kind, k1, k2, p1, p2, k3 = lens.kind, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3
+        return see_wide(kind, k1, k2, p1, p2, k3, lens.widest, lens.k4, lens.k5, lens.k6, x, y)
     xd, yd, dxx, dxy, dyy = distort_pinhole(lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, x, y)
     return True, xd, yd, dxx, dxy, dyy
 
 
 @inline_sum_kernel
-def _by_coefficients(fisheye, s, v, x, y):
-    """Return the derivatives of a residual by the five coefficients, given those by the distorted point."""
+def _by_coefficients(lens, s, v, x, y):
+    """Return the derivatives of a residual by the first five coefficients, given those by the distorted point; of a
+    rational lens those of its numerator alone."""
     r2 = x * x + y * y
     r4 = r2 * r2
     along = s * x + v * y  # radial terms move the point along its own direction
-    if fisheye:
+    if lens.wide and lens.kind != RATIONAL:
         # (x, y) theta (1 + k1 theta^2 + ..) / r (Kannala, Brandt 2006, equation 6); theta^3 / r is r^2 at the axis
         q = atan(sqrt(r2)) ** 2
         along *= q * sqrt(q / r2) if r2 > NEAR_AXIS else r2
@@ -274,10 +301,38 @@ def _by_coefficients(fisheye, s, v, x, y):
 
 
 @inner_kernel
-def _scatter(H, c, n_cameras, g, normal):
+def _by_denominator(lens, x, y, cols, o):
+    """Divide the derivatives by k1, k2, k3 in column o of cols by a rational lens's denominator; fill k4, k5, k6's."""
+    radial, _, over = rational_radial(lens.k1, lens.k2, lens.k3, lens.k4, lens.k5, lens.k6, x * x + y * y)
+    for top, bottom in ((5, N_COLUMNS), (6, N_COLUMNS + 1), (9, N_COLUMNS + 2)):
+        cols[top, o] *= over
+        cols[bottom, o] = -radial * cols[top, o]
+
+
+@inner_kernel
+def _scatter_denominator(H, c, n_cameras, g, normal):
+    """Add what a view's H (26, 26) says of a rational lens's k4, k5, k6, as _scatter, which they come after."""
+    A, b, _, _, W = normal
+    own = N_INTRINSICS + N_DENOMINATOR
+    at, side = n_cameras * own + (c - 1) * N_POSE, RESIDUAL + 1
+    for m in range(N_DENOMINATOR):
+        row, column = c * own + N_INTRINSICS + m, N_COLUMNS + m
+        b[row] += H[column, RESIDUAL]
+        for o in range(N_INTRINSICS):
+            A[row, c * own + o] += H[column, o]
+        for o in range(m + 1):
+            A[row, c * own + N_INTRINSICS + o] += H[column, N_COLUMNS + o]
+        for o in range(N_POSE):
+            W[g, row, o] += H[column, N_INTRINSICS + o]
+            if c > 0:
+                A[at + o, row] += H[column, side + o]
+
+
+@inner_kernel
+def _scatter(H, c, n_cameras, own, g, normal):
     """Add the lower half of one view's H (23, 23) where its parameters belong; A gets its lower half only."""
     A, b, C, c_local, W = normal
-    k0, pose, side = c * N_INTRINSICS, N_INTRINSICS, RESIDUAL + 1
+    k0, pose, side = c * own, N_INTRINSICS, RESIDUAL + 1
     for m in range(N_INTRINSICS):
         b[k0 + m] += H[RESIDUAL, m]
         for o in range(m + 1):
@@ -292,7 +347,7 @@ def _scatter(H, c, n_cameras, g, normal):
                 C[g, o, m] += H[pose + m, pose + o]
     if c == 0:
         return
-    at = n_cameras * N_INTRINSICS + (c - 1) * N_POSE
+    at = n_cameras * own + (c - 1) * N_POSE
     for m in range(N_POSE):
         b[at + m] += H[side + m, RESIDUAL]
         for o in range(N_INTRINSICS):

@@ -30,7 +30,7 @@ from armsight.calibrate.cameras.extended import (
 )
 from armsight.calibrate.cameras.graph import placed, tilts_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays, poses_of_lights
-from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of
+from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_chosen
 from armsight.calibrate.cameras.many_checks import (
     KnownLens,
     beforehand,
@@ -51,7 +51,7 @@ from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
 from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
 from armsight.calibrate.cameras.two_sides import TwoSided, with_the_back
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
-from armsight.optics import INTRINSICS, Camera, Rig
+from armsight.optics import Camera, Rig
 from armsight.optics.mounted import MountedCamera
 from armsight.records import BoardView, NamedCovariance, Progress, Target
 from armsight.records.views import symmetries
@@ -133,6 +133,7 @@ def solve_cameras(
     if rig is not None:
         lenses |= {name: KnownLens(camera=rig.camera(name)) for name in views if name in rig.names}
     observations, rejected = moments_of(views, board, options, lenses, times_s)
+    observations, on_lens = with_chosen(observations, options, lenses)
     poses, k, advice = each_alone(observations, options, lenses)
     poses, back = with_the_back(observations, poses)
     turns = symmetries(board) if isinstance(board, Target) else (np.arange(len(observations.X)),)
@@ -153,7 +154,7 @@ def solve_cameras(
         covariance=covariance,
         holdout_rms_px=None if out is None else out.rms_px,
         rejected=(*rejected, *lost, *robust.rejected),
-        advice=(*advice, *more, *told, *caveats(covariance, robust), *robust.notes, *on_exact(exact)),
+        advice=(*on_lens, *advice, *more, *told, *caveats(covariance, robust), *robust.notes, *on_exact(exact)),
         known=frozenset(lenses),
     )
 
@@ -286,15 +287,16 @@ def moments_of(
 def each_alone(
     observations: Observations, options: BoardOptions, lenses: Mapping[str, KnownLens]
 ) -> tuple[Array, Array, list[str]]:
-    """Return T_camera_board (G, C, 2, 6) by the two tilts of each view, the likelier first, the lenses k (C, 10), and
+    """Return T_camera_board (G, C, 2, 6) by the two tilts of each view, the likelier first, the lenses k (C, n), and
     advice."""
     G, C = observations.n_views, observations.n_cameras
     flat = not observations.X[:, 2].any()
-    poses, k, advice = np.full((G, C, 2, 6), np.nan), np.zeros((C, len(INTRINSICS))), []
+    poses, k, advice = np.full((G, C, 2, 6), np.nan), np.zeros((C, observations.n_intrinsics)), []
     for c, name in enumerate(observations.cameras):
         g = np.flatnonzero((observations.weight[:, c] > 0.0).any(axis=1))
         if name in lenses:
-            k[c] = lenses[name].camera.intrinsics
+            own = lenses[name].camera.intrinsics
+            k[c, : len(own)] = own
         if not len(g):
             continue
         part, of = observations.camera(c).take(g), f"the camera {name}"
@@ -312,11 +314,12 @@ def each_alone(
             advice += check_count(len(g)) + check_spread(part, 0, of)
             robust, on_tilt = fit_tilted(part, start_of(part), single, of)
             advice += on_tilt + refuse_other_lens(part, robust, single, 0, of)
-            k[c] = bundle_of(robust.fit, 1).k[0]
-            found = poses_by_rays(part, camera_of(k[c], part.sizes[0], part.lenses[0]))
+            own = bundle_of(robust.fit, 1).k[0]
+            k[c, : len(own)] = own
+            found = poses_by_rays(part, camera_of(own, part.sizes[0], part.lenses[0]))
             if found is None:
                 found = start_of(part).poses
-        poses[g, c] = _two_tilts(part, k[c], found, options)
+        poses[g, c] = _two_tilts(part, k[c, : part.n_intrinsics], found, options)
     return poses, k, advice
 
 

@@ -12,7 +12,7 @@ from armsight.arrays import Array
 from armsight.defaults import BOARD_ITERATIONS, FOLDS
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import SIDES, LensKind
-from armsight.optics.camera import INTRINSICS_OF
+from armsight.optics.camera import INTRINSICS_OF, names_beside
 from armsight.records import BoardView, Target, require_count
 
 SIGMA_FLOOR_PX = 0.02
@@ -81,6 +81,16 @@ class Observations:
     def n_cameras(self) -> int:
         """Number of cameras C."""
         return int(self.uv.shape[1])
+
+    @property
+    def n_intrinsics(self) -> int:
+        """Number of intrinsics of each camera, empty places among them."""
+        return len(names_beside(self.lenses)[0])
+
+    @property
+    def has_wide(self) -> bool:
+        """Whether a lens is no pinhole."""
+        return any(lens is not LensKind.PINHOLE for lens in self.lenses)
 
     @property
     def n_points(self) -> int:
@@ -182,10 +192,11 @@ class BoardOptions:
     """Options of calibrate_camera and calibrate_stereo.
 
     fixed: intrinsics held at their start (zero for skew and distortion, the image's middle for cx and cy).
-    automatic_k3: hold k3 at zero unless the data ask for it (by a score test); of a fisheye lens k3 and k4. lens: of
+    automatic_k3: hold k3 at zero unless the data ask for it (by a score test); of a fisheye lens k3 and k4; a
+    rational one has all. lens: of
     the camera, or of both. right_lens: of a pair's right camera, where it is another. reject: leave out views and
     points that do not fit the others, and say so. folds: of the left-out error (0: none; as many as views: leave one
-    out).
+    out). choose_lens: of each camera take the kind of lens that leaves least on images left out (lens_choice.py).
     """
 
     fixed: frozenset[str] = frozenset({"skew"})
@@ -195,6 +206,7 @@ class BoardOptions:
     max_iterations: int = BOARD_ITERATIONS
     lens: LensKind = LensKind.PINHOLE
     right_lens: LensKind | None = None
+    choose_lens: bool = False
 
     @property
     def lenses(self) -> tuple[LensKind, LensKind]:

@@ -37,7 +37,11 @@ scatter less."""
 VIEW_LIMIT = 4.0
 """A view that scatters this many times more than the median view moved during the exposure or is no pair."""
 MOST_ROUNDS = 5
-LAST_TERMS = {LensKind.PINHOLE: frozenset({"k3"}), LensKind.FISHEYE: frozenset({"k3", "k4"})}
+LAST_TERMS = {
+    LensKind.PINHOLE: frozenset({"k3"}),
+    LensKind.FISHEYE: frozenset({"k3", "k4"}),
+    LensKind.RATIONAL: frozenset(),
+}
 """What the distortion polynomial goes without unless the data ask for it."""
 RAYLEIGH_MEDIAN = 1.1774
 """Median distance of points scattered by one standard deviation along each axis."""
@@ -66,9 +70,17 @@ def fit_without_outliers(
         if beyond.any():  # the model ends there: such points would push all others aside
             observations = without(observations, beyond)
             state = bundle_of(fit, observations.n_cameras)
+            stay = np.flatnonzero((observations.weight > 0.0).sum(axis=2).max(axis=1) >= LEAST_POINTS)
+            gone = sorted(set(range(observations.n_views)) - set(stay.tolist()))
+            if gone:
+                rejected += [
+                    (named(observations, g), "too few of its points are within the lens's angle") for g in gone
+                ]
+                _require_views(len(stay), observations.n_views, rejected)
+                observations, kept, state = observations.take(stay), kept[stay], start_at(state, stay)
             fit = adjust(observations, state, fixed, max_iterations=options.max_iterations, progress=progress)
         wider = _freed(observations, fit, fixed, options)
-        judged = options.reject and (wider == fixed or LensKind.FISHEYE not in observations.lenses)
+        judged = options.reject and (wider == fixed or not observations.has_wide)
         bad_views, bad_points = _misfits(observations, fit) if judged else ({}, None)
         if wider == fixed and not bad_views and bad_points is None:
             break
@@ -169,7 +181,7 @@ def _notes(given: Observations, left: Observations) -> tuple[str, ...]:
     """Return a line for every image of which single points were left out."""
     lost = ((given.weight > 0.0) & (left.weight == 0.0)).sum(axis=2)  # (G, C)
     why = [
-        "do not fit" if lens is LensKind.PINHOLE else "lie beyond 85 degrees, or do not fit," for lens in given.lenses
+        "lie beyond 85 degrees, or do not fit," if lens is LensKind.FISHEYE else "do not fit" for lens in given.lenses
     ]
     return tuple(
         f"{given.sources[g][c]}: {lost[g, c]} of its points {why[c]} and are left out"

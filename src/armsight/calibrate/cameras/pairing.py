@@ -19,6 +19,7 @@ from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Inconsistent
 from armsight.geometry.kernels import rotvec
 from armsight.optics import PLACE, Camera, LensKind, Rig, RigKind
+from armsight.optics.camera import INTRINSICS_OF
 from armsight.records import NamedCovariance, Target
 from armsight.records.views import symmetries
 
@@ -181,8 +182,8 @@ def as_pose(side_pose: Array) -> RigidTransform:
 
 
 def camera_of(k: Array, size: tuple[int, int], lens: LensKind = LensKind.PINHOLE) -> Camera:
-    """Return the camera of intrinsics k (10,) and image size (width, height)."""
-    return Camera(width=size[0], height=size[1], intrinsics=k, lens=lens)
+    """Return the camera of intrinsics k (n,), empty places behind its own, and image size (width, height)."""
+    return Camera(width=size[0], height=size[1], intrinsics=k[: len(INTRINSICS_OF[lens])], lens=lens)
 
 
 def rig_of(

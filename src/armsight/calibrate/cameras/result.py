@@ -15,7 +15,7 @@ from armsight.calibrate.cameras.outlier_rejection import MetricKey, epipolar_rms
 from armsight.calibrate.cameras.preconditions import images_doubted, images_verdict
 from armsight.calibrate.cameras.zoom import ZoomOutput
 from armsight.fields import Doc
-from armsight.optics import INTRINSICS, SIDES, Camera, LensKind, Rig, ZoomSetting
+from armsight.optics import SIDES, Camera, LensKind, Rig, ZoomSetting
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import NamedCovariance, NoiseModel
 from armsight.records.output import Row, TitledOutput, extended, figure, output, with_std
@@ -110,15 +110,19 @@ class CameraCalibration(FromBoards):
     def cy_px(self) -> float:
         return float(self.camera.intrinsics[3])
 
-    @figure("k1, k2, p1, p2, k3 (Brown); of a fisheye lens k1, k2, k3, k4.")
-    def distortion(self) -> tuple[float, float, float, float, float] | tuple[float, float, float, float]:
+    @figure("k1, k2, p1, p2, k3 (Brown), of a rational lens k4, k5, k6 behind them; of a fisheye k1, k2, k3, k4.")
+    def distortion(self) -> tuple[float, ...]:
         return tuple(self.camera.distortion.tolist())
 
-    @figure("Where the lens is a fisheye; a pinhole is not named.", optional=True)
-    def lens(self) -> Literal["fisheye"] | None:
-        return None if self.camera.lens is LensKind.PINHOLE else "fisheye"
+    @figure("The kind of lens, where it is a fisheye or rational; a pinhole is not named.", optional=True)
+    def lens(self) -> Literal["fisheye", "rational"] | None:
+        of_kind: dict[LensKind, Literal["fisheye", "rational"]] = {
+            LensKind.FISHEYE: "fisheye",
+            LensKind.RATIONAL: "rational",
+        }
+        return of_kind.get(self.camera.lens)
 
-    @figure("Standard deviations by name: fx_px, fy_px, cx_px, cy_px, k1 ... k3.")
+    @figure("Standard deviations by name: fx_px, fy_px, cx_px, cy_px, k1 ... k3, of a rational lens to k6.")
     def std(self) -> dict[str, float]:
         return std_by_key(self.covariance)
 
@@ -155,7 +159,7 @@ class CameraCalibration(FromBoards):
     def rows(self) -> list[Row]:
         """Return the intrinsics with standard deviations, and how well they fit."""
         std = self.covariance.std()
-        values = zip(INTRINSICS, self.camera.intrinsics.tolist(), strict=True)
+        values = self.camera.named.items()
         rows = [(name, with_std(v, std.get(name), "px" if i < 5 else "")) for i, (name, v) in enumerate(values)]
         return rows + self._fit_rows()
 
@@ -163,8 +167,7 @@ class CameraCalibration(FromBoards):
         """Yield the camera, how well it fits, the images left out, its zoom lens and its noise."""
         values = {"fx": self.fx_px, "fy": self.fy_px, "cx": self.cx_px, "cy": self.cy_px}
         rows = [[name, digits(value, 6), digits(self.std.get(f"{name}_px"), 2)] for name, value in values.items()]
-        names = ("k1", "k2", "k3", "k4") if self.lens else ("k1", "k2", "p1", "p2", "k3")
-        distortion = zip(names, self.distortion, strict=True)
+        distortion = list(self.camera.named.items())[5:]
         rows += [[name, digits(value, 4), digits(self.std.get(name), 2)] for name, value in distortion]
         yield Table(f"Camera, {self.n_used} of {self.n_images} images", ["", "value", "+-"], rows)
         yield f"Reprojection {digits(self.rms_px)} px RMS; {digits(self.holdout_rms_px)} px on left-out images"

@@ -8,19 +8,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
-from armsight.optics import Camera, PackedRig, Rig
-from armsight.optics.camera import INTRINSICS
+from armsight.optics import INTRINSICS, Camera, PackedRig, Rig
 from armsight.optics.rig import PLACE
 
-N_LENS = len(INTRINSICS)
 EXACT = 1e-9
 """Share of the largest below which an eigenvalue of the correlations is rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RigDoubt:
-    """A rig is off by z (k,) of mean 0 and deviation 1: by std (V, 16) times root (V, 16, k) z in each camera's
-    intrinsics and pose."""
+    """A rig is off by z (k,) of mean 0 and deviation 1: by std (V, n + 6) times root (V, n + 6, k) z in each
+    camera's n intrinsics and pose."""
 
     std: Array
     root: Array
@@ -35,18 +33,18 @@ class RigDoubt:
         return replace(self, root=factor * self.root)
 
     @classmethod
-    def none(cls, V: int) -> RigDoubt:
-        """Return that of a rig that is taken as exact."""
-        return cls(std=np.zeros((V, N_LENS + len(PLACE))), root=np.zeros((V, N_LENS + len(PLACE), 0)))
+    def none(cls, V: int, n: int = len(INTRINSICS)) -> RigDoubt:
+        """Return that of a rig of V cameras, n intrinsics each, that is taken as exact."""
+        return cls(std=np.zeros((V, n + len(PLACE))), root=np.zeros((V, n + len(PLACE), 0)))
 
     @classmethod
     def of(cls, rig: Rig) -> RigDoubt:
         """Return that of a rig's covariance; none where it brings none."""
-        V, C = len(rig.cameras), PackedRig.of(rig).covariance
+        V, C, n = len(rig.cameras), PackedRig.of(rig).covariance, PackedRig.of(rig).n_intrinsics
         if not C.any():
-            return cls.none(V)
-        own = np.arange(N_LENS * V).reshape(V, N_LENS)
-        place = N_LENS * V + np.arange(len(PLACE) * (V - 1)).reshape(V - 1, len(PLACE))
+            return cls.none(V, n)
+        own = np.arange(n * V).reshape(V, n)
+        place = n * V + np.arange(len(PLACE) * (V - 1)).reshape(V - 1, len(PLACE))
         std = np.sqrt(C.diagonal())
         free = np.flatnonzero(std)
         # of correlations: px, m and rad would put rounding of one above doubt of another
@@ -55,7 +53,7 @@ class RigDoubt:
         L = np.zeros((len(std), int(kept.sum())))
         L[free] = axes[:, kept] * np.sqrt(values[kept])
         each = [np.concatenate([own[s], place[s - 1]]) if s else own[s] for s in range(V)]
-        none = cls.none(V)
+        none = cls.none(V, n)
         root = np.zeros((*none.std.shape, L.shape[1]))
         for s, at in enumerate(each):
             none.std[s, : len(at)], root[s, : len(at)] = std[at], L[at]
@@ -63,8 +61,7 @@ class RigDoubt:
 
 
 def moved_camera(camera: Camera, T_rig_camera: RigidTransform, step: Array) -> tuple[Camera, RigidTransform]:
-    """Return a camera and its pose moved by a step (16,): intrinsics, t + dt and Exp(dw) R."""
-    turned = Rotation.from_rotvec(step[N_LENS + 3 :]) * T_rig_camera.rotation
-    at = np.asarray(T_rig_camera.translation) + step[N_LENS : N_LENS + 3]
-    moved = replace(camera, intrinsics=camera.intrinsics + step[:N_LENS])
-    return moved, RigidTransform.from_components(at, turned)
+    """Return a camera and its pose moved by a step (n + 6,): intrinsics, t + dt and Exp(dw) R."""
+    turned = Rotation.from_rotvec(step[-3:]) * T_rig_camera.rotation
+    at = np.asarray(T_rig_camera.translation) + step[-6:-3]
+    return camera.moved(step), RigidTransform.from_components(at, turned)

@@ -23,15 +23,16 @@ from armsight.measure.consistency.causes import (
     TURN_WIDTH_RAD,
     Cause,
     larger_target,
+    lens_widths,
     lights,
     more_than_one,
     scale,
     together,
 )
 from armsight.measure.poses.setup import Setup
-from armsight.optics import INTRINSICS, PLACE
+from armsight.optics import PLACE
 
-OWN, POSE = len(INTRINSICS), len(PLACE)
+POSE = len(PLACE)
 
 RECALIBRATE = "calibrate the cameras anew with `armsight calibrate cameras`"
 
@@ -44,38 +45,40 @@ def again(name: str) -> str:
     return f"Fasten the camera {name}, then place it anew with `armsight calibrate cameras --again {name}`"
 
 
-def intrinsics_at(k: int) -> int:
+def intrinsics_at(setup: Setup, k: int) -> int:
     """Return where the intrinsics of the rig's camera k begin among the parameters."""
-    return OWN * (k + 1)
+    return setup.packed.n_intrinsics * (k + 1)
 
 
-def pose_at(v: int, k: int) -> int:
-    """Return where the pose of the rig's camera k of v begins among the parameters."""
-    return OWN * (v + 1) + POSE * k
+def pose_at(setup: Setup, k: int) -> int:
+    """Return where the pose of the rig's camera k begins among the parameters; of k = v those of the target do."""
+    return intrinsics_at(setup, len(setup.packed.k)) + POSE * k
 
 
-def widths(v: int, q: int, *, scale_only: bool) -> Array:
+def widths(setup: Setup, q: int, *, scale_only: bool) -> Array:
     """Return (q,): how far off each parameter usually is where it is wrong; see causes.parameter_widths."""
-    camera = [10.0] * 4 + [1.0] + [K1_WIDTH] * 2 + [1e-3] * 2 + [K1_WIDTH]
+    v, camera = len(setup.packed.k), lens_widths(setup.packed.n_intrinsics)
     poses = [*[PLACE_WIDTH_M] * 3, *[TURN_WIDTH_RAD] * 3] * v
-    p = q - pose_at(v, v) - v
+    p = q - pose_at(setup, v) - v
     target = [SCALE_WIDTH] if scale_only else [LIGHT_WIDTH_M] * p
     return np.array([*camera * (v + 1), *poses, *target, *[DELAY_WIDTH_S] * v])
 
 
-def places(v: int) -> Index:
-    """Return where the parameters of a rig of v cameras, which holds the first, stand among all."""
-    return np.array([*range(OWN, OWN * (v + 1)), *range(pose_at(v, 1), pose_at(v, v))])
+def places(setup: Setup) -> Index:
+    """Return where the parameters of the rig, which holds its first camera, stand among all."""
+    v = len(setup.packed.k)
+    lenses = range(intrinsics_at(setup, 0), intrinsics_at(setup, v))
+    return np.array([*lenses, *range(pose_at(setup, 1), pose_at(setup, v))])
 
 
 def causes_of_cameras(setup: Setup, basis: Array) -> tuple[Cause, ...]:
     """Return all causes that the setup of a rig that is no pair can have; see causes.causes_of."""
     v = len(setup.rig.cameras)
-    q = pose_at(v, v) + basis.shape[2] + v
+    q = pose_at(setup, v) + basis.shape[2] + v
     moved = [_moved(setup, q, k) for k in range(v)] if v > AGREEING else []
     own = [cause for k in range(v) for cause in _of_camera(setup, q, k, alone=v == 1)]
     size = [_scale(setup, basis, q)] if v > 1 else []  # one camera does not tell a larger target from a farther one
-    static = [*size, *lights(setup, basis, q, pose_at(v, v)), *own]
+    static = [*size, *lights(setup, basis, q, pose_at(setup, v)), *own]
     changed = [_since(cause) for cause in moved]
     both = []
     if v >= 2 * AGREEING:
@@ -99,10 +102,10 @@ def _cause(name: str, key: str, V: Array, width: float, labels: tuple[str, ...],
 
 def _of_camera(setup: Setup, q: int, k: int, *, alone: bool) -> list[Cause]:
     """Return what may be wrong with one camera: its turn, its place, its clock, its lens."""
-    v, name, at = len(setup.rig.cameras), setup.rig.names[k], intrinsics_at(k)
+    v, name, at = len(setup.rig.cameras), setup.rig.names[k], intrinsics_at(setup, k)
     turn, place, focal, bend, late = (np.zeros((q, n)) for n in (3, 3, 1, 1, 1))
-    turn[pose_at(v, k) + 3 : pose_at(v, k) + 6] = setup.packed.R[k].T
-    place[pose_at(v, k) : pose_at(v, k) + 3] = np.eye(3)
+    turn[pose_at(setup, k) + 3 : pose_at(setup, k) + 6] = setup.packed.R[k].T
+    place[pose_at(setup, k) : pose_at(setup, k) + 3] = np.eye(3)
     focal[at : at + 2, 0] = setup.packed.k[k, :2]
     bend[at + K1] = 1.0
     late[q - v + k] = 1.0
@@ -172,7 +175,7 @@ def _scale(setup: Setup, basis: Array, q: int) -> Cause:
     """Target against the distances between the cameras: a larger target in a smaller rig leaves the same residuals."""
     v, p = len(setup.rig.cameras), basis.shape[2]
     target, smaller = np.zeros((q, 1)), np.zeros((q, 1))
-    target[pose_at(v, v) : pose_at(v, v) + p, 0] = larger_target(setup, basis)
+    target[pose_at(setup, v) : pose_at(setup, v) + p, 0] = larger_target(setup, basis)
     for k, one in enumerate(setup.rig.cameras):
-        smaller[pose_at(v, k) : pose_at(v, k) + 3, 0] = -np.asarray(one.T_rig_camera.translation)
+        smaller[pose_at(setup, k) : pose_at(setup, k) + 3, 0] = -np.asarray(one.T_rig_camera.translation)
     return scale(target, smaller, "rig")

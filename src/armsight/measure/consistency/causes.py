@@ -9,12 +9,10 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.columns import POSITION
 from armsight.measure.poses.setup import Setup
-from armsight.optics import RIG_PARAMETERS, RigKind
+from armsight.optics import RigKind
 
-LEFT, RIGHT = 0, 10  # where each camera's intrinsics begin among RIG_PARAMETERS: fx, fy, cx, cy, skew, k1 ...
-K1 = 5
+K1 = 5  # among a camera's intrinsics
 TURNS = 3  # numbers of a turn, before those of a place in "moved"
-PLACE, TURN, TARGET = 20, 23, 26  # right.tx ..., right.rx ..., the target's own
 
 SCALE_WIDTH = 0.02
 LIGHT_WIDTH_M = 2e-3
@@ -60,19 +58,31 @@ class Cause:
         return np.asarray(self.V * self.width)
 
 
-def parameter_widths(q: int, *, scale_only: bool) -> Array:
+def places_of(setup: Setup) -> tuple[int, int, int]:
+    """Return where right.tx, right.rx and the target's begin among a pair's parameters."""
+    place = 2 * setup.packed.n_intrinsics
+    return place, place + 3, place + 6
+
+
+def lens_widths(n: int) -> list[float]:
+    """Return how far off each of the n intrinsics of a camera usually is where it is wrong."""
+    return [10.0] * 4 + [1.0] + [K1_WIDTH] * 2 + [1e-3] * 2 + [K1_WIDTH] * (n - 9)
+
+
+def parameter_widths(setup: Setup, q: int, *, scale_only: bool) -> Array:
     """Return (q,): how far off each parameter usually is where it is wrong; scale_only: of the target."""
-    camera = [10.0] * 4 + [1.0] + [K1_WIDTH] * 2 + [1e-3] * 2 + [K1_WIDTH]
-    target = [SCALE_WIDTH] if scale_only else [LIGHT_WIDTH_M] * (q - TARGET - 1)
+    camera = lens_widths(setup.packed.n_intrinsics)
+    target = [SCALE_WIDTH] if scale_only else [LIGHT_WIDTH_M] * (q - places_of(setup)[2] - 1)
     return np.array([*camera, *camera, *[PLACE_WIDTH_M] * 3, *[TURN_WIDTH_RAD] * 3, *target, DELAY_WIDTH_S])
 
 
 def causes_of(setup: Setup, basis: Array) -> tuple[Cause, ...]:
     """Return all causes that this setup can have; basis (m, 3, p) of the target's parameters."""
-    q = len(RIG_PARAMETERS) + basis.shape[2] + 1
+    first = places_of(setup)[2]
+    q = first + basis.shape[2] + 1
     out = [
         _scale(setup, basis, q),
-        *lights(setup, basis, q, TARGET),
+        *lights(setup, basis, q, first),
         _turned(setup, q),
         _displaced(setup, q),
         *_lenses(setup, q),
@@ -115,8 +125,9 @@ def _zeros(q: int, k: int) -> Array:
 def _scale(setup: Setup, basis: Array, q: int) -> Cause:
     """Target against baseline: a larger target and a shorter baseline leave the same residuals."""
     target, baseline = _zeros(q, 1), _zeros(q, 1)
-    target[TARGET:-1, 0] = larger_target(setup, basis)
-    baseline[PLACE : PLACE + 3, 0] = -setup.packed.baseline
+    place, turn, first = places_of(setup)
+    target[first:-1, 0] = larger_target(setup, basis)
+    baseline[place:turn, 0] = -setup.packed.baseline
     return scale(target, baseline, "baseline")
 
 
@@ -171,7 +182,8 @@ def _axes(setup: Setup) -> Array:
 
 def _turned(setup: Setup, q: int) -> Cause:
     V = _zeros(q, 3)
-    V[TURN : TURN + 3] = _axes(setup)
+    _, turn, first = places_of(setup)
+    V[turn:first] = _axes(setup)
     return Cause(
         key="turned",
         V=V,
@@ -188,7 +200,8 @@ def _displaced(setup: Setup, q: int) -> Cause:
     along = setup.packed.baseline / np.linalg.norm(setup.packed.baseline)
     across = np.linalg.svd(along[None])[2][1:].T  # (3, 2)
     V = _zeros(q, 2)
-    V[PLACE : PLACE + 3] = across
+    place, turn, _ = places_of(setup)
+    V[place:turn] = across
     return Cause(
         key="displaced",
         V=V,
@@ -203,7 +216,7 @@ def _displaced(setup: Setup, q: int) -> Cause:
 def _lenses(setup: Setup, q: int) -> list[Cause]:
     k = setup.packed.k
     focal, bend = _zeros(q, 2), _zeros(q, 2)
-    for side, start in enumerate((LEFT, RIGHT)):
+    for side, start in enumerate((0, setup.packed.n_intrinsics)):
         focal[start : start + 2, side] = k[side, :2]
         bend[start + K1, side] = 1.0
     sides = ("left", "right")
@@ -246,7 +259,8 @@ def _delay(q: int) -> Cause:
 def _moved(setup: Setup, q: int) -> Cause:
     turned, V = _turned(setup, q), _zeros(q, 6)
     V[:, :3] = turned.V
-    V[PLACE : PLACE + 3, 3:] = np.eye(3)
+    place, turn, _ = places_of(setup)
+    V[place:turn, 3:] = np.eye(3)
     return Cause(
         key="moved",
         V=V,

@@ -20,8 +20,7 @@ from armsight.measure.consistency import cameras
 from armsight.measure.consistency.causes import Cause, causes_of, parameter_widths
 from armsight.measure.consistency.evidence import Block, Evidence
 from armsight.measure.consistency.findings import Consistency, Finding
-from armsight.measure.poses.setup import Setup
-from armsight.optics import RIG_PARAMETERS
+from armsight.measure.poses.setup import Setup, n_parameters
 
 FALSE_ALARM = 1e-5
 """Chance at which the gain of one cause passes without a fault, the noise being known from the residuals alone."""
@@ -157,8 +156,8 @@ def possible(evidence: Evidence) -> tuple[Cause, ...]:
 def _widths(evidence: Evidence) -> Array:
     scale_only, setup = evidence.basis.shape[2] == 1, evidence.setup
     if setup.rig.is_pair:
-        return parameter_widths(evidence.size, scale_only=scale_only)
-    return cameras.widths(len(setup.rig.cameras), evidence.size, scale_only=scale_only)
+        return parameter_widths(setup, evidence.size, scale_only=scale_only)
+    return cameras.widths(setup, evidence.size, scale_only=scale_only)
 
 
 def _of_board(evidence: Evidence) -> tuple[float, float]:
@@ -185,11 +184,11 @@ def noise_scale2(blocks: list[Block], width: Array) -> tuple[float, float]:
 
 def prior_root(setup: Setup, size: int) -> Array:
     """Return L (q, p) with L L' the covariance of the parameters that rig and target bring; p may be 0."""
-    n, C = len(RIG_PARAMETERS), setup.covariance
+    n, C = n_parameters(setup.packed), setup.covariance
     covariance = np.zeros((size, size))
     if not setup.rig.is_pair:
         v = len(setup.rig.cameras)
-        at, target = cameras.places(v), np.arange(cameras.pose_at(v, v), size - v)
+        at, target = cameras.places(setup), np.arange(cameras.pose_at(setup, v), size - v)
         at = np.append(at, target) if len(C) == len(at) + len(target) else at
         C = C[: len(at), : len(at)]
         covariance[np.ix_(at, at)] = C if len(C) else 0.0

@@ -268,7 +268,7 @@ def rig_of(setup: Setup) -> PackedRig:
         return rig
     v = len(rig.k) + 1
     return PackedRig(
-        k=frozen_array("k", rig.k[[0, *range(v - 1)]], (v, 12)),
+        k=frozen_array("k", rig.k[[0, *range(v - 1)]], (v, None)),
         R=frozen_array("R", rig.R[[0, *range(v - 1)]], (v, 3, 3)),
         t=frozen_array("t", rig.t[[0, *range(v - 1)]], (v, 3)),
         baseline=rig.baseline,

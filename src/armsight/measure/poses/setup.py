@@ -12,8 +12,8 @@ from armsight.arrays import Array, Mask
 from armsight.errors import Degenerate
 from armsight.geometry import align_points
 from armsight.measure.settings import BATCH, Pace, SpotSettings
-from armsight.optics import INTRINSICS, PackedRig, Rig, mean_axes, moved_rig, shared_point
-from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
+from armsight.optics import PLACE, PackedRig, Rig, mean_axes, moved_rig, shared_point
+from armsight.optics.parallelism import difference_step
 from armsight.records import NoiseModel, Target, frozen_array
 
 SLACK_PX = 0.25
@@ -161,7 +161,7 @@ class Setup:
         packed, at = self.packed, [a, b]
         centres = [-packed.R[s].T @ packed.t[s] for s in at]
         of_two = PackedRig(
-            k=frozen_array("k", packed.k[at], (2, 12)),
+            k=frozen_array("k", packed.k[at], (2, None)),
             R=frozen_array("R", packed.R[at], (2, 3, 3)),
             t=frozen_array("t", packed.t[at], (2, 3)),
             baseline=frozen_array("baseline", centres[1] - centres[0], (3,)),
@@ -185,7 +185,7 @@ class Setup:
 
 def n_parameters(packed: PackedRig) -> int:
     """Return how many parameters the calibration of a rig has: all intrinsics, and all poses but the first."""
-    return (len(INTRINSICS) + 6) * len(packed.k) - 6
+    return (packed.n_intrinsics + len(PLACE)) * len(packed.k) - len(PLACE)
 
 
 def _joint_covariance(packed: PackedRig, target: Array | None) -> Array:
@@ -256,8 +256,7 @@ def _slope(plus: Array, minus: Array, step: float) -> Array:
 
 def _by_parameter(rig: Rig, name: str, point: Array) -> Array:
     """Return d pixels (2 v,) of all views / d one of the rig's parameters."""
-    i = rig.parameters.index(name)
-    size = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < len(rig.cameras) * len(INTRINSICS) else POSE_STEP
+    size = difference_step(name)
     step = np.zeros(len(rig.parameters))
-    step[i] = size
+    step[rig.parameters.index(name)] = size
     return _slope(_pixels(moved_rig(rig, step), point), _pixels(moved_rig(rig, -step), point), size)

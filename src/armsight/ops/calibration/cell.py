@@ -26,7 +26,7 @@ from armsight.ops.flags import point_of
 from armsight.ops.given import as_arm
 from armsight.ops.sources.cameras import named_cameras
 from armsight.ops.sources.frames import is_recording, recording_path
-from armsight.optics import SIDES, Rig
+from armsight.optics import SIDES, LensKind, Rig
 from armsight.records import Frame, Motion, NamedCovariance, Progress, SpotTrack, checked_array, require_count
 from armsight.store import read_rig, read_spot_track, read_world
 from armsight.store.foreign.storage import kind_of
@@ -269,6 +269,12 @@ def _of_rig(path: Path, sizes: Sequence[tuple[int, int]], names: Sequence[str]) 
         if name not in rig.names:
             continue
         camera = rig.camera(name)
+        if camera.lens is not LensKind.PINHOLE:
+            raise Inconsistent(
+                f"{path}: the {name} camera has a {camera.lens} lens",
+                consequence="A cell's cameras are fitted with k1, k2, p1, p2, k3: its coefficients say nothing here",
+                cure="Leave the rig out, or calibrate it with --lens pinhole",
+            )
         if (camera.width, camera.height) != tuple(size):
             raise Inconsistent(
                 f"{path}: the {name} camera has {camera.width}x{camera.height} px, the recording {size[0]}x{size[1]}",

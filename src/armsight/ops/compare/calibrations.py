@@ -16,7 +16,7 @@ from armsight.columns import POSE6
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.kinematics import Arm, pose
-from armsight.optics import INTRINSICS, SIDES, Camera, Rig, triangulate
+from armsight.optics import SIDES, Camera, LensKind, Rig, triangulate
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, output
 from armsight.records.result_parts import Difference
@@ -69,9 +69,10 @@ def compare_cameras(a: Path, b: Path) -> Compared:
     """Compare two camera.yaml. Raises BadFile, and Inconsistent for images of unequal size."""
     first, second = read_camera_file(a), read_camera_file(b)
     _same_size(first.camera, second.camera, "the images")
-    values = [Value(name=n, value=v, unit=u) for n, v, u in _intrinsics(first.camera, "")]
+    values = [Value(name=n, value=v, unit=u) for n, v, u in _intrinsics(first.camera, second.camera, "")]
+    others = [v for _, v, _ in _intrinsics(second.camera, first.camera, "")]
     return Compared(
-        differences=differences(values, second.camera.intrinsics.tolist(), first.covariance, second.covariance),
+        differences=differences(values, others, first.covariance, second.covariance),
         covariances=(first.covariance, second.covariance),
         effects=_shift_effects(first.camera, second.camera, ""),
     )
@@ -91,8 +92,9 @@ def compare_rigs(a: Path, b: Path, distance_m: float | None = None) -> Compared:
     effects: list[Effect] = []
     for side in SIDES:
         _same_size(first.camera(side), second.camera(side), f"the {side} images")
-        numbers += _intrinsics(first.camera(side), f"{side}.")
-        others += second.camera(side).intrinsics.tolist()
+        pair = first.camera(side), second.camera(side)
+        numbers += _intrinsics(*pair, f"{side}.")
+        others += [value for _, value, _ in _intrinsics(*pair[::-1], "")]
         effects += _shift_effects(first.camera(side), second.camera(side), f"{side}: ")
     T_a, T_b = (rig.T_rig_left.inv() * rig.T_rig_right for rig in (first, second))
     here, there = _pose_values(T_a, T_b)
@@ -166,9 +168,19 @@ def _renamed(covariance: NamedCovariance | None, names: dict[str, str]) -> Named
     return replace(covariance, names=tuple(names.get(one, one) for one in covariance.names))
 
 
-def _intrinsics(camera: Camera, prefix: str) -> list[tuple[str, float, str]]:
-    named = zip(INTRINSICS, camera.intrinsics.tolist(), strict=True)
-    return [(f"{prefix}{name}", value, "px" if i < 5 else "1") for i, (name, value) in enumerate(named)]
+def _intrinsics(camera: Camera, other: Camera, prefix: str) -> list[tuple[str, float, str]]:
+    """Return name, value and unit of a camera's intrinsics, those with which another one is compared.
+
+    A pinhole is a rational lens whose k4, k5, k6 are zero. Raises Inconsistent for a fisheye and another lens.
+    """
+    if camera.lens is not other.lens and LensKind.FISHEYE in (camera.lens, other.lens):
+        raise Inconsistent(
+            f"one lens is a {camera.lens} and the other a {other.lens}",
+            consequence="Their coefficients cannot be compared",
+            cure="Compare calibrations with one kind of lens",
+        )
+    named = dict.fromkeys(other.named, 0.0) | camera.named
+    return [(f"{prefix}{name}", value, "px" if i < 5 else "1") for i, (name, value) in enumerate(named.items())]
 
 
 def _pose_values(a: RigidTransform, b: RigidTransform) -> tuple[list[float], list[float]]:

@@ -158,13 +158,13 @@ def cameras_to_colmap(path: Path, cameras: Sequence[Camera]) -> None:
                 consequence="COLMAP's models cannot say this",
                 cure="Calibrate with skew fixed at zero",
             )
-        first, k3 = camera.distortion[:4].tolist(), camera.distortion[4:].tolist()
+        first, further = camera.distortion[:4].tolist(), camera.distortion[4:].tolist()
         params = [fx, fy, cx + CORNER_PX, cy + CORNER_PX, *first]
         if camera.lens is LensKind.FISHEYE:
             model = "OPENCV_FISHEYE"
         else:
-            model = "OPENCV" if k3 == [0.0] else "FULL_OPENCV"
-            params += [] if k3 == [0.0] else [*k3, 0.0, 0.0, 0.0]
+            model = "FULL_OPENCV" if any(further) else "OPENCV"
+            params += [*further, 0.0, 0.0, 0.0][:4] if any(further) else []
         values = " ".join(number(value) for value in params)
         lines.append(f"{k} {model} {camera.width} {camera.height} {values}")
     write_text(path, "\n".join(lines) + "\n")

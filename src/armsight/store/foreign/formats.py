@@ -62,8 +62,10 @@ FORMATS = {
         needs="of a rig left and right",
         files=(2,),
         outs=(2, 3),
-        camera=lambda path, asked: ros.camera_from_ros(path, told=asked.told),
-        rig=lambda paths, asked: ros.rig_from_ros(paths[0], paths[1], unit_m=asked.unit_m, told=asked.told),
+        camera=lambda path, asked: ros.camera_from_ros(path, told=asked.told, approximate=asked.approximate),
+        rig=lambda paths, asked: ros.rig_from_ros(
+            *paths[:2], unit_m=asked.unit_m, told=asked.told, approximate=asked.approximate
+        ),
         write_camera=ros.camera_to_ros,
         write_rig=lambda paths, rig: ros.rig_and_frames_to_ros(paths, rig),
     ),
@@ -71,8 +73,12 @@ FORMATS = {
         title="OpenCV FileStorage in YAML, JSON or XML, of OpenCV 4 and 5; of a ZED's tool",
         needs=f"--size where it does not say it; {UNIT}",
         files=(1, 2),
-        camera=lambda path, asked: opencv.camera_from_opencv(path, size=asked.size, told=asked.told),
-        rig=lambda paths, asked: opencv.rig_from_opencv(paths, size=asked.size, unit_m=asked.unit_m, told=asked.told),
+        camera=lambda path, asked: opencv.camera_from_opencv(
+            path, size=asked.size, told=asked.told, approximate=asked.approximate
+        ),
+        rig=lambda paths, asked: opencv.rig_from_opencv(
+            paths, size=asked.size, unit_m=asked.unit_m, told=asked.told, approximate=asked.approximate
+        ),
         write_camera=opencv.camera_to_opencv,
         write_rig=lambda paths, rig: opencv.rig_to_opencv(paths[0], rig),
     ),

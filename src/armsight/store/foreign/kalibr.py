@@ -99,6 +99,8 @@ def kalibr_mapping(camera: Camera) -> dict[str, Any]:
     """Return a camera as Kalibr's file holds it; Inconsistent where radtan or equidistant cannot say it."""
     fisheye = camera.lens is LensKind.FISHEYE
     fx, fy, cx, cy, skew, *coefficients = camera.intrinsics.tolist()
+    if camera.lens is LensKind.RATIONAL:
+        raise Inconsistent("the lens is rational", consequence="Kalibr has no such model", cure="Use --lens pinhole")
     k3 = 0.0 if fisheye else coefficients[4]
     if skew != 0.0 or k3 != 0.0:
         raise Inconsistent(

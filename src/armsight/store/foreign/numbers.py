@@ -21,12 +21,8 @@ from armsight.store.codec import LARGEST
 ROTATION_TOLERANCE = 1e-4
 """Largest entry of R R^T - 1: files with five decimals stay below it, wrong matrices do not."""
 
-NEAREST_PX = 1.0
-"""RMS distance over the image that a lens's nearest k1, k2, p1, p2, k3 may leave."""
 TOLD_PX = 0.01
-"""... and the largest one from which on it is told: a hundredth of a pixel is what corners are good to."""
-WHOLE = 0.9
-"""Share of the image that must have rays: of lenses made for it a corner may fold over."""
+"""Distance of the nearest lens from which on it is told: a hundredth of a pixel is what corners are good to."""
 
 
 def value_at(content: Mapping[str, Any], key: str, where: str) -> Any:
@@ -91,60 +87,6 @@ def intrinsics_of(matrix: Array, key: str, where: str) -> tuple[float, float, fl
         raise _bad(key, where, "is not a camera matrix [fx s cx; 0 fy cy; 0 0 1]")
     fx, skew, cx = matrix[0].tolist()
     return fx, float(matrix[1, 1]), cx, float(matrix[1, 2]), skew
-
-
-def brown_conrady(
-    values: Array,
-    intrinsics: tuple[float, float, float, float, float],
-    size: tuple[int, int],
-    where: str,
-    told: list[str] | None = None,
-) -> Array:
-    """Return k1, k2, p1, p2, k3 of an OpenCV vector, of its rational, thin-prism and tilted models the nearest ones.
-
-    told: takes what is to be said of it. Raises BadFile where these differ by more than NEAREST_PX over the image.
-    """
-    flat = values.ravel()
-    if flat.size not in (0, 4, 5, 8, 12, 14):
-        raise _bad("the distortion", where, f"holds {flat.size} coefficients; OpenCV's models have 4, 5, 8, 12 or 14")
-    if not np.any(flat[5:] != 0.0):
-        return np.concatenate([flat[:5], np.zeros(max(0, 5 - flat.size))])
-    nearest, rms_px, most_px = nearest_coefficients(flat, intrinsics, size)
-    if not rms_px <= NEAREST_PX:
-        how = "leaves much of the image without rays"
-        if np.isfinite(rms_px):
-            how = f"is {rms_px:.2g} px (RMS over the image) from the nearest k1, k2, p1, p2, k3"
-        raise BadFile(
-            f"{where}: the rational, thin-prism or tilted model ({flat.size} coefficients) {how}",
-            cure="Calibrate it with armsight calibrate camera or stereo, of a very wide lens with --lens fisheye",
-        )
-    if told is not None and most_px > TOLD_PX:
-        told.append(
-            f"{where}: of {flat.size} coefficients the nearest k1, k2, p1, p2, k3 are taken, {rms_px:.2g} px apart "
-            f"over the image (RMS) and at most {most_px:.2g} px, at its edge"
-        )
-    return nearest
-
-
-def nearest_coefficients(
-    given: Array, intrinsics: tuple[float, float, float, float, float], size: tuple[int, int]
-) -> tuple[Array, float, float]:
-    """Return k1, k2, p1, p2, k3 (5,) nearest to OpenCV's coefficients over an image, and the distance in px, RMS and
-    largest.
-
-    Over a grid of pixels (see fitted_coefficients); infinite where too many have no ray.
-    """
-    fx, fy, cx, cy, skew = intrinsics
-    K = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    u, v = np.meshgrid(np.linspace(0.0, size[0] - 1.0, 41), np.linspace(0.0, size[1] - 1.0, 31))
-    uv = np.stack([u.ravel(), v.ravel()], axis=1)  # (n, 2)
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-    rays = cv2.undistortPointsIter(uv[:, None], K, given, np.eye(3), np.eye(3), stop).reshape(-1, 2)
-    back = cv2.projectPoints(np.column_stack([rays, np.ones(len(rays))]), np.zeros(3), np.zeros(3), K, given)[0]
-    has_ray = np.abs(back.reshape(-1, 2) - uv).max(axis=1) < TOLD_PX  # else it folds over there, or is no number
-    if has_ray.mean() < WHOLE:
-        return np.zeros(5), float("inf"), float("inf")
-    return fitted_coefficients(rays[has_ray], uv[has_ray], K)
 
 
 def fitted_coefficients(rays: Array, uv: Array, K: Array) -> tuple[Array, float, float]:
@@ -242,7 +184,7 @@ def rectification(rig: Rig) -> Rectification:
         raise Inconsistent("the cameras' images differ in size", consequence="One rectified pair cannot say this")
     R, t = relative(rig.T_rig_left, rig.T_rig_right)
     lenses = {rig.left.lens, rig.right.lens}
-    if len(lenses) > 1:
+    if len(lenses) > 1 and LensKind.FISHEYE in lenses:
         raise Inconsistent("one camera is a pinhole and one a fisheye", consequence="OpenCV cannot rectify the pair")
     size = (rig.left.width, rig.left.height)
     cameras = (rig.left.matrix, rig.left.distortion, rig.right.matrix, rig.right.distortion)

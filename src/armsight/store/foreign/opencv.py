@@ -31,6 +31,7 @@ from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
 from armsight.store.foreign import numbers
+from armsight.store.foreign.opencv_lens import opencv_lens
 from armsight.store.foreign.storage import read_storage
 
 PAIR_NAMES = (("M1", "D1", "M2", "D2"), ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"))
@@ -53,18 +54,28 @@ TILTED = 0.005
 """p1, p2 of a lens that stands askew by 0.3 degrees; of calibrated pinholes they are below a third of it."""
 
 
-def camera_from_opencv(path: Path, *, size: Size | None = None, told: list[str] | None = None) -> Camera:
-    """Return a FileStorage file's camera; size (width, height): where it says none. told: takes what is to be said."""
-    return opencv_camera(read_storage(path), str(path), size=size, told=told)
+def camera_from_opencv(
+    path: Path, *, size: Size | None = None, told: list[str] | None = None, approximate: bool = False
+) -> Camera:
+    """Return a FileStorage file's camera; size (width, height): where it says none. told: takes what is to be said.
+
+    approximate: of a lens that is not modelled take the nearest one.
+    """
+    return opencv_camera(read_storage(path), str(path), size=size, told=told, approximate=approximate)
 
 
 def opencv_camera(
-    content: Mapping[str, Any], where: str, *, size: Size | None = None, told: list[str] | None = None
+    content: Mapping[str, Any],
+    where: str,
+    *,
+    size: Size | None = None,
+    told: list[str] | None = None,
+    approximate: bool = False,
 ) -> Camera:
     """Return the camera that FileStorage content describes; see camera_from_opencv."""
     key = _first(content, CAMERA_NAMES, where)
     distortion = _first(content, DISTORTION_NAMES, where)
-    return _camera(content, (key, distortion), _size(content, size, where), where, told)
+    return _camera(content, (key, distortion), _size(content, size, where), where, told, approximate)
 
 
 def rig_from_opencv(
@@ -73,6 +84,7 @@ def rig_from_opencv(
     size: Size | None = None,
     unit_m: float | None = None,
     told: list[str] | None = None,
+    approximate: bool = False,
 ) -> Rig:
     """Return the rig of one or more FileStorage files (the sample writes intrinsics.yml and extrinsics.yml).
 
@@ -85,7 +97,8 @@ def rig_from_opencv(
             if key in content and content[key] != value:
                 raise BadFile(f"{path}: {key} differs from the other file's")
             content[key] = value
-    return opencv_rig(content, " and ".join(str(path) for path in paths), size=size, unit_m=unit_m, told=told)
+    where = " and ".join(str(path) for path in paths)
+    return opencv_rig(content, where, size=size, unit_m=unit_m, told=told, approximate=approximate)
 
 
 def opencv_rig(
@@ -95,6 +108,7 @@ def opencv_rig(
     size: Size | None = None,
     unit_m: float | None = None,
     told: list[str] | None = None,
+    approximate: bool = False,
 ) -> Rig:
     """Return the rig that FileStorage content describes; see rig_from_opencv."""
     sets = (*PAIR_NAMES, *PAIR_NAMES_ALSO)
@@ -110,8 +124,8 @@ def opencv_rig(
     t = numbers.matrix_at(content, "T", (3, 1), where).ravel()
     return Rig(
         kind=RigKind.STEREO,
-        left=_camera(content, names[:2], wh, where, told),
-        right=_camera(content, names[2:], wh, where, told),
+        left=_camera(content, names[:2], wh, where, told, approximate),
+        right=_camera(content, names[2:], wh, where, told, approximate),
         T_rig_left=RigidTransform.identity(),
         T_rig_right=numbers.placed(R, t, where, unit_m),
     )
@@ -178,20 +192,20 @@ def storage_text(parts: Mapping[str, int | Array]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _camera(content: Mapping[str, Any], names: Sequence[str], size: Size, where: str, told: list[str] | None) -> Camera:
+def _camera(
+    content: Mapping[str, Any], names: Sequence[str], size: Size, where: str, told: list[str] | None, approximate: bool
+) -> Camera:
     matrix, distortion = names
     intrinsics = numbers.intrinsics_of(numbers.matrix_at(content, matrix, (3, 3), where), matrix, where)
     given = numbers.array_of(numbers.value_at(content, distortion, where), distortion, where)
     fisheye = _is_fisheye(content, where)
     if fisheye:
         values = numbers.fisheye_coefficients(given, distortion, where)
-    else:
-        if not {"fisheye_model", "distortion_model", "model"} & set(content):
-            _refuse_open_lens(given.ravel(), intrinsics, size, f"{where}: {distortion}")
-        values = numbers.brown_conrady(given, intrinsics, size, f"{where}: {distortion}", told)
-    make = Camera.fisheye if fisheye else Camera.pinhole
-    with named(where):
-        return make(*size, *intrinsics[:4], skew=intrinsics[4], distortion=values)
+        with named(where):
+            return Camera.fisheye(*size, *intrinsics[:4], skew=intrinsics[4], distortion=values)
+    if not {"fisheye_model", "distortion_model", "model"} & set(content):
+        _refuse_open_lens(given.ravel(), intrinsics, size, f"{where}: {distortion}")
+    return opencv_lens(given, intrinsics, size, f"{where}: {distortion}", told, approximate=approximate)
 
 
 def _refuse_open_lens(given: Array, intrinsics: tuple[float, ...], size: Size, where: str) -> None:

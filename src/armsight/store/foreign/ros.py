@@ -1,7 +1,7 @@
 """ROS camera_info YAML, as camera_calibration_parsers and camera_calibration write it.
 
-One file per camera: image_width, image_height, camera_matrix K, distortion_model plumb_bob with k1, k2, p1, p2, k3, or
-equidistant with k1, k2, k3, k4,
+One file per camera: image_width, image_height, camera_matrix K, distortion_model plumb_bob with k1, k2, p1, p2, k3,
+rational_polynomial with k4, k5, k6 behind them (image_geometry, OpenCV's order), or equidistant with k1, k2, k3, k4,
 rectification_matrix R, projection_matrix P; metres and pixels. Of a stereo pair R turns each camera's axes into the
 rectified axes, in which p_right = p_left + (P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0): P of the right camera carries
 the baseline. So p_right_camera = R_right^T (R_left p_left_camera + that shift).
@@ -22,26 +22,33 @@ from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
 from armsight.store.foreign import numbers
+from armsight.store.foreign.opencv_lens import opencv_lens
 from armsight.store.foreign.storage import read_storage
 from armsight.store.foreign.written import Transform, write_tf_launch
 from armsight.store.yamls import dump_yaml
 
-ROS_MODEL = {LensKind.PINHOLE: "plumb_bob", LensKind.FISHEYE: "equidistant"}
+ROS_MODEL = {
+    LensKind.PINHOLE: "plumb_bob",
+    LensKind.FISHEYE: "equidistant",
+    LensKind.RATIONAL: "rational_polynomial",
+}
 """sensor_msgs/distortion_models."""
 
 
-def camera_from_ros(path: Path, *, told: list[str] | None = None) -> Camera:
+def camera_from_ros(path: Path, *, told: list[str] | None = None, approximate: bool = False) -> Camera:
     """Return the camera of a camera_info YAML; BadFile where it is none or has another lens model."""
-    return ros_camera(read_storage(path), str(path), told)
+    return ros_camera(read_storage(path), str(path), told, approximate=approximate)
 
 
-def ros_camera(content: Mapping[str, Any], where: str, told: list[str] | None = None) -> Camera:
+def ros_camera(
+    content: Mapping[str, Any], where: str, told: list[str] | None = None, *, approximate: bool = False
+) -> Camera:
     """Return the camera that camera_info content describes; told: takes what is to be said. See camera_from_ros."""
     model = content.get("distortion_model", "plumb_bob")
     if model not in ("plumb_bob", "rational_polynomial", "equidistant"):
         raise BadFile(
             f"{where}: distortion_model is {str(model)[:40]!r}",
-            consequence="Only plumb_bob (k1, k2, p1, p2, k3) and equidistant (k1, k2, k3, k4) can be used",
+            consequence="Only plumb_bob, rational_polynomial and equidistant (k1, k2, k3, k4) can be used",
             cure="Calibrate with plumb_bob, a fisheye lens with equidistant",
         )
     key = "distortion_coefficients"
@@ -50,27 +57,28 @@ def ros_camera(content: Mapping[str, Any], where: str, told: list[str] | None = 
     )
     size = numbers.count_at(content, "image_width", where), numbers.count_at(content, "image_height", where)
     values, fisheye = numbers.array_of(numbers.value_at(content, key, where), key, where), model == "equidistant"
-    if fisheye:
-        distortion = numbers.fisheye_coefficients(values, key, where)
-    else:
-        distortion = numbers.brown_conrady(values, intrinsics, size, where, told)
-    make = Camera.fisheye if fisheye else Camera.pinhole
+    if not fisheye:
+        return opencv_lens(values, intrinsics, size, where, told, approximate=approximate)
+    distortion = numbers.fisheye_coefficients(values, key, where)
     with named(where):
-        return make(
-            *size,
-            *intrinsics[:4],
-            skew=intrinsics[4],
-            distortion=distortion,
-        )
+        return Camera.fisheye(*size, *intrinsics[:4], skew=intrinsics[4], distortion=distortion)
 
 
-def rig_from_ros(left: Path, right: Path, *, unit_m: float | None = None, told: list[str] | None = None) -> Rig:
+def rig_from_ros(
+    left: Path,
+    right: Path,
+    *,
+    unit_m: float | None = None,
+    told: list[str] | None = None,
+    approximate: bool = False,
+) -> Rig:
     """Return the rig of a pair of camera_info files, its axes those of the left camera.
 
     unit_m: the length of the baseline's unit in metres. told: takes what is to be said. Raises BadFile where a file is
     none, Inconsistent where they are no stereo pair or are swapped.
     """
-    return ros_rig(read_storage(left), read_storage(right), str(left), str(right), unit_m=unit_m, told=told)
+    contents = read_storage(left), read_storage(right)
+    return ros_rig(*contents, str(left), str(right), unit_m=unit_m, told=told, approximate=approximate)
 
 
 def ros_rig(
@@ -81,11 +89,13 @@ def ros_rig(
     *,
     unit_m: float | None = None,
     told: list[str] | None = None,
+    approximate: bool = False,
 ) -> Rig:
     """Return the rig of the content of two camera_info files; see rig_from_ros."""
-    cameras = ros_camera(left, where_left, told), ros_camera(right, where_right, told)
+    both = ((left, where_left), (right, where_right))
+    cameras = [ros_camera(*one, told, approximate=approximate) for one in both]
     shifts, turns = [], []
-    for content, where in ((left, where_left), (right, where_right)):
+    for content, where in both:
         P = numbers.matrix_at(content, "projection_matrix", (3, 4), where)
         if not (P[0, 0] > 0.0 and P[1, 1] > 0.0):
             raise BadFile(f"{where}: projection_matrix has no focal length")

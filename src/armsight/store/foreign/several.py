@@ -26,6 +26,7 @@ from armsight.optics import SIDES, Camera, LensKind, MountedCamera, Rig
 from armsight.store.atomic import write_json, write_text
 from armsight.store.codec import named
 from armsight.store.foreign import numbers
+from armsight.store.foreign.opencv_lens import opencv_lens
 from armsight.store.foreign.storage import read_storage
 
 Pose = tuple[Array, Array]
@@ -211,11 +212,9 @@ def lens_of(
     if fisheye:
         flat = values.ravel()
         values = numbers.fisheye_coefficients(flat if np.any(flat[4:]) else flat[:4], "the distortion", where)
-    else:
-        values = numbers.brown_conrady(values, intrinsics, size, where, asked.told)
-    make = Camera.fisheye if fisheye else Camera.pinhole
-    with named(where):
-        return make(*size, *intrinsics[:4], skew=intrinsics[4], distortion=values)
+        with named(where):
+            return Camera.fisheye(*size, *intrinsics[:4], skew=intrinsics[4], distortion=values)
+    return opencv_lens(values, intrinsics, size, where, asked.told, approximate=asked.approximate)
 
 
 def write_several(path: Path, rig: Rig, kind: str) -> None:
@@ -228,7 +227,7 @@ def write_several(path: Path, rig: Rig, kind: str) -> None:
         }
         lenses = {
             one.name: {
-                "model": "fisheye" if parts["fisheye"] else "standard",
+                "model": "fisheye" if parts["fisheye"] else "rational" if len(parts["distortions"]) > 5 else "standard",
                 "image_size": parts["size"],
                 "K": parts["matrix"],
                 "dist": [parts["distortions"]],

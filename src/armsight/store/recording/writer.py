@@ -23,7 +23,11 @@ from armsight.store.recording.mcapfile import CHUNK_BYTES, CHUNK_S, McapFile
 FORMAT = "armsight/recording"
 VERSION = "1"
 METADATA = "armsight"
-FOXGLOVE_MODEL = {LensKind.PINHOLE: "plumb_bob", LensKind.FISHEYE: "kannala_brandt"}
+FOXGLOVE_MODEL = {
+    LensKind.PINHOLE: "plumb_bob",
+    LensKind.FISHEYE: "kannala_brandt",
+    LensKind.RATIONAL: "rational_polynomial",
+}
 
 POINTS_MARK = 1
 """foxglove.ImageAnnotations: a set of points."""

@@ -1,6 +1,6 @@
 """Compiled share of the rig's calibration and of the target's measures in the uncertainty of poses and points.
 
-A calibration is wrong in the same way in every frame. Its 16 v - 6 parameters (the intrinsics of all v cameras, then
+A calibration is wrong in the same way in every frame. Its parameters (the intrinsics of all v cameras, then
 the pose in the rig of each but the first, as t + dt, Exp(dw) R) and the positions of the target's lights carry over to
 whatever is fitted to the pixels:
 d fit = -H^-1 G' W D d parameters, with G and D the derivatives of the pixels by the fit and by the parameters.
@@ -16,17 +16,17 @@ from armsight._numba import inline_kernel, inner_kernel, kernel, lean_kernel
 from armsight.geometry.kernels import copy_2, dot, multiply, sandwich
 from armsight.measure.poses.kernels.pose import SOLVED, solve_named
 from armsight.measure.poses.kernels.pose_ambiguity import PLAIN, depth_chi2, fold, one_astray, scale
-from armsight.optics.kernels.camera import RigK, intrinsics_jacobian, see_point
+from armsight.optics.kernels.camera import RigK, intrinsics_jacobian, n_intrinsics, see_point
 from armsight.optics.kernels.triangulation import centre_of, invert_2, missing, n_sights
 
-INTRINSICS, POSE = 10, 6
+POSE = 6
 
 
 @inline_kernel
 def n_parameters(rig):
     """Return how many parameters the calibration of a rig has."""
     views = rig.k.shape[0]
-    return INTRINSICS * views + POSE * (views - 1)
+    return n_intrinsics(rig.k) * views + POSE * (views - 1)
 
 
 @inner_kernel
@@ -35,13 +35,14 @@ def pixel_slopes(rig, p, s, uv, J, D):
     k, R, t = rig
     if not see_point(k[s], R[s], t[s], p, uv, J):
         return False
+    own = n_intrinsics(k)
     D[:] = 0.0
     x = R[s, 0, 0] * p[0] + R[s, 0, 1] * p[1] + R[s, 0, 2] * p[2] + t[s, 0]
     y = R[s, 1, 0] * p[0] + R[s, 1, 1] * p[1] + R[s, 1, 2] * p[2] + t[s, 1]
     z = R[s, 2, 0] * p[0] + R[s, 2, 1] * p[1] + R[s, 2, 2] * p[2] + t[s, 2]
-    intrinsics_jacobian(k[s], x, y, z, D[:, INTRINSICS * s : INTRINSICS * (s + 1)])
+    intrinsics_jacobian(k[s], x, y, z, D[:, own * s : own * (s + 1)])
     if s > 0:
-        at = INTRINSICS * k.shape[0] + POSE * (s - 1)
+        at = own * k.shape[0] + POSE * (s - 1)
         q = np.empty(3)
         centre_of(R[s], t[s], q)
         for i in range(3):
