@@ -58,13 +58,8 @@ def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None
         for name, place in zip(track.names, predicted, strict=True):
             out[setup.model.names.index(name)] = place
         predicted = out
-    turned = STILL_M + MOST_ANGULAR_ACCELERATION * dt * dt * _radius_m(setup)
+    turned = STILL_M + MOST_ANGULAR_ACCELERATION * dt * dt * setup.model.reach_m
     return Prediction(predicted, STILL_M + moved, turned if track.velocity_m_s.any() else np.inf)
-
-
-def _radius_m(setup: Setup) -> float:
-    """Return how far the furthest light is from the mean of the target's lights."""
-    return float(np.linalg.norm(setup.model.xyz_m - setup.model.xyz_m.mean(axis=0), axis=1).max())
 
 
 def jumped(setup: Setup, track: Track, t_s: float, solved: PoseSolution) -> bool:
@@ -85,7 +80,7 @@ def jumped(setup: Setup, track: Track, t_s: float, solved: PoseSolution) -> bool
         return True
     if solved.T is None or C is None:
         return False
-    turn_doubt = JUMP_SIGMA * _radius_m(setup) * np.sqrt(np.trace(C[3:, 3:]))
+    turn_doubt = JUMP_SIGMA * setup.model.reach_m * np.sqrt(np.trace(C[3:, 3:]))
     apart = np.linalg.norm(off - off.mean(axis=0), axis=1)
     return bool(np.any(apart > predicted.turned_m + turn_doubt))
 

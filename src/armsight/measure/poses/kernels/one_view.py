@@ -14,9 +14,19 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.geometry.kernels import copy_1, copy_2, cross, dot
-from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, refine_pose, weights
+from armsight.measure.poses.kernels.correspondence import neg2_log_likelihood
+from armsight.measure.poses.kernels.pose import (
+    SOLVED,
+    Lights,
+    Observations,
+    point_residuals,
+    refine_pose,
+    slack_chi2,
+    weights,
+)
 from armsight.measure.poses.kernels.pose_ambiguity import LEAST_TURN, mirrored_turn, plane_normal, split, turned_about
 from armsight.measure.poses.kernels.roots import real_quartic_roots
+from armsight.measure.poses.kernels.tracking import transform_lights
 from armsight.optics.kernels.camera import RigK, undistort_point
 
 
@@ -199,16 +209,17 @@ def settle(rig, lights, seen, Rp, tp, T, C):
 
 
 @kernel
-def tilts(rig, lights, views, start, T, C, chi2):
-    """Fill T (h, 4, 4), C (h, 6, 6), chi2 (h,): the pose near start (4, 4), and near its mirror images.
+def tilts(rig, lights, views, slack2, start, T, C, scores):
+    """Fill T (h, 4, 4), C (h, 6, 6), scores (h, 3): the pose near start (4, 4), and near its mirror images.
 
-    One mirror image about the line of sight of each camera, of the first h - 1; infinite chi-square where there is no
-    pose. C is of the spots' noise, to first order. rig, lights, views: as solve_named takes them.
+    One mirror image about the line of sight of each camera, of the first h - 1. scores: chi-square, infinite where
+    there is no pose; the same of the spots as points, with slack2 (px^2) in addition; -2 log likelihood. C is of the
+    spots' noise, to first order. rig, lights, views: as solve_named takes them.
     """
-    rig = RigK(*rig)
+    packed, rig = rig, RigK(*rig)
     uv, cov = views
     X, radius, normal = lights
-    W = np.empty_like(cov)
+    W, P, residual, chi2 = np.empty_like(cov), np.empty(X.shape), np.empty(uv.shape), scores[:, 0]
     lights, seen = Lights(X.copy(), radius, normal), Observations(uv, W)
     Rp, tp, R2, t2 = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
     chi2[:] = np.inf
@@ -225,6 +236,15 @@ def tilts(rig, lights, views, start, T, C, chi2):
         if dot(turn, turn) > LEAST_TURN**2:
             turned_about(Rp, tp, centre, turn, R2, t2)
             chi2[s + 1] = settle(rig, lights, seen, R2, t2, T[s + 1], C[s + 1])
+    for h in range(chi2.shape[0]):
+        scores[h, 1] = np.inf
+        if not np.isfinite(chi2[h]):
+            continue
+        transform_lights(T[h], X, P)
+        if point_residuals(packed, uv, P, residual):
+            scores[h, 1] = slack_chi2(residual, cov, slack2)
+        split(T[h], Rp, tp)
+        scores[h, 2] = neg2_log_likelihood(packed, (X, radius, normal), views, Rp, tp)
 
 
 @inner_kernel
