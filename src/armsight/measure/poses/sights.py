@@ -42,7 +42,7 @@ class Sights(NamedTuple):
     def named(self, setup: Setup, rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
         """Return the names and the spots of the lights that some view shows: rows (m, v) as Hypothesis has them."""
         names, none = setup.model.names, rows < 0
-        unseen = none.all(axis=1)
+        unseen = np.asarray(none.all(axis=1))
         if unseen.any():
             rows, none = rows[~unseen], none[~unseen]
             names = tuple(name for name, out in zip(names, unseen.tolist(), strict=True) if not out)

@@ -118,8 +118,9 @@ class Named(NamedTuple):
 
 
 @lean_kernel
-def explain_spots(X, pose, xy, focal, reach, names, used):
-    """Fill names (m,) with the spot nearest to each light's image, within reach (px) and of one light alone, or -1.
+def explain_spots(X, pose, xy, focal, reach, names, off, used):
+    """Fill names (m,) with the spot nearest to each light's image, within reach (px), or -1; a spot is of the light that
+    is nearest to it, as others may stand behind that one, out of sight. off (m,), used (c,): work.
 
     Returns how many have one, and the squares of their distances (px^2) together; 0 where a light is behind.
     """
@@ -134,20 +135,25 @@ def explain_spots(X, pose, xy, focal, reach, names, used):
         z = dot(pose[2, :3], X[i]) + pose[2, 3]
         if not z > 0.0:
             return 0, np.inf
-        nearest = reach * reach
+        off[i] = reach * reach
         for k in range(xy.shape[0]):
-            off = focal * focal * ((xy[k, 0] - x / z) ** 2 + (xy[k, 1] - y / z) ** 2)
-            if off < nearest:
-                nearest = off
+            square = focal * focal * ((xy[k, 0] - x / z) ** 2 + (xy[k, 1] - y / z) ** 2)
+            if square < off[i]:
+                off[i] = square
                 names[i] = k
         if names[i] < 0:
             continue
-        if used[names[i]] >= 0:  # the other light keeps it: a better naming has it right
+        other = used[names[i]]
+        if other >= 0 and off[other] <= off[i]:
             names[i] = -1
             continue
         used[names[i]] = i
         n += 1
-        cost += nearest
+        cost += off[i]
+        if other >= 0:
+            names[other] = -1
+            n -= 1
+            cost -= off[other]
     return n, cost
 
 
@@ -302,6 +308,7 @@ def name_by_three(rig, s, X, spots, rules, best):
         rays[i, 2] = 1.0 / length
     three, at, poses = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3, 4))
     names, used, taken = np.empty(m, np.intp), np.empty(c, np.intp), np.empty(uv.shape[0], np.intp)
+    off = np.empty(m)
     found = looked = np.int64(0)
     for a in range(c):
         for b in range(a + 1, c):
@@ -323,7 +330,7 @@ def name_by_three(rig, s, X, spots, rules, best):
                             if looked > most:
                                 return found, looked, True
                             for h in range(poses_by_three(three, at, poses)):
-                                n, cost = explain_spots(X, poses[h], own, rig.k[s, 0], reach, names, used)
+                                n, cost = explain_spots(X, poses[h], own, rig.k[s, 0], reach, names, off, used)
                                 if n >= 3:
                                     taken[:] = -1
                                     n += explained_elsewhere(rig, s, X, poses[h], xy, first, far, taken)
