@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armsight.arrays import Array
+from armsight.errors import Unseen
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.kernels import tracking as kernels
@@ -128,11 +129,14 @@ def doubtful(setup: Setup, track: Track | None, t_s: float, solved: PoseSolution
     """Tell whether a pose found in whole frames is near the one before, but not where even a knock would bring it.
 
     One light of three taken for another is told by nothing else. Far from the one before it is a target that was put
-    elsewhere; and the moment after a refusal is believed.
+    elsewhere; and the moment after a refusal is believed. Neither holds of a pose beyond its claims: four lights
+    under wrong names would begin a motion, by which the right names of three are then refused.
     """
-    if track is None or track.doubted or step.possible or t_s - track.t_s > MAX_GAP_S:
+    if track is None or t_s - track.t_s > MAX_GAP_S:
         return False
-    return not jumped(setup, track, t_s, solved)
+    if solved.cause is Unseen.BEYOND_CLAIMS:
+        return not step.likely
+    return not (track.doubted or step.possible or jumped(setup, track, t_s, solved))
 
 
 def positions_of(setup: Setup, T: Array) -> Array:

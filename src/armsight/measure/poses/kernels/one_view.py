@@ -119,8 +119,10 @@ class Named(NamedTuple):
 
 @lean_kernel
 def explain_spots(X, pose, xy, focal, reach, names, off, used):
-    """Fill names (m,) with the spot nearest to each light's image, within reach (px), or -1; a spot is of the light that
-    is nearest to it, as others may stand behind that one, out of sight. off (m,), used (c,): work.
+    """Fill names (m,) with the spot nearest to each light's image, within reach (px), or -1.
+
+    A spot is of the light that is nearest to it: others may stand behind that one, out of sight. off (m,), used (c,):
+    work.
 
     Returns how many have one, and the squares of their distances (px^2) together; 0 where a light is behind.
     """
