@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
-from math import comb, perm
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +62,7 @@ ALONE_BY_CHANCE = 1e-4
 """Expected number of namings of chance by one view from which none is believed."""
 SOLUTIONS = 2.0
 """Poses by three spots, as there are mostly."""
-LEAST_RMS_PX = 0.05
+LEAST_RMS_PX = 0.15
 """Residuals below which a naming by one view gains nothing more against chance."""
 
 ELSEWHERE = 18.4
@@ -212,17 +212,15 @@ def _by_chance(setup: Setup, seen: Sights, way: Hypothesis) -> float:
     bright.
     """
     m, n, c = len(setup.model), way.n, len(seen.uv_px)
-    own, bright = int(np.count_nonzero(way.rows[:, way.alone] >= 0)), len(seen.by_view[way.alone])
-    if n == c and own == m:
+    if n == c and (way.rows >= 0).sum(axis=0).max() == m:
         return 0.0
-    looked = min(way.chance, perm(m, 3) * comb(bright, 3) / comb(own, 3))  # any three of its spots lead to one naming
     rms = max(np.sqrt(way.chi2 / n) * setup.slack_px, LEAST_RMS_PX)
     near, slots = 0.0, way.rows.size - 3
     for s, spots in enumerate(seen.by_view):
         depth_m = float(setup.packed.R[s][2] @ way.T[:3, 3] + setup.packed.t[s][2])
         wide_px = setup.packed.k[s][0] * setup.model.distance_m.max() / max(depth_m, 1e-3)
         near = max(near, len(spots) * (4.0 * rms / wide_px) ** 2)  # circles of twice the residual in the target's one
-    return float(BY_CHANCE / ALONE_BY_CHANCE * SOLUTIONS * looked * comb(slots, n - 3) * min(near, 1.0) ** (n - 3))
+    return float(BY_CHANCE / ALONE_BY_CHANCE * SOLUTIONS * way.chance * comb(slots, n - 3) * min(near, 1.0) ** (n - 3))
 
 
 def _tilts(setup: Setup, seen: Sights, way: Hypothesis, *, mirrored: bool = True) -> list[Hypothesis]:
