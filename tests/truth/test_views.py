@@ -11,6 +11,7 @@ from scipy.stats import chi2 as chi2_law
 from tests.truth.camera_ring import CENTRE, FOCAL, K1, LIGHTS, SIZE, Ring, look, pose, ring
 
 from armsight.errors import Inconsistent, Unseen, UsageError
+from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels import completion, one_view
 from armsight.measure.poses.moments import TargetTracker, measure_moment, require_views
 from armsight.measure.poses.outcome import Measured
@@ -276,6 +277,45 @@ def test_pictures_are_tracked_a_lost_camera_is_left_and_a_half_hidden_light_goes
     sights = shown(measured, 6, 3)
     assert not sights[2, 0] and sights[2, 1:].all() and sights[:, 0].sum() == 5
     assert len(measured.notes) == 1 and names_it(measured.notes[0], "C")
+
+
+def test_one_camera_gives_a_spot_to_the_light_before_another_that_it_hides() -> None:
+    """The light behind comes first in the target's order, and its image lies 1.5 px from the spot."""
+    rng, world = np.random.default_rng(11), ring(1)
+    for _ in range(10):
+        T, X = pose(rng), LIGHTS.copy()
+        before = X[3] @ T[:3, :3].T + T[:3, 3]
+        X[0] = (before * 1.03 + [2e-3, 0.0, 0.0] - T[:3, 3]) @ T[:3, :3]
+        seen = look(world, X[1:], T, rng)
+        measured = measure_views(setup_of(world, X), 0.0, [spots(seen.uv[0])])
+        assert measured.pose.status is PoseStatus.OK, measured.pose.why
+        assert measured.names == tuple("BCDEF") and mahalanobis2(measured, T) < WRONG
+
+
+@pytest.mark.parametrize("views", [2, 3])
+def test_a_pose_beyond_its_claims_that_jumped_begins_no_motion(views: int) -> None:
+    """A crown under wrong names fits badly and a sixth of a turn away; the right names that follow are believed."""
+    rng, world = np.random.default_rng(12), ring(views)
+    setup, T, track = setup_of(world), pose(rng), None
+
+    def measured(number: int, sigma_px: float = SIGMA_PX) -> Measured:
+        seen = [spots(uv) for uv in look(world, LIGHTS, T, rng, sigma_px=sigma_px).uv]
+        if views == 2:
+            return measure_spots(setup, 0.03 * number, *seen, track)
+        return measure_views(setup, 0.03 * number, seen, track)
+
+    for number in range(5):
+        T[0, 3] += 0.001
+        track = measured(number).track
+    assert track is not None
+    turn, before = Rotation.from_euler("z", np.pi / 3.0).as_matrix(), T[:3, :3].copy()
+    T[:3, :3] = before @ turn
+    wrong = measured(5, 0.3)
+    assert wrong.pose.status is PoseStatus.LOST and wrong.cause is Unseen.MOTION
+    assert wrong.track is not None and np.array_equal(wrong.track.xyz_m, track.xyz_m)
+    track, T[:3, :3] = wrong.track, before
+    right = measured(6)
+    assert right.pose.status is PoseStatus.OK and mahalanobis2(right, T) < WRONG
 
 
 def test_a_followed_target_goes_on_where_a_view_is_missing_or_cannot_be_read() -> None:

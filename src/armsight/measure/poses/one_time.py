@@ -20,12 +20,13 @@ AT_ONE_TIME_S = 1e-4
 
 def rig_times(setup: Setup, frames: Sequence[Frame | None]) -> tuple[float, Array]:
     """Return the time of a moment, the mean of its frames', and by how much later (v,) each one was taken."""
-    timing = [one or AT_ONCE for one in setup.rig.timing]
-    at = np.array(
-        [np.nan if one is None else float(clock.rig_time(one.t_s)) for one, clock in zip(frames, timing, strict=True)]
-    )
-    t_s = float(np.nanmean(at))
-    return t_s, np.where(np.isfinite(at), at - t_s, 0.0)
+    at = [
+        None if one is None else one.t_s if clock is None else float(clock.rig_time(one.t_s))
+        for one, clock in zip(frames, setup.rig.timing, strict=True)
+    ]
+    there = [t for t in at if t is not None]
+    t_s = sum(there) / len(there)
+    return t_s, np.array([0.0 if t is None else t - t_s for t in at])
 
 
 def apart(setup: Setup, late_s: Array) -> bool:

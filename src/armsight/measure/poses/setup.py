@@ -39,14 +39,16 @@ FACING = 0.9
 class TargetModel:
     """names; xyz_m (m, 3); distance_m (m, m); normal (3,) of the plane; radius_m of a flat light, 0 where not used.
 
-    lean (3,): radius_m along the normal. limits (m + 1,): fit_limit of each number of spots seen twice. flat: the
-    lights share a plane, or are fewer than three. one_sided: the plane is square to z, and they are seen from its -z
-    side only (z points away from the camera, as w does in Pachidis 2005, eqs. 7-8, and as z of a printed board does).
+    reach_m: of the light that is furthest from their mean. lean (3,): radius_m along the normal. limits (m + 1,):
+    fit_limit of each number of spots seen twice. flat: the lights share a plane, or are fewer than three. one_sided:
+    the plane is square to z, and they are seen from its -z side only (z points away from the camera, as w does in
+    Pachidis 2005, eqs. 7-8, and as z of a printed board does).
     """
 
     names: tuple[str, ...]
     xyz_m: Array
     distance_m: Array
+    reach_m: float
     normal: Array
     radius_m: float
     lean: Array
@@ -61,6 +63,7 @@ class TargetModel:
     def of(cls, target: Target) -> TargetModel:
         """Prepare a target. Raises Degenerate where three or more measured spots lie on one line."""
         X = np.asarray(target.xyz_m)
+        reach_m = float(np.linalg.norm(X - X.mean(axis=0), axis=1).max())
         normal, flat, one_sided = np.array([0.0, 0.0, 1.0]), True, False
         if target.model_known and len(X) >= 3:
             _, spread, axes = np.linalg.svd(X - X.mean(axis=0))
@@ -77,6 +80,7 @@ class TargetModel:
             names=target.names,
             xyz_m=frozen_array("xyz_m", X, (None, 3)),
             distance_m=frozen_array("distance_m", np.linalg.norm(X[:, None] - X[None], axis=2), (None, None)),
+            reach_m=reach_m,
             normal=frozen_array("normal", normal, (3,)),
             radius_m=radius_m,
             lean=frozen_array("lean", radius_m * normal, (3,)),

@@ -33,22 +33,26 @@ class Sights(NamedTuple):
         if setup.model.radius_m > 0.0:
             radius = np.array([setup.model.radius_m * (kind == OUTLINE) for spots in seen for kind in spots.model])
         else:
-            radius, focal_px = np.zeros(len(uv)), setup.packed.k[:, 0].tolist()
-            shifts = [outline_shifts(spots, f) for spots, f in zip(seen, focal_px, strict=True)]
-            cov += np.concatenate(shifts)[:, None, None] * np.eye(2)
+            radius = np.zeros(len(uv))
+            if any(OUTLINE in spots.model for spots in seen):
+                shifts = map(outline_shifts, seen, setup.packed.k[:, 0].tolist())
+                cov += np.concatenate(list(shifts))[:, None, None] * np.eye(2)
         return cls(uv, cov, radius, np.cumsum([0, *map(len, seen)]), tuple(seen))
 
     def named(self, setup: Setup, rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
         """Return the names and the spots of the lights that some view shows: rows (m, v) as Hypothesis has them."""
-        lights = np.flatnonzero((rows >= 0).any(axis=1))
-        rows = rows[lights]
-        at, none = rows + self.first[:-1], rows < 0
+        names, none = setup.model.names, rows < 0
+        unseen = np.asarray(none.all(axis=1))
+        if unseen.any():
+            rows, none = rows[~unseen], none[~unseen]
+            names = tuple(name for name, out in zip(names, unseen.tolist(), strict=True) if not out)
+        at = rows + self.first[:-1]
         at[none] = 0
         uv, cov, radius = self.uv_px[at], self.cov_px2[at], self.radius_m[at]
         uv[none], cov[none], radius[none] = np.nan, np.inf, 0.0
         start = np.array(start)
         start.setflags(write=False)  # as UNKNOWN: one compilation serves both
-        return tuple(setup.model.names[i] for i in lights.tolist()), Views(uv, cov, radius, start)
+        return names, Views(uv, cov, radius, start)
 
     def taken(self, rows: Index) -> tuple[Spots, ...]:
         """Return each view's spots of lights in the order of rows (n, v), of size 0 where it shows none."""

@@ -16,7 +16,7 @@ from armsight.geometry.kernels import rotvec
 from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import pose as kernels
-from armsight.measure.poses.kernels.moved import moved_poses
+from armsight.measure.poses.kernels.moved import add_moved
 from armsight.measure.poses.kernels.rig_covariance import MAX_DOUBTFUL_SIGMA
 from armsight.measure.poses.outcome import Assignment
 from armsight.measure.poses.pairs import Pairs
@@ -304,33 +304,35 @@ def widen(
         placed = solve_views(setup, t_s, names, views)
         return None if placed.pose.status is PoseStatus.LOST else placed
     C = np.array(own)
-    sides, lights = np.nonzero(found[:, :, outlines.UU] + found[:, :, outlines.VV] > 0.0)
-    hidden = found[sides, lights][:, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]
-    variances, axes = np.linalg.eigh(hidden)
-    steps = (np.sqrt(np.maximum(variances, 0.0))[:, None, :] * axes).swapaxes(1, 2).reshape(-1, 2)
-    at, long = np.stack([lights, sides], axis=1).repeat(2, axis=0), (steps**2).sum(axis=1) > LEAST_STEP_PX**2
-    for moved in _moves(setup, names, views, T, at[long], steps[long]):
-        if len(moved):
+    if views.uv_px.shape[1] == TWO:
+        for moved in _moves(setup, names, views, T, found):
             C += moved.T @ moved / len(moved)
+    else:
+        limit, slack_px, _ = _rules(setup, names, views)
+        spots, rules = named_spots(setup, names, views), (slack_px**2, limit, LEAST_STEP_PX)
+        of = for_kernels(spots.xyz_m), spots.radius_m, spots.normal
+        add_moved(setup.packed.arrays, views[:2], rules, of, T, found, np.array(SHARES), C)
     before = float(max(own[3, 3], own[4, 4], own[5, 5]))
     if max(C[3, 3], C[4, 4], C[5, 5]) > max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * before):
         return None
     return with_covariance(solved, C)
 
 
-def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: Index, steps_px: Array) -> list[Array]:
-    """Return the ways (0 to 2, 6) from the pose T to those with a spot moved by a step both ways: k of each.
+def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, found: Array) -> list[Array]:
+    """Return the ways (1 to 2, 6) from the pose T of a pair to those with a spot moved by what may be hidden.
 
-    at (k, 2): light and view; steps_px (k, 2). Where the target then fits neither way, less is hidden; none where it
-    never does. A pair's poses begin as if nothing were known, those of other rigs from T.
+    Each both ways; where the target then fits neither way, less is hidden; none where it never does. The poses begin as
+    if nothing were known; those of other rigs begin from T (add_moved).
     """
-    if views.uv_px.shape[1] == TWO:
-        return [_moved(setup, names, views, T, (i, s), way) for (i, s), way in zip(at.tolist(), steps_px, strict=True)]
-    limit, slack_px, _ = _rules(setup, names, views)
-    spots, ways = named_spots(setup, names, views), np.empty((len(at), 2, 6))
-    lights = for_kernels(spots.xyz_m), spots.radius_m, spots.normal
-    moved_poses(setup.packed.arrays, views[:2], (slack_px**2, limit), lights, T, at, steps_px, np.array(SHARES), ways)
-    return [both[np.isfinite(both[:, 0])] for both in ways]
+    sides, lights = np.nonzero(found[:, :, outlines.UU] + found[:, :, outlines.VV] > 0.0)
+    hidden = found[sides, lights][:, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]
+    variances, axes = np.linalg.eigh(hidden)
+    steps = (np.sqrt(np.maximum(variances, 0.0))[:, None, :] * axes).swapaxes(1, 2).reshape(-1, 2)
+    at, long = np.stack([lights, sides], axis=1).repeat(2, axis=0), (steps**2).sum(axis=1) > LEAST_STEP_PX**2
+    moves = [
+        _moved(setup, names, views, T, (i, s), way) for (i, s), way in zip(at[long].tolist(), steps[long], strict=True)
+    ]
+    return [moved for moved in moves if len(moved)]
 
 
 def _moved(setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: tuple[int, int], step_px: Array) -> Array:

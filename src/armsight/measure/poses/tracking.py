@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armsight.arrays import Array
+from armsight.errors import Unseen
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.kernels import tracking as kernels
@@ -58,13 +59,8 @@ def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None
         for name, place in zip(track.names, predicted, strict=True):
             out[setup.model.names.index(name)] = place
         predicted = out
-    turned = STILL_M + MOST_ANGULAR_ACCELERATION * dt * dt * _radius_m(setup)
+    turned = STILL_M + MOST_ANGULAR_ACCELERATION * dt * dt * setup.model.reach_m
     return Prediction(predicted, STILL_M + moved, turned if track.velocity_m_s.any() else np.inf)
-
-
-def _radius_m(setup: Setup) -> float:
-    """Return how far the furthest light is from the mean of the target's lights."""
-    return float(np.linalg.norm(setup.model.xyz_m - setup.model.xyz_m.mean(axis=0), axis=1).max())
 
 
 def jumped(setup: Setup, track: Track, t_s: float, solved: PoseSolution) -> bool:
@@ -85,7 +81,7 @@ def jumped(setup: Setup, track: Track, t_s: float, solved: PoseSolution) -> bool
         return True
     if solved.T is None or C is None:
         return False
-    turn_doubt = JUMP_SIGMA * _radius_m(setup) * np.sqrt(np.trace(C[3:, 3:]))
+    turn_doubt = JUMP_SIGMA * setup.model.reach_m * np.sqrt(np.trace(C[3:, 3:]))
     apart = np.linalg.norm(off - off.mean(axis=0), axis=1)
     return bool(np.any(apart > predicted.turned_m + turn_doubt))
 
@@ -133,11 +129,14 @@ def doubtful(setup: Setup, track: Track | None, t_s: float, solved: PoseSolution
     """Tell whether a pose found in whole frames is near the one before, but not where even a knock would bring it.
 
     One light of three taken for another is told by nothing else. Far from the one before it is a target that was put
-    elsewhere; and the moment after a refusal is believed.
+    elsewhere; and the moment after a refusal is believed. Neither holds of a pose beyond its claims: four lights
+    under wrong names would begin a motion, by which the right names of three are then refused.
     """
-    if track is None or track.doubted or step.possible or t_s - track.t_s > MAX_GAP_S:
+    if track is None or t_s - track.t_s > MAX_GAP_S:
         return False
-    return not jumped(setup, track, t_s, solved)
+    if solved.cause is Unseen.BEYOND_CLAIMS:
+        return not step.likely
+    return not (track.doubted or step.possible or jumped(setup, track, t_s, solved))
 
 
 def positions_of(setup: Setup, T: Array) -> Array:

@@ -19,19 +19,15 @@ from armsight.arrays import Array, Index
 from armsight.errors import Unseen
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE, RIVAL, match_known
 from armsight.measure.poses.kernels import completion
-from armsight.measure.poses.kernels import correspondence as likelihood
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import one_view as kernels
-from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.poses.kernels.pose_ambiguity import POSSIBLE
-from armsight.measure.poses.kernels.tracking import transform_lights
 from armsight.measure.poses.outcome import Assignment, Measured, Prediction, Track, doubted, lost_moment
 from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
 from armsight.measure.poses.pose import PoseSolution, lost, no_points
 from armsight.measure.poses.setup import Setup, fit_limit
 from armsight.measure.poses.sights import Sights
 from armsight.measure.poses.solving import (
-    Views,
     compare,
     named_spots,
     solve_views,
@@ -94,7 +90,7 @@ class Hypothesis(NamedTuple):
     @property
     def n(self) -> int:
         """How many sights it has."""
-        return int((self.rows >= 0).sum())
+        return int(np.count_nonzero(self.rows >= 0))
 
 
 def measure_views(
@@ -231,28 +227,17 @@ def _tilts(setup: Setup, seen: Sights, way: Hypothesis, *, mirrored: bool = True
     """Return a hypothesis refined by its own sights, and the mirrored tilts that fit these as well."""
     names, views = seen.named(setup, way.rows, way.T)
     h = way.rows.shape[1] + 1 if mirrored else 1
-    Ts, Cs, chi2 = np.empty((h, 4, 4)), np.empty((h, 6, 6)), np.empty(h)
+    Ts, Cs, scores = np.empty((h, 4, 4)), np.empty((h, 6, 6)), np.empty((h, 3))
     spots = named_spots(setup, names, views)
-    args = setup.packed.arrays, (for_kernels(spots.xyz_m), spots.radius_m, spots.normal), views[:2]
-    kernels.tilts(*args, views.start, Ts, Cs, chi2)
+    lights = for_kernels(spots.xyz_m), spots.radius_m, spots.normal
+    kernels.tilts(setup.packed.arrays, lights, views[:2], setup.slack_px**2, views.start, Ts, Cs, scores)
     found: list[Hypothesis] = []
-    for i in np.argsort(chi2):
-        if not chi2[i] <= chi2.min() + POSSIBLE or not np.isfinite(chi2[i]):
+    for (chi2, wide, neg2), T, C in sorted(zip(scores.tolist(), Ts, Cs, strict=True), key=lambda one: one[0][0]):
+        if not chi2 <= scores[:, 0].min() + POSSIBLE or not np.isfinite(chi2):
             break
-        if not any(np.abs(Ts[i][:3, :3] - other.T[:3, :3]).max() < 1e-3 for other in found):
-            neg2 = likelihood.neg2_log_likelihood(*args, Ts[i][:3, :3], Ts[i][:3, 3])
-            wide = _slack_chi2(setup, spots.xyz_m, views, Ts[i])
-            found.append(way._replace(T=Ts[i], C=Cs[i], chi2=wide, score=float(neg2) - ELSEWHERE * way.n))
+        if not any(np.abs(T[:3, :3] - other.T[:3, :3]).max() < 1e-3 for other in found):
+            found.append(way._replace(T=T, C=C, chi2=wide, score=neg2 - ELSEWHERE * way.n))
     return found
-
-
-def _slack_chi2(setup: Setup, X: Array, views: Views, T: Array) -> float:
-    """Return chi-square of the sights of lights X (n, 3) under a pose, slack included."""
-    residual, P = np.empty(views.uv_px.shape), np.empty((len(X), 3))
-    transform_lights(T, X, P)
-    if not pose_kernels.point_residuals(setup.packed.arrays, views.uv_px, P, residual):
-        return np.inf
-    return float(pose_kernels.slack_chi2(residual, views.cov_px2, setup.slack_px**2))
 
 
 def completed(setup: Setup, seen: Sights, way: Hypothesis) -> Hypothesis | None:

@@ -14,9 +14,19 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.geometry.kernels import copy_1, copy_2, cross, dot
-from armsight.measure.poses.kernels.pose import SOLVED, Lights, Observations, refine_pose, weights
+from armsight.measure.poses.kernels.correspondence import neg2_log_likelihood
+from armsight.measure.poses.kernels.pose import (
+    SOLVED,
+    Lights,
+    Observations,
+    point_residuals,
+    refine_pose,
+    slack_chi2,
+    weights,
+)
 from armsight.measure.poses.kernels.pose_ambiguity import LEAST_TURN, mirrored_turn, plane_normal, split, turned_about
 from armsight.measure.poses.kernels.roots import real_quartic_roots
+from armsight.measure.poses.kernels.tracking import transform_lights
 from armsight.optics.kernels.camera import RigK, undistort_point
 
 
@@ -108,8 +118,11 @@ class Named(NamedTuple):
 
 
 @lean_kernel
-def explain_spots(X, pose, xy, focal, reach, names, used):
-    """Fill names (m,) with the spot nearest to each light's image, within reach (px) and of one light alone, or -1.
+def explain_spots(X, pose, xy, focal, reach, names, off, used):
+    """Fill names (m,) with the spot nearest to each light's image, within reach (px), or -1.
+
+    A spot is of the light that is nearest to it: others may stand behind that one, out of sight. off (m,), used (c,):
+    work.
 
     Returns how many have one, and the squares of their distances (px^2) together; 0 where a light is behind.
     """
@@ -124,20 +137,25 @@ def explain_spots(X, pose, xy, focal, reach, names, used):
         z = dot(pose[2, :3], X[i]) + pose[2, 3]
         if not z > 0.0:
             return 0, np.inf
-        nearest = reach * reach
+        off[i] = reach * reach
         for k in range(xy.shape[0]):
-            off = focal * focal * ((xy[k, 0] - x / z) ** 2 + (xy[k, 1] - y / z) ** 2)
-            if off < nearest:
-                nearest = off
+            square = focal * focal * ((xy[k, 0] - x / z) ** 2 + (xy[k, 1] - y / z) ** 2)
+            if square < off[i]:
+                off[i] = square
                 names[i] = k
         if names[i] < 0:
             continue
-        if used[names[i]] >= 0:  # the other light keeps it: a better naming has it right
+        other = used[names[i]]
+        if other >= 0 and off[other] <= off[i]:
             names[i] = -1
             continue
         used[names[i]] = i
         n += 1
-        cost += nearest
+        cost += off[i]
+        if other >= 0:
+            names[other] = -1
+            n -= 1
+            cost -= off[other]
     return n, cost
 
 
@@ -199,16 +217,17 @@ def settle(rig, lights, seen, Rp, tp, T, C):
 
 
 @kernel
-def tilts(rig, lights, views, start, T, C, chi2):
-    """Fill T (h, 4, 4), C (h, 6, 6), chi2 (h,): the pose near start (4, 4), and near its mirror images.
+def tilts(rig, lights, views, slack2, start, T, C, scores):
+    """Fill T (h, 4, 4), C (h, 6, 6), scores (h, 3): the pose near start (4, 4), and near its mirror images.
 
-    One mirror image about the line of sight of each camera, of the first h - 1; infinite chi-square where there is no
-    pose. C is of the spots' noise, to first order. rig, lights, views: as solve_named takes them.
+    One mirror image about the line of sight of each camera, of the first h - 1. scores: chi-square, infinite where
+    there is no pose; the same of the spots as points, with slack2 (px^2) in addition; -2 log likelihood. C is of the
+    spots' noise, to first order. rig, lights, views: as solve_named takes them.
     """
-    rig = RigK(*rig)
+    packed, rig = rig, RigK(*rig)
     uv, cov = views
     X, radius, normal = lights
-    W = np.empty_like(cov)
+    W, P, residual, chi2 = np.empty_like(cov), np.empty(X.shape), np.empty(uv.shape), scores[:, 0]
     lights, seen = Lights(X.copy(), radius, normal), Observations(uv, W)
     Rp, tp, R2, t2 = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
     chi2[:] = np.inf
@@ -225,6 +244,15 @@ def tilts(rig, lights, views, start, T, C, chi2):
         if dot(turn, turn) > LEAST_TURN**2:
             turned_about(Rp, tp, centre, turn, R2, t2)
             chi2[s + 1] = settle(rig, lights, seen, R2, t2, T[s + 1], C[s + 1])
+    for h in range(chi2.shape[0]):
+        scores[h, 1] = np.inf
+        if not np.isfinite(chi2[h]):
+            continue
+        transform_lights(T[h], X, P)
+        if point_residuals(packed, uv, P, residual):
+            scores[h, 1] = slack_chi2(residual, cov, slack2)
+        split(T[h], Rp, tp)
+        scores[h, 2] = neg2_log_likelihood(packed, (X, radius, normal), views, Rp, tp)
 
 
 @inner_kernel
@@ -282,6 +310,7 @@ def name_by_three(rig, s, X, spots, rules, best):
         rays[i, 2] = 1.0 / length
     three, at, poses = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3, 4))
     names, used, taken = np.empty(m, np.intp), np.empty(c, np.intp), np.empty(uv.shape[0], np.intp)
+    off = np.empty(m)
     found = looked = np.int64(0)
     for a in range(c):
         for b in range(a + 1, c):
@@ -303,7 +332,7 @@ def name_by_three(rig, s, X, spots, rules, best):
                             if looked > most:
                                 return found, looked, True
                             for h in range(poses_by_three(three, at, poses)):
-                                n, cost = explain_spots(X, poses[h], own, rig.k[s, 0], reach, names, used)
+                                n, cost = explain_spots(X, poses[h], own, rig.k[s, 0], reach, names, off, used)
                                 if n >= 3:
                                     taken[:] = -1
                                     n += explained_elsewhere(rig, s, X, poses[h], xy, first, far, taken)
