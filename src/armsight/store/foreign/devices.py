@@ -15,6 +15,7 @@ its fisheye with four coefficients.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,13 +62,15 @@ def read_zed(path: Path, asked: Asked) -> list[Placed]:
             cure="Give the size of one camera's images, such as --size 1280x720",
         )
     name, stereo = sizes[size], content["STEREO"]
-    left, right = (_zed_camera(content, f"{side}_CAM_{name}", size, where, asked) for side in ("LEFT", "RIGHT"))
+    left, right = (
+        partial(_zed_camera, content, f"{side}_CAM_{name}", size, where, asked) for side in ("LEFT", "RIGHT")
+    )
     angles = [_zed(stereo, f"{key}_{name}", where) for key in ("RX", "CV", "RZ")]
     shifts = [_zed(stereo, f"{key}_{name}" if f"{key}_{name}" in stereo else key, where) for key in ("TY", "TZ")]
     t_m = MM * np.array([-_zed(stereo, "Baseline", where), *shifts])
     return [
-        Placed(name=SIDES[0], camera=left, pose=(np.eye(3), np.zeros(3))),
-        Placed(name=SIDES[1], camera=right, pose=(Rotation.from_rotvec(angles).as_matrix(), t_m)),
+        Placed(name=SIDES[0], lens=left, pose=(np.eye(3), np.zeros(3))),
+        Placed(name=SIDES[1], lens=right, pose=(Rotation.from_rotvec(angles).as_matrix(), t_m)),
     ]
 
 
@@ -107,12 +110,14 @@ def read_depthai(path: Path, asked: Asked) -> list[Placed]:
     found = []
     for socket, one in sorted(cameras.items()):
         name = f"CAM_{SOCKETS[socket]}"
-        camera = _depthai_camera(one, f"{where}, {name}", asked)
-        if camera is None:
-            asked.told.append(f"{where}: {name} has no calibration")
+        here = f"{where}, {name}"
+        if not numbers.array_of(one.get("intrinsicMatrix") or [], "intrinsicMatrix", here).any():
+            if not asked.names:
+                asked.told.append(f"{here} has no calibration")
             continue
         end, (R, t) = poses[socket]
-        found.append(Placed(name=name, camera=camera, pose=(R.T, -R.T @ t) if end == common else None))
+        lens = partial(_depthai_camera, one, here, asked)
+        found.append(Placed(name=name, lens=lens, pose=(R.T, -R.T @ t) if end == common else None))
     return found
 
 
@@ -148,11 +153,8 @@ def _chain(cameras: Mapping[int, Mapping[str, Any]], socket: int, where: str) ->
         seen.add(to)
 
 
-def _depthai_camera(one: Mapping[str, Any], where: str, asked: Asked) -> Camera | None:
-    """Return the camera of a socket; None where it was never calibrated, which its empty or zero matrix says."""
-    matrix = numbers.array_of(one.get("intrinsicMatrix") or [], "intrinsicMatrix", where)
-    if not matrix.any():
-        return None
+def _depthai_camera(one: Mapping[str, Any], where: str, asked: Asked) -> Camera:
+    """Return the camera of a socket that was calibrated."""
     kind = one.get("cameraType", 0)
     if kind not in (0, 1):
         raise BadFile(

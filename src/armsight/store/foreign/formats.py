@@ -11,7 +11,7 @@ from pathlib import Path
 
 from armsight.errors import UsageError
 from armsight.optics import SIDES, Camera, Rig
-from armsight.store.foreign import colmap, devices, kalibr, opencv, photogrammetry, ros, several
+from armsight.store.foreign import colmap, devices, kalibr, matlab, opencv, photogrammetry, realsense, ros, several
 from armsight.store.foreign.several import Asked, Placed
 
 
@@ -77,9 +77,9 @@ FORMATS = {
         write_rig=lambda paths, rig: opencv.rig_to_opencv(paths[0], rig),
     ),
     "kalibr": CameraFormat(
-        title="Kalibr camchain, pinhole with radtan or equidistant",
-        camera=lambda path, asked: kalibr.camera_from_kalibr(path, name=(*asked.names, "cam0")[0]),
-        rig=lambda paths, asked: kalibr.rig_from_kalibr(paths[0], unit_m=asked.unit_m),
+        title="Kalibr camchain, of any of its models",
+        camera=kalibr.camera_from_kalibr,
+        rig=lambda paths, asked: kalibr.rig_from_kalibr(paths[0], asked),
         write_camera=kalibr.camera_to_kalibr,
         write_rig=lambda paths, rig: kalibr.rig_to_kalibr(paths[0], rig),
     ),
@@ -92,6 +92,18 @@ FORMATS = {
     "multical": _several("multical calibration.json", several.read_multical, writes="multical", needs=UNIT),
     "metashape": _several("Metashape camera calibration (Agisoft XML)", photogrammetry.read_metashape),
     "halcon": _several("HALCON camera parameters (.dat, .cal)", photogrammetry.read_halcon),
+    "realsense": _several(
+        "RealSense: text of rs-enumerate-devices -c, or JSON of librealsense's fields",
+        realsense.read_realsense,
+        needs="--size where it holds several; of a rig --name of its cameras",
+        unit="m, known",
+    ),
+    "matlab": _several(
+        "MATLAB cameraParameters, stereoParameters as a struct (.mat up to version 7)",
+        matlab.read_matlab,
+        names=SIDES,
+        needs="--size of a struct from before R2017; --unit where WorldUnits is not a unit",
+    ),
     "colmap": CameraFormat(
         title="COLMAP cameras.txt, of a rig with rigs.txt (3.12 and later)",
         needs="of a rig both files, and --unit",

@@ -21,6 +21,11 @@ ROOT = "opencv_storage"
 COLMAP_CAMERAS, COLMAP_RIGS = "cameras.txt", "rigs.txt"
 COLMAP = {"# Camera list with one line": COLMAP_CAMERAS, "# Rig calib list with one line": COLMAP_RIGS}
 """How COLMAP's text files begin, by what becomes of their lines."""
+MATLAB = b"MATLAB "
+"""How a .mat file begins, of version 5 and of 7.3."""
+MATLAB_FILE, REALSENSE_TEXT = "a MATLAB file", "what rs-enumerate-devices prints"
+"""Keys that these become: the one is read by its own reader, the other as text."""
+REALSENSE = re.compile(r'^\s*Intrinsic of "[^"]+" / \d+x\d+ / \{', re.MULTILINE)
 METASHAPE = "calibration"
 """Root of Agisoft's XML of one camera."""
 SECTION = re.compile(r"\A\s*(?:[#;].*\s+)*\[[\w.\"-]+\]\s*$", re.MULTILINE)
@@ -41,7 +46,11 @@ def read_storage(path: Path) -> dict[str, Any]:
     data, where = read_bytes(path, limit=MAX_BYTES), str(path)
     if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<":
         return _of_xml(data, where)
+    if data.startswith(MATLAB):
+        return {MATLAB_FILE: path.name}
     text = data.decode("utf-8-sig", errors="replace")
+    if REALSENSE.search(text):
+        return {REALSENSE_TEXT: text}
     for head, name in COLMAP.items():
         if text.startswith(head):
             return {name: [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]}
@@ -162,6 +171,13 @@ def _camera_tables(tables: Mapping[str, Any], keys: set[str]) -> bool:
     return bool(cameras) and all(isinstance(one, Mapping) and keys <= one.keys() for one in cameras)
 
 
+def _holds(content: Any, keys: set[str]) -> bool:
+    """Tell whether a mapping of keys is somewhere among nested mappings."""
+    if not isinstance(content, Mapping):
+        return False
+    return keys <= content.keys() or any(_holds(value, keys) for value in content.values())
+
+
 BY_KEYS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     "zed": lambda found: "STEREO" in found and any(str(key).startswith("LEFT_CAM_") for key in found),
     "depthai": lambda found: isinstance(found.get("cameraData"), list),
@@ -176,6 +192,8 @@ BY_KEYS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     "metashape": lambda found: "projection" in found and {"f", "width", "height"} <= found.keys(),
     "halcon": lambda found: "ParGroup" in found,
     "colmap": lambda found: COLMAP_CAMERAS in found or COLMAP_RIGS in found,
+    "matlab": lambda found: MATLAB_FILE in found,
+    "realsense": lambda found: REALSENSE_TEXT in found or _holds(found, {"ppx", "ppy", "coeffs"}),
 }
 """Formats by the keys that no other has."""
 
