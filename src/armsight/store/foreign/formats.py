@@ -19,6 +19,7 @@ from armsight.store.foreign.several import Asked, Placed
 class CameraFormat:
     """A kind of file: title for lists; needs: what has to be said or given beside it; unit: of its lengths.
 
+    signs: patterns of what stands in its first lines, of which a file that is of no kind may have some.
     camera, rig: read one; write_camera, write_rig: write one, where it is written. files: how many make a rig; outs:
     how many are written of one.
     """
@@ -26,6 +27,7 @@ class CameraFormat:
     title: str
     needs: str = ""
     unit: str = "m"
+    signs: tuple[str, ...] = ()
     files: tuple[int, ...] = (1,)
     outs: tuple[int, ...] = (1,)
     camera: Callable[[Path, Asked], Camera] | None = None
@@ -42,12 +44,14 @@ def _several(
     writes: str = "",
     needs: str = "",
     unit: str = "",
+    signs: tuple[str, ...] = (),
 ) -> CameraFormat:
     """Return a kind that a function reads as a list of cameras; names: of a rig's, else the file's."""
     return CameraFormat(
         title=title,
         needs=needs,
         unit=unit,
+        signs=signs,
         camera=lambda path, asked: several.camera_of(read(path, asked), str(path), asked),
         rig=lambda paths, asked: several.rig_of(read(paths[0], asked), str(paths[0]), asked, names),
         write_rig=(lambda paths, rig: several.write_several(paths[0], rig, writes)) if writes else None,
@@ -58,6 +62,7 @@ UNIT = "--unit where the board's squares were not given in metres"
 
 FORMATS = {
     "ros": CameraFormat(
+        signs=("camera_matrix", "distortion_model", "projection_matrix", "rectification_matrix", "binning_x"),
         title="ROS camera_info, as files or as ros2 topic echo prints it",
         needs="of a rig left and right",
         files=(2,),
@@ -68,6 +73,7 @@ FORMATS = {
         write_rig=lambda paths, rig: ros.rig_and_frames_to_ros(paths, rig),
     ),
     "opencv": CameraFormat(
+        signs=("opencv-matrix", "opencv_storage", "cameraMatrix", "camera_matrix", "distCoeffs", r"\bmtx\b"),
         title="OpenCV FileStorage in YAML, JSON or XML, of OpenCV 4 and 5; of a ZED's tool",
         needs=f"--size where it does not say it; {UNIT}",
         files=(1, 2),
@@ -77,6 +83,7 @@ FORMATS = {
         write_rig=lambda paths, rig: opencv.rig_to_opencv(paths[0], rig),
     ),
     "kalibr": CameraFormat(
+        signs=("cam0", "camera_model", "distortion_coeffs", "T_cn_cnm1"),
         title="Kalibr camchain, of any of its models",
         camera=kalibr.camera_from_kalibr,
         rig=lambda paths, asked: kalibr.rig_from_kalibr(paths[0], asked),
@@ -84,27 +91,66 @@ FORMATS = {
         write_rig=lambda paths, rig: kalibr.rig_to_kalibr(paths[0], rig),
     ),
     "zed": _several(
-        "Stereolabs SN*.conf", devices.read_zed, names=SIDES, needs="--size of one side's images", unit="mm"
+        "Stereolabs SN*.conf",
+        devices.read_zed,
+        names=SIDES,
+        needs="--size of one side's images",
+        unit="mm",
+        signs=("LEFT_CAM_", "RIGHT_CAM_", r"^\[STEREO\]"),
     ),
-    "depthai": _several("Luxonis DepthAI calibration (JSON)", devices.read_depthai, unit="cm"),
-    "aniposelib": _several("aniposelib calibration.toml", several.read_aniposelib, writes="aniposelib", needs=UNIT),
-    "caliscope": _several("caliscope camera_array.toml", several.read_caliscope, writes="caliscope", needs=UNIT),
-    "multical": _several("multical calibration.json", several.read_multical, writes="multical", needs=UNIT),
-    "metashape": _several("Metashape camera calibration (Agisoft XML)", photogrammetry.read_metashape),
-    "halcon": _several("HALCON camera parameters (.dat, .cal)", photogrammetry.read_halcon),
+    "depthai": _several(
+        "Luxonis DepthAI calibration (JSON)",
+        devices.read_depthai,
+        unit="cm",
+        signs=("cameraData", "toCameraSocket", "intrinsicMatrix"),
+    ),
+    "aniposelib": _several(
+        "aniposelib calibration.toml",
+        several.read_aniposelib,
+        writes="aniposelib",
+        needs=UNIT,
+        signs=(r"^\[cam_", "distortions", r"^\[metadata\]"),
+    ),
+    "caliscope": _several(
+        "caliscope camera_array.toml",
+        several.read_caliscope,
+        writes="caliscope",
+        needs=UNIT,
+        signs=(r"^\[cameras\.", "cam_id", "rotation_count", "distortions"),
+    ),
+    "multical": _several(
+        "multical calibration.json",
+        several.read_multical,
+        writes="multical",
+        needs=UNIT,
+        signs=("camera_poses", "image_size", "image_sets"),
+    ),
+    "metashape": _several(
+        "Metashape camera calibration (Agisoft XML)",
+        photogrammetry.read_metashape,
+        signs=("<calibration", "<projection", "<b1>"),
+    ),
+    "halcon": _several(
+        "HALCON camera parameters (.dat, .cal)",
+        photogrammetry.read_halcon,
+        signs=("ParGroup", "^Focus:", "^(Kappa|K1):"),
+    ),
     "realsense": _several(
         "RealSense: text of rs-enumerate-devices -c, or JSON of librealsense's fields",
         realsense.read_realsense,
         needs="--size where it holds several; of a rig --name of its cameras",
         unit="m, known",
+        signs=("Intrinsic of", "ppx", "ppy", "coeffs", "rs-enumerate-devices", "brown_conrady"),
     ),
     "matlab": _several(
         "MATLAB cameraParameters, stereoParameters as a struct (.mat up to version 7)",
         matlab.read_matlab,
         names=SIDES,
         needs="--size of a struct from before R2017; --unit where WorldUnits is not a unit",
+        signs=(r"\AMATLAB ",),
     ),
     "colmap": CameraFormat(
+        signs=("CAMERA_ID, MODEL", "RIG_ID, NUM_SENSORS", "SIMPLE_RADIAL|PINHOLE"),
         title="COLMAP cameras.txt, of a rig with rigs.txt (3.12 and later)",
         needs="of a rig both files, and --unit",
         files=(2,),

@@ -112,7 +112,8 @@ def _camera(struct: Mapping[str, Any], where: str, asked: Asked) -> Camera:
     key = "K" if "K" in struct else "IntrinsicMatrix"
     K = _matrix(struct, key, (3, 3), where)
     fx, fy, cx, cy, skew = numbers.intrinsics_of(K if key == "K" else K.T, key, where)
-    radial = numbers.array_of(np.asarray(struct["RadialDistortion"]).tolist(), "RadialDistortion", where).ravel()
+    radial = np.asarray(numbers.value_at(struct, "RadialDistortion", where)).tolist()
+    radial = numbers.array_of(radial, "RadialDistortion", where).ravel()
     p1, p2 = _matrix(struct, "TangentialDistortion", (1, 2), where).ravel().tolist()
     if radial.size not in (2, 3):
         raise BadFile(f"{where}: {radial.size} radial coefficients", cure="Calibrate it with two or three")

@@ -108,7 +108,8 @@ def _of_size(blocks: Sequence[tuple[str, Mapping[str, Any]]], where: str, asked:
                 if "," in sizes
                 else "Keep the one of the format that you record: raw and rectified images differ",
             )
-        found |= {name: one for one in of.values()}
+        if of:
+            found[name] = next(iter(of.values()))
     if not found:
         raise UsageError(f"{where}: no camera has images of that size", cure="Give one that is there, or none")
     return found

@@ -193,7 +193,7 @@ def _multical_poses(poses: Mapping[str, Any], names: Sequence[str], where: str) 
 def _opencv(name: str, one: Mapping[str, Any], where: str, asked: Asked, pose: tuple[str, str] | None = None) -> Placed:
     """Return a camera of OpenCV's numbers, with its pose under two keys where it has one."""
     lens = partial(_opencv_lens, one, where, asked)
-    if pose is None or not any(key in one for key in pose):
+    if pose is None or all(one.get(key) in (None, "null") for key in pose):  # "null": caliscope's, not placed yet
         return Placed(name=name, lens=lens)
     R = numbers.array_of(numbers.value_at(one, pose[0], where), pose[0], where)
     R = Rotation.from_rotvec(R.ravel()).as_matrix() if R.size == 3 else numbers.matrix_at(one, pose[0], (3, 3), where)
