@@ -128,3 +128,39 @@ def halcon(path, **lens):
         text += f'{name}:{name.lower()}: {value};\n  INT:1:32767;\n  "{name}";\n\n'
     path.write_text(text)
     return values
+
+
+def step(a, b):
+    R = b.R @ a.R.T
+    return R, b.t - R @ a.t
+
+
+def printed(R, t, a="Depth", b="Color"):
+    rows = "\n".join("  ".join(f" {x:.6g}   " for x in row) for row in R)
+    head = f'Extrinsic from "{a}"\t  To\t  "{b}" :\n Rotation Matrix:\n'
+    return head + f"{rows}\n\n Translation Vector: {t[0]}  {t[1]}  {t[2]}  \n\n"
+
+
+def enumerated(name, view, size=SIZE, form="Y8"):
+    (fx, _, cx), (_, fy, cy), _ = view.K
+    lens = "  \t".join(str(x) for x in view.D[[0, 1, 2, 3, 4]])
+    return (
+        f' Intrinsic of "{name}" / {size[0]}x{size[1]} / {{{form}}}\n'
+        f"  Width:      \t{size[0]}\n  Height:     \t{size[1]}\n"
+        f"  PPX:        \t{cx}\n  PPY:        \t{cy}\n  Fx:         \t{fx}\n  Fy:         \t{fy}\n"
+        f"  Distortion: \tBrown Conrady\n  Coeffs:     \t{lens}  \n  FOV (deg):  \t69.37 x 42.54\n\n"
+    )
+
+
+def matlab(view, *, new, **more):
+    """A cameraParameters struct; new: as R2022b and later write it."""
+    K = view.K + np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+    lens = {"RadialDistortion": view.D[[0, 1, 4]], "TangentialDistortion": view.D[[2, 3]], "WorldUnits": "mm"}
+    sized = {"ImageSize": np.array([SIZE[1], SIZE[0]])} | ({"K": K} if new else {})
+    return lens | sized | {"IntrinsicMatrix": K.T, "EstimateSkew": 0} | more
+
+
+def stereo(first, second, **more):
+    R, t = step(LEFT, RIGHT)
+    both = {"CameraParameters1": first, "CameraParameters2": second}
+    return both | {"RotationOfCamera2": R.T, "TranslationOfCamera2": 1000.0 * t} | more

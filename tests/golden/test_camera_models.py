@@ -12,7 +12,7 @@ from armsight.errors import BadFile, UsageError
 from armsight.ops.conversion import convert_rig, load_camera, load_rig
 from armsight.optics import LensKind
 from armsight.store.foreign import Asked
-from foreign_cameras import LEFT, POINTS, RIGHT, SIZE, THIRD
+from foreign_cameras import LEFT, POINTS, RIGHT, SIZE, THIRD, enumerated, matlab, printed, step, stereo
 from refusals import names_it, refuses
 
 RADTAN = (-0.05, 0.01, 0.00002, -0.00001)
@@ -129,11 +129,6 @@ def intrinsics(view, model, coeffs):
     return size | {"fx": fx, "fy": fy, "ppx": ppx, "ppy": ppy, "model": model, "coeffs": list(coeffs)}
 
 
-def step(a, b):
-    R = b.R @ a.R.T
-    return R, b.t - R @ a.t
-
-
 def modified(rays, coeffs):
     """Rays (n, 2) as bent by librealsense's rs2_project_point_to_pixel of the models inverse and modified."""
     k1, k2, p1, p2, k3 = coeffs
@@ -169,23 +164,6 @@ def test_a_realsenses_json_is_read_by_what_its_maker_projects(tmp_path, model):
         load_rig([tmp_path / "rs.json"])
 
 
-def printed(R, t, a="Depth", b="Color"):
-    rows = "\n".join("  ".join(f" {x:.6g}   " for x in row) for row in R)
-    head = f'Extrinsic from "{a}"\t  To\t  "{b}" :\n Rotation Matrix:\n'
-    return head + f"{rows}\n\n Translation Vector: {t[0]}  {t[1]}  {t[2]}  \n\n"
-
-
-def enumerated(name, view, size=SIZE, form="Y8"):
-    (fx, _, cx), (_, fy, cy), _ = view.K
-    lens = "  \t".join(str(x) for x in view.D[[0, 1, 2, 3, 4]])
-    return (
-        f' Intrinsic of "{name}" / {size[0]}x{size[1]} / {{{form}}}\n'
-        f"  Width:      \t{size[0]}\n  Height:     \t{size[1]}\n"
-        f"  PPX:        \t{cx}\n  PPY:        \t{cy}\n  Fx:         \t{fx}\n  Fy:         \t{fy}\n"
-        f"  Distortion: \tBrown Conrady\n  Coeffs:     \t{lens}  \n  FOV (deg):  \t69.37 x 42.54\n\n"
-    )
-
-
 def test_what_rs_enumerate_devices_prints_is_read(tmp_path):
     half = (640, 360)
     head = "Device info: \n    Name  : \tIntel RealSense D435\n\nIntrinsic Parameters:\n\n"
@@ -210,20 +188,6 @@ def test_what_rs_enumerate_devices_prints_is_read(tmp_path):
     path.write_text(text.replace("PPX:        \t640.5", "PPX:        \t640,5"))
     with refuses(BadFile, "not whole"):
         load_rig([path], Asked(size=SIZE))
-
-
-def matlab(view, *, new, **more):
-    """A cameraParameters struct; new: as R2022b and later write it."""
-    K = view.K + np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
-    lens = {"RadialDistortion": view.D[[0, 1, 4]], "TangentialDistortion": view.D[[2, 3]], "WorldUnits": "mm"}
-    sized = {"ImageSize": np.array([SIZE[1], SIZE[0]])} | ({"K": K} if new else {})
-    return lens | sized | {"IntrinsicMatrix": K.T, "EstimateSkew": 0} | more
-
-
-def stereo(first, second, **more):
-    R, t = step(LEFT, RIGHT)
-    both = {"CameraParameters1": first, "CameraParameters2": second}
-    return both | {"RotationOfCamera2": R.T, "TranslationOfCamera2": 1000.0 * t} | more
 
 
 @pytest.mark.parametrize("new", [False, True])

@@ -65,9 +65,11 @@ def read_zed(path: Path, asked: Asked) -> list[Placed]:
     left, right = (
         partial(_zed_camera, content, f"{side}_CAM_{name}", size, where, asked) for side in ("LEFT", "RIGHT")
     )
-    angles = [_zed(stereo, f"{key}_{name}", where) for key in ("RX", "CV", "RZ")]
-    shifts = [_zed(stereo, f"{key}_{name}" if f"{key}_{name}" in stereo else key, where) for key in ("TY", "TZ")]
-    t_m = MM * np.array([-_zed(stereo, "Baseline", where), *shifts])
+    angles = [numbers.number_at(stereo, f"{key}_{name}", where) for key in ("RX", "CV", "RZ")]
+    shifts = [
+        numbers.number_at(stereo, f"{key}_{name}" if f"{key}_{name}" in stereo else key, where) for key in ("TY", "TZ")
+    ]
+    t_m = MM * np.array([-numbers.number_at(stereo, "Baseline", where), *shifts])
     return [
         Placed(name=SIDES[0], lens=left, pose=(np.eye(3), np.zeros(3))),
         Placed(name=SIDES[1], lens=right, pose=(Rotation.from_rotvec(angles).as_matrix(), t_m)),
@@ -76,7 +78,7 @@ def read_zed(path: Path, asked: Asked) -> list[Placed]:
 
 def _zed_camera(content: Mapping[str, Any], section: str, size: tuple[int, int], where: str, asked: Asked) -> Camera:
     one = numbers.value_at(content, section, where)
-    fx, fy, cx, cy = (_zed(one, key, f"{where}, {section}") for key in ("fx", "fy", "cx", "cy"))
+    fx, fy, cx, cy = (numbers.number_at(one, key, f"{where}, {section}") for key in ("fx", "fy", "cx", "cy"))
     rational = f"{section.split('_')[0]}_DISTO"
     lens, keys = content.get(rational), list(RATIONAL)
     if isinstance(lens, Mapping) and set(RATIONAL) <= lens.keys():
@@ -89,13 +91,8 @@ def _zed_camera(content: Mapping[str, Any], section: str, size: tuple[int, int],
             )
     else:
         lens, keys = one, list(RATIONAL[:5])
-    values = np.array([_zed(lens, key, f"{where}, {section}") for key in keys])
+    values = np.array([numbers.number_at(lens, key, f"{where}, {section}") for key in keys])
     return lens_of(values, (fx, fy, cx, cy, 0.0), size, f"{where}, {section}", asked, fisheye=False)
-
-
-def _zed(section: Mapping[str, Any], key: str, where: str) -> float:
-    value = numbers.value_at(section, key, where)
-    return float(numbers.array_of(value, key, where))
 
 
 def read_depthai(path: Path, asked: Asked) -> list[Placed]:
@@ -103,7 +100,10 @@ def read_depthai(path: Path, asked: Asked) -> list[Placed]:
     their chains of poses end at, in metres. Raises BadFile.
     """
     where = str(path)
-    cameras = dict(_socket(one, where) for one in read_storage(path)["cameraData"])
+    entries = [_socket(one, where) for one in read_storage(path)["cameraData"]]
+    cameras = dict(entries)
+    if len(cameras) < len(entries):
+        raise BadFile(f"{where}: one socket holds two cameras", cure="Keep one of each socket in cameraData")
     poses = {socket: _chain(cameras, socket, where) for socket in cameras}
     ends = [end for end, _ in poses.values()]
     common = max(ends, key=ends.count) if ends else None
@@ -148,7 +148,7 @@ def _chain(cameras: Mapping[int, Mapping[str, Any]], socket: int, where: str) ->
             numbers.matrix_at(extrinsics, "rotationMatrix", (3, 3), here), "rotationMatrix", here
         )
         measured = numbers.value_at(extrinsics, "translation", here)
-        shift = np.array([float(numbers.array_of(numbers.value_at(measured, x, here), x, here)) for x in "xyz"])
+        shift = np.array([numbers.number_at(measured, x, here) for x in "xyz"])
         R, t, socket = step @ R, step @ t + CM * shift, to
         seen.add(to)
 

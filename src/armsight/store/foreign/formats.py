@@ -9,7 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from armsight.errors import UsageError
+import numpy as np
+
+from armsight.errors import BadFile, UsageError
 from armsight.optics import SIDES, Camera, Rig
 from armsight.store.foreign import colmap, devices, kalibr, matlab, opencv, photogrammetry, realsense, ros, several
 from armsight.store.foreign.several import Asked, Placed
@@ -161,6 +163,9 @@ FORMATS = {
         write_rig=colmap.rig_to_colmap,
     ),
 }
+OFF_CENTRE, CENTRED = 0.1, 0.05
+"""Of the image's size: lenses are within the one of its middle, mostly within the other; of sides 4 to 3 that are
+exchanged it is 0.17."""
 READ = tuple(name for name, one in FORMATS.items() if one.rig is not None)
 WRITTEN = tuple(name for name, one in FORMATS.items() if one.write_rig is not None)
 
@@ -170,7 +175,9 @@ def read_foreign_camera(kind: str, path: Path, asked: Asked) -> Camera:
     read = FORMATS[kind].camera
     if read is None:
         raise UsageError(f"a file of {kind} is written only", cure="Give a file of another kind")
-    return read(path, asked)
+    camera = read(path, asked)
+    _require_upright(camera, str(path))
+    return camera
 
 
 def read_foreign_rig(kind: str, paths: Sequence[Path], asked: Asked) -> Rig:
@@ -184,4 +191,20 @@ def read_foreign_rig(kind: str, paths: Sequence[Path], asked: Asked) -> Rig:
             consequence="Another unit would put the cameras elsewhere",
             cure="Leave --unit out",
         )
-    return one.rig(paths, asked)
+    rig = one.rig(paths, asked)
+    for camera in rig.cameras:
+        _require_upright(camera.camera, f"{' and '.join(str(path) for path in paths)}, {camera.name}")
+    return rig
+
+
+def _require_upright(camera: Camera, where: str) -> None:
+    """Raise BadFile where the principal point fits the image's size with width and height exchanged, and only so."""
+    middle, size = camera.intrinsics[2:4], np.array([camera.width, camera.height])
+    off, turned = (float(np.abs((middle + 0.5) / one - 0.5).max()) for one in (size, size[::-1]))
+    if off > OFF_CENTRE and turned < CENTRED:
+        raise BadFile(
+            f"{where}: the principal point {middle[0]:.0f}, {middle[1]:.0f} px is in the middle of images of "
+            f"{size[1]}x{size[0]} px, and the size is {size[0]}x{size[1]}",
+            consequence="Width and height are exchanged, or the camera's pictures were turned after its calibration",
+            cure="Correct the size there, width first; calibrate turned pictures as they are used",
+        )

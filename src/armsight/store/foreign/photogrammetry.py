@@ -93,7 +93,7 @@ def _number(content: Mapping[str, Any], key: str, where: str, *, needed: bool = 
     """Return the number under a key, 0 where it may be left out and is. Raises BadFile."""
     if key not in content and not (needed or positive):
         return 0.0
-    value = float(numbers.array_of(numbers.value_at(content, key, where), key, where).reshape(()))
+    value = numbers.number_at(content, key, where)
     if positive and not value > 0.0:
         raise BadFile(
             f"{where}: {key} is {value:g}, not above zero", cure="Take the parameters of a lens that is calibrated"

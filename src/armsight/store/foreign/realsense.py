@@ -138,7 +138,10 @@ def _poses(steps: Sequence[tuple[str, Mapping[str, Any]]], names: Sequence[str],
                     cure="Write its nine numbers as they come: list(extrinsics.rotation)",
                 )
             R = numbers.rotation_of(R.reshape(3, 3).T, "rotation", here)
-            given[plain[a], plain[b]] = R, numbers.matrix_at(one, "translation", (3, 1), here).ravel()
+            step = R, numbers.matrix_at(one, "translation", (3, 1), here).ravel()
+            before = given.setdefault((plain[a], plain[b]), step)
+            if any((x != y).any() for x, y in zip(before, step, strict=True)):
+                raise BadFile(f"{where}: two poses from {plain[a]} to {plain[b]}", cure="Keep those of one device")
     best: dict[str, Pose] = {}
     for common in names:
         poses: dict[str, Pose] = {common: (np.eye(3), np.zeros(3))}
@@ -157,9 +160,7 @@ def _camera(one: Mapping[str, Any], where: str, asked: Asked) -> Camera:
     word = str(one["model"]).lower().rsplit(".", 1)[-1].removeprefix("rs2_distortion_").replace(" ", "_")
     model = MODELS[int(word)] if word.isdecimal() and int(word) < len(MODELS) else word
     values = numbers.array_of(one["coeffs"], "coeffs", where).ravel()
-    fx, fy, ppx, ppy = (
-        float(numbers.array_of(one[key], key, where).reshape(-1)[0]) for key in ("fx", "fy", "ppx", "ppy")
-    )
+    fx, fy, ppx, ppy = (numbers.number_at(one, key, where) for key in ("fx", "fy", "ppx", "ppy"))
     size = numbers.count_at(one, "width", where), numbers.count_at(one, "height", where)
     intrinsics = (fx, fy, ppx, ppy, 0.0)
     if model not in MODELS or values.size != 5 or (model in ("none", "ftheta") and values.any()):

@@ -72,6 +72,12 @@ def camera_of(found: Sequence[Placed], where: str, asked: Asked) -> Camera:
 def chosen(found: Sequence[Placed], where: str, asked: Asked) -> list[Placed]:
     """Return the cameras that are meant, in the order that they are named in; all where none is named."""
     by_name = {one.name: one for one in found}
+    if len(by_name) < len(found):
+        raise BadFile(
+            f"{where} holds {len(found)} cameras of {len(by_name)} names: {_names(found)}",
+            consequence="Which of those of one name is meant is not clear",
+            cure="Keep one of each name",
+        )
     unknown = [name for name in asked.names if name not in by_name]
     if unknown:
         raise UsageError(f"{where} holds no camera {unknown[0]!r}", cure=f"Use one of: {_names(found)}")

@@ -56,8 +56,18 @@ def read_storage(path: Path) -> dict[str, Any]:
             return {name: [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]}
     if SECTION.match(text):
         return _of_sections(text, where)
-    if HALCON.search(text):
-        return {"ParGroup": HALCON.findall(text), **{name: _word(value) for name, value in HALCON_VALUE.findall(text)}}
+    return _of_halcon(text, where) if HALCON.search(text) else _of_yaml(data, where)
+
+
+def _of_halcon(text: str, where: str) -> dict[str, Any]:
+    values = [(name, _word(value)) for name, value in HALCON_VALUE.findall(text)]
+    if len(dict(values)) < len(values):
+        raise BadFile(f"{where}: the parameters of more than one camera", cure="Keep those of one camera")
+    return {"ParGroup": HALCON.findall(text), **dict(values)}
+
+
+def _of_yaml(data: bytes, where: str) -> dict[str, Any]:
+    """Return YAML or JSON. Raises BadFile, also where a comma stands in a number: YAML takes {a: 1,280} as two keys."""
     try:
         content = parse_yaml(data, where)
     except BadFile:
@@ -65,8 +75,25 @@ def read_storage(path: Path) -> dict[str, Any]:
         if not messages or None in messages:
             raise
         content = _one_of(messages, where)
+    cut = _key_without_value(content)
+    if cut is not None:
+        raise BadFile(
+            f"{where}: the number {cut} has no name", cure="Write numbers with points and without other signs"
+        )
     message = _message(content)
     return content if message is None else _camera_info(message, where)
+
+
+def _key_without_value(content: Any) -> object:
+    """Return a number that is a key without a value somewhere in mappings and lists, None where there is none."""
+    if isinstance(content, dict):
+        alone = (key for key, value in content.items() if value is None and not isinstance(_word(str(key)), str))
+        inner = (_key_without_value(value) for value in content.values() if isinstance(value, dict | list))
+        return next(alone, next((one for one in inner if one is not None), None))
+    if isinstance(content, list):
+        inner = (_key_without_value(value) for value in content if isinstance(value, dict | list))
+        return next((one for one in inner if one is not None), None)
+    return None
 
 
 def _one_of(messages: list[dict[str, Any] | None], where: str) -> dict[str, Any]:
