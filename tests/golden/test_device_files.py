@@ -1,10 +1,8 @@
-"""Cameras' files of devices and other programs, written here in their form from a world that OpenCV projects."""
+"""Cameras' files of devices and other programs hold the cameras that OpenCV projects their world by."""
 
 import json
 from dataclasses import replace
-from typing import NamedTuple
 
-import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -15,36 +13,20 @@ from armsight.ops.conversion import convert_camera, convert_rig, load_camera, lo
 from armsight.records import NamedCovariance
 from armsight.store import write_rig
 from armsight.store.foreign import READ, Asked, kind_of
+from foreign_cameras import (
+    LEFT,
+    POINTS,
+    RIGHT,
+    SIZE,
+    THIRD,
+    aniposelib,
+    caliscope,
+    depthai,
+    halcon,
+    multical,
+    zed,
+)
 from refusals import names_it, refuses
-
-SIZE = (1280, 720)
-D = np.array([-0.17, 0.026, 0.0003, -0.0002, 0.004])
-
-
-class View(NamedTuple):
-    """A camera by OpenCV: p_camera = Rodrigues(r) p_world + t (m)."""
-
-    K: np.ndarray
-    r: np.ndarray
-    t: np.ndarray
-    D: np.ndarray = D
-
-    @property
-    def R(self):
-        return cv2.Rodrigues(self.r)[0]
-
-    def sees(self, points):
-        return cv2.projectPoints(points, self.r, self.t, self.K, self.D)[0].reshape(-1, 2)
-
-
-def matrix(f, cx, cy):
-    return np.array([[f, 0.0, cx], [0.0, f + 1.0, cy], [0.0, 0.0, 1.0]])
-
-
-LEFT = View(matrix(700.0, 640.5, 361.0), np.zeros(3), np.zeros(3))
-RIGHT = View(matrix(703.0, 645.5, 355.0), np.array([0.003, -0.02, 0.001]), np.array([-0.1199, 0.0004, 0.0007]))
-THIRD = View(matrix(690.0, 630.0, 350.0), np.array([0.02, 0.31, -0.04]), np.array([0.15, -0.02, 0.03]))
-POINTS = np.random.default_rng(8).uniform((-0.2, -0.1, 0.7), (0.2, 0.1, 1.1), (40, 3))
 
 
 def is_read(views, path, *, scale=1.0, tolerance_px=1e-6, **asked):
@@ -55,21 +37,6 @@ def is_read(views, path, *, scale=1.0, tolerance_px=1e-6, **asked):
     for got, view in zip(seen, views, strict=True):
         assert np.abs(got - view.sees(POINTS)).max() < tolerance_px
     return rig
-
-
-def zed(path, *, rational=False, name="HD"):
-    lens = "".join(f"{key}={value}\n" for key, value in zip(("k1", "k2", "p1", "p2", "k3"), D, strict=True))
-    text = ""
-    for side, view in (("LEFT", LEFT), ("RIGHT", RIGHT)):
-        (fx, _, cx), (_, fy, cy), _ = view.K
-        text += f"[{side}_CAM_{name}]\nfx={fx}\nfy={fy}\ncx={cx}\ncy={cy}\n{lens}\n[{side}_CAM_VGA]\nfx=350.\n\n"
-        if rational:
-            text += f"[{side}_DISTO]\n{lens}k4=0\nk5=0\nk6=0\n\n"
-    rx, cv, rz = RIGHT.r
-    t = 1e3 * RIGHT.t
-    text += f"[STEREO]\nBaseline={-t[0]}\nTY={t[1]}\nTZ={t[2]}\nCV_{name}={cv}\nRX_{name}={rx}\nRZ_{name}={rz}\n"
-    path.write_text(text)
-    return path
 
 
 @pytest.mark.parametrize("rational", [False, True])
@@ -84,38 +51,6 @@ def test_a_zeds_file_is_read_at_the_size_that_is_said(tmp_path, rational):
         load_rig([path])
     with refuses(UsageError, "mm", "Leave --unit out"):
         load_rig([path], Asked(size=SIZE, unit_m=0.001))
-
-
-def depthai(path, **changes):
-    def camera(view, to, step, **more):
-        R, t = step
-        spec = {"x": -7.5, "y": 0.0, "z": 0.0}  # the drawing's
-        return {
-            "cameraType": 0,
-            "width": SIZE[0],
-            "height": SIZE[1],
-            "intrinsicMatrix": view.K.tolist(),
-            "distortionCoeff": [*view.D, *[0.0] * 9],
-            "extrinsics": {
-                "rotationMatrix": R.tolist(),
-                "translation": dict(zip("xyz", (100.0 * t).tolist(), strict=True)),
-                "specTranslation": spec,
-                "toCameraSocket": to,
-            },
-        } | more
-
-    def step(a, b):
-        R = b.R @ a.R.T
-        return R, b.t - R @ a.t
-
-    cameras = [
-        [1, camera(LEFT, 2, step(LEFT, RIGHT), **changes)],
-        [2, camera(RIGHT, 0, step(RIGHT, THIRD))],
-        [0, camera(THIRD, -1, (np.zeros((3, 3)), np.zeros(3)))],
-        [3, {"cameraType": 0, "intrinsicMatrix": [], "extrinsics": {"toCameraSocket": -1}}],
-    ]
-    path.write_text(json.dumps({"boardName": "X", "version": 7, "cameraData": cameras}))
-    return path
 
 
 def test_the_cameras_of_a_depthai_board_are_chained_as_measured(tmp_path):
@@ -147,42 +82,6 @@ def test_the_cameras_of_a_depthai_board_are_chained_as_measured(tmp_path):
 def test_what_a_board_cannot_mean_is_refused(tmp_path, changes, says):
     with refuses(BadFile, "CAM_B" if says != "circle" else "circle", says):
         load_rig([depthai(tmp_path / "oak.json", **changes)])
-
-
-def toml(value):
-    return json.dumps(value)
-
-
-def aniposelib(path, views, unit=1.0):
-    text = ""
-    for k, view in enumerate(views):
-        text += f'[cam_{k}]\nname = "c{k}"\nsize = {toml(SIZE)}\nmatrix = {toml(view.K.tolist())}\n'
-        text += f"distortions = {toml(view.D.tolist())}\nrotation = {toml(view.r.tolist())}\n"
-        text += f"translation = {toml((unit * view.t).tolist())}\n\n"
-    path.write_text(text + "[metadata]\nadjusted = false\nerror = 0.2\n")
-
-
-def caliscope(path, views, unit=1.0):
-    text = ""
-    for k, view in enumerate(views):
-        text += f"[cameras.{k}]\ncam_id = {k}\nsize = {toml(SIZE)}\nrotation_count = 0\nerror = 0.3\n"
-        text += f"matrix = {toml(view.K.tolist())}\ndistortions = {toml(view.D.tolist())}\n"
-        text += (
-            f"translation = {toml((unit * view.t).tolist())}\nrotation = {toml(view.r.tolist())}\nfisheye = false\n\n"
-        )
-    path.write_text(text)
-
-
-def multical(path, views, unit=1.0):
-    def pose(view):
-        return {"R": view.R.tolist(), "T": (unit * view.t).tolist()}
-
-    cameras = {
-        f"c{k}": {"model": "standard", "image_size": SIZE, "K": view.K.tolist(), "dist": [view.D.tolist()]}
-        for k, view in enumerate(views)
-    }
-    poses = {("c0" if k == 0 else f"c{k}_to_c0"): pose(view) for k, view in enumerate(views)}
-    path.write_text(json.dumps({"cameras": cameras, "camera_poses": poses, "image_sets": {"rgb": []}}))
 
 
 @pytest.mark.parametrize("write", [aniposelib, caliscope, multical])
@@ -247,17 +146,6 @@ def test_metashapes_frame_camera_is_read_by_its_own_formulas(tmp_path, k4, toler
     assert np.abs(camera.project(np.column_stack([xy, np.ones(200)])) - uv)[inside].max() < tolerance_px
 
 
-def halcon(path, **lens):
-    values = {"Focus": 0.008, **lens, "Sx": 1.1e-5, "Sy": 1.1e-5, "Cx": 378.0, "Cy": 297.5}
-    text = '# INTERNAL CAMERA PARAMETERS\n\nParGroup: Camera: Parameter;\n  "Internal camera parameters";\n\n'
-    for name, value in values.items():
-        text += f'{name}:{name.lower()}: {value};\n  DOUBLE:0.0:;\n  "{name}";\n\n'
-    for name, value in (("ImageWidth", 768), ("ImageHeight", 576)):
-        text += f'{name}:{name.lower()}: {value};\n  INT:1:32767;\n  "{name}";\n\n'
-    path.write_text(text)
-    return values
-
-
 def test_halcons_division_and_polynomial_lenses_are_read(tmp_path):
     path = tmp_path / "campar.dat"
     uv = np.random.default_rng(4).uniform((0.0, 0.0), (767.0, 575.0), (200, 2))
@@ -312,8 +200,7 @@ def test_a_rig_of_colmap_is_read_and_written(tmp_path):
     (tmp_path / "rigs.txt").write_text(rig + "\n")
     files = [tmp_path / "cameras.txt", tmp_path / "rigs.txt"]
     with refuses(BadFile, "camera 9", "FOV", "OPENCV"):
-        load_rig(files, Asked(unit_m=0.1))
-    files[0].write_text("\n".join([*lines, ""]))
+        load_camera(files[0], Asked(names=("9",)))  # which no rig of the file has
     with refuses(UsageError, "unit", "--unit 1"):
         load_rig(files)
     convert_rig(files, [tmp_path / "rig.yaml"], asked=Asked(unit_m=0.1))
@@ -328,8 +215,9 @@ def test_a_rig_of_colmap_is_read_and_written(tmp_path):
 
 
 def test_every_kind_that_is_read_has_a_case_here_or_of_its_own_program():
-    here = {"zed", "depthai", "aniposelib", "caliscope", "multical", "metashape", "halcon"}
-    assert set(READ) == here | {"colmap", "ros", "opencv", "kalibr"}  # tests/golden/test_foreign_files.py
+    here = {"zed", "depthai", "aniposelib", "caliscope", "multical", "metashape", "halcon", "colmap"}
+    there = {"realsense", "matlab"}  # tests/golden/test_camera_models.py
+    assert set(READ) == here | there | {"ros", "opencv", "kalibr"}  # tests/golden/test_foreign_files.py
 
 
 def test_two_cameras_of_a_larger_rig_become_a_pair_with_their_covariance(tmp_path):

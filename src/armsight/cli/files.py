@@ -16,13 +16,12 @@ from armsight.ops.machine import reproduce
 
 
 def _kinds(wanted: bool) -> None:
-    """Print the kinds of cameras' files that are known."""
+    """Print the kinds of files that are known."""
     if wanted:
-        from armsight.store.foreign import FORMATS
+        from armsight.ops.file_kinds import listing
 
-        for name, one in FORMATS.items():
-            reads = "read and written" if one.rig and one.write_rig else "read" if one.rig else "written"
-            typer.echo(f"{name:11} {reads:16} {one.title}" + (f"; {one.needs}" if one.needs else ""))
+        for line in listing():
+            typer.echo(line)
         raise typer.Exit
 
 

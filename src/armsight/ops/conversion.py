@@ -12,6 +12,7 @@ import numpy as np
 from armsight.calibrate.handeye import Setup
 from armsight.errors import BadFile, UsageError
 from armsight.fields import Doc
+from armsight.ops.file_kinds import unknown
 from armsight.optics import SIDES, Camera, Rig
 from armsight.optics.mirrors import pinhole_pair
 from armsight.records.output import Output, output
@@ -26,7 +27,6 @@ from armsight.store import (
     write_rig,
     write_tum,
 )
-from armsight.store.atomic import read_bytes
 from armsight.store.foreign import (
     FORMATS,
     READ,
@@ -42,15 +42,7 @@ from armsight.store.foreign import (
     write_tf_launch,
 )
 from armsight.store.handeye_file import read_handeye
-from armsight.store.yamls import MAX_BYTES
 
-SYNTAX_SAID = (".yaml", ".yml", ".json", ".xml", ".toml")
-"""Of files with these endings it is said where their syntax breaks."""
-NEAREST = {
-    "Camera-system parameters": "This is what Kalibr prints for people: give its camchain.yaml",
-    "Format Version": "This is a recording of Motive, not a calibration of cameras: see armsight convert table",
-}
-"""What stands at the head of files that users give, and what they need instead."""
 HANDEYE_KINDS = ("easy_handeye", "easy_handeye2", "tf")
 TUM_SUFFIXES = (".tum", ".txt")
 
@@ -219,26 +211,23 @@ def _done(
 
 
 def _kind(path: Path, own: str) -> str:
+    command = f"convert {own.removeprefix('armsight/')}"
     try:
         kind = kind_of(path)
     except BadFile as error:
-        if path.suffix.lower() in SYNTAX_SAID or not path.is_file():
+        if not path.is_file():
             raise
-        head = read_bytes(path, limit=MAX_BYTES)[:80].decode("utf-8", errors="replace").strip()
-        hint = next((cure for begins, cure in NEAREST.items() if head.startswith(begins)), "")
-        raise BadFile(
-            f"{path} begins with {head.splitlines()[0][:60] if head else ''!r}, as no known kind of calibration does",
-            consequence="It cannot be converted",
-            cure=hint or f"Known are {own} and files of {', '.join(READ)}",
-        ) from error
+        raise unknown(path, command, error) from error
     if kind == own:
         return "armsight"
     if kind in READ:
         return kind
+    if kind is None:
+        raise unknown(path, command)
     raise BadFile(
-        f"{path} is {kind}, not {own}" if kind else f"{path} is no calibration of a known kind",
+        f"{path} is {kind}, not {own}",
         consequence="It cannot be converted",
-        cure=f"Known are {own} and files of {', '.join(READ)}",
+        cure=f"Known are {own} and the kinds of armsight convert --list",
     )
 
 

@@ -160,9 +160,11 @@ def any_table(
     table: Table | None = None,
 ) -> ConvertTableOutput:
     """Show what is understood of a table, and write it in armsight's columns and units."""
+    from armsight.ops.file_kinds import pointed_elsewhere
     from armsight.ops.tables import convert_table
 
-    return convert_table(source, kind=kind, format_=table, arm=arm, out=out)
+    with pointed_elsewhere(source, "convert table"):
+        return convert_table(source, kind=kind, format_=table, arm=arm, out=out)
 
 
 @action("convert handeye", writes=True, examples=("handeye.yaml --to easy_handeye -o handeye_easy.yaml",))
@@ -196,8 +198,10 @@ def arm(
     """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
     from armsight._files import arm_source
     from armsight.ops.arm_files import convert_arm
+    from armsight.ops.file_kinds import pointed_elsewhere
 
-    return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention)
+    with pointed_elsewhere(Path(source), "convert arm"):
+        return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention)
 
 
 def convert(

@@ -9,6 +9,8 @@ R p_rig + t; the reference sensor's axes are the rig's. The unit is what the rec
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +47,8 @@ def read_cameras(path: Path, asked: Asked) -> list[Placed]:
     content = read_storage(path)
     if COLMAP_CAMERAS not in content:
         raise BadFile(f"{path} is a rigs.txt", cure="Give cameras.txt, of a rig both: cameras.txt rigs.txt")
-    return [_camera(line, str(path), asked) for line in content[COLMAP_CAMERAS]]
+    lines = [line or [""] for line in content[COLMAP_CAMERAS]]
+    return [Placed(name=line[0], lens=partial(_camera, line, str(path), asked)) for line in lines]
 
 
 def rig_from_colmap(paths: Sequence[Path], asked: Asked) -> Rig:
@@ -72,8 +75,8 @@ def rig_from_colmap(paths: Sequence[Path], asked: Asked) -> Rig:
         if COLMAP_CAMERAS in content
         for one in read_cameras(path, asked)
     ]
-    placed = [Placed(name=one.name, camera=one.camera, pose=poses.get(one.name)) for one in cameras]
-    return rig_of([one for one in placed if one.name in poses], where, asked)
+    placed = [replace(one, pose=poses[one.name]) for one in cameras if one.name in poses]
+    return rig_of(placed, where, asked)
 
 
 def _poses(line: Sequence[str], where: str) -> dict[str, Pose | None]:
@@ -100,7 +103,7 @@ def _poses(line: Sequence[str], where: str) -> dict[str, Pose | None]:
     return poses
 
 
-def _camera(line: Sequence[str], where: str, asked: Asked) -> Placed:
+def _camera(line: Sequence[str], where: str, asked: Asked) -> Camera:
     """Return the camera of a line of cameras.txt."""
     name, model, *words = line if len(line) > 4 else ["", ""]
     names = PARAMETERS.get(model, "").split()
@@ -119,7 +122,7 @@ def _camera(line: Sequence[str], where: str, asked: Asked) -> Placed:
     fisheye = "FISHEYE" in model
     lens = np.array([values.get(key, 0.0) for key in (FISHEYE if fisheye else PINHOLE)])
     intrinsics = (values.get("fx", f), values.get("fy", f), *at, 0.0)
-    return Placed(name=name, camera=lens_of(lens, intrinsics, size, here, asked, fisheye=fisheye))
+    return lens_of(lens, intrinsics, size, here, asked, fisheye=fisheye)
 
 
 def _number(word: str, where: str) -> float:

@@ -15,6 +15,7 @@ its fisheye with four coefficients.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,19 +62,23 @@ def read_zed(path: Path, asked: Asked) -> list[Placed]:
             cure="Give the size of one camera's images, such as --size 1280x720",
         )
     name, stereo = sizes[size], content["STEREO"]
-    left, right = (_zed_camera(content, f"{side}_CAM_{name}", size, where, asked) for side in ("LEFT", "RIGHT"))
-    angles = [_zed(stereo, f"{key}_{name}", where) for key in ("RX", "CV", "RZ")]
-    shifts = [_zed(stereo, f"{key}_{name}" if f"{key}_{name}" in stereo else key, where) for key in ("TY", "TZ")]
-    t_m = MM * np.array([-_zed(stereo, "Baseline", where), *shifts])
+    left, right = (
+        partial(_zed_camera, content, f"{side}_CAM_{name}", size, where, asked) for side in ("LEFT", "RIGHT")
+    )
+    angles = [numbers.number_at(stereo, f"{key}_{name}", where) for key in ("RX", "CV", "RZ")]
+    shifts = [
+        numbers.number_at(stereo, f"{key}_{name}" if f"{key}_{name}" in stereo else key, where) for key in ("TY", "TZ")
+    ]
+    t_m = MM * np.array([-numbers.number_at(stereo, "Baseline", where), *shifts])
     return [
-        Placed(name=SIDES[0], camera=left, pose=(np.eye(3), np.zeros(3))),
-        Placed(name=SIDES[1], camera=right, pose=(Rotation.from_rotvec(angles).as_matrix(), t_m)),
+        Placed(name=SIDES[0], lens=left, pose=(np.eye(3), np.zeros(3))),
+        Placed(name=SIDES[1], lens=right, pose=(Rotation.from_rotvec(angles).as_matrix(), t_m)),
     ]
 
 
 def _zed_camera(content: Mapping[str, Any], section: str, size: tuple[int, int], where: str, asked: Asked) -> Camera:
     one = numbers.value_at(content, section, where)
-    fx, fy, cx, cy = (_zed(one, key, f"{where}, {section}") for key in ("fx", "fy", "cx", "cy"))
+    fx, fy, cx, cy = (numbers.number_at(one, key, f"{where}, {section}") for key in ("fx", "fy", "cx", "cy"))
     rational = f"{section.split('_')[0]}_DISTO"
     lens, keys = content.get(rational), list(RATIONAL)
     if isinstance(lens, Mapping) and set(RATIONAL) <= lens.keys():
@@ -86,13 +91,8 @@ def _zed_camera(content: Mapping[str, Any], section: str, size: tuple[int, int],
             )
     else:
         lens, keys = one, list(RATIONAL[:5])
-    values = np.array([_zed(lens, key, f"{where}, {section}") for key in keys])
+    values = np.array([numbers.number_at(lens, key, f"{where}, {section}") for key in keys])
     return lens_of(values, (fx, fy, cx, cy, 0.0), size, f"{where}, {section}", asked, fisheye=False)
-
-
-def _zed(section: Mapping[str, Any], key: str, where: str) -> float:
-    value = numbers.value_at(section, key, where)
-    return float(numbers.array_of(value, key, where))
 
 
 def read_depthai(path: Path, asked: Asked) -> list[Placed]:
@@ -100,19 +100,24 @@ def read_depthai(path: Path, asked: Asked) -> list[Placed]:
     their chains of poses end at, in metres. Raises BadFile.
     """
     where = str(path)
-    cameras = dict(_socket(one, where) for one in read_storage(path)["cameraData"])
+    entries = [_socket(one, where) for one in read_storage(path)["cameraData"]]
+    cameras = dict(entries)
+    if len(cameras) < len(entries):
+        raise BadFile(f"{where}: one socket holds two cameras", cure="Keep one of each socket in cameraData")
     poses = {socket: _chain(cameras, socket, where) for socket in cameras}
     ends = [end for end, _ in poses.values()]
     common = max(ends, key=ends.count) if ends else None
     found = []
     for socket, one in sorted(cameras.items()):
         name = f"CAM_{SOCKETS[socket]}"
-        camera = _depthai_camera(one, f"{where}, {name}", asked)
-        if camera is None:
-            asked.told.append(f"{where}: {name} has no calibration")
+        here = f"{where}, {name}"
+        if not numbers.array_of(one.get("intrinsicMatrix") or [], "intrinsicMatrix", here).any():
+            if not asked.names:
+                asked.told.append(f"{here} has no calibration")
             continue
         end, (R, t) = poses[socket]
-        found.append(Placed(name=name, camera=camera, pose=(R.T, -R.T @ t) if end == common else None))
+        lens = partial(_depthai_camera, one, here, asked)
+        found.append(Placed(name=name, lens=lens, pose=(R.T, -R.T @ t) if end == common else None))
     return found
 
 
@@ -143,16 +148,13 @@ def _chain(cameras: Mapping[int, Mapping[str, Any]], socket: int, where: str) ->
             numbers.matrix_at(extrinsics, "rotationMatrix", (3, 3), here), "rotationMatrix", here
         )
         measured = numbers.value_at(extrinsics, "translation", here)
-        shift = np.array([float(numbers.array_of(numbers.value_at(measured, x, here), x, here)) for x in "xyz"])
+        shift = np.array([numbers.number_at(measured, x, here) for x in "xyz"])
         R, t, socket = step @ R, step @ t + CM * shift, to
         seen.add(to)
 
 
-def _depthai_camera(one: Mapping[str, Any], where: str, asked: Asked) -> Camera | None:
-    """Return the camera of a socket; None where it was never calibrated, which its empty or zero matrix says."""
-    matrix = numbers.array_of(one.get("intrinsicMatrix") or [], "intrinsicMatrix", where)
-    if not matrix.any():
-        return None
+def _depthai_camera(one: Mapping[str, Any], where: str, asked: Asked) -> Camera:
+    """Return the camera of a socket that was calibrated."""
     kind = one.get("cameraType", 0)
     if kind not in (0, 1):
         raise BadFile(

@@ -23,6 +23,10 @@ ROTATION_TOLERANCE = 1e-4
 
 TOLD_PX = 0.01
 """Distance of the nearest lens from which on it is told: a hundredth of a pixel is what corners are good to."""
+LEAST_BASELINE_M = 1e-3
+"""Between two cameras: those of endoscopes stand 4 mm apart."""
+WHOLE = 0.9
+"""Share of the image that must have rays: of lenses made for it a corner may fold over."""
 
 
 def value_at(content: Mapping[str, Any], key: str, where: str) -> Any:
@@ -54,6 +58,14 @@ def array_of(value: Any, key: str, where: str) -> Array:
     if not (np.abs(numbers) <= LARGEST).all():
         raise _bad(key, where, f"holds a number that is not finite, or beyond {LARGEST:g}")
     return numbers
+
+
+def number_at(content: Mapping[str, Any], key: str, where: str) -> float:
+    """Return the one number under a key. Raises BadFile."""
+    value = array_of(value_at(content, key, where), key, where)
+    if value.size != 1:
+        raise _bad(key, where, f"is {value.size} numbers, not one")
+    return float(value.ravel()[0])
 
 
 def _size(value: Mapping[str, Any], name: str, key: str, where: str) -> int:
@@ -137,6 +149,13 @@ def placed(R: Array, t: Array, where: str, unit_m: float | None = None) -> Rigid
     unit_m: length of t's unit in metres; None where nobody has said it, so that it must look like metres.
     """
     apart = float(np.linalg.norm(t))
+    apart_m = apart * (1.0 if unit_m is None else unit_m)
+    if 0.0 < apart_m < LEAST_BASELINE_M:
+        raise BadFile(
+            f"{where}: the cameras would stand {1e6 * apart_m:.3g} um apart",
+            consequence="No two cameras fit so near to each other: the length has another unit",
+            cure="Look for the unit there: ZED's files are in mm, DepthAI's in cm; correct it, or --unit",
+        )
     if not apart > 0.0 or (unit_m is None and apart > LARGEST_BASELINE_M):
         raise BadFile(
             f"{where}: the cameras would stand {apart:g} m apart",

@@ -12,8 +12,9 @@ with R and T, of a camera's name, or of `A_to_B`: p_A = R p_B + t, where B is na
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,29 +49,36 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placed:
-    """A camera of a file, its name there; pose: R (3, 3), t (3,) of p_camera = R p_world + t, None where unknown."""
+    """A camera of a file, its name there; lens: reads it, only of those that are meant, so that no other one is told of
+    or refused; pose: R (3, 3), t (3,) of p_camera = R p_world + t, None where unknown."""
 
     name: str
-    camera: Camera
+    lens: Callable[[], Camera]
     pose: Pose | None = None
 
 
 def camera_of(found: Sequence[Placed], where: str, asked: Asked) -> Camera:
     """Return the camera that is meant, or the only one. Raises UsageError where it is not clear which."""
     if len(found) == 1 and not asked.names:
-        return found[0].camera
+        return found[0].lens()
     if len(asked.names) != 1:
         raise UsageError(
             f"{where} holds {len(found)} cameras: {_names(found)}",
             consequence="One camera goes into one file",
             cure=f"Say which: --name {found[0].name}; or convert all of them as a rig",
         )
-    return chosen(found, where, asked)[0].camera
+    return chosen(found, where, asked)[0].lens()
 
 
 def chosen(found: Sequence[Placed], where: str, asked: Asked) -> list[Placed]:
     """Return the cameras that are meant, in the order that they are named in; all where none is named."""
     by_name = {one.name: one for one in found}
+    if len(by_name) < len(found):
+        raise BadFile(
+            f"{where} holds {len(found)} cameras of {len(by_name)} names: {_names(found)}",
+            consequence="Which of those of one name is meant is not clear",
+            cure="Keep one of each name",
+        )
     unknown = [name for name in asked.names if name not in by_name]
     if unknown:
         raise UsageError(f"{where} holds no camera {unknown[0]!r}", cure=f"Use one of: {_names(found)}")
@@ -100,8 +108,15 @@ def rig_of(found: Sequence[Placed], where: str, asked: Asked, names: Sequence[st
         T = RigidTransform.identity()
         if mounted:
             R = R @ R_first.T
-            T = numbers.placed(R, t - R @ t_first, f"{where}, {cameras[0].name} and {one.name}", asked.unit_m)
-        mounted.append(MountedCamera(name=name, camera=one.camera, T_rig_camera=T))
+            step = t - R @ t_first
+            if not step.any():
+                raise BadFile(
+                    f"{where}: {cameras[0].name} and {one.name} stand in one place",
+                    consequence="They are no two cameras that see a length",
+                    cure=f"Say which are meant: --name {cameras[0].name} --name ..., of those that stand apart",
+                )
+            T = numbers.placed(R, step, f"{where}, {cameras[0].name} and {one.name}", asked.unit_m)
+        mounted.append(MountedCamera(name=name, camera=one.lens(), T_rig_camera=T))
     with named(where):
         return Rig(cameras=mounted)
 
@@ -159,7 +174,7 @@ def read_multical(path: Path, asked: Asked) -> list[Placed]:
             raise BadFile(f"{where}: the model is {model[:40]!r}", cure="Calibrate with its model standard")
         camera = {renamed.get(key, key): value for key, value in one.items()} | {"fisheye": model == "fisheye"}
         placed = _opencv(name, camera, where, asked)
-        found.append(Placed(name=name, camera=placed.camera, pose=poses.get(name)))
+        found.append(replace(placed, pose=poses.get(name)))
     return found
 
 
@@ -184,19 +199,23 @@ def _multical_poses(poses: Mapping[str, Any], names: Sequence[str], where: str) 
 
 def _opencv(name: str, one: Mapping[str, Any], where: str, asked: Asked, pose: tuple[str, str] | None = None) -> Placed:
     """Return a camera of OpenCV's numbers, with its pose under two keys where it has one."""
+    lens = partial(_opencv_lens, one, where, asked)
+    if pose is None or all(one.get(key) in (None, "null") for key in pose):  # "null": caliscope's, not placed yet
+        return Placed(name=name, lens=lens)
+    R = numbers.array_of(numbers.value_at(one, pose[0], where), pose[0], where)
+    R = Rotation.from_rotvec(R.ravel()).as_matrix() if R.size == 3 else numbers.matrix_at(one, pose[0], (3, 3), where)
+    t = numbers.matrix_at(one, pose[1], (3, 1), where).ravel()
+    return Placed(name=name, lens=lens, pose=(numbers.rotation_of(R, pose[0], where), t))
+
+
+def _opencv_lens(one: Mapping[str, Any], where: str, asked: Asked) -> Camera:
     size = numbers.array_of(numbers.value_at(one, "size", where), "size", where).ravel()
     if size.size != 2 or not all(float(value).is_integer() and 1 <= value <= 1e6 for value in size):
         raise BadFile(f"{where}: size is not [width, height] in px", cure="Correct it there")
     wh = int(size[0]), int(size[1])
     intrinsics = numbers.intrinsics_of(numbers.matrix_at(one, "matrix", (3, 3), where), "matrix", where)
     values = numbers.array_of(numbers.value_at(one, "distortions", where), "distortions", where)
-    camera = lens_of(values, intrinsics, wh, where, asked, fisheye=bool(one.get("fisheye", False)))
-    if pose is None or not any(key in one for key in pose):
-        return Placed(name=name, camera=camera)
-    R = numbers.array_of(numbers.value_at(one, pose[0], where), pose[0], where)
-    R = Rotation.from_rotvec(R.ravel()).as_matrix() if R.size == 3 else numbers.matrix_at(one, pose[0], (3, 3), where)
-    t = numbers.matrix_at(one, pose[1], (3, 1), where).ravel()
-    return Placed(name=name, camera=camera, pose=(numbers.rotation_of(R, pose[0], where), t))
+    return lens_of(values, intrinsics, wh, where, asked, fisheye=bool(one.get("fisheye", False)))
 
 
 def lens_of(

@@ -21,6 +21,11 @@ ROOT = "opencv_storage"
 COLMAP_CAMERAS, COLMAP_RIGS = "cameras.txt", "rigs.txt"
 COLMAP = {"# Camera list with one line": COLMAP_CAMERAS, "# Rig calib list with one line": COLMAP_RIGS}
 """How COLMAP's text files begin, by what becomes of their lines."""
+MATLAB = b"MATLAB "
+"""How a .mat file begins, of version 5 and of 7.3."""
+MATLAB_FILE, REALSENSE_TEXT = "a MATLAB file", "what rs-enumerate-devices prints"
+"""Keys that these become: the one is read by its own reader, the other as text."""
+REALSENSE = re.compile(r'^\s*Intrinsic of "[^"]+" / \d+x\d+ / \{', re.MULTILINE)
 METASHAPE = "calibration"
 """Root of Agisoft's XML of one camera."""
 SECTION = re.compile(r"\A\s*(?:[#;].*\s+)*\[[\w.\"-]+\]\s*$", re.MULTILINE)
@@ -41,14 +46,28 @@ def read_storage(path: Path) -> dict[str, Any]:
     data, where = read_bytes(path, limit=MAX_BYTES), str(path)
     if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<":
         return _of_xml(data, where)
+    if data.startswith(MATLAB):
+        return {MATLAB_FILE: path.name}
     text = data.decode("utf-8-sig", errors="replace")
+    if REALSENSE.search(text):
+        return {REALSENSE_TEXT: text}
     for head, name in COLMAP.items():
         if text.startswith(head):
             return {name: [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]}
     if SECTION.match(text):
         return _of_sections(text, where)
-    if HALCON.search(text):
-        return {"ParGroup": HALCON.findall(text), **{name: _word(value) for name, value in HALCON_VALUE.findall(text)}}
+    return _of_halcon(text, where) if HALCON.search(text) else _of_yaml(data, where)
+
+
+def _of_halcon(text: str, where: str) -> dict[str, Any]:
+    values = [(name, _word(value)) for name, value in HALCON_VALUE.findall(text)]
+    if len(dict(values)) < len(values):
+        raise BadFile(f"{where}: the parameters of more than one camera", cure="Keep those of one camera")
+    return {"ParGroup": HALCON.findall(text), **dict(values)}
+
+
+def _of_yaml(data: bytes, where: str) -> dict[str, Any]:
+    """Return YAML or JSON. Raises BadFile, also where a comma stands in a number: YAML takes {a: 1,280} as two keys."""
     try:
         content = parse_yaml(data, where)
     except BadFile:
@@ -56,8 +75,25 @@ def read_storage(path: Path) -> dict[str, Any]:
         if not messages or None in messages:
             raise
         content = _one_of(messages, where)
+    cut = _key_without_value(content)
+    if cut is not None:
+        raise BadFile(
+            f"{where}: the number {cut} has no name", cure="Write numbers with points and without other signs"
+        )
     message = _message(content)
     return content if message is None else _camera_info(message, where)
+
+
+def _key_without_value(content: Any) -> object:
+    """Return a number that is a key without a value somewhere in mappings and lists, None where there is none."""
+    if isinstance(content, dict):
+        alone = (key for key, value in content.items() if value is None and not isinstance(_word(str(key)), str))
+        inner = (_key_without_value(value) for value in content.values() if isinstance(value, dict | list))
+        return next(alone, next((one for one in inner if one is not None), None))
+    if isinstance(content, list):
+        inner = (_key_without_value(value) for value in content if isinstance(value, dict | list))
+        return next((one for one in inner if one is not None), None)
+    return None
 
 
 def _one_of(messages: list[dict[str, Any] | None], where: str) -> dict[str, Any]:
@@ -162,6 +198,13 @@ def _camera_tables(tables: Mapping[str, Any], keys: set[str]) -> bool:
     return bool(cameras) and all(isinstance(one, Mapping) and keys <= one.keys() for one in cameras)
 
 
+def _holds(content: Any, keys: set[str]) -> bool:
+    """Tell whether a mapping of keys is somewhere among nested mappings."""
+    if not isinstance(content, Mapping):
+        return False
+    return keys <= content.keys() or any(_holds(value, keys) for value in content.values())
+
+
 BY_KEYS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     "zed": lambda found: "STEREO" in found and any(str(key).startswith("LEFT_CAM_") for key in found),
     "depthai": lambda found: isinstance(found.get("cameraData"), list),
@@ -176,6 +219,8 @@ BY_KEYS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     "metashape": lambda found: "projection" in found and {"f", "width", "height"} <= found.keys(),
     "halcon": lambda found: "ParGroup" in found,
     "colmap": lambda found: COLMAP_CAMERAS in found or COLMAP_RIGS in found,
+    "matlab": lambda found: MATLAB_FILE in found,
+    "realsense": lambda found: REALSENSE_TEXT in found or _holds(found, {"ppx", "ppy", "coeffs"}),
 }
 """Formats by the keys that no other has."""
 

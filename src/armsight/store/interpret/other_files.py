@@ -181,25 +181,7 @@ def mat_table(path: Path, *, unnamed: bool = False) -> RawTable:
     quat_wxyz and the other groups of column_names, with a frame's name before them where there are two poses.
     unnamed: the file's only matrix is taken as a table without names. Raises BadFile, NotEnoughData.
     """
-    try:
-        content = _loaded(read_bytes(path, limit=MAT_BYTES))
-    except NotImplementedError as error:
-        raise BadFile(
-            f"{path}: a MATLAB file of version 7.3, which is HDF5", cure="Save it in MATLAB with save(..., '-v7')"
-        ) from error
-    except (
-        scipy.io.matlab.MatReadError,
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        OSError,
-        EOFError,
-        MemoryError,
-        zlib.error,
-    ) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise BadFile(f"{path}: no MATLAB file that can be read: {reason}") from error
+    content = mat_variables(path, MAT_NUMBERS)
     arrays = {
         name: np.asarray(value, float)
         for name, value in content.items()
@@ -214,8 +196,38 @@ def mat_table(path: Path, *, unnamed: bool = False) -> RawTable:
     return _of_variables(arrays, str(path))
 
 
-def _loaded(data: bytes) -> dict[str, Any]:
-    """Return the variables of numbers. Raises ValueError where they unpack to more than MAT_BYTES, and as loadmat.
+def mat_variables(path: Path, kinds: Sequence[str]) -> dict[str, Any]:
+    """Return a MATLAB file's (version 7 or older) variables of some of MATLAB's classes; a struct as a dict of its
+    fields. Raises BadFile.
+    """
+    try:
+        return _loaded(read_bytes(path, limit=MAT_BYTES), kinds)
+    except NotImplementedError as error:
+        raise BadFile(
+            f"{path}: a MATLAB file of version 7.3, which is HDF5", cure="Save it in MATLAB with save(..., '-v7')"
+        ) from error
+    except TypeError as error:  # of scipy, where a variable is an object of a class
+        raise BadFile(
+            f"{path}: holds an object of a MATLAB class, such as cameraParameters",
+            consequence="Only MATLAB reads it",
+            cure="Save it as a struct: s = toStruct(params); save('f.mat', 's', '-v7')",
+        ) from error
+    except (
+        scipy.io.matlab.MatReadError,
+        ValueError,
+        KeyError,
+        IndexError,
+        OSError,
+        EOFError,
+        MemoryError,
+        zlib.error,
+    ) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise BadFile(f"{path}: no MATLAB file that can be read: {reason}") from error
+
+
+def _loaded(data: bytes, kinds: Sequence[str]) -> dict[str, Any]:
+    """Return the variables of some classes. Raises ValueError where they unpack to more than MAT_BYTES, and as loadmat.
 
     A compressed variable of a few kilobytes can hold gigabytes, which loadmat takes the memory for before it looks.
     """
@@ -230,8 +242,8 @@ def _loaded(data: bytes) -> dict[str, Any]:
             raise ValueError(f"its variables unpack to more than {MAT_BYTES // 1_000_000} MB")
         at += 8 + size
     file: Any = io.BytesIO(data)  # its types know of paths only
-    names = [name for name, _, kind in scipy.io.whosmat(file) if kind in MAT_NUMBERS]
-    content: dict[str, Any] = scipy.io.loadmat(file, variable_names=names)
+    names = [name for name, _, kind in scipy.io.whosmat(file) if kind in kinds]
+    content: dict[str, Any] = scipy.io.loadmat(file, variable_names=names, simplify_cells="struct" in kinds)
     return content
 
 
