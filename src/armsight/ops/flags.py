@@ -127,6 +127,11 @@ class TableFlags:
         Doc("Where the header states none: mm,deg. Where two tables are read, of each: 'measured:mm;robot:deg'"),
         Flag(metavar="UNITS", panel=TABLES),
     ] = ""
+    body: Annotated[
+        str,
+        Doc("Of a tracker's file: the body, the group of markers, or markers as A,B,C."),
+        Flag(metavar="NAME", panel=TABLES),
+    ] = ""
     as_stated: Annotated[
         bool, Doc("Take units and orders as stated though the numbers look otherwise."), Flag(panel=TABLES)
     ] = False
