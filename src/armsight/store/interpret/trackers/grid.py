@@ -82,7 +82,7 @@ def check_count(rows: Sequence[object], said: str, where: str, what: str = "fram
         raise Inconsistent(
             f"{where}: the header says {said} {what}, there are {len(rows)}",
             consequence="A part of the recording is missing",
-            cure=CUT,
+            cure=f"{CUT}; where a part is meant, correct the number in the header",
         )
 
 
