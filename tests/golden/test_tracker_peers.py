@@ -193,7 +193,7 @@ def test_one_recording_as_csv_of_nexus_and_as_c3d(tmp_path):
     csv, c3d = (read_measured(public(one, tmp_path), TableFormat(body="boite")) for one in ("nexus", "c3d"))
     assert len(csv.measured.xyz_m) == len(c3d.measured.xyz_m) == 580
     assert np.abs(csv.measured.xyz_m - c3d.measured.xyz_m).max() < 3e-6  # the CSV has six digits
-    assert np.abs(csv.measured.rotation - c3d.measured.rotation).max() < 1e-5
+    assert np.abs(csv.measured.rotation - c3d.measured.rotation).max() < 3e-5
     np.testing.assert_allclose(csv.measured.t_s, c3d.measured.t_s, atol=1e-9)
 
 
