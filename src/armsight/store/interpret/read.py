@@ -128,7 +128,10 @@ def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str], of_
     understood = f"; understood are {', '.join(found.columns)}" if found.columns else ""
     cure = "Name them in the first line, or give --columns"
     if raw.tracked and role.joints == "wanted":
-        cure = "A tracker knows no joints: armsight join --joints LOG --arm ARM --measured FILE -o points.csv"
+        cure = "A tracker knows no joints: armsight join --joints LOG --arm ARM --measured FILE -o points.csv, "
+        cure += "for robot-world with --as observed"
+    elif raw.tracked and len(role.frames) > 1:
+        cure = "A tracker's file is one of the two: give it as --camera-stream, and the robot's as --robot-stream"
     elif role.time == "wanted" and missing == ["t_s"]:
         cure = "Times are needed here: add a column t_s in seconds"
     elif any(name.startswith("q") and name[1:].isdecimal() for name in missing):
