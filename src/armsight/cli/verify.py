@@ -34,6 +34,8 @@ PROPOSAL, CHECK = action_of(ops.propose_mastering_poses), action_of(ops.check_ma
 Mode = PartialRequest[dict[str, Any]]
 VIEWS = ("--left", "--right")
 """Cameras, which a simulated cell brings."""
+SCENE = ("--rig", "--target")
+"""What cameras need to measure, and a tracker does not."""
 
 
 def _taken() -> dict[str, tuple[Any, Any]]:
@@ -125,9 +127,10 @@ def check_options(mode: str, missing: tuple[str, ...], foreign: list[str]) -> No
 
 
 def _supervise(face: CommandUI, asked: Mode, foreign: list[str], out: Path) -> None:
-    missing = tuple(one for one in asked.missing if one not in VIEWS or "--follow" not in asked.given)
+    brought = (*VIEWS, *SCENE) if "--tracker" in asked.given else VIEWS if "--follow" in asked.given else ()
+    missing = tuple(one for one in asked.missing if one not in brought)
     check_options("--live", missing, foreign)
-    given: dict[str, Any] = {"left": None, "right": None, **asked.made()}
+    given: dict[str, Any] = {"left": None, "right": None, "rig": None, "target": None, **asked.made()}
     face.until_stopped = "frames" not in given and "seconds_s" not in given
     given |= {"show": LiveLine(face).show, "tell": face.say}
     show(face, SUPERVISION.run(given, face.progress(SUPERVISION.working)), out)

@@ -33,8 +33,8 @@ __all__ = ["check_mastering", "plan_verification", "propose_mastering_poses", "s
 Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
 AnArm: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 OneArm: TypeAlias = Annotated[ArmLike, Doc(f"{KNOWN_ARM}.")]
-RigFile: TypeAlias = Annotated[AsFile, Doc("rig.yaml of the cameras."), Flag(panel=LIVE)]
-TargetFile: TypeAlias = Annotated[AsFile, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
+RigFile: TypeAlias = Annotated[AsFile | None, Doc("rig.yaml of the cameras."), Flag(panel=LIVE)]
+TargetFile: TypeAlias = Annotated[AsFile | None, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
 Tool: TypeAlias = Annotated[
     Literal["fixed", "free"] | None,
     Doc("Whether the tool is known from before. [default: fixed with --world, else free]"),
@@ -200,6 +200,24 @@ def supervise(
     *,
     cameras: CamerasLike = None,
     follow: FollowedCell = None,
+    tracker: Annotated[
+        str | None,
+        Doc("Instead of cameras: qtm:HOST[:PORT] or natnet:HOST[:PORT][:unicast]."),
+        Flag(metavar="DRIVER:HOST", panel=LIVE),
+    ] = None,
+    body: Annotated[
+        str, Doc("Of a tracker: the body on the tool. [default: the only one]"), Flag(metavar="NAME", panel=LIVE)
+    ] = "",
+    tracker_std_m: Annotated[
+        float | None,
+        Doc("How far a tracker's position may be off (standard deviation), mm. [default: 0.3]"),
+        Flag("--tracker-std", unit=MM, panel=LIVE),
+    ] = None,
+    tracker_std_rad: Annotated[
+        float | None,
+        Doc("... and its rotation, deg. [default: 0.3]"),
+        Flag("--tracker-std-deg", unit=DEG, panel=LIVE),
+    ] = None,
     warn_m: Annotated[float | None, Doc("Error of place that warns."), Flag(unit=MM, panel=LIVE)] = None,
     stop_m: Annotated[float | None, Doc("Error of place that stops the robot."), Flag(unit=MM, panel=LIVE)] = None,
     warn_rad: Annotated[float | None, Doc("Error of rotation that warns."), Flag(unit=DEG, panel=LIVE)] = None,
@@ -243,8 +261,12 @@ def supervise(
     ----------
     robot, left, right, cameras
         As identify_arm_live takes them, or cameras by the rig's names, and robot_settings, rsi_config and follow.
+    rig, target
+        Of the cameras; None with a tracker.
+    tracker, body, tracker_std_m, tracker_std_rad
+        Instead of cameras a tracker, which measures by itself, its body on the tool, and what its poses may be off.
     arm, world
-        Where the arm should be: its geometry, and where the rig stands (T_base_rig).
+        Where the arm should be: its geometry, and where the rig, or the tracker, stands (T_base_rig).
     warn_m, stop_m, warn_rad, stop_rad
         Errors that warn, and that stop the robot.
     blind_stop_s
@@ -279,7 +301,7 @@ def supervise(
     from armsight.ops.sources.cameras import named_cameras
     from armsight.ops.sources.pace import live_pace
     from armsight.ops.verification import live
-    from armsight.ops.verification.supervising import Supervision
+    from armsight.ops.verification.supervising import CameraEyes, Eyes, Supervision, TrackerEyes
     from armsight.records import Silent
     from armsight.store import read_rig, read_world
     from armsight.verify.live import live_output
@@ -287,12 +309,26 @@ def supervise(
 
     limits = Limits(warn_m=warn_m, stop_m=stop_m, warn_rad=warn_rad, stop_rad=stop_rad)
     clock, progress = clock or SystemClock(), progress or Silent()
-    seen, lights, stand = read_rig(rig, any_cameras=True), target_of(target), read_world(world)
+    stand = read_world(world)
     live.check_times(latency_s, latency_std_s, blind_stop_s, joint_std)
     link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, follow=follow)
-    eyes, settings = named_cameras(cameras or {}, left, right), camera_settings or AUTOMATIC
-    named = (link, seen.names, eyes, lights, clock, arm)
-    devices = devices or live.open_supervised(*named, play=play, camera_settings=settings)
+    views, settings = named_cameras(cameras or {}, left, right), camera_settings or AUTOMATIC
+    of_cameras = {"--rig": rig, "--target": target, "cameras": views, "--keep-frames": keep_frames, "--play": play}
+    std = (tracker_std_m or live.TRACKER_STD_M, tracker_std_rad or live.TRACKER_STD_RAD)
+    live.check_eyes(
+        tracker, of_cameras, {"--body": body, "--tracker-std": tracker_std_m, "--tracker-std-deg": tracker_std_rad}
+    )
+    eyes: Eyes
+    if tracker is not None:
+        devices = devices or live.open_tracked(link, tracker, body, std, clock, arm)
+        eyes, of_pair = TrackerEyes(), False
+    else:
+        seen, lights = read_rig(rig, any_cameras=True), target_of(target)
+        named = (link, seen.names, views, lights, clock, arm)
+        devices = devices or live.open_supervised(*named, play=play, camera_settings=settings)
+        setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
+        eyes, of_pair = CameraEyes(setup, (rig, target), frames=keep_frames), seen.is_pair
+        prepare(progress)
     expectation = PredictedPose(
         arm=arm if stand.parent == "world" else arm.based(),
         T_parent_rig=stand.T_parent_rig,
@@ -302,22 +338,21 @@ def supervise(
     )
     live.check_arm(arm, devices)
     live.check_stop(devices.robot, asked=stop_m is not None or stop_rad is not None or blind_stop_s is not None)
-    setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
-    prepare(progress)
-    run = Supervision(setup, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
+    run = Supervision(eyes, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
     run.show, run.tell = show or run.show, tell or run.tell
     with Folder(out) as folder:
         recording = folder.out / RECORDING
         failure = live.supervise_until_ended(
             run,
-            lambda stack: run.open(stack, recording, rig, target, frames=keep_frames),
+            lambda stack: run.open(stack, recording),
             lambda: run.ended(seconds_s, frames),
             plant,
             progress,
         )
     latency = None if devices.origin_s is not None else (latency_s, latency_std_s)
     known = [*live.doubts(limits, arm, stand, latency, failure), *(one.contradiction for one in run.contradictions)]
-    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=seen.is_pair)
+    known += live.tracker_doubts(tracker, tracker_std_m is not None and tracker_std_rad is not None)
+    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=of_pair)
     if failure is not None:
         raise live.with_kept(failure, done, out)
     return done

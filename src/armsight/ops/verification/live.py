@@ -10,6 +10,7 @@ import numpy as np
 
 from armsight.clock import Clock
 from armsight.drivers import CameraSettings, Robot, RobotTraits, moments_of
+from armsight.drivers.trackers import open_tracker
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_named
@@ -21,7 +22,7 @@ from armsight.ops.sources.cameras import cameras_of, open_cameras, require_watch
 from armsight.ops.verification.supervising import Supervised, Supervision
 from armsight.records import Progress, Target
 from armsight.store.rigs import World
-from armsight.units import DEG
+from armsight.units import DEG, MM
 from armsight.verify.live import LiveLog, VerifyLiveOutput
 from armsight.verify.supervision import Limits
 
@@ -77,6 +78,46 @@ def _nothing_compared(log: LiveLog) -> NotEnoughData | None:
         consequence="Whether the arm is where it says it is, is not known",
         cure="See that both cameras see the whole target, and that the robot's link delivers joints",
     )
+
+
+def tracker_doubts(tracker: str | None, said: bool) -> list[str]:
+    """Return what to know of a tracker's poses. said: what they may be off was given."""
+    if tracker is None or said:
+        return []
+    return [
+        f"the tracker's poses are taken to be off by {TRACKER_STD_M / MM:g} mm and {TRACKER_STD_RAD / DEG:g} deg "
+        "(standard deviations), which its stream does not say: --tracker-std, --tracker-std-deg"
+    ]
+
+
+TRACKER_STD_M, TRACKER_STD_RAD = 0.3 * MM, 0.3 * DEG
+"""What a tracker's pose is taken to be off where nobody says: makers state 0.1 to 0.5 mm of a marker in a cell of a few
+metres, and a body of 100 mm turns by 0.2 degrees with it."""
+
+
+def open_tracked(
+    link: RobotJob, tracker: str, body: str, std: tuple[float, float], clock: Clock, arm: Arm | None
+) -> Supervised:
+    """Return the robot and a tracker's body, not yet open; std: of a pose, m and rad. Raises UsageError, DeviceNotFound."""
+    if link.follow is not None or link.robot.startswith(SIM):
+        raise UsageError("a tracker sees no simulated robot", cure="Give cameras, or the robot itself with --robot")
+    stream = open_tracker(tracker, body=body, std_m=std[0], std_rad=std[1])
+    return Supervised(robot=robot_of(link, clock, arm), pairs=stream)
+
+
+def check_eyes(tracker: str | None, of_cameras: Mapping[str, object], of_tracker: Mapping[str, object]) -> None:
+    """Raise UsageError where both cameras and a tracker are given, or neither as a whole."""
+    given = [flag for flag, value in of_cameras.items() if value]
+    if tracker is not None and given:
+        raise UsageError(
+            f"{', '.join(given)} of cameras {'stands' if len(given) == 1 else 'stand'} beside --tracker",
+            cure="Give cameras with rig and target, or a tracker",
+        )
+    if tracker is None and not (of_cameras["--rig"] and of_cameras["--target"]):
+        raise UsageError("cameras need a rig and a target", cure="Give --rig and --target, or --tracker")
+    unused = [flag for flag, value in of_tracker.items() if value]
+    if tracker is None and unused:
+        raise UsageError(f"{', '.join(unused)} goes with --tracker", cure="Add --tracker, or leave it out")
 
 
 def with_kept(failure: ArmsightError, done: VerifyLiveOutput, out: Path | None) -> ArmsightError:
