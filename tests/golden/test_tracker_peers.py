@@ -99,7 +99,9 @@ def words(numbers, processor):
 def floats(numbers, processor):
     if processor != 85:
         return np.asarray(numbers, np.float32).astype(">f4" if processor == 86 else "<f4").tobytes()
-    halves = (4.0 * np.asarray(numbers, np.float32)).astype("<f4").view("<u2").reshape(-1, 2)  # DEC: exponents by 2 more
+    halves = (
+        (4.0 * np.asarray(numbers, np.float32)).astype("<f4").view("<u2").reshape(-1, 2)
+    )  # DEC: exponents by 2 more
     return np.ascontiguousarray(halves[:, ::-1]).tobytes()
 
 

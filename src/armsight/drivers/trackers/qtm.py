@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import Any
 from xml.etree import ElementTree
 
@@ -81,14 +82,16 @@ class QtmStream(BodyStream):
         loop, self._loop = self._loop, None
         if loop is None:
             return
-        if self._connection is not None:
-            loop.call_soon_threadsafe(self._disconnected)
+        with suppress(Exception):  # whatever happens to the link, the thread ends
+            asyncio.run_coroutine_threadsafe(self._end(), loop).result(ANSWER_S)
         loop.call_soon_threadsafe(loop.stop)
         if self._thread is not None:
             self._thread.join(timeout=ANSWER_S)
         if not loop.is_running():
             loop.close()
 
-    def _disconnected(self) -> None:
-        if self._connection.has_transport():
+    async def _end(self) -> None:
+        if self._connection is not None and self._connection.has_transport():
             self._connection.disconnect()
+        await asyncio.sleep(0.0)  # the link closes in the loop's next round
+        await asyncio.sleep(0.0)

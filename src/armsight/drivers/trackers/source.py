@@ -86,7 +86,9 @@ class BodyStream(ABC):
         if len(among) != 1:
             what = f"there is no body {self.body!r}" if self.body and not among else "it is open which body is meant"
             there = f"there are {', '.join(names)}" if names else "it has none"
-            raise UsageError(f"{self.name}: {what}; {there}", cure="Give --body with the name of one, and names once each")
+            raise UsageError(
+                f"{self.name}: {what}; {there}", cure="Give --body with the name of one, and names once each"
+            )
         return list(names).index(among[0])
 
     def put(self, t_s: float, sequence: int, xyz_m: Array | None, R: Array | None, why: str = "") -> None:

@@ -248,7 +248,9 @@ def _euler(found: Found) -> Turned | None:
     known = _known(angles)
     angles = np.where(known[:, None], angles, 0.0)
     _check_middle(found, angles, order, names)
-    found.notes.append(f"{', '.join(names)}: {'a rotation vector' if order.axes == ROTVEC else f'Euler angles {order}'}")
+    found.notes.append(
+        f"{', '.join(names)}: {'a rotation vector' if order.axes == ROTVEC else f'Euler angles {order}'}"
+    )
     return Turned(rotation=order.rotation(angles), known=known)
 
 

@@ -60,7 +60,9 @@ def euler_order(text: str) -> EulerOrder:
     match = _ORDER.fullmatch(text.strip())
     axes = match[1].lower() if match else ""
     if match is None or axes[0] == axes[1] or axes[1] == axes[2]:
-        raise UsageError(f"{text!r} is no order of Euler angles", cure="Write axes as in xyz-fixed, zyx, zyz-rotating, or rotvec")
+        raise UsageError(
+            f"{text!r} is no order of Euler angles", cure="Write axes as in xyz-fixed, zyx, zyz-rotating, or rotvec"
+        )
     return EulerOrder(axes=axes, fixed=(match[2] or "").lower() == "fixed")
 
 

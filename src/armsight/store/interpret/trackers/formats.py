@@ -42,9 +42,7 @@ BODY = "--body of several"
 CLOUD = f"{BODY}, or the markers of one"
 
 TRACKERS: Mapping[str, TrackerFormat] = {
-    "motive": TrackerFormat(
-        title="OptiTrack Motive, CSV 1.2 to 1.25", needs=BODY, begins=is_motive, read=read_motive
-    ),
+    "motive": TrackerFormat(title="OptiTrack Motive, CSV 1.2 to 1.25", needs=BODY, begins=is_motive, read=read_motive),
     "qtm": TrackerFormat(title="Qualisys QTM, 6D and 3D TSV", needs=CLOUD, unit="mm", begins=is_qtm, read=read_qtm),
     "vicon": TrackerFormat(
         title="Vicon Nexus and Tracker, CSV",
@@ -72,7 +70,9 @@ def tracker_of(data: bytes) -> TrackerFormat | None:
     """Return the kind of tracker file that bytes begin as, None for other tables."""
     head = data[:HEAD_BYTES].decode("utf-8", errors="replace").lstrip("\ufeff")
     for kind in TRACKERS.values():
-        if (kind.begins_bytes is not None and kind.begins_bytes(data)) or (kind.begins is not None and kind.begins(head)):
+        if (kind.begins_bytes is not None and kind.begins_bytes(data)) or (
+            kind.begins is not None and kind.begins(head)
+        ):
             return kind
     return None
 
@@ -89,4 +89,6 @@ def tracker_table(kind: TrackerFormat, data: bytes, where: str, format_: TableFo
 
 def no_bodies(where: str, body: str) -> UsageError:
     """Return what is raised for a body named in a file that has none by name."""
-    return UsageError(f"{where}: --body {body!r} is named, and this file has no bodies by name", cure="Leave --body out")
+    return UsageError(
+        f"{where}: --body {body!r} is named, and this file has no bodies by name", cure="Leave --body out"
+    )

@@ -64,7 +64,8 @@ def read_points(data: bytes, where: str, format_: TableFormat) -> Tracks:
     wanted = next((name for name in names if wanted in (name, name.split(" ")[-1])), "")
     if len(names) > 1 and not format_.body or not wanted:
         raise Ambiguous(
-            f"{where}: holds the groups {', '.join(names)[:300]}", consequence="It is open which is meant",
+            f"{where}: holds the groups {', '.join(names)[:300]}",
+            consequence="It is open which is meant",
             cure="Name one with --body",
         )
     rows = [row for row, group in zip(rows, groups, strict=True) if group == wanted]

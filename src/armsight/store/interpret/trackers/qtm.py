@@ -58,7 +58,9 @@ def read_qtm(data: bytes, where: str, format_: TableFormat) -> Tracks:
         return _markers(body, [name for name in said["MARKER_NAMES"] if name], said, where)
     if not named:
         raise BadFile(
-            f"{where}: no line names the columns", consequence="It is open what they are", cure="Export column names too"
+            f"{where}: no line names the columns",
+            consequence="It is open what they are",
+            cure="Export column names too",
         )
     names = rows[at].cells
     width = max((k for k, cell in enumerate(head) if cell), default=-1) + 1

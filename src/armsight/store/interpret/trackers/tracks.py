@@ -49,7 +49,9 @@ class Tracks:
         columns |= dict(zip(POSITION, track.xyz_m.T, strict=True))
         if track.quat_xyzw is not None:
             columns |= dict(zip(QUATERNION, track.quat_xyzw.T, strict=True))
-        cells = tuple(["" if value != value else repr(value) for value in column.tolist()] for column in columns.values())
+        cells = tuple(
+            ["" if value != value else repr(value) for value in column.tolist()] for column in columns.values()
+        )
         return RawTable(
             where=self.where,
             how=f"{self.how}, {track.name}",
@@ -69,7 +71,9 @@ class Tracks:
             return self._of_name(self.bodies, self.bodies[0].name), self._beside()
         if self.bodies or len(self.groups) > 1:
             raise Ambiguous(
-                f"{self.where}: holds {self._listed()}", consequence="It is open which is meant", cure="Name it with --body"
+                f"{self.where}: holds {self._listed()}",
+                consequence="It is open which is meant",
+                cure="Name it with --body",
             )
         return self._cloud(self.markers)
 

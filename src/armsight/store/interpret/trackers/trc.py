@@ -29,7 +29,9 @@ def read_trc(data: bytes, where: str, format_: TableFormat) -> Tracks:
     """Return the markers of a TRC. Raises BadFile, UsageError, Inconsistent."""
     rows = filled_rows(rows_of(data, where, "Frame#"))
     if len(rows) < 6 or rows[3].cells[0].lower() != "frame#" or "(X/Y/Z)" not in rows[0].cells:
-        raise BadFile(f"{where}: no TRC with (X/Y/Z), keys, values, Frame#, Time, markers and a frame", cure="Export anew")
+        raise BadFile(
+            f"{where}: no TRC with (X/Y/Z), keys, values, Frame#, Time, markers and a frame", cure="Export anew"
+        )
     said = dict(zip(rows[1].cells, rows[2].cells, strict=False))
     scale = length_of(said.get("Units", ""), where, format_, "the header")
     names = [name for name in rows[3].cells[2:] if name]

@@ -75,9 +75,13 @@ def _lone(row: Row) -> str:
     return row.cells[0].lower() if not any(row.cells[1:]) else ""
 
 
-def _section(rows: Sequence[Row], bodies: bool, where: str, format_: TableFormat) -> tuple[list[int], Array, list[Track]]:
+def _section(
+    rows: Sequence[Row], bodies: bool, where: str, format_: TableFormat
+) -> tuple[list[int], Array, list[Track]]:
     if len(rows) < 5 or not _lone(rows[0]).replace(".", "", 1).isdecimal():
-        raise BadFile(f"{where}: a section without frames a second, names, columns, units and a frame", cure="Export anew")
+        raise BadFile(
+            f"{where}: a section without frames a second, names, columns, units and a frame", cure="Export anew"
+        )
     rate, names, columns, units, body = float(rows[0].cells[0]), rows[1].cells, rows[2].cells, rows[3].cells, rows[4:]
     if rate <= 0.0 or tuple(cell.lower() for cell in columns[:2]) != FIRST:
         raise BadFile(f"{where}, line {rows[2].line}: not Frame, Sub Frame, ... at some frames a second")
