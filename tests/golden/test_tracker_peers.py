@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import Inconsistent
 from armsight.store.interpret import TableFormat
-from armsight.store.interpret.trackers import tracker_of
+from armsight.store.interpret.trackers.formats import tracker_of
 from armsight.store.verify_files import read_measured
 from refusals import refuses
 

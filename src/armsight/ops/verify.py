@@ -13,7 +13,23 @@ from armsight.file_names import ERRORS, PLAN, PLAN_SUMMARY, REPORT, VERIFY
 from armsight.file_names import LIVE as RECORDING
 from armsight.file_names import MASTERING as POSES_TO_MEASURE
 from armsight.ops.action import action
-from armsight.ops.flags import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
+from armsight.ops.flags import (
+    AN_ARM,
+    KNOWN_ARM,
+    LIVE,
+    MASTERING,
+    Base,
+    Cameras,
+    JointStd,
+    Latency,
+    LatencyStd,
+    Tip,
+    Tracker,
+    TrackerBody,
+    TrackerStd,
+    TrackerStdRad,
+    TwoTables,
+)
 from armsight.ops.kinds import CHAIN, ArmLike, AsFile, CamerasLike, JointsFile, MeasuredFile, Readings, WorldFile
 from armsight.ops.requests.motion import LATENCY_S, FollowedCell, RobotJob, RobotSettings
 from armsight.ops.requests.plant import PlantFlags
@@ -33,8 +49,8 @@ __all__ = ["check_mastering", "plan_verification", "propose_mastering_poses", "s
 Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
 AnArm: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 OneArm: TypeAlias = Annotated[ArmLike, Doc(f"{KNOWN_ARM}.")]
-RigFile: TypeAlias = Annotated[AsFile | None, Doc("rig.yaml of the cameras."), Flag(panel=LIVE)]
-TargetFile: TypeAlias = Annotated[AsFile | None, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
+RigFile: TypeAlias = Annotated[AsFile, Doc("rig.yaml of the cameras."), Flag(panel=LIVE)]
+TargetFile: TypeAlias = Annotated[AsFile, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
 Tool: TypeAlias = Annotated[
     Literal["fixed", "free"] | None,
     Doc("Whether the tool is known from before. [default: fixed with --world, else free]"),
@@ -200,44 +216,20 @@ def supervise(
     *,
     cameras: CamerasLike = None,
     follow: FollowedCell = None,
-    tracker: Annotated[
-        str | None,
-        Doc("Instead of cameras: qtm:HOST[:PORT] or natnet:HOST[:PORT][:unicast]."),
-        Flag(metavar="DRIVER:HOST", panel=LIVE),
-    ] = None,
-    body: Annotated[
-        str, Doc("Of a tracker: the body on the tool. [default: the only one]"), Flag(metavar="NAME", panel=LIVE)
-    ] = "",
-    tracker_std_m: Annotated[
-        float | None,
-        Doc("How far a tracker's position may be off (standard deviation), mm. [default: 0.3]"),
-        Flag("--tracker-std", unit=MM, panel=LIVE),
-    ] = None,
-    tracker_std_rad: Annotated[
-        float | None,
-        Doc("... and its rotation, deg. [default: 0.3]"),
-        Flag("--tracker-std-deg", unit=DEG, panel=LIVE),
-    ] = None,
+    tracker: Tracker = None,
+    body: TrackerBody = "",
+    tracker_std_m: TrackerStd = None,
+    tracker_std_rad: TrackerStdRad = None,
     warn_m: Annotated[float | None, Doc("Error of place that warns."), Flag(unit=MM, panel=LIVE)] = None,
     stop_m: Annotated[float | None, Doc("Error of place that stops the robot."), Flag(unit=MM, panel=LIVE)] = None,
     warn_rad: Annotated[float | None, Doc("Error of rotation that warns."), Flag(unit=DEG, panel=LIVE)] = None,
-    stop_rad: Annotated[
-        float | None, Doc("Error of rotation that stops the robot."), Flag(unit=DEG, panel=LIVE)
-    ] = None,
+    stop_rad: Annotated[float | None, Doc("Error of rotation that stops it."), Flag(unit=DEG, panel=LIVE)] = None,
     blind_stop_s: Annotated[
         float | None, Doc("Stop where nothing is seen for so long."), Flag("--stop-blind", metavar="S", panel=LIVE)
     ] = None,
-    joint_std: Annotated[
-        float,
-        Doc("Of a joint reading, deg (a slide: m x 57). [default: 0.001; of coarse encoders more]"),
-        Flag("--joint-std", unit=DEG, default=None, panel=LIVE),
-    ] = JOINT_STD,
-    latency_s: Annotated[
-        float, Doc("From exposure to frame in memory, s. [default: 0.03]"), Flag(default=None, panel=LIVE)
-    ] = LATENCY_S,
-    latency_std_s: Annotated[
-        float, Doc("How well that is known, s. [default: 0.01]"), Flag(default=None, panel=LIVE)
-    ] = LATENCY_STD_S,
+    joint_std: JointStd = JOINT_STD,
+    latency_s: Latency = LATENCY_S,
+    latency_std_s: LatencyStd = LATENCY_STD_S,
     seconds_s: Annotated[float | None, Doc("End after so long."), Bounds(above=0.0), Flag(panel=LIVE)] = None,
     frames: Annotated[int | None, Doc("End after so many pairs."), Bounds(least=1), Flag(panel=LIVE)] = None,
     keep_frames: Annotated[bool, Doc("Keep the images in the recording too."), Flag(panel=LIVE)] = False,
@@ -293,17 +285,13 @@ def supervise(
     """
     from armsight.clock import SystemClock
     from armsight.drivers import AUTOMATIC, RobotTraits
-    from armsight.measure.poses.pipeline import Setup
-    from armsight.measure.settings import SpotSettings
     from armsight.ops.given import Given as Folder
-    from armsight.ops.measurement.run import target_of
     from armsight.ops.measurement.warm_up import prepare
     from armsight.ops.sources.cameras import named_cameras
-    from armsight.ops.sources.pace import live_pace
     from armsight.ops.verification import live
-    from armsight.ops.verification.supervising import CameraEyes, Eyes, Supervision, TrackerEyes
+    from armsight.ops.verification.supervising import CameraEyes, Supervision, TrackerEyes
     from armsight.records import Silent
-    from armsight.store import read_rig, read_world
+    from armsight.store import read_world
     from armsight.verify.live import live_output
     from armsight.verify.supervision import Limits, PredictedPose
 
@@ -312,22 +300,20 @@ def supervise(
     stand = read_world(world)
     live.check_times(latency_s, latency_std_s, blind_stop_s, joint_std)
     link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, follow=follow)
-    views, settings = named_cameras(cameras or {}, left, right), camera_settings or AUTOMATIC
-    of_cameras = {"--rig": rig, "--target": target, "cameras": views, "--keep-frames": keep_frames, "--play": play}
-    std = (tracker_std_m or live.TRACKER_STD_M, tracker_std_rad or live.TRACKER_STD_RAD)
+    views = named_cameras(cameras or {}, left, right)
     live.check_eyes(
-        tracker, of_cameras, {"--body": body, "--tracker-std": tracker_std_m, "--tracker-std-deg": tracker_std_rad}
+        tracker,
+        {"--rig": rig, "--target": target, "cameras": views, "--keep-frames": keep_frames, "--play": play},
+        {"--body": body, "--tracker-std": tracker_std_m, "--tracker-std-deg": tracker_std_rad},
     )
-    eyes: Eyes
     if tracker is not None:
-        devices = devices or live.open_tracked(link, tracker, body, std, clock, arm)
-        eyes, of_pair = TrackerEyes(), False
+        std = (tracker_std_m, tracker_std_rad)
+        eyes, devices = TrackerEyes(), devices or live.open_tracked(link, tracker, body, std, clock, arm)
     else:
-        seen, lights = read_rig(rig, any_cameras=True), target_of(target)
-        named = (link, seen.names, views, lights, clock, arm)
-        devices = devices or live.open_supervised(*named, play=play, camera_settings=settings)
-        setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
-        eyes, of_pair = CameraEyes(setup, (rig, target), frames=keep_frames), seen.is_pair
+        setup = live.setup_of(rig, target)
+        eyes = CameraEyes(setup, (rig, target), frames=keep_frames)
+        named = (link, setup.rig.names, views, setup.target, clock, arm)
+        devices = devices or live.open_supervised(*named, play=play, camera_settings=camera_settings or AUTOMATIC)
         prepare(progress)
     expectation = PredictedPose(
         arm=arm if stand.parent == "world" else arm.based(),
@@ -352,7 +338,7 @@ def supervise(
     latency = None if devices.origin_s is not None else (latency_s, latency_std_s)
     known = [*live.doubts(limits, arm, stand, latency, failure), *(one.contradiction for one in run.contradictions)]
     known += live.tracker_doubts(tracker, tracker_std_m is not None and tracker_std_rad is not None)
-    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=of_pair)
+    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=eyes.of_pair)
     if failure is not None:
         raise live.with_kept(failure, done, out)
     return done

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import SystemClock
-from armsight.drivers.trackers import open_tracker
+from armsight.drivers.trackers.source import open_tracker
 from armsight.errors import DeviceLost, DeviceNotFound, UsageError
 from armsight.kinematics import presets
 from armsight.ops.verification.supervising import Supervised
@@ -13,7 +13,7 @@ from armsight.ops.verify import supervise
 from armsight.records import JointReading, PoseStatus
 from armsight.store.rigs import World, write_world
 from refusals import refuses
-from tracker_servers import LOST, N, R, T_M, Motive, Qtm
+from tracker_servers import LOST, T_M, Motive, N, Qtm, R
 
 STD = {"std_m": 3e-4, "std_rad": 5e-3}
 
@@ -99,7 +99,8 @@ def test_a_tracker_watches_an_arm(tmp_path, off_mm, level):
     write_world(tmp_path / "world.yaml", World(parent="base", T_parent_rig=place))
     seen = place.inv() * RigidTransform.from_matrix(arm.fk(robot.q))
     server = Qtm(
-        Rotation.concatenate([seen.rotation] * N), seen.translation + [1e-3 * off_mm, 0.0, 0.0] + np.zeros((N, 3))
+        Rotation.concatenate([seen.rotation] * N),
+        np.tile(seen.translation + np.array([1e-3 * off_mm, 0.0, 0.0]), (N, 1)),
     )
     server.start()
     devices = Supervised(

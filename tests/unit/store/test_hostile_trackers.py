@@ -40,8 +40,7 @@ def motive():
     lines.append(["", "", *(["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"]) * 2])
     lines.append(["Frame", "Time (Seconds)", *("X", "Y", "Z", "W", "X", "Y", "Z", "") * 2])
     still = row(0.5, 0.5, 0.5, 0.5, 10.0, 20.0, 30.0, 0.1)
-    for k in range(N):
-        lines.append([str(k), *row(k / RATE, *R[k].as_quat(), *t[k], 0.1), *still])
+    lines += [[str(k), *row(k / RATE, *R[k].as_quat(), *t[k], 0.1), *still] for k in range(N)]
     return lines, ",", {"body": "Flange"}
 
 
@@ -61,8 +60,7 @@ def vicon():
     lines = [["Objects"], ["50"], ["", "", "Global Angle Flange:Flange"]]
     lines.append(["Frame", "Sub Frame", "RX", "RY", "RZ", "TX", "TY", "TZ"])
     lines.append(["", "", *["rad"] * 3, *["mm"] * 3])
-    for k in range(N):
-        lines.append([str(k + 1), "0", *row(*R[k].as_rotvec(), *t[k])])
+    lines += [[str(k + 1), "0", *row(*R[k].as_rotvec(), *t[k])] for k in range(N)]
     return lines, ",", {"euler": "rotvec"}
 
 
@@ -71,8 +69,7 @@ def trc():
     lines = [["PathFileType", "4", "(X/Y/Z)", "a.trc"], ["DataRate", "NumFrames", "NumMarkers", "Units"]]
     lines += [["50", str(N), "4", "mm"], ["Frame#", "Time", "A", "", "", "B", "", "", "C", "", "", "D", "", ""]]
     lines += [["", "", *[f"{axis}{k}" for k in (1, 2, 3, 4) for axis in "XYZ"]], []]
-    for k in range(N):
-        lines.append([str(k + 1), *row(k / RATE, *(R[k].apply(SHAPE) + t[k]).ravel())])
+    lines += [[str(k + 1), *row(k / RATE, *(R[k].apply(SHAPE) + t[k]).ravel())] for k in range(N)]
     return lines, "\t", {}
 
 

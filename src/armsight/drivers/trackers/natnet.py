@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.drivers.trackers.source import BodyStream, host_and_port, library
+from armsight.drivers.trackers.source import BodyStream, host_and_port, not_there
 from armsight.errors import DeviceNotFound
 
 COMMAND_PORT = 1510
@@ -35,7 +35,10 @@ class NatNetStream(BodyStream):
         self._bodies: dict[int, str] = {}
 
     def _opened(self) -> None:
-        natnet = library("natnet")
+        try:
+            import natnet
+        except ImportError as error:
+            raise not_there("natnet") from error
         client = natnet.NatNetClient(
             server_ip_address=self._host,
             local_ip_address=_own_address(self._host, self._port),
@@ -60,7 +63,7 @@ class NatNetStream(BodyStream):
         return DeviceNotFound(
             f"Motive at {self._host}:{self._port} does not stream: {error or type(error).__name__}",
             consequence="Nothing was done",
-            cure=f"Set Motive's streaming to NatNet and this network; {UNICAST} where it sends to each computer that asks",
+            cure=f"Set Motive's streaming to NatNet and this network; {UNICAST} where it sends to each that asks",
         )
 
     def _describe(self, described: Any) -> None:

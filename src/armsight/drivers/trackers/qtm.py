@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from armsight.drivers.trackers.source import BodyStream, host_and_port, library
+from armsight.drivers.trackers.source import BodyStream, host_and_port, not_there
 from armsight.errors import DeviceNotFound, UsageError
 from armsight.units import MM
 
@@ -36,7 +36,10 @@ class QtmStream(BodyStream):
         self._index = 0
 
     def _opened(self) -> None:
-        qtm_rt = library("qtm_rt")
+        try:
+            import qtm_rt
+        except ImportError as error:
+            raise not_there("qtm-rt") from error
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name=f"tracker {self.name}", daemon=True)
         self._thread.start()

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -127,16 +127,11 @@ def open_tracker(text: str, *, body: str, std_m: float, std_rad: float) -> BodyS
     return made
 
 
-def library(name: str) -> Any:
-    """Return a maker's public library. Raises DeviceNotFound that says what to install."""
-    from importlib import import_module
-
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise DeviceNotFound(
-            f"the library {name} of trackers is not installed", consequence="Nothing was done", cure=EXTRA
-        ) from error
+def not_there(name: str) -> DeviceNotFound:
+    """Return what is raised where a maker's public library is not installed."""
+    return DeviceNotFound(
+        f"the library {name} of trackers is not installed", consequence="Nothing was done", cure=EXTRA
+    )
 
 
 def host_and_port(device: str, default: int) -> tuple[str, int]:

@@ -18,7 +18,7 @@ from armsight.clock import Clock
 from armsight.control.session.service import TokenBucket
 from armsight.defaults import BLIND_S
 from armsight.drivers import MomentSource, Robot, Views, by_name, news_of
-from armsight.drivers.trackers import BodyStream, TrackedBody
+from armsight.drivers.trackers.source import BodyStream, TrackedBody
 from armsight.errors import DeviceFailed, StaleData
 from armsight.measure.consistency.findings import LeftOut
 from armsight.measure.consistency.live_cameras import WatchedTracker
@@ -67,7 +67,11 @@ class Sighted:
 
 
 class Eyes(Protocol):
-    """What measures the moments of a source. contradictions: what was found of it that makes its poses doubtful."""
+    """What measures the moments of a source. of_pair: it is two cameras."""
+
+    @property
+    def of_pair(self) -> bool:
+        """Whether its moments are pairs of frames."""
 
     @property
     def contradictions(self) -> Sequence[LeftOut]:
@@ -85,7 +89,7 @@ class CameraEyes:
 
     def __init__(self, setup: Setup, files: Sequence[Path], *, frames: bool) -> None:
         self._rig, self._tracker = setup.rig, WatchedTracker(setup)
-        self._files, self._frames = files, frames
+        self._files, self._frames, self.of_pair = files, frames, setup.rig.is_pair
 
     @property
     def contradictions(self) -> Sequence[LeftOut]:
@@ -113,7 +117,8 @@ class CameraEyes:
 class TrackerEyes:
     """A tracker that measures by itself."""
 
-    contradictions = ()
+    contradictions: Sequence[LeftOut] = ()
+    of_pair = False
 
     def attach(self, writer: RecordingWriter) -> None:
         """Write nothing: poses say all."""

@@ -18,7 +18,7 @@ REMARKS = ("#", "%", "//")
 class RawTable:
     """where: the file. how: what kind it was found to be, in words. names: of the columns, () where it has none.
     columns: the cells (k lists of n). lines: (n,) the line that each row came from, from 1. csv: whether the file
-    has its cells as a CSV of ours, by commas. notes: what was understood, in words. tracked: whether a tracker wrote it."""
+    has its cells as a CSV of ours, by commas. notes: what was understood, in words. tracked: a tracker wrote it."""
 
     where: str
     how: str
@@ -108,6 +108,7 @@ class splitter:  # noqa: N801 - a function that says how it splits
         self.how = {";": "by semicolons", "\t": "by tabs", ",": "by commas", "": "by blanks"}[self.by]
 
     def __call__(self, line: str) -> list[str]:
+        """Return the cells of a line."""
         if not self.by:
             return line.split()
         cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self.by))]

@@ -20,7 +20,7 @@ from armsight.store.interpret.raw import RawTable, parse_text
 from armsight.store.interpret.rotations import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.standard import UNUSED, Standard, standard_table
 from armsight.store.interpret.table_format import OURS, TableFormat
-from armsight.store.interpret.trackers import no_bodies, tracker_of, tracker_table
+from armsight.store.interpret.trackers.formats import no_bodies, tracker_of, tracker_table
 from armsight.store.tables import MAX_BYTES, Table
 from armsight.store.yamls import parse_yaml_documents
 

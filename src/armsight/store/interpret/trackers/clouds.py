@@ -56,7 +56,7 @@ def body_of_cloud(cloud: Cloud, where: str) -> CloudBody:
             consequence="Their rotation is not observable",
             cure="Name one marker for its position alone, or three and more of a body",
         )
-    seen = np.isfinite(cloud.xyz_m).all(axis=2)  # (n, k)
+    seen = np.asarray(np.isfinite(cloud.xyz_m).all(axis=2))  # (n, k)
     shape = _shape(cloud, seen, where)
     R, t, good = _laid(shape, seen, cloud.xyz_m)
     off = np.where(seen, np.linalg.norm(cloud.xyz_m - (np.einsum("nij,kj->nki", R, shape) + t[:, None]), axis=2), 0.0)

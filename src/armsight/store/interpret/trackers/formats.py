@@ -26,8 +26,8 @@ HEAD_BYTES = 100_000
 class TrackerFormat:
     """A kind of file: title for lists; needs: what has to be said where the file leaves it open; unit: of its lengths.
 
-    begins: whether a file's first bytes, or the text of them, are of this kind. read: bytes, the file's name and what is
-    said of it to bodies and markers, or to a table.
+    begins, begins_bytes: whether the text of a file's first bytes, or they themselves, are of this kind. read: bytes,
+    the file's name and what is said of it to bodies and markers, or to a table.
     """
 
     title: str

@@ -62,7 +62,7 @@ def read_points(data: bytes, where: str, format_: TableFormat) -> Tracks:
     names = list(dict.fromkeys(groups))
     wanted = format_.body or names[0]
     wanted = next((name for name in names if wanted in (name, name.split(" ")[-1])), "")
-    if len(names) > 1 and not format_.body or not wanted:
+    if (len(names) > 1 and not format_.body) or not wanted:
         raise Ambiguous(
             f"{where}: holds the groups {', '.join(names)[:300]}",
             consequence="It is open which is meant",

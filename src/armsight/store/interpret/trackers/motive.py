@@ -95,5 +95,5 @@ def _those(columns: dict[tuple[str, str], int], wanted: list[tuple[str, str]], n
 
 def _body(table: Array, columns: dict[tuple[str, str], int], name: str, scale: float, where: str) -> Track:
     values = table[:, _those(columns, POSE, name, where)]
-    values = np.where(np.isfinite(values).all(axis=1)[:, None], values, np.nan)
+    values = np.where(np.asarray(np.isfinite(values).all(axis=1))[:, None], values, np.nan)
     return Track(name=name, xyz_m=scale * values[:, 4:], quat_xyzw=values[:, :4])

@@ -98,7 +98,7 @@ def _body(table: Array, head: Sequence[str], k: int, name: str, where: str, orde
         if list(head[matrix : matrix + 9]) != [f"rot[{i}]" for i in range(9)]:
             raise BadFile(f"{where}: of {name!r} the columns Rot[0] .. Rot[8] are not all there, in order")
         cells = lost_where_zero(table[:, matrix : matrix + 9])
-        there = np.isfinite(cells).all(axis=1) & np.isfinite(xyz).all(axis=1)
+        there = np.asarray(np.isfinite(cells).all(axis=1) & np.isfinite(xyz).all(axis=1))
         R = np.full((len(table), 3, 3), np.nan)
         R[there] = cells[there].reshape(-1, 3, 3).transpose(0, 2, 1)  # column by column
         _check_rotations(R[there], name, where)
@@ -106,7 +106,7 @@ def _body(table: Array, head: Sequence[str], k: int, name: str, where: str, orde
             _check_angles(R, table[:, k + 3 : k + 6], name, where)
     elif tuple(angles) == ANGLES or (order is not None and len(angles) == 3):
         values = lost_where_zero(table[:, k : k + 6])
-        there = np.isfinite(values).all(axis=1)
+        there = np.asarray(np.isfinite(values).all(axis=1))
         R = np.full((len(table), 3, 3), np.nan)
         R[there] = (order or RPY).rotation(DEG * values[there, 3:]).as_matrix()
     else:

@@ -1,11 +1,10 @@
-"""TRC, Track Row Column: markers, as Motive, Cortex, Nexus and OpenSim write it; by tabs or, from a spreadsheet, commas.
+"""TRC, Track Row Column: markers, as Motive, Cortex, Nexus and OpenSim write it, by tabs; by commas from a spreadsheet.
 
 Line 1 the axes (X/Y/Z), 2 and 3 keys and values with Units, 4 Frame#, Time and markers, 5 X1, Y1, Z1, ..., then frames;
 a lost marker is blank (OpenSim's documentation, Marker (.trc) Files; a file in pyomeca).
 """
 
 from __future__ import annotations
-
 
 from armsight.errors import BadFile
 from armsight.store.interpret.table_format import TableFormat

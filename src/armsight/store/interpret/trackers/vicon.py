@@ -129,7 +129,7 @@ class _Block:
         xyz = self.lengths("tx", "ty", "tz")
         turned = ("rx", "ry", "rz", "rw") if "rw" in self.there else ("rx", "ry", "rz")
         values = self.table[:, self._columns(turned)]
-        there = np.isfinite(values).all(axis=1) & np.isfinite(xyz).all(axis=1)
+        there = np.asarray(np.isfinite(values).all(axis=1) & np.isfinite(xyz).all(axis=1))
         quat = np.full((len(xyz), 4), np.nan)
         if len(turned) == 4:
             quat[there] = values[there]
@@ -154,5 +154,5 @@ class _Block:
             f"{self.where}: RX, RY, RZ of {self.name!r} "
             + ("are Euler angles" if euler else "may be a rotation vector (Helical) or Euler angles"),
             consequence="The file does not say in which order" if euler else "The file does not say which",
-            cure="See the export's setting Angle: --euler rotvec for Helical, --euler xyz or another order for Euler angles",
+            cure="See the export's setting Angle: give --euler rotvec for Helical, --euler xyz or another order for others",
         )
