@@ -13,6 +13,7 @@ from armsight.cli.flags import PartialRequest
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
 from armsight.file_names import VERIFIED
+from armsight.ops import mastering as after_crash
 from armsight.ops import verify as ops
 from armsight.ops.action import action_of
 from armsight.ops.flags import (
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from armsight.verify.supervision import Compared, Level
 
 VERIFY, PLANNING, SUPERVISION = action_of(ops.verify), action_of(ops.plan_verification), action_of(ops.supervise)
-PROPOSAL, CHECK = action_of(ops.propose_mastering_poses), action_of(ops.check_mastering)
+PROPOSAL, CHECK = action_of(after_crash.propose_mastering_poses), action_of(after_crash.check_mastering)
 Mode = PartialRequest[dict[str, Any]]
 VIEWS = ("--left", "--right")
 """Cameras, which a simulated cell brings."""

@@ -1,4 +1,4 @@
-"""Is the arm where it says it is: of files, before live cameras, after a crash; and the plan of a test."""
+"""Is the arm where it says it is: of files, before live cameras or a tracker; and the plan of a test."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.defaults import JOINT_STD, LATENCY_STD_S, MASTERING_SPAN_RAD
+from armsight.defaults import JOINT_STD, LATENCY_STD_S
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.file_names import ERRORS, PLAN, PLAN_SUMMARY, REPORT, VERIFY
 from armsight.file_names import LIVE as RECORDING
-from armsight.file_names import MASTERING as POSES_TO_MEASURE
 from armsight.ops.action import action
 from armsight.ops.flags import (
     AN_ARM,
     KNOWN_ARM,
     LIVE,
-    MASTERING,
     Base,
     Cameras,
     JointStd,
@@ -30,7 +28,7 @@ from armsight.ops.flags import (
     TrackerStdRad,
     TwoTables,
 )
-from armsight.ops.kinds import CHAIN, ArmLike, AsFile, CamerasLike, JointsFile, MeasuredFile, Readings, WorldFile
+from armsight.ops.kinds import CHAIN, ArmLike, AsFile, CamerasLike, JointsFile, MeasuredFile, WorldFile
 from armsight.ops.requests.motion import LATENCY_S, FollowedCell, RobotJob, RobotSettings
 from armsight.ops.requests.plant import PlantFlags
 from armsight.units import DEG, MM
@@ -42,20 +40,15 @@ if TYPE_CHECKING:
     from armsight.records import Progress
     from armsight.verify.iso9283.plan import VerifyPlanOutput
     from armsight.verify.live import VerifyLiveOutput
-    from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
+    from armsight.verify.results import VerifyResult
 
-__all__ = ["check_mastering", "plan_verification", "propose_mastering_poses", "supervise", "verify"]
+__all__ = ["plan_verification", "supervise", "verify"]
 
 Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
 AnArm: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 OneArm: TypeAlias = Annotated[ArmLike, Doc(f"{KNOWN_ARM}.")]
 RigFile: TypeAlias = Annotated[AsFile, Doc("rig.yaml of the cameras."), Flag(panel=LIVE)]
 TargetFile: TypeAlias = Annotated[AsFile, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
-Tool: TypeAlias = Annotated[
-    Literal["fixed", "free"] | None,
-    Doc("Whether the tool is known from before. [default: fixed with --world, else free]"),
-    Flag(metavar="fixed|free", read=str, panel=MASTERING),
-]
 
 
 @action(
@@ -312,8 +305,11 @@ def supervise(
     else:
         setup = live.setup_of(rig, target)
         eyes = CameraEyes(setup, (rig, target), frames=keep_frames)
-        named = (link, setup.rig.names, views, setup.target, clock, arm)
-        devices = devices or live.open_supervised(*named, play=play, camera_settings=camera_settings or AUTOMATIC)
+        devices = devices or live.open_supervised(
+            *(link, setup.rig.names, views, setup.target, clock, arm),
+            play=play,
+            camera_settings=camera_settings or AUTOMATIC,
+        )
         prepare(progress)
     expectation = PredictedPose(
         arm=arm if stand.parent == "world" else arm.based(),
@@ -336,86 +332,12 @@ def supervise(
             progress,
         )
     latency = None if devices.origin_s is not None else (latency_s, latency_std_s)
-    known = [*live.doubts(limits, arm, stand, latency, failure), *(one.contradiction for one in run.contradictions)]
-    known += live.tracker_doubts(tracker, tracker_std_m is not None and tracker_std_rad is not None)
+    known = [
+        *live.doubts(limits, arm, stand, latency, failure),
+        *live.tracker_doubts(tracker, tracker_std_m is not None and tracker_std_rad is not None),
+        *(one.contradiction for one in run.contradictions),
+    ]
     done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=eyes.of_pair)
     if failure is not None:
         raise live.with_kept(failure, done, out)
     return done
-
-
-@action("verify", keeps=(POSES_TO_MEASURE,), writes="write_poses_to_measure")
-def propose_mastering_poses(
-    arm: OneArm,
-    around: Annotated[
-        Readings,
-        Doc("Propose poses about these joints, rad or m (or 90deg)."),
-        Flag(metavar="Q1,..,QN", panel=MASTERING),
-    ],
-    *,
-    span_rad: Annotated[
-        float,
-        Doc("How far joints may go from there, deg. [default: 30]"),
-        Flag("--span", unit=DEG, default=None, panel=MASTERING),
-    ] = MASTERING_SPAN_RAD,
-    tool: Tool = None,
-    world: WorldFile = None,
-    rig: RigFile = None,
-    target: TargetFile = None,
-    out: Out = None,
-) -> MasteringPlanOutput:
-    """Return ten joint positions at which to measure an arm after a crash.
-
-    around: readings (n,) about which they are, within span_rad. tool: whether it is known from before. rig, target,
-    world: only poses that the cameras see. out: a folder for mastering.csv. Raises UsageError, DataRefused.
-
-    Examples
-    --------
-    >>> len(armsight.propose_mastering_poses("ur10", [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses)
-    10
-    """
-    from armsight.ops.measurement.run import target_of
-    from armsight.ops.verification import mastering
-    from armsight.store import read_rig, read_world
-
-    stand = None if world is None else read_world(world)
-    placed, how = mastering.in_measured_frame(arm, stand, tool)
-    view = None
-    if rig is not None and target is not None and stand is not None:
-        view = (read_rig(rig, any_cameras=True), target_of(target), stand)
-    q = mastering.drawn_about(placed, around, span_rad, view)
-    return mastering.propose_poses(placed, how, q, view, "" if out is None else str(Path(out) / POSES_TO_MEASURE))
-
-
-@action("verify", keeps=(VERIFY, REPORT), writes="write_verified", page="mastering")
-def check_mastering(
-    measured: MeasuredFile,
-    joints: JointsFile,
-    arm: OneArm,
-    *,
-    tool: Tool = None,
-    world: WorldFile = None,
-    out: Out = None,
-) -> MasteringOutput:
-    """Return which joint's zero moved in a crash, from poses measured at joint positions.
-
-    measured, joints, arm, world: as `verify` takes them. tool: whether it is known from before. out: a folder for the
-    report. Raises UsageError, DataRefused.
-
-    Examples
-    --------
-    >>> arm = armsight.presets.ur10()
-    >>> q = np.array([pose.q for pose in armsight.propose_mastering_poses(arm, [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses])
-    >>> armsight.check_mastering(arm.fk(q), q, arm, tool="fixed").cause
-    'none'
-    """
-    from armsight.ops.verification import mastering
-    from armsight.ops.verification.run import in_world
-    from armsight.store import read_world
-    from armsight.store.verify_files import read_measured
-
-    stand = None if world is None else read_world(world)
-    placed, how = mastering.in_measured_frame(arm, stand, tool)
-    file = read_measured(measured)
-    file = file if stand is None else replace(file, measured=in_world(file.measured, stand))
-    return mastering.judge_poses(placed, how, file, mastering.readings_of(placed, file, measured, joints))

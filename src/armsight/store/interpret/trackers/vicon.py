@@ -154,5 +154,5 @@ class _Block:
             f"{self.where}: RX, RY, RZ of {self.name!r} "
             + ("are Euler angles" if euler else "may be a rotation vector (Helical) or Euler angles"),
             consequence="The file does not say in which order" if euler else "The file does not say which",
-            cure="See the export's setting Angle: give --euler rotvec for Helical, --euler xyz or another order for others",
+            cure="See the export's setting Angle: --euler rotvec for Helical, --euler xyz or as it is for others",
         )
