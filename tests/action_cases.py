@@ -79,7 +79,7 @@ CASES = {
     "teach.teach": "teach --from poses.csv --tip tip.yaml -o new",
     "verify.verify": "verify --measured poses.csv --arm irb120 --joints joints.csv -o new",
     "verify.plan_verification": "verify --plan --arm irb120 -o new",
-    "verify.propose_mastering_poses": "verify --mastering --arm webcam/arm.yaml --rig webcam/rig.yaml "
+    "mastering.propose_mastering_poses": "verify --mastering --arm webcam/arm.yaml --rig webcam/rig.yaml "
     "--target webcam/target.yaml --world webcam/world.yaml --around=0,-1.07,1.63,-0.57,1.73,0.16 -o new",
 }
 """By module and function of armsight.ops: a good call in the folder of `make_files`; what it writes is called new."""
@@ -98,7 +98,7 @@ ON_DEVICES = {
     "robots.jog": "moves a robot: tests/unit/cli/test_robot.py",
     "robots.run_motion": "moves a robot: tests/unit/app/test_run_motion_cameras.py",
     "verify.supervise": "watches a robot before cameras: tests/unit/app/test_verify_live.py",
-    "verify.check_mastering": "judges poses that an arm went to as it was told: tests/unit/verify/test_mastering.py",
+    "mastering.check_mastering": "judges poses that an arm went to as it was told: tests/unit/verify/test_mastering.py",
 }
 """Actions without a case, and which tests run them."""
 

@@ -156,6 +156,7 @@ HEADINGS = {
     "armsight.ops.calibrate_cell": "Calibrating a whole cell",
     "armsight.measure.track": "Tracks",
     "armsight.ops.verify": "Verify",
+    "armsight.ops.mastering": "After a crash",
     "armsight.verify.results": "What verify returns",
     "armsight.ops.measure": "Measure, record",
     "armsight.measure.results": "What measure returns",

@@ -110,6 +110,7 @@ if TYPE_CHECKING:
     from armsight.ops.join import JoinResult as JoinResult
     from armsight.ops.kinematics import *
     from armsight.ops.machine import *
+    from armsight.ops.mastering import *
     from armsight.ops.measure import *
     from armsight.ops.motion import *
     from armsight.ops.robots import *

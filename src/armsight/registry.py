@@ -16,6 +16,9 @@ FrameSource; settings is given only where a person asks for one."""
 ROBOTS = "armsight.robots"
 """Group of callables (device: str, *, settings: Mapping[str, Any], clock: Clock) -> Robot."""
 
+TRACKERS = "armsight.trackers"
+"""Group of callables (device: str, *, body: str, std_m: float, std_rad: float) -> drivers.trackers.BodyStream."""
+
 CELLS = "armsight.cells"
 """Group of callables (seed: int, frames: int) -> a simulated cell."""
 

@@ -13,6 +13,7 @@ from armsight.cli.flags import PartialRequest
 from armsight.errors import UsageError
 from armsight.fields import Doc, Flag
 from armsight.file_names import VERIFIED
+from armsight.ops import mastering as after_crash
 from armsight.ops import verify as ops
 from armsight.ops.action import action_of
 from armsight.ops.flags import (
@@ -30,10 +31,12 @@ if TYPE_CHECKING:
     from armsight.verify.supervision import Compared, Level
 
 VERIFY, PLANNING, SUPERVISION = action_of(ops.verify), action_of(ops.plan_verification), action_of(ops.supervise)
-PROPOSAL, CHECK = action_of(ops.propose_mastering_poses), action_of(ops.check_mastering)
+PROPOSAL, CHECK = action_of(after_crash.propose_mastering_poses), action_of(after_crash.check_mastering)
 Mode = PartialRequest[dict[str, Any]]
 VIEWS = ("--left", "--right")
 """Cameras, which a simulated cell brings."""
+SCENE = ("--rig", "--target")
+"""What cameras need to measure, and a tracker does not."""
 
 
 def _taken() -> dict[str, tuple[Any, Any]]:
@@ -125,9 +128,10 @@ def check_options(mode: str, missing: tuple[str, ...], foreign: list[str]) -> No
 
 
 def _supervise(face: CommandUI, asked: Mode, foreign: list[str], out: Path) -> None:
-    missing = tuple(one for one in asked.missing if one not in VIEWS or "--follow" not in asked.given)
+    brought = (*VIEWS, *SCENE) if "--tracker" in asked.given else VIEWS if "--follow" in asked.given else ()
+    missing = tuple(one for one in asked.missing if one not in brought)
     check_options("--live", missing, foreign)
-    given: dict[str, Any] = {"left": None, "right": None, **asked.made()}
+    given: dict[str, Any] = {"left": None, "right": None, "rig": None, "target": None, **asked.made()}
     face.until_stopped = "frames" not in given and "seconds_s" not in given
     given |= {"show": LiveLine(face).show, "tell": face.say}
     show(face, SUPERVISION.run(given, face.progress(SUPERVISION.working)), out)

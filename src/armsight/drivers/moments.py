@@ -10,11 +10,11 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 
-from armsight.drivers.protocols import FrameSource, MomentSource, Views
+from armsight.drivers.protocols import FrameSource, Views
 from armsight.drivers.sources import ImageFolder
 from armsight.errors import DeviceFailed, Inconsistent
 from armsight.records import Frame
@@ -47,12 +47,15 @@ def by_name(names: Sequence[str], moment: Views) -> dict[str, Frame]:
     return {name: frame for name, frame in zip(names, moment, strict=True) if frame is not None}
 
 
-def moments_of(source: MomentSource) -> Generator[Views, None, None]:
+M = TypeVar("M")
+
+
+def moments_of(source: Iterable[M]) -> Generator[M, None, None]:
     """Yield a source's moments, as a generator, which can be closed."""
     yield from source
 
 
-def news_of(source: MomentSource, told: list[str]) -> list[str]:
+def news_of(source: object, told: list[str]) -> list[str]:
     """Return what to tell of the cameras of a source that were lost since they were last told, which it notes."""
     lost: Mapping[str, str] = getattr(source, "lost", {})
     fresh = [name for name in lost if name not in told]

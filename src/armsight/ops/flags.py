@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag, Flags, loaded
-from armsight.units import read_quantity
+from armsight.units import DEG, MM, read_quantity
 
 if TYPE_CHECKING:
     from armsight.calibrate.handeye import Setup
@@ -75,6 +75,35 @@ LIVE, MASTERING = "With --live", "With --mastering"
 TABLES = "Tables that are not armsight's own (see the guide: tables)"
 
 
+Tracker: TypeAlias = Annotated[
+    str | None,
+    Doc("Instead of cameras: qtm:HOST[:PORT] or natnet:HOST[:PORT][:unicast]."),
+    Flag(metavar="DRIVER:HOST", panel=LIVE),
+]
+TrackerBody: TypeAlias = Annotated[
+    str, Doc("Of a tracker: the body on the tool. [default: the only one]"), Flag(metavar="NAME", panel=LIVE)
+]
+TrackerStd: TypeAlias = Annotated[
+    float | None,
+    Doc("How far a tracker's position may be off (standard deviation), mm. [default: 0.3]"),
+    Flag("--tracker-std", unit=MM, panel=LIVE),
+]
+TrackerStdRad: TypeAlias = Annotated[
+    float | None, Doc("... and its rotation, deg. [default: 0.3]"), Flag("--tracker-std-deg", unit=DEG, panel=LIVE)
+]
+JointStd: TypeAlias = Annotated[
+    float,
+    Doc("Of a joint reading, deg (a slide: m x 57). [default: 0.001; of coarse encoders more]"),
+    Flag("--joint-std", unit=DEG, default=None, panel=LIVE),
+]
+Latency: TypeAlias = Annotated[
+    float, Doc("From exposure to frame in memory, s. [default: 0.03]"), Flag(default=None, panel=LIVE)
+]
+LatencyStd: TypeAlias = Annotated[
+    float, Doc("How well that is known, s. [default: 0.01]"), Flag(default=None, panel=LIVE)
+]
+
+
 @dataclass(frozen=True, kw_only=True)
 class CameraFlags:
     """The settings of live cameras."""
@@ -126,6 +155,11 @@ class TableFlags:
         str,
         Doc("Where the header states none: mm,deg. Where two tables are read, of each: 'measured:mm;robot:deg'"),
         Flag(metavar="UNITS", panel=TABLES),
+    ] = ""
+    body: Annotated[
+        str,
+        Doc("Of a tracker's file: the body, the group of markers, or markers as A,B,C."),
+        Flag(metavar="NAME", panel=TABLES),
     ] = ""
     as_stated: Annotated[
         bool, Doc("Take units and orders as stated though the numbers look otherwise."), Flag(panel=TABLES)

@@ -1,4 +1,4 @@
-"""Is the arm where it says it is: of files, before live cameras, after a crash; and the plan of a test."""
+"""Is the arm where it says it is: of files, before live cameras or a tracker; and the plan of a test."""
 
 from __future__ import annotations
 
@@ -7,14 +7,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from armsight.defaults import JOINT_STD, LATENCY_STD_S, MASTERING_SPAN_RAD
+from armsight.defaults import JOINT_STD, LATENCY_STD_S
 from armsight.fields import Bounds, Doc, Flag, Flags
 from armsight.file_names import ERRORS, PLAN, PLAN_SUMMARY, REPORT, VERIFY
 from armsight.file_names import LIVE as RECORDING
-from armsight.file_names import MASTERING as POSES_TO_MEASURE
 from armsight.ops.action import action
-from armsight.ops.flags import AN_ARM, KNOWN_ARM, LIVE, MASTERING, Base, Cameras, Tip, TwoTables
-from armsight.ops.kinds import CHAIN, ArmLike, AsFile, CamerasLike, JointsFile, MeasuredFile, Readings, WorldFile
+from armsight.ops.flags import (
+    AN_ARM,
+    KNOWN_ARM,
+    LIVE,
+    Base,
+    Cameras,
+    JointStd,
+    Latency,
+    LatencyStd,
+    Tip,
+    Tracker,
+    TrackerBody,
+    TrackerStd,
+    TrackerStdRad,
+    TwoTables,
+)
+from armsight.ops.kinds import CHAIN, ArmLike, AsFile, CamerasLike, JointsFile, MeasuredFile, WorldFile
 from armsight.ops.requests.motion import LATENCY_S, FollowedCell, RobotJob, RobotSettings
 from armsight.ops.requests.plant import PlantFlags
 from armsight.units import DEG, MM
@@ -26,20 +40,15 @@ if TYPE_CHECKING:
     from armsight.records import Progress
     from armsight.verify.iso9283.plan import VerifyPlanOutput
     from armsight.verify.live import VerifyLiveOutput
-    from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
+    from armsight.verify.results import VerifyResult
 
-__all__ = ["check_mastering", "plan_verification", "propose_mastering_poses", "supervise", "verify"]
+__all__ = ["plan_verification", "supervise", "verify"]
 
 Out: TypeAlias = Annotated[Path | None, Doc("Where the results go."), Flag("-o --out", metavar="FOLDER")]
 AnArm: TypeAlias = Annotated[Any, Doc(f"{KNOWN_ARM}."), CHAIN, AN_ARM]
 OneArm: TypeAlias = Annotated[ArmLike, Doc(f"{KNOWN_ARM}.")]
 RigFile: TypeAlias = Annotated[AsFile, Doc("rig.yaml of the cameras."), Flag(panel=LIVE)]
 TargetFile: TypeAlias = Annotated[AsFile, Doc("target.yaml of the lights on the tool."), Flag(panel=LIVE)]
-Tool: TypeAlias = Annotated[
-    Literal["fixed", "free"] | None,
-    Doc("Whether the tool is known from before. [default: fixed with --world, else free]"),
-    Flag(metavar="fixed|free", read=str, panel=MASTERING),
-]
 
 
 @action(
@@ -200,26 +209,20 @@ def supervise(
     *,
     cameras: CamerasLike = None,
     follow: FollowedCell = None,
+    tracker: Tracker = None,
+    body: TrackerBody = "",
+    tracker_std_m: TrackerStd = None,
+    tracker_std_rad: TrackerStdRad = None,
     warn_m: Annotated[float | None, Doc("Error of place that warns."), Flag(unit=MM, panel=LIVE)] = None,
     stop_m: Annotated[float | None, Doc("Error of place that stops the robot."), Flag(unit=MM, panel=LIVE)] = None,
     warn_rad: Annotated[float | None, Doc("Error of rotation that warns."), Flag(unit=DEG, panel=LIVE)] = None,
-    stop_rad: Annotated[
-        float | None, Doc("Error of rotation that stops the robot."), Flag(unit=DEG, panel=LIVE)
-    ] = None,
+    stop_rad: Annotated[float | None, Doc("Error of rotation that stops it."), Flag(unit=DEG, panel=LIVE)] = None,
     blind_stop_s: Annotated[
         float | None, Doc("Stop where nothing is seen for so long."), Flag("--stop-blind", metavar="S", panel=LIVE)
     ] = None,
-    joint_std: Annotated[
-        float,
-        Doc("Of a joint reading, deg (a slide: m x 57). [default: 0.001; of coarse encoders more]"),
-        Flag("--joint-std", unit=DEG, default=None, panel=LIVE),
-    ] = JOINT_STD,
-    latency_s: Annotated[
-        float, Doc("From exposure to frame in memory, s. [default: 0.03]"), Flag(default=None, panel=LIVE)
-    ] = LATENCY_S,
-    latency_std_s: Annotated[
-        float, Doc("How well that is known, s. [default: 0.01]"), Flag(default=None, panel=LIVE)
-    ] = LATENCY_STD_S,
+    joint_std: JointStd = JOINT_STD,
+    latency_s: Latency = LATENCY_S,
+    latency_std_s: LatencyStd = LATENCY_STD_S,
     seconds_s: Annotated[float | None, Doc("End after so long."), Bounds(above=0.0), Flag(panel=LIVE)] = None,
     frames: Annotated[int | None, Doc("End after so many pairs."), Bounds(least=1), Flag(panel=LIVE)] = None,
     keep_frames: Annotated[bool, Doc("Keep the images in the recording too."), Flag(panel=LIVE)] = False,
@@ -243,8 +246,12 @@ def supervise(
     ----------
     robot, left, right, cameras
         As identify_arm_live takes them, or cameras by the rig's names, and robot_settings, rsi_config and follow.
+    rig, target
+        Of the cameras; None with a tracker.
+    tracker, body, tracker_std_m, tracker_std_rad
+        Instead of cameras a tracker, which measures by itself, its body on the tool, and what its poses may be off.
     arm, world
-        Where the arm should be: its geometry, and where the rig stands (T_base_rig).
+        Where the arm should be: its geometry, and where the rig, or the tracker, stands (T_base_rig).
     warn_m, stop_m, warn_rad, stop_rad
         Errors that warn, and that stop the robot.
     blind_stop_s
@@ -271,28 +278,39 @@ def supervise(
     """
     from armsight.clock import SystemClock
     from armsight.drivers import AUTOMATIC, RobotTraits
-    from armsight.measure.poses.pipeline import Setup
-    from armsight.measure.settings import SpotSettings
     from armsight.ops.given import Given as Folder
-    from armsight.ops.measurement.run import target_of
     from armsight.ops.measurement.warm_up import prepare
     from armsight.ops.sources.cameras import named_cameras
-    from armsight.ops.sources.pace import live_pace
     from armsight.ops.verification import live
-    from armsight.ops.verification.supervising import Supervision
+    from armsight.ops.verification.supervising import CameraEyes, Supervision, TrackerEyes
     from armsight.records import Silent
-    from armsight.store import read_rig, read_world
+    from armsight.store import read_world
     from armsight.verify.live import live_output
     from armsight.verify.supervision import Limits, PredictedPose
 
     limits = Limits(warn_m=warn_m, stop_m=stop_m, warn_rad=warn_rad, stop_rad=stop_rad)
     clock, progress = clock or SystemClock(), progress or Silent()
-    seen, lights, stand = read_rig(rig, any_cameras=True), target_of(target), read_world(world)
+    stand = read_world(world)
     live.check_times(latency_s, latency_std_s, blind_stop_s, joint_std)
     link = RobotJob(robot=robot, robot_settings=robot_settings, rsi_config=rsi_config, follow=follow)
-    eyes, settings = named_cameras(cameras or {}, left, right), camera_settings or AUTOMATIC
-    named = (link, seen.names, eyes, lights, clock, arm)
-    devices = devices or live.open_supervised(*named, play=play, camera_settings=settings)
+    views = named_cameras(cameras or {}, left, right)
+    live.check_eyes(
+        tracker,
+        {"--rig": rig, "--target": target, "cameras": views, "--keep-frames": keep_frames, "--play": play},
+        {"--body": body, "--tracker-std": tracker_std_m, "--tracker-std-deg": tracker_std_rad},
+    )
+    if tracker is not None:
+        std = (tracker_std_m, tracker_std_rad)
+        eyes, devices = TrackerEyes(), devices or live.open_tracked(link, tracker, body, std, clock, arm)
+    else:
+        setup = live.setup_of(rig, target)
+        eyes = CameraEyes(setup, (rig, target), frames=keep_frames)
+        devices = devices or live.open_supervised(
+            *(link, setup.rig.names, views, setup.target, clock, arm),
+            play=play,
+            camera_settings=camera_settings or AUTOMATIC,
+        )
+        prepare(progress)
     expectation = PredictedPose(
         arm=arm if stand.parent == "world" else arm.based(),
         T_parent_rig=stand.T_parent_rig,
@@ -302,99 +320,24 @@ def supervise(
     )
     live.check_arm(arm, devices)
     live.check_stop(devices.robot, asked=stop_m is not None or stop_rad is not None or blind_stop_s is not None)
-    setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
-    prepare(progress)
-    run = Supervision(setup, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
+    run = Supervision(eyes, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
     run.show, run.tell = show or run.show, tell or run.tell
     with Folder(out) as folder:
         recording = folder.out / RECORDING
         failure = live.supervise_until_ended(
             run,
-            lambda stack: run.open(stack, recording, rig, target, frames=keep_frames),
+            lambda stack: run.open(stack, recording),
             lambda: run.ended(seconds_s, frames),
             plant,
             progress,
         )
     latency = None if devices.origin_s is not None else (latency_s, latency_std_s)
-    known = [*live.doubts(limits, arm, stand, latency, failure), *(one.contradiction for one in run.contradictions)]
-    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=seen.is_pair)
+    known = [
+        *live.doubts(limits, arm, stand, latency, failure),
+        *live.tracker_doubts(tracker, tracker_std_m is not None and tracker_std_rad is not None),
+        *(one.contradiction for one in run.contradictions),
+    ]
+    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=eyes.of_pair)
     if failure is not None:
         raise live.with_kept(failure, done, out)
     return done
-
-
-@action("verify", keeps=(POSES_TO_MEASURE,), writes="write_poses_to_measure")
-def propose_mastering_poses(
-    arm: OneArm,
-    around: Annotated[
-        Readings,
-        Doc("Propose poses about these joints, rad or m (or 90deg)."),
-        Flag(metavar="Q1,..,QN", panel=MASTERING),
-    ],
-    *,
-    span_rad: Annotated[
-        float,
-        Doc("How far joints may go from there, deg. [default: 30]"),
-        Flag("--span", unit=DEG, default=None, panel=MASTERING),
-    ] = MASTERING_SPAN_RAD,
-    tool: Tool = None,
-    world: WorldFile = None,
-    rig: RigFile = None,
-    target: TargetFile = None,
-    out: Out = None,
-) -> MasteringPlanOutput:
-    """Return ten joint positions at which to measure an arm after a crash.
-
-    around: readings (n,) about which they are, within span_rad. tool: whether it is known from before. rig, target,
-    world: only poses that the cameras see. out: a folder for mastering.csv. Raises UsageError, DataRefused.
-
-    Examples
-    --------
-    >>> len(armsight.propose_mastering_poses("ur10", [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses)
-    10
-    """
-    from armsight.ops.measurement.run import target_of
-    from armsight.ops.verification import mastering
-    from armsight.store import read_rig, read_world
-
-    stand = None if world is None else read_world(world)
-    placed, how = mastering.in_measured_frame(arm, stand, tool)
-    view = None
-    if rig is not None and target is not None and stand is not None:
-        view = (read_rig(rig, any_cameras=True), target_of(target), stand)
-    q = mastering.drawn_about(placed, around, span_rad, view)
-    return mastering.propose_poses(placed, how, q, view, "" if out is None else str(Path(out) / POSES_TO_MEASURE))
-
-
-@action("verify", keeps=(VERIFY, REPORT), writes="write_verified", page="mastering")
-def check_mastering(
-    measured: MeasuredFile,
-    joints: JointsFile,
-    arm: OneArm,
-    *,
-    tool: Tool = None,
-    world: WorldFile = None,
-    out: Out = None,
-) -> MasteringOutput:
-    """Return which joint's zero moved in a crash, from poses measured at joint positions.
-
-    measured, joints, arm, world: as `verify` takes them. tool: whether it is known from before. out: a folder for the
-    report. Raises UsageError, DataRefused.
-
-    Examples
-    --------
-    >>> arm = armsight.presets.ur10()
-    >>> q = np.array([pose.q for pose in armsight.propose_mastering_poses(arm, [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses])
-    >>> armsight.check_mastering(arm.fk(q), q, arm, tool="fixed").cause
-    'none'
-    """
-    from armsight.ops.verification import mastering
-    from armsight.ops.verification.run import in_world
-    from armsight.store import read_world
-    from armsight.store.verify_files import read_measured
-
-    stand = None if world is None else read_world(world)
-    placed, how = mastering.in_measured_frame(arm, stand, tool)
-    file = read_measured(measured)
-    file = file if stand is None else replace(file, measured=in_world(file.measured, stand))
-    return mastering.judge_poses(placed, how, file, mastering.readings_of(placed, file, measured, joints))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.errors import Ambiguous, UsageError
+from armsight.errors import Ambiguous, BadFile, UsageError
 from armsight.ops.tables import convert_table
 from armsight.store.interpret import TableFormat
 from armsight.store.tracks import read_joints, read_poses
@@ -52,13 +52,67 @@ def test_decimal_commas_stand_between_tabs_too():
         np.testing.assert_allclose(a.T_parent_target, b.T_parent_target, atol=3e-6)
 
 
-def test_whole_milliseconds_are_none_of_them_seconds():
+def test_whole_milliseconds_are_none_of_them_seconds(tmp_path):
     notes = []
     folder = case("trackers")
-    found = read_joints(folder / "franka6.csv", TableFormat(notify=notes.append))
-    np.testing.assert_allclose(found.t_s, read_joints(folder / "joints.csv").t_s, atol=1e-9)
+    true_s = read_joints(folder / "joints.csv").t_s
+    np.testing.assert_allclose(read_joints(folder / "franka6.csv").t_s, true_s, atol=1e-9)  # libfranka means ms
+    path = tmp_path / "log.csv"
+    path.write_text((folder / "franka6.csv").read_text().replace("time,success_rate", "time,rate"))
+    found = read_joints(path, TableFormat(notify=notes.append))
+    np.testing.assert_allclose(found.t_s, true_s, atol=1e-9)
     assert any("taken as ms" in note and "--units s" in note for note in notes)
-    assert read_joints(folder / "franka6.csv", TableFormat(units="s")).t_s[-1] == 5950.0  # what the note says works
+    assert read_joints(path, TableFormat(units="s")).t_s[-1] == 5950.0  # what the note says works
+
+
+@pytest.mark.parametrize(
+    ("file", "stated"),
+    [
+        ("motive_m.csv", {"body": "Flange"}),
+        ("motive_mm.csv", {"body": "Flange"}),
+        ("motive_one.csv", {}),
+        ("vicon_nexus.csv", {"euler": "rotvec"}),
+        ("vicon_tracker.csv", {"euler": "rotvec"}),
+    ],
+)
+def test_a_body_is_read_as_its_tracker_means_it(file, stated):
+    found, full = measured(file, **stated), measured("poses_full.csv")
+    kept = np.delete(np.arange(120), LOST)
+    np.testing.assert_allclose(found.t_s, full.t_s[kept], atol=1e-6)
+    np.testing.assert_allclose(found.xyz_m, full.xyz_m[kept], atol=6e-7)
+    np.testing.assert_allclose(found.rotation, full.rotation[kept], atol=1e-5)
+
+
+def test_markers_become_a_body_by_their_own_geometry():
+    found, full = measured("run.trc"), measured("poses_full.csv")
+    kept = np.delete(np.arange(120), LOST)
+    R, true_R = Rotation.from_matrix(found.rotation), Rotation.from_matrix(full.rotation[kept])
+    apart = true_R.inv() * R  # T_flange_body is one and the same
+    assert (apart[0].inv() * apart).magnitude().max() < 3e-6  # of markers written to 0.1 um, 40 mm apart
+    inside = true_R.inv().apply(found.xyz_m - full.xyz_m[kept])
+    np.testing.assert_allclose(inside, np.tile(inside[0], (len(inside), 1)), atol=2e-6)  # the truth has seven digits
+
+
+@pytest.mark.parametrize("file", ["sa.csv", "sa.txt"])
+def test_a_list_of_points_is_in_the_unit_of_its_remark(file):
+    np.testing.assert_allclose(measured(file).xyz_m, measured("poses_full.csv").xyz_m[:40], atol=6e-7)
+
+
+@pytest.mark.parametrize(
+    ("file", "stated", "kind", "words"),
+    [
+        ("motive_m.csv", {}, Ambiguous, ("Flange, BaseRef", "--body")),
+        ("motive_m.csv", {"body": "Hand"}, UsageError, ("'Hand'", "Flange, BaseRef")),
+        ("run.trc", {"body": "A,X"}, UsageError, ("'X'", "A, B, C")),
+        ("motive_one_cut.csv", {}, BadFile, ("header",)),
+        ("vicon_cut.csv", {}, BadFile, ("frames a second",)),
+        ("vicon_tracker.csv", {}, Ambiguous, ("Helical", "--euler rotvec")),
+        ("poses_full.csv", {"body": "Flange"}, UsageError, ("no bodies by name",)),
+    ],
+)
+def test_what_a_file_leaves_open_is_asked_for(file, stated, kind, words):
+    with refuses(kind, *words):
+        measured(file, **stated)
 
 
 @pytest.mark.parametrize("file", ["two_robot_target.csv", "two_base_target.csv", "two_base_flange.csv"])

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from armsight.clock import Clock
-from armsight.drivers import CameraSettings, Robot, RobotTraits, moments_of
+from armsight.drivers import CameraSettings, Robot, RobotTraits, Views, moments_of
+from armsight.drivers.trackers.source import TrackedBody, open_tracker
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
+from armsight.measure.poses.pipeline import Setup
+from armsight.measure.settings import SpotSettings
+from armsight.ops.measurement.run import target_of
 from armsight.ops.requests.motion import RobotJob, refuse_cameras, require_named
 from armsight.ops.requests.plant import Publishing
 from armsight.ops.robot.opening import refuse_settings, robot_of
 from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
 from armsight.ops.sources.cameras import cameras_of, open_cameras, require_watching
+from armsight.ops.sources.pace import live_pace
 from armsight.ops.verification.supervising import Supervised, Supervision
 from armsight.records import Progress, Target
+from armsight.store import read_rig
 from armsight.store.rigs import World
-from armsight.units import DEG
+from armsight.units import DEG, MM
 from armsight.verify.live import LiveLog, VerifyLiveOutput
 from armsight.verify.supervision import Limits
 
@@ -60,7 +67,7 @@ def supervise_until_ended(
 
 
 def _take_pairs(run: Supervision, ended: Callable[[], bool]) -> None:
-    with closing(moments_of(run.devices.pairs)) as moments:
+    with closing(moments_of(cast("Iterable[Views | TrackedBody]", run.devices.pairs))) as moments:
         for moment in moments:
             run.take(moment)
             if ended():
@@ -77,6 +84,50 @@ def _nothing_compared(log: LiveLog) -> NotEnoughData | None:
         consequence="Whether the arm is where it says it is, is not known",
         cure="See that both cameras see the whole target, and that the robot's link delivers joints",
     )
+
+
+def tracker_doubts(tracker: str | None, said: bool) -> list[str]:
+    """Return what to know of a tracker's poses. said: what they may be off was given."""
+    if tracker is None or said:
+        return []
+    return [
+        f"the tracker's poses are taken to be off by {TRACKER_STD[0] / MM:g} mm and {TRACKER_STD[1] / DEG:g} deg "
+        "(standard deviations), which its stream does not say: --tracker-std, --tracker-std-deg"
+    ]
+
+
+TRACKER_STD = (0.3 * MM, 0.3 * DEG)
+"""What a tracker's pose is taken to be off where nobody says: makers state 0.1 to 0.5 mm of a marker in a cell of a few
+metres, and a body of 100 mm turns by 0.2 degrees with it."""
+
+
+def open_tracked(
+    link: RobotJob, tracker: str, body: str, std: tuple[float | None, float | None], clock: Clock, arm: Arm | None
+) -> Supervised:
+    """Return the robot and a tracker's body, not yet open; std: of a pose in m and rad, None as it is taken to be.
+
+    Raises UsageError, DeviceNotFound.
+    """
+    if link.follow is not None or link.robot.startswith(SIM):
+        raise UsageError("a tracker sees no simulated robot", cure="Give cameras, or the robot itself with --robot")
+    std_m, std_rad = (taken if one is None else one for one, taken in zip(std, TRACKER_STD, strict=True))
+    stream = open_tracker(tracker, body=body, std_m=std_m, std_rad=std_rad)
+    return Supervised(robot=robot_of(link, clock, arm), pairs=stream)
+
+
+def check_eyes(tracker: str | None, of_cameras: Mapping[str, object], of_tracker: Mapping[str, object]) -> None:
+    """Raise UsageError where both cameras and a tracker are given, or neither as a whole."""
+    given = [flag for flag, value in of_cameras.items() if value]
+    if tracker is not None and given:
+        raise UsageError(
+            f"{', '.join(given)} of cameras {'stands' if len(given) == 1 else 'stand'} beside --tracker",
+            cure="Give cameras with rig and target, or a tracker",
+        )
+    if tracker is None and not (of_cameras["--rig"] and of_cameras["--target"]):
+        raise UsageError("cameras need a rig and a target", cure="Give --rig and --target, or --tracker")
+    unused = [flag for flag, value in of_tracker.items() if value]
+    if tracker is None and unused:
+        raise UsageError(f"{', '.join(unused)} goes with --tracker", cure="Add --tracker, or leave it out")
 
 
 def with_kept(failure: ArmsightError, done: VerifyLiveOutput, out: Path | None) -> ArmsightError:
@@ -137,6 +188,12 @@ def doubts(
             f"{1e3 * latency_s[1]:.2g} ms before a frame's arrival; verify finds it from poses and joints"
         )
     return notes
+
+
+def setup_of(rig: Path, target: Path) -> Setup:
+    """Return cameras and lights of files, as a live run measures them. Raises BadFile."""
+    seen, lights = read_rig(rig, any_cameras=True), target_of(target)
+    return Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
 
 
 SIM = "sim:"

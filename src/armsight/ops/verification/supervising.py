@@ -5,12 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -18,10 +18,11 @@ from armsight.clock import Clock
 from armsight.control.session.service import TokenBucket
 from armsight.defaults import BLIND_S
 from armsight.drivers import MomentSource, Robot, Views, by_name, news_of
+from armsight.drivers.trackers.source import BodyStream, TrackedBody
 from armsight.errors import DeviceFailed, StaleData
 from armsight.measure.consistency.findings import LeftOut
 from armsight.measure.consistency.live_cameras import WatchedTracker
-from armsight.measure.poses.pipeline import Measured, Setup
+from armsight.measure.poses.pipeline import Setup
 from armsight.ops.recording.recorder import Recorder
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory
@@ -43,16 +44,88 @@ Show = Callable[[TargetPose, Compared | None, Level, str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Supervised:
-    """A robot and the pairs of frames that watch it, not yet open.
+    """A robot and the moments of cameras, or a tracker's body, that watch it, not yet open.
 
     origin_s: tells the clock's time of the cameras' zero once they are open, None where only arrivals tell it. on_step:
     takes what is to be called whenever time passes, of a clock that moves by itself; None: the joints' thread reads.
     """
 
     robot: Robot
-    pairs: MomentSource
+    pairs: MomentSource | BodyStream
     origin_s: Callable[[], float] | None = None
     on_step: Callable[[Callable[[], None]], None] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sighted:
+    """What was measured at a moment: the pose, its number, the newest exposure of it, and frames, for the recording."""
+
+    pose: TargetPose
+    sequence: int
+    newest_s: float
+    frames: Mapping[str, Frame] = field(default_factory=dict)
+
+
+class Eyes(Protocol):
+    """What measures the moments of a source. of_pair: it is two cameras."""
+
+    @property
+    def of_pair(self) -> bool:
+        """Whether its moments are pairs of frames."""
+
+    @property
+    def contradictions(self) -> Sequence[LeftOut]:
+        """What is wrong, so far."""
+
+    def attach(self, writer: RecordingWriter) -> None:
+        """Write what the poses are measured by into a recording that begins."""
+
+    def take(self, moment: Any) -> Sighted:
+        """Measure a moment."""
+
+
+class CameraEyes:
+    """Cameras of a rig that see lights. files: rig.yaml and target.yaml; frames: the images are kept."""
+
+    def __init__(self, setup: Setup, files: Sequence[Path], *, frames: bool) -> None:
+        self._rig, self._tracker = setup.rig, WatchedTracker(setup)
+        self._files, self._frames, self.of_pair = files, frames, setup.rig.is_pair
+
+    @property
+    def contradictions(self) -> Sequence[LeftOut]:
+        """What is wrong with the rig, so far."""
+        return self._tracker.contradictions
+
+    def attach(self, writer: RecordingWriter) -> None:
+        """Write rig and target."""
+        for name, path in zip(("rig.yaml", "target.yaml"), self._files, strict=True):
+            if path.exists():
+                writer.attach(name, path.read_bytes())
+        writer.rig(0.0, self._rig)
+
+    def take(self, moment: Views) -> Sighted:
+        """Measure by the cameras that agree."""
+        frames = by_name(self._rig.names, moment)
+        return Sighted(
+            pose=self._tracker.take(*moment).pose,
+            sequence=next(iter(frames.values())).sequence,
+            newest_s=max(frame.t_s for frame in frames.values()),
+            frames=frames if self._frames else {},
+        )
+
+
+class TrackerEyes:
+    """A tracker that measures by itself."""
+
+    contradictions: Sequence[LeftOut] = ()
+    of_pair = False
+
+    def attach(self, writer: RecordingWriter) -> None:
+        """Write nothing: poses say all."""
+
+    def take(self, moment: TrackedBody) -> Sighted:
+        """Return the pose as it came."""
+        return Sighted(pose=moment.pose, sequence=moment.sequence, newest_s=moment.pose.t_s)
 
 
 class Judge:
@@ -126,7 +199,7 @@ class Supervision:
 
     def __init__(
         self,
-        setup: Setup,
+        eyes: Eyes,
         expectation: PredictedPose,
         devices: Supervised,
         clock: Clock,
@@ -145,8 +218,7 @@ class Supervision:
         self._latency_s, self._blind_stop_s = latency_s, blind_stop_s
         self._reader = JointReader(devices.robot, clock)
         self._recorder: Recorder | None = None
-        self._frames = False
-        self._rig, self._tracker = setup.rig, WatchedTracker(setup)
+        self._eyes = eyes
         self.contradictions: list[LeftOut] = []
         """What was found of cameras that are left out, or of a rig whose poses are doubtful."""
         self._ahead_s = np.inf  # the clock's time at the cameras' zero
@@ -159,31 +231,27 @@ class Supervision:
         self._notes: deque[tuple[str, str]] = deque(maxlen=NOTES)
         self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, WARNINGS_PER_S, clock.now_s()), 0
 
-    def open(self, stack: ExitStack, recording: Path, rig: Path, target: Path, *, frames: bool) -> None:
-        """Begin the recording, with the images where `frames`, and to read the joints; all ends with the stack."""
+    def open(self, stack: ExitStack, recording: Path) -> None:
+        """Begin the recording, and to read the joints; all ends with the stack."""
         writer = RecordingWriter(recording, overwrite=True)
         stack.enter_context(writer)
-        writer.attach("rig.yaml", rig.read_bytes())
-        if target.exists():
-            writer.attach("target.yaml", target.read_bytes())
-        writer.rig(0.0, self._rig)
-        self._frames, self._recorder = frames, stack.enter_context(Recorder(writer, ImageFormat.PNG, live=True))
+        self._eyes.attach(writer)
+        self._recorder = stack.enter_context(Recorder(writer, ImageFormat.PNG, live=True))
         if self.devices.on_step is not None:
             self.devices.on_step(self._reader.poll)  # the clock's owner lets time pass, and readings with it
         else:
             stack.enter_context(self._reader)
 
-    def take(self, moment: Views) -> None:
+    def take(self, moment: Views | TrackedBody) -> None:
         """Measure, compare, judge, and only then write and tell."""
         begun_s = time.perf_counter()
         for message in news_of(self.devices.pairs, self._lost):
             self.note("warning", message)
-        frames = by_name(self._rig.names, moment)
-        newest_s = max(frame.t_s for frame in frames.values())
-        self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._latency_s)
-        measured = self._tracker.take(*moment)
-        pose = measured.pose
-        for one in self._tracker.contradictions:
+        now_s = self._clock.now_s()
+        sighted = self._eyes.take(moment)
+        self._ahead_s = min(self._ahead_s, now_s - sighted.newest_s - self._latency_s)
+        pose = sighted.pose
+        for one in self._eyes.contradictions:
             if one.words not in [other.words for other in self.contradictions]:
                 self.contradictions.append(one)
                 self.note("warning", f"{one.told if one.names else one.words} {one.cure}.")
@@ -194,10 +262,10 @@ class Supervision:
             self._stopped_s = pose.t_s
         raised = alarm or self._sight(pose.t_s, compared is not None, lost)
         ms = (time.perf_counter() - begun_s) * 1e3
-        self.judge.log.add(next(iter(frames.values())).sequence, pose, compared, self.judge.level, lost, ms)
+        self.judge.log.add(sighted.sequence, pose, compared, self.judge.level, lost, ms)
         self.judge.show(pose, compared, lost, raised, at_s=self._monotonic_s(pose.t_s + zero_s), blind=self._blind)
         self.seen = self.judge.seen
-        self._record(frames, measured, raised, zero_s)
+        self._record(sighted, raised, zero_s)
         self.show(pose, compared, self.judge.level, lost)
 
     def ended(self, seconds_s: float | None, pairs: int | None) -> bool:
@@ -231,13 +299,13 @@ class Supervision:
         self._blind = True
         return Alarm(level=Level.GOOD, t_s=t_s, why=f"blind: nothing compared for {dark_s:.2f} s; {lost}")
 
-    def _record(self, frames: Mapping[str, Frame], measured: Measured, raised: Alarm | None, zero_s: float) -> None:
+    def _record(self, sighted: Sighted, raised: Alarm | None, zero_s: float) -> None:
         recorder = self._recorder
         if recorder is None:
             return
-        if self._frames:
-            recorder.put(frames)
-        pose = measured.pose
+        if sighted.frames:
+            recorder.put(sighted.frames)
+        pose = sighted.pose
         readings = self._reader.take()
         notes = [self._notes.popleft() for _ in range(len(self._notes))]
         for level, message in notes:

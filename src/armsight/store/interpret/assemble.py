@@ -14,6 +14,7 @@ from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.store.interpret.names import Meaning
 from armsight.store.interpret.rotations import (
     FEWEST_ROWS,
+    ROTVEC,
     EulerOrder,
     degrees_cause,
     largest,
@@ -247,7 +248,9 @@ def _euler(found: Found) -> Turned | None:
     known = _known(angles)
     angles = np.where(known[:, None], angles, 0.0)
     _check_middle(found, angles, order, names)
-    found.notes.append(f"{', '.join(names)}: Euler angles {order}")
+    found.notes.append(
+        f"{', '.join(names)}: {'a rotation vector' if order.axes == ROTVEC else f'Euler angles {order}'}"
+    )
     return Turned(rotation=order.rotation(angles), known=known)
 
 
@@ -255,16 +258,13 @@ def _roll_pitch_yaw(found: Found, names: Sequence[str]) -> EulerOrder | None:
     """Return ROS's order (REP 103) for columns called roll, pitch and yaw, None for others."""
     if not all(word in name.lower() for word, name in zip(("roll", "pitch", "yaw"), names, strict=True)):
         return None
-    if all(name.startswith("qtm_") for name in names):
-        found.notes.append("Roll, Pitch, Yaw: taken as QTM means them, --euler says another order")
-        return EulerOrder(axes="xyz")
     found.notes.append("roll, pitch, yaw: taken as ROS means them, --euler says another order")
     return EulerOrder(axes="xyz", fixed=True)
 
 
 def _check_middle(found: Found, angles: Array, order: EulerOrder, names: Sequence[str]) -> None:
     """Raise Inconsistent where the middle angle leaves the range that controllers keep to, and another one does not."""
-    if found.format.as_stated or len(angles) < FEWEST_ROWS:
+    if found.format.as_stated or len(angles) < FEWEST_ROWS or order.axes == ROTVEC:
         return
     proper = order.axes[0] == order.axes[2]
     middle = angles[:, 1]

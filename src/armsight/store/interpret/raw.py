@@ -18,7 +18,7 @@ REMARKS = ("#", "%", "//")
 class RawTable:
     """where: the file. how: what kind it was found to be, in words. names: of the columns, () where it has none.
     columns: the cells (k lists of n). lines: (n,) the line that each row came from, from 1. csv: whether the file
-    has its cells as a CSV of ours, by commas."""
+    has its cells as a CSV of ours, by commas. notes: what was understood, in words. tracked: a tracker wrote it."""
 
     where: str
     how: str
@@ -26,6 +26,8 @@ class RawTable:
     columns: tuple[Sequence[str], ...]
     lines: tuple[int, ...]
     csv: bool = False
+    notes: tuple[str, ...] = ()
+    tracked: bool = False
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -38,10 +40,10 @@ def parse_text(data: bytes, where: str) -> RawTable:
     fourth is 0 0 0 1 are poses of 4 x 4. Raises BadFile that names the line.
     """
     lines = [(i, line) for i, line in enumerate(decoded(data, where).splitlines(), 1) if line.strip()]
-    body = _without_preamble([(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)])
+    body = [(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)]
     if not body:
         raise BadFile(f"{where}: the file is empty", cure="Check the file")
-    split = _splitter(body[min(1, len(body) - 1)][1])
+    split = splitter(body[min(1, len(body) - 1)][1])
     rows = _without_last_mark([(i, split(line)) for i, line in body])
     names: tuple[str, ...] = ()
     if not is_data(rows[0][1]):
@@ -64,14 +66,6 @@ def parse_text(data: bytes, where: str) -> RawTable:
             )
     how = f"a table of {wide} columns {split.how}, {'with' if names else 'without'} a header"
     return _transposed(where, how, names, rows, csv=split.by == ",")
-
-
-def _without_preamble(body: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Return the lines from the header of a QTM export on, which begins with keys and values."""
-    if not body or not body[0][1].startswith("NO_OF_FRAMES"):
-        return body
-    header = next((k for k, (_, line) in enumerate(body) if line.lower().startswith("frame\ttime")), 0)
-    return body[header:]
 
 
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
@@ -106,7 +100,7 @@ def _transposed(
     return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(i for i, _ in rows), csv=csv)
 
 
-class _splitter:  # noqa: N801 - a function that says how it splits
+class splitter:  # noqa: N801 - a function that says how it splits
     """Splits a line as the sample is written."""
 
     def __init__(self, sample: str) -> None:
@@ -114,6 +108,7 @@ class _splitter:  # noqa: N801 - a function that says how it splits
         self.how = {";": "by semicolons", "\t": "by tabs", ",": "by commas", "": "by blanks"}[self.by]
 
     def __call__(self, line: str) -> list[str]:
+        """Return the cells of a line."""
         if not self.by:
             return line.split()
         cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self.by))]

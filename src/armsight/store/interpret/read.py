@@ -20,6 +20,7 @@ from armsight.store.interpret.raw import RawTable, parse_text
 from armsight.store.interpret.rotations import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.standard import UNUSED, Standard, standard_table
 from armsight.store.interpret.table_format import OURS, TableFormat
+from armsight.store.interpret.trackers.formats import no_bodies, tracker_of, tracker_table
 from armsight.store.tables import MAX_BYTES, Table
 from armsight.store.yamls import parse_yaml_documents
 
@@ -64,6 +65,10 @@ def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted
     if path.suffix.lower() == ".mat":
         return _interpreted(mat_table(path, unnamed=bool(format_.columns)), wanted, format_)
     data = read_bytes(path, limit=MAX_BYTES)
+    if not format_.columns and (kind := tracker_of(data)) is not None:
+        return _interpreted(tracker_table(kind, data, str(path), format_), wanted, format_)
+    if format_.body and format_.measured is None:
+        raise no_bodies(str(path), format_.body)
     plain = not (format_.stated or format_.following)
     if plain and (is_ours(data, wanted) or b"\x00" in data):
         return Interpreted(data=data, how="a table of ours")
@@ -77,6 +82,7 @@ def _raw(path: Path, format_: TableFormat) -> RawTable:
 
 
 def _raw_of(data: bytes, path: Path) -> RawTable:
+    """Return a table that no tracker wrote."""
     head = data[:HEAD_BYTES].decode("utf-8", errors="replace").lstrip("\ufeff")
     if path.suffix.lower() in (".yaml", ".yml", ".json") or looks_like_records(head):
         return records_table(parse_yaml_documents(data, str(path)), str(path))
@@ -112,7 +118,7 @@ def _interpreted(raw: RawTable, role: Role, format_: TableFormat, *, original: b
         return Interpreted(data=original, how="a table of ours", missing=tuple(missing))
     if missing:
         raise _missing(raw, role, found, missing, format_.joints)
-    notes = (f"read as {raw.how}: {', '.join(found.columns)}", *dict.fromkeys(found.notes))
+    notes = (f"read as {raw.how}: {', '.join(found.columns)}", *raw.notes, *dict.fromkeys(found.notes))
     return Interpreted(data=found.csv(), how=raw.how, notes=notes, n=len(found.lines))
 
 
@@ -121,7 +127,12 @@ def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str], of_
     there = ", ".join(raw.names)[:200] or f"{len(raw.columns)} columns without names"
     understood = f"; understood are {', '.join(found.columns)}" if found.columns else ""
     cure = "Name them in the first line, or give --columns"
-    if role.time == "wanted" and missing == ["t_s"]:
+    if raw.tracked and role.joints == "wanted":
+        cure = "A tracker knows no joints: armsight join --joints LOG --arm ARM --measured FILE -o points.csv, "
+        cure += "for robot-world with --as observed"
+    elif raw.tracked and len(role.frames) > 1:
+        cure = "A tracker's file is one of the two: give it as --camera-stream, and the robot's as --robot-stream"
+    elif role.time == "wanted" and missing == ["t_s"]:
         cure = "Times are needed here: add a column t_s in seconds"
     elif any(name.startswith("q") and name[1:].isdecimal() for name in missing):
         cure = "Name the joints q1, q2, ... or q1_deg, ..."
@@ -160,7 +171,7 @@ def check_positions(xyz_m: NDArray[np.float64], names: Sequence[str], where: str
 def kind_of_table(path: Path, format_: TableFormat, among: Sequence[str]) -> str:
     """Return which kind of table leaves fewest columns unused. Raises UsageError for none, Inconsistent, Ambiguous."""
     best, fewest, why = "", 10**9, None
-    if path.is_file():
+    if path.is_file() and tracker_of(read_bytes(path, limit=MAX_BYTES)) is None:
         _raw(path, format_)  # what can be no table at all says why
     for name in among:
         try:

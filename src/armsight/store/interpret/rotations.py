@@ -22,36 +22,47 @@ from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.units import DEG, MM
 
+ROTVEC = "rotvec"
+"""In the place of an order: the three numbers are a rotation vector."""
 _ORDER = re.compile(r"([xyz]{3})(?:-(fixed|rotating))?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EulerOrder:
-    """axes: of the three angles in their sequence, such as 'zyx'; fixed: about standing axes, else carried along."""
+    """axes: of the three angles in their sequence, such as 'zyx', or ROTVEC; fixed: about standing axes, else carried
+    along."""
 
     axes: str
     fixed: bool = False
 
     def rotation(self, angles_rad: Array) -> Rotation:
         """Return the rotations of angles (n, 3) in their sequence, rad."""
+        if self.axes == ROTVEC:
+            return Rotation.from_rotvec(angles_rad)
         return Rotation.from_euler(self.axes if self.fixed else self.axes.upper(), angles_rad)
 
     def sequence(self, about: Sequence[str]) -> tuple[int, ...]:
         """Return which of three columns is which angle, where about says the axis of each, '' where it is not said."""
+        if self.axes == ROTVEC and sorted(about) == ["x", "y", "z"]:
+            return tuple(about.index(axis) for axis in "xyz")
         if sorted(about) == sorted(self.axes):
             return tuple(about.index(axis) for axis in self.axes)
         return 0, 1, 2
 
     def __str__(self) -> str:
-        return f"{self.axes}-{'fixed' if self.fixed else 'rotating'}"
+        return self.axes if self.axes == ROTVEC else f"{self.axes}-{'fixed' if self.fixed else 'rotating'}"
 
 
 def euler_order(text: str) -> EulerOrder:
     """Return the order that a word such as 'zyx', 'zyz-rotating' or 'xyz-fixed' names. Raises UsageError."""
+    if text.strip().lower() == ROTVEC:
+        return EulerOrder(axes=ROTVEC)
     match = _ORDER.fullmatch(text.strip())
     axes = match[1].lower() if match else ""
     if match is None or axes[0] == axes[1] or axes[1] == axes[2]:
-        raise UsageError(f"{text!r} is no order of Euler angles", cure="Write axes as in xyz-fixed, zyx, zyz-rotating")
+        raise UsageError(
+            f"{text!r} is no order of Euler angles", cure="Write axes as in xyz-fixed, zyx, zyz-rotating, or rotvec"
+        )
     return EulerOrder(axes=axes, fixed=(match[2] or "").lower() == "fixed")
 
 

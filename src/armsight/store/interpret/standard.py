@@ -102,7 +102,7 @@ def _names(raw: RawTable, role: Role, format_: TableFormat) -> tuple[str, ...]:
             )
         return stated
     if raw.names:
-        return _qtm_names(_joint_state_names(raw))
+        return _joint_state_names(raw)
     maker = format_.maker
     timed = role.time != "no"
     if role.frames == ("",) and role.joints != "wanted":
@@ -133,28 +133,6 @@ def _joint_state_names(raw: RawTable) -> tuple[str, ...]:
                 raise BadFile(f"{raw.where}: the column {name} names several joints")
             names[names.index(position)] = joint
     return tuple(names)
-
-
-_QTM = ("x_mm", "y_mm", "z_mm", "qtm_roll_deg", "qtm_pitch_deg", "qtm_yaw_deg")
-_QTM_CELLS = tuple(f"m{row}{column}" for column in range(3) for row in range(3))
-
-
-def _qtm_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of a body's columns in an export of QTM by what they are.
-
-    Frame, Time, 'Body X', Y, Z, Roll, Pitch, Yaw[, Residual, Rot[0] .. Rot[8]]: mm, degrees, the matrix column by
-    column (QTM's manual, 6DOF data as TSV). Where the matrix is there it is taken: angles may be set to other axes.
-    """
-    low = [name.strip().lower() for name in names]
-    if low[:2] != ["frame", "time"] or "roll" not in low:
-        return names
-    out = list(names)
-    for k in range(2, len(low) - 5):
-        if low[k].endswith(" x") and low[k + 1 : k + 6] == ["y", "z", "roll", "pitch", "yaw"]:
-            turned = low[k + 7 : k + 16] == [f"rot[{i}]" for i in range(9)]
-            out[k : k + 6] = (*_QTM[:3], SKIPPED, SKIPPED, SKIPPED) if turned else _QTM
-            out[k + 7 : k + 16] = _QTM_CELLS if turned else out[k + 7 : k + 16]
-    return tuple(out)
 
 
 def _meanings(raw: RawTable, names: Sequence[str], role: Role, format_: TableFormat) -> dict[int, Meaning]:

@@ -25,8 +25,8 @@ class TableFormat:
     ROBOT_FORMATS. units: such as 'mm,deg', of what the header leaves open. joints: the arm's joints by name, where an
     arm is known; following: the places of those that have no drive, which need no column. as_stated: units and orders
     are taken as stated though the numbers look otherwise. on_hand: whether the camera is on the hand, where it is
-    known. measured: euler, columns and units of what was measured, where they are others than the robot's. notify:
-    called with what was understood, in words.
+    known. body: which of a tracker's bodies, or which markers, see trackers. measured: euler, columns and units of what
+    was measured, where they are others than the robot's. notify: called with what was understood, in words.
     """
 
     euler: str = ""
@@ -37,6 +37,7 @@ class TableFormat:
     following: tuple[int, ...] = ()
     as_stated: bool = False
     on_hand: bool | None = None
+    body: str = ""
     measured: tuple[str, str, str] | None = None
     notify: Callable[[str], None] = _silent
 

@@ -1,0 +1,1 @@
+"""What trackers and laboratories' programs write, by one table of kinds: formats.TRACKERS."""

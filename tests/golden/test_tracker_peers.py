@@ -1,0 +1,233 @@
+"""C3D as two public libraries write and read it; and public files of laboratories, where they are on the machine.
+
+The libraries' own readers are no truth for lost points: one gives the cameras of a point as its residual, the other
+leaves a lost point where it was last.
+"""
+
+import io
+import os
+import struct
+import subprocess
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from armsight.errors import Inconsistent
+from armsight.store.interpret import TableFormat
+from armsight.store.interpret.trackers.formats import tracker_of
+from armsight.store.verify_files import read_measured
+from refusals import refuses
+
+N, RATE = 60, 100.0
+SHAPE = np.array([[0.0, 0, 0], [80, 0, 0], [0, 60, 0], [10, 20, 50]])  # mm
+NAMES = ["Tool:A", "Tool:B", "Tool:C", "Tool:D"]
+LOST = {(7, 0), (8, 0), (30, 2)}  # frame, marker
+
+
+def world():
+    """Return the truth: R (n), t (n, 3) in mm, markers (n, 4, 3) as single floats, and where they are lost."""
+    s = np.linspace(0.0, 3.0, N)
+    R = Rotation.from_rotvec(np.stack([0.8 * np.sin(s), s / 2, 0.5 * np.cos(2 * s)], axis=1))
+    t = np.stack([1000 + 300 * np.sin(s), 200 * np.cos(s), 700 + 50 * s], axis=1)
+    points = np.stack([R.apply(p) + t for p in SHAPE], axis=1).astype(np.float32)
+    lost = np.zeros((N, 4), bool)
+    for frame, marker in LOST:
+        lost[frame, marker] = True
+    return R, t, points.astype(float), lost
+
+
+def by_ezc3d(path, points, lost, unit="mm"):
+    ezc3d = pytest.importorskip("ezc3d")
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [RATE]
+    file["parameters"]["POINT"]["LABELS"]["value"] = NAMES
+    file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
+    file["data"]["points"] = np.concatenate(
+        [np.where(lost[..., None], np.nan, points).transpose(2, 1, 0), np.ones((1, 4, N))]
+    )
+    file.write(str(path))
+
+
+def by_c3d(path, points, lost):
+    c3d = pytest.importorskip("c3d")
+    writer = c3d.Writer(point_rate=RATE, point_scale=-1.0)
+    for frame, gone in zip(points, lost, strict=True):
+        rows = np.zeros((4, 5), np.float32)
+        rows[:, :3] = frame
+        rows[gone, 3] = -1.0
+        writer.add_frames([(rows, np.empty((0, 0)))])
+    writer.set_point_labels(NAMES)
+    held = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of analog data, which there are none
+        writer.write(held)
+    path.write_bytes(held.getvalue())
+
+
+@pytest.mark.parametrize("write", [by_ezc3d, by_c3d])
+def test_what_the_libraries_write_is_read_to_the_last_bit(tmp_path, write):
+    _, _, points, lost = world()
+    path = tmp_path / "a.c3d"
+    write(path, points, lost)
+    tracks = tracker_of(path.read_bytes()).read(path.read_bytes(), "a.c3d", TableFormat(units="mm"))
+    assert [marker.name for marker in tracks.markers] == NAMES
+    got = 1e3 * np.stack([marker.xyz_m for marker in tracks.markers], axis=1)
+    np.testing.assert_array_equal(np.isnan(got).any(axis=2), lost)
+    np.testing.assert_allclose(got[~lost], points[~lost], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(np.diff(tracks.t_s), 1.0 / RATE, atol=1e-12)
+
+
+@pytest.mark.parametrize("write", [by_ezc3d, by_c3d])
+def test_a_cloud_with_lost_markers_is_a_body(tmp_path, write):
+    R, t, points, lost = world()
+    path = tmp_path / "a.c3d"
+    write(path, points, lost)
+    found = read_measured(path, TableFormat(units="mm")).measured
+    assert len(found.xyz_m) == N  # three of four are enough
+    middle = R.apply(SHAPE.mean(axis=0)) + t
+    assert np.abs(found.xyz_m - 1e-3 * middle).max() < 1e-6
+    assert (R.inv() * Rotation.from_matrix(found.rotation)).magnitude().max() < 1e-5  # single floats of metres, 80 mm
+
+
+def words(numbers, processor):
+    return np.asarray(numbers).astype(">i2" if processor == 86 else "<i2").tobytes()
+
+
+def floats(numbers, processor):
+    if processor != 85:
+        return np.asarray(numbers, np.float32).astype(">f4" if processor == 86 else "<f4").tobytes()
+    halves = (
+        (4.0 * np.asarray(numbers, np.float32)).astype("<f4").view("<u2").reshape(-1, 2)
+    )  # DEC: exponents by 2 more
+    return np.ascontiguousarray(halves[:, ::-1]).tobytes()
+
+
+def by_hand(points, lost, processor, scale):
+    """Return a C3D as the format's guide says, of a processor (84 Intel, 85 DEC, 86 MIPS); scale < 0: floats."""
+    blank = bytes(512)
+    value = {
+        "USED": (2, [], words([4], processor)),
+        "SCALE": (4, [], floats([scale], processor)),
+        "RATE": (4, [], floats([RATE], processor)),
+        "DATA_START": (2, [], words([4], processor)),
+        "FRAMES": (2, [], words([N], processor)),
+        "UNITS": (-1, [2], b"mm"),
+        "LABELS": (-1, [6, 4], b"".join(name.encode() for name in NAMES)),
+    }
+    parameters = struct.pack("BBBB", 1, 0x50, 1, processor)
+    parameters += struct.pack("bb", 5, -1) + b"POINT" + words([3], processor) + b"\0"
+    for name, (kind, shape, data) in value.items():
+        body = struct.pack("bB", kind, len(shape)) + bytes(shape) + data + b"\0"
+        parameters += struct.pack("bb", len(name), 1) + name.encode() + words([2 + len(body)], processor) + body
+    parameters += bytes(1024 - len(parameters))
+    head = struct.pack("BB", 2, 0x50) + words([4, 0, 1, N, 0], processor) + floats([scale], processor)
+    head += words([4, 0], processor) + floats([RATE], processor)
+    rows = np.zeros((N, 4, 4))
+    rows[..., :3] = points / abs(scale) if scale > 0.0 else points
+    rows[..., 3] = np.where(lost, -1.0, 3 + 256 * 5)  # of five cameras, a residual of 3
+    rows[lost, :3] = 777.0  # what stands there of a lost point means nothing
+    rows = np.round(rows) if scale > 0.0 else rows
+    data = words(rows.ravel(), processor) if scale > 0.0 else floats(rows.ravel(), processor)
+    return (head + blank)[:512] + parameters + data + blank
+
+
+@pytest.mark.parametrize("processor", [84, 85, 86])
+@pytest.mark.parametrize("scale", [-0.1, 0.05])
+def test_the_numbers_of_all_processors_are_read(tmp_path, processor, scale):
+    c3d = pytest.importorskip("c3d")
+    _, _, points, lost = world()
+    data = by_hand(points, lost, processor, scale)
+    tracks = tracker_of(data).read(data, "a.c3d", TableFormat())
+    got = 1e3 * np.stack([marker.xyz_m for marker in tracks.markers], axis=1)
+    np.testing.assert_array_equal(np.isnan(got).any(axis=2), lost)
+    assert np.abs(got[~lost] - points[~lost]).max() <= (1e-9 if scale < 0.0 else scale / 2 + 1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        peer = np.array([frame[1] for frame in c3d.Reader(io.BytesIO(data)).read_frames()])[..., :3]
+    np.testing.assert_allclose(got[~lost], peer[~lost], rtol=0, atol=1e-4 if scale > 0.0 else 1e-9)
+
+
+def test_a_file_that_is_cut_off_is_refused(tmp_path):
+    _, _, points, lost = world()
+    path = tmp_path / "a.c3d"
+    by_ezc3d(path, points, lost)
+    path.write_bytes(path.read_bytes()[:-2000])
+    with refuses(Inconsistent, "60 frames", "are there"):
+        read_measured(path)
+
+
+PUBLIC = {
+    "nexus": ("pyomeca/pyomeca", "3594512b142e4fa029902cc0ea3e74e4f1ef783e", "tests/data/markers.csv"),
+    "c3d": ("pyomeca/pyomeca", "3594512b142e4fa029902cc0ea3e74e4f1ef783e", "tests/data/markers_analogs.c3d"),
+    "trc": ("pyomeca/pyomeca", "3594512b142e4fa029902cc0ea3e74e4f1ef783e", "tests/data/markers.trc"),
+    "motive": (
+        "cmuphyscomp/hmv-s16",
+        "7863c66ed645b463b72aef98a5c484a18cc9f396",
+        "python/rhinoscripts/sample_optitrack_take.csv",
+    ),
+    "qtm": (
+        "shiplab/dt_cv",
+        "7bb6c1065c9cabc3f938e35505ef31b1188a3589",
+        "data/basin/raw/M510A-IRR-EKFPID-020019_6D.tsv",
+    ),
+}
+"""Files of laboratories: repository, commit, path. They are read from copies of the repositories in the folder that
+$ARMSIGHT_PUBLIC names, owner+name each; none is kept here."""
+
+
+def public(name, tmp_path):
+    """Return a public file's path; the test is skipped where its repository is not on the machine."""
+    repository, commit, file = PUBLIC[name]
+    folder = Path(os.environ.get("ARMSIGHT_PUBLIC", ".")) / repository.replace("/", "+")
+    git = next((one for one in (folder / "repo", folder / "repo/.git", folder) if (one / "objects").is_dir()), None)
+    if git is None:
+        pytest.skip(f"{repository} is not in $ARMSIGHT_PUBLIC")
+    shown = subprocess.run(["git", "-C", git, "show", f"{commit}:{file}"], capture_output=True, check=True)
+    path = tmp_path / Path(file).name
+    path.write_bytes(shown.stdout)
+    return path
+
+
+def test_one_recording_as_csv_of_nexus_and_as_c3d(tmp_path):
+    csv, c3d = (read_measured(public(one, tmp_path), TableFormat(body="boite")) for one in ("nexus", "c3d"))
+    assert len(csv.measured.xyz_m) == len(c3d.measured.xyz_m) == 580
+    assert np.abs(csv.measured.xyz_m - c3d.measured.xyz_m).max() < 3e-6  # the CSV has six digits
+    assert np.abs(csv.measured.rotation - c3d.measured.rotation).max() < 3e-5
+    np.testing.assert_allclose(csv.measured.t_s, c3d.measured.t_s, atol=1e-9)
+
+
+def test_skin_is_no_body(tmp_path):
+    with refuses(Inconsistent, "do not keep their distances"):
+        read_measured(public("c3d", tmp_path), TableFormat(body="Daphnee"))
+
+
+def test_a_trc_of_which_a_part_is_kept_is_refused_by_its_own_header(tmp_path):
+    path = public("trc", tmp_path)
+    with refuses(Inconsistent, "652 frames, there are 93", "correct the number"):
+        read_measured(path, TableFormat(body="boite*"))
+    path.write_text(path.read_text().replace("100,100,652,", "100,100,93,"))
+    assert len(read_measured(path, TableFormat(body="boite*")).measured.xyz_m) == 93
+
+
+def test_a_take_of_motive_is_where_its_markers_are(tmp_path):
+    path = public("motive", tmp_path)
+    body, markers = read_measured(path).measured, read_measured(path, TableFormat(body="Rigid Body 1:*")).measured
+    apart = np.einsum("nji,nj->ni", body.rotation, markers.xyz_m - body.xyz_m)  # the middle in the body's axes
+    assert np.abs(apart - apart.mean(axis=0)).max() < 5e-5
+    turned = Rotation.from_matrix(np.einsum("nji,njk->nik", body.rotation, markers.rotation))
+    assert (turned[0].inv() * turned).magnitude().max() < 1e-3
+
+
+def test_a_body_of_qtm_by_its_matrix_and_by_its_angles(tmp_path):
+    path = public("qtm", tmp_path)
+    matrices = read_measured(path).measured
+    lines = [line.split("\t") for line in path.read_text().splitlines()]
+    head = next(k for k, line in enumerate(lines) if line[0] == "Frame")
+    kept = [line if k < head else line[:8] for k, line in enumerate(lines)]
+    path.write_text("\n".join("\t".join(line) for line in kept) + "\n")
+    angles = read_measured(path).measured
+    assert len(matrices.xyz_m) == len(angles.xyz_m) == 22245
+    assert np.abs(matrices.rotation - angles.rotation).max() < 2e-5
