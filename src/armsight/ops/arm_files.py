@@ -20,6 +20,7 @@ from armsight.kinematics.derivatives import nearest_rigid
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.factory_arms import is_factory_file, read_factory_arm
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
@@ -58,8 +59,10 @@ def given_arm(arm: Path | str | None) -> Arm | None:
     return None if arm is None else load_arm(str(arm))
 
 
-def load_arm(text: str) -> Arm:
-    """Return the arm of an arm.yaml, a .urdf or a preset's name.
+def load_arm(text: str, nominal: Arm | None = None) -> Arm:
+    """Return the arm of an arm.yaml, a .urdf, a factory calibration or a preset's name.
+
+    nominal: the arm as its maker draws it, which a factory calibration may be differences to.
 
     A URDF that holds more than the arm's chain is given as FILE#TIP, or FILE#BASE:TIP, with the names of the chain's
     links (arm_source makes it). Raises UsageError, BadFile.
@@ -77,6 +80,8 @@ def load_arm(text: str) -> Arm:
     if file in PRESETS:
         refuse_file_called(file, "a known arm")
         return preset(file)
+    if Path(file).is_file() and is_factory_file(Path(file)):
+        return read_factory_arm(Path(file), nominal)
     if suffix in YAML_SUFFIXES or Path(file).exists():
         return read_arm(Path(file))
     raise UsageError(
@@ -104,9 +109,17 @@ def arm_file(text: str) -> Path | None:
     return None if file in PRESETS or not Path(file).exists() else Path(file)
 
 
-def convert_arm(source: str, out: Path, *, convention: str | None = None) -> ConvertArmOutput:
-    """Write the arm as arm.yaml or URDF, by the name's ending; convention: standard or craig (arm.yaml only)."""
-    model = load_arm(source)
+def convert_arm(
+    source: str, out: Path, *, convention: str | None = None, nominal: str | None = None, to: str | None = None
+) -> ConvertArmOutput:
+    """Write the arm as arm.yaml or URDF, by the name's ending, or as its controller takes it.
+
+    convention: standard or craig (arm.yaml only). nominal: the arm as its maker draws it. to: a name of CONTROLLERS.
+    """
+    drawn = given_arm(nominal)
+    model = load_arm(source, drawn)
+    if to is not None:
+        return for_controller(model, drawn, to, out)
     suffix = out.suffix.lower()
     if convention is not None:
         if convention not in ("standard", "craig"):
