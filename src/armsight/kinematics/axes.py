@@ -128,14 +128,13 @@ def in_short_rows(arm: Arm) -> Arm:
 def in_plain_rows(arm: Arm, like: Arm) -> Arm:
     """Return the same arm in rows without beta from its frame 0, the last one that of `like` in a and alpha.
 
-    What a row without beta cannot say of the last link goes into the tool; x axes point as those of `like`, and angles
-    stay within half a turn of its own. d of nearly parallel axes runs to hundreds of m. Raises Inconsistent for scales.
+    What that last row does not say goes into the tool; x axes point as those of `like`. d of nearly parallel axes runs
+    to hundreds of m. Joints turn forwards in both. Raises Inconsistent for a joint with a scale.
     """
     _, joints, last, tool = axes_of(arm)
-    frame, at, rows = joints[0].T_parent_joint, np.eye(4), []
+    at, rows = np.eye(4), []
     lines = [at := at @ joint.T_parent_joint for joint in joints]
-    frame = lines[0] @ _turn_z(-like.joints[0].theta_rad)
-    frame0 = frame
+    frame = frame0 = in_convention(arm, Convention.STANDARD).T_base_frame0.as_matrix()
     nominal = link_frames(like.based(), np.zeros(like.n))[1:-1]
     for k, joint in enumerate(joints[:-1]):
         there = lines[k + 1]

@@ -21,6 +21,7 @@ from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.factory_arms import is_factory_file, read_factory_arm
+from armsight.store.atomic import write_text
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
@@ -41,6 +42,14 @@ class ConvertArmOutput(Output):
     joints: Annotated[int, Doc("How many joints.")]
     convention: Annotated[str, Doc("standard or craig.")]
     notes: Annotated[tuple[str, ...], NOTES]
+    zeros: Annotated[
+        list[float] | None,
+        Doc("For a controller: by how much more each axis has to show, rad or m; null for a model, and for all in its table."),
+    ] = None
+    lost_rms_m: Annotated[
+        float | None, Doc("For a controller: how far its tool will be from the calibrated one's, RMS, m.")
+    ] = None
+    lost_most_m: Annotated[float | None, Doc("... at most over the joints' ranges, m.")] = None
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
@@ -107,6 +116,45 @@ def arm_file(text: str) -> Path | None:
     """Return the file of what load_arm takes; None for a preset's name."""
     file, _, _ = source_parts(text)
     return None if file in PRESETS or not Path(file).exists() else Path(file)
+
+
+def for_controller(model: Arm, nominal: Arm | None, to: str, out: Path) -> ConvertArmOutput:
+    """Write what an arm becomes in its controller, as text. Raises UsageError, Inconsistent."""
+    from armsight.ops.controllers import controller_sheet, loss
+
+    refuse_model_suffix(out)
+    content, found = controller_sheet(model, require_nominal(nominal, to), to)
+    write_text(out, content)
+    return ConvertArmOutput(
+        arm=model.name,
+        file=str(out),
+        joints=model.n,
+        convention=model.convention.value,
+        notes=(loss(found),),
+        zeros=found.zeros.tolist() if found.zeros.any() else None,
+        lost_rms_m=found.rms_m,
+        lost_most_m=found.most_m,
+    )
+
+
+def require_nominal(nominal: Arm | None, name: str) -> Arm:
+    """Return the nominal arm. Raises UsageError where none is given."""
+    if nominal is None:
+        raise UsageError(
+            f"--to {name} says by how much the arm differs from what its controller has, and that is not given",
+            consequence="Nothing is written",
+            cure="Give --nominal with the arm as its maker draws it: a known arm's name, an arm.yaml or .urdf",
+        )
+    return nominal
+
+
+def refuse_model_suffix(out: Path) -> None:
+    """Raise UsageError for an ending that an arm's model has: it would be read as one."""
+    if out.suffix.lower() in (*YAML_SUFFIXES, *URDF_SUFFIXES):
+        raise UsageError(
+            f"{out.name} would be read as a model of an arm, and what a controller takes is none",
+            cure="End the name in .txt",
+        )
 
 
 def convert_arm(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.control.paths.exports import krl_frame, rapid_pose, ur_pose
 from armsight.control.paths.program import decimals
-from armsight.errors import Inconsistent, UsageError, not_one_of
+from armsight.errors import Inconsistent, not_one_of
 from armsight.kinematics import Arm, JointType, fk
 from armsight.kinematics.axes import in_plain_rows
 from armsight.kinematics.derivatives import drawn_postures, fitted, nearest_rigid, parameter_names
@@ -25,6 +24,8 @@ from armsight.units import DEG, MM
 
 MOST_ZERO_RAD = 0.35
 """A zero further off is of another arm, or of a joint that counts the other way."""
+ZEROS: Mapping[JointType, str] = {JointType.REVOLUTE: "theta_rad", JointType.PRISMATIC: "d_m"}
+"""What a zero of a joint is in its row."""
 MOST_LOST_M = 0.05
 """An arm further from its nominal one than this is another arm."""
 
@@ -159,36 +160,37 @@ def held_by(model: Arm, nominal: Arm, controller: Controller) -> Held:
     readings = drawn_postures(nominal)
     wanted = fk(model, model.values(readings))
     start = replace(nominal, T_world_base=model.T_world_base, T_flange_tool=model.T_flange_tool, covariance=None)
-    own = start.values(readings)
-    placed = [f"{part}.{key}" for part in ("base", "tool") for key in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")]
-    placed = [name for name in parameter_names(start) if name in placed or name.startswith(("base.", "tool."))]
+    own, placed = start.values(readings), parameter_names(start)[-12:]
     before = _off(fitted(start, wanted, own, placed), own, wanted)
     if controller.whole:
-        rigid = nearest_rigid(model).arm if model.compliant else model
-        arm = in_plain_rows(_unscaled(rigid), nominal)
-        zeros = np.zeros(model.n)
-        own = readings
+        arm, zeros = _whole(model, nominal), np.zeros(model.n)
     else:
-        keys = {JointType.REVOLUTE: "theta_rad", JointType.PRISMATIC: "d_m"}
-        free = [f"{joint.name}.{keys[joint.type]}" for joint in start.joints[:-1]]
-        arm = fitted(_inner(start), wanted, own, [*free, *placed])
-        moved = [getattr(a, keys[a.type]) - getattr(b, keys[b.type]) for a, b in zip(arm.joints, nominal.joints, strict=True)]
-        zeros = np.array(moved) / np.array([joint.sign for joint in nominal.joints])
-        zeros = nominal.gearing_back @ zeros if nominal.couplings else zeros
+        free = [f"{joint.name}.{ZEROS[joint.type]}" for joint in start.joints[:-1]]  # the last one is the tool's turn
+        arm = fitted(fitted(start, wanted, own, [*free, *placed[6:]]), wanted, own, [*free, *placed])
+        moved = [
+            (getattr(after, key) - getattr(drawn, key)) / drawn.sign
+            for after, drawn in zip(arm.joints, nominal.joints, strict=True)
+            for key in (ZEROS[drawn.type],)
+        ]
+        zeros = np.asarray(nominal.gearing_back @ moved) if nominal.couplings else np.array(moved)
     off = _off(arm, own, wanted)
-    found = Held(arm=arm, zeros=zeros, rms_m=float(np.sqrt(np.mean(off**2))), most_m=float(off.max()), before_m=float(before.max()))
+    rms_m = float(np.sqrt(np.mean(off**2)))
+    found = Held(arm=arm, zeros=zeros, rms_m=rms_m, most_m=float(off.max()), before_m=float(before.max()))
     _require_same(model, nominal, found)
     return found
 
 
-def _inner(arm: Arm) -> Arm:
-    return arm
-
-
-def _unscaled(arm: Arm) -> Arm:
-    """Return the arm with joints that count whole turns: a table has no place for a scale."""
-    joints = tuple(replace(joint, sign=float(np.sign(joint.sign))) for joint in arm.joints)
-    return replace(arm, joints=joints, covariance=None)
+def _whole(model: Arm, nominal: Arm) -> Arm:
+    """Return the arm in the nominal one's kind of rows: rigid, each joint counting whole turns. Raises Inconsistent."""
+    if min(joint.sign for joint in (*model.joints, *nominal.joints)) <= 0.0 or model.couplings:
+        raise Inconsistent(
+            f"joints of {model.name} count backwards, or are coupled",
+            consequence="The controller's table has no place for that",
+            cure="Calibrate the arm by its own readings, from the nominal arm that the controller has",
+        )
+    rigid = nearest_rigid(model).arm if model.compliant else model
+    turning = tuple(replace(joint, sign=1.0) for joint in rigid.joints)
+    return in_plain_rows(replace(rigid, joints=turning, covariance=None), nominal)
 
 
 def _off(arm: Arm, q: Array, wanted: Array) -> Array:
@@ -196,14 +198,18 @@ def _off(arm: Arm, q: Array, wanted: Array) -> Array:
 
 
 def _require_same(model: Arm, nominal: Arm, found: Held) -> None:
-    far = [j for j, joint in enumerate(model.joints) if joint.type is JointType.REVOLUTE and abs(found.zeros[j]) > MOST_ZERO_RAD]
-    if found.before_m > MOST_LOST_M or far:
-        what = f"its zero of joint {far[0] + 1} is {found.zeros[far[0]] / DEG:.3g} deg off" if far else f"its tool is up to {found.before_m / MM:.3g} mm off"
-        raise Inconsistent(
-            f"{model.name} is no calibration of {nominal.name}: {what}",
-            consequence="Numbers for that controller would send the arm elsewhere",
-            cure="Give --nominal with the arm that the controller has, and check the sense of its joints",
-        )
+    turned = np.where(nominal.revolute, np.abs(found.zeros), 0.0)
+    joint = int(np.argmax(turned))
+    if found.before_m <= MOST_LOST_M and turned[joint] <= MOST_ZERO_RAD:
+        return
+    what = f"its tool is up to {found.before_m / MM:.3g} mm off"
+    if turned[joint] > MOST_ZERO_RAD:
+        what = f"the zero of joint {joint + 1} is {found.zeros[joint] / DEG:.3g} deg off"
+    raise Inconsistent(
+        f"{model.name} is no calibration of {nominal.name}: {what}",
+        consequence="Numbers for that controller would send the arm elsewhere",
+        cure="Give --nominal with the arm that the controller has, and check the sense of its joints",
+    )
 
 
 def controller_sheet(model: Arm, nominal: Arm, name: str) -> tuple[str, Held]:
@@ -260,23 +266,3 @@ def _ur_lists(arm: Arm, nominal: Arm) -> list[str]:
             deltas = [float(np.arctan2(np.sin(delta), np.cos(delta))) for delta in deltas]
         lines.append(f"{name} = [ {', '.join(repr(delta) for delta in deltas)}]")
     return lines
-
-
-def require_nominal(nominal: Arm | None, name: str) -> Arm:
-    """Return the nominal arm. Raises UsageError where none is given."""
-    if nominal is None:
-        raise UsageError(
-            f"--to {name} says by how much the arm differs from what its controller has, and that is not given",
-            consequence="Nothing is written",
-            cure="Give --nominal with the arm as its maker draws it: a known arm's name, an arm.yaml or .urdf",
-        )
-    return nominal
-
-
-def refuse_model_suffix(out: Path) -> None:
-    """Raise UsageError for an ending that an arm's model has: it would be read as one."""
-    if out.suffix.lower() in (".yaml", ".yml", ".urdf", ".xml"):
-        raise UsageError(
-            f"{out.name} would be read as a model of an arm, and what a controller takes is none",
-            cure="End the name in .txt",
-        )
