@@ -137,15 +137,14 @@ def in_plain_rows(arm: Arm, like: Arm) -> Arm:
     frame = frame0 = in_convention(arm, Convention.STANDARD).T_base_frame0.as_matrix()
     nominal = link_frames(like.based(), np.zeros(like.n))[1:-1]
     for k, joint in enumerate(joints[:-1]):
-        there = lines[k + 1]
-        hint = frame0[:3, :3] @ nominal[k][:3, 0]
+        there, hint = lines[k + 1], frame0[:3, :3] @ nominal[k][:3, 0]
         link = link_to_line(frame, there[:3, 3], there[:3, :3] @ joints[k + 1].axis, x_hint=hint, plain=True)
         frame = frame @ link.matrix()
         rows.append(_row(joint, 1.0, link.a_m, link.alpha_rad, link.d_m, link.theta_rad, 0.0))
     end = like.joints[-1]
+    rows.append(_row(joints[-1], 1.0, end.a_m, end.alpha_rad, end.d_m, end.theta_rad, 0.0))
     bottom = link_matrix(end.a_m, end.alpha_rad, 0.0)
     bottom[2, 3] += end.d_m
-    rows.append(_row(joints[-1], 1.0, end.a_m, end.alpha_rad, end.d_m, end.theta_rad, 0.0))
     flange = frame @ _turn_z(end.theta_rad) @ bottom
     return replace(
         arm,

@@ -20,8 +20,8 @@ from armsight.kinematics.derivatives import nearest_rigid
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store.arm_file import read_arm, write_arm
-from armsight.store.factory_arms import is_factory_file, read_factory_arm
 from armsight.store.atomic import write_text
+from armsight.store.factory_arms import is_factory_file, read_factory_arm
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
@@ -44,7 +44,7 @@ class ConvertArmOutput(Output):
     notes: Annotated[tuple[str, ...], NOTES]
     zeros: Annotated[
         list[float] | None,
-        Doc("For a controller: by how much more each axis has to show, rad or m; null for a model, and for all in its table."),
+        Doc("For a controller: by how much more each axis has to show, rad or m; null where its table holds them."),
     ] = None
     lost_rms_m: Annotated[
         float | None, Doc("For a controller: how far its tool will be from the calibrated one's, RMS, m.")

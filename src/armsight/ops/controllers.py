@@ -1,4 +1,4 @@
-"""What a calibrated arm becomes in its controller: zeros, base and tool, a Universal Robot's whole table; and what is lost.
+"""What a calibrated arm becomes in its controller: zeros, base and tool, a Universal Robot's table; and what is lost.
 
 A zero is by how much more an axis has to show than it shows now, at the same posture: of the angle theta = sign q +
 theta_rad of the nominal model, (calibrated - nominal) / sign. What a controller holds of it, and where that is written
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -48,28 +49,25 @@ class Controller:
     whole: bool = False
 
 
-def _named(T: RigidTransform, order: str, names: str, form: str) -> str:
-    """Return x, y, z in mm and three angles in degrees, each by its name."""
-    angles = np.rad2deg(T.rotation.as_euler(order)).tolist()
-    values = [*(T.translation / MM).tolist(), *angles]
-    return form.join(f"{name}{decimals(value, 4)}" for name, value in zip(names.split(), values, strict=True))
+def _numbers_of(T: RigidTransform, order: Literal["xyz", "XYZ"]) -> list[str]:
+    """Return x, y, z in mm and three angles in degrees."""
+    values = [*(T.translation / MM).tolist(), *np.rad2deg(T.rotation.as_euler(order)).tolist()]
+    return [decimals(value, 4) for value in values]
 
 
 def _fanuc_pose(T: RigidTransform) -> str:
-    return _named(T, "xyz", "X= Y= Z= W= P= R=", ", ")
+    return ", ".join(f"{name} = {value}" for name, value in zip("XYZWPR", _numbers_of(T, "xyz"), strict=True))
 
 
 def _val3_pose(T: RigidTransform) -> str:
-    angles = np.rad2deg(T.rotation.as_euler("XYZ")).tolist()
     names = ("x", "y", "z", "rx", "ry", "rz")
-    values = [*(T.translation / MM).tolist(), *angles]
-    return " ".join(f'{name}="{decimals(value, 4)}"' for name, value in zip(names, values, strict=True))
+    return " ".join(f'{name}="{value}"' for name, value in zip(names, _numbers_of(T, "XYZ"), strict=True))
 
 
 NO_SOURCE = (
-    "Where the controller keeps a zero is written down in no source that is known here: master the axes by the maker's",
-    "procedure so that each shows that much more at the same posture; where a procedure sets axes to 0, do it with each",
-    "axis at minus its number.",
+    "Where the controller keeps a zero no source known here says: master the axes by the maker's procedure so that",
+    "each shows that much more at the same posture; where a procedure sets axes to 0, do it with each axis at minus",
+    "its number.",
 )
 NO_LENGTHS = "no source is known that says where lengths and twists would be typed: they stay nominal"
 CONTROLLERS: Mapping[str, Controller] = {
@@ -92,10 +90,10 @@ CONTROLLERS: Mapping[str, Controller] = {
         frame="feature (installation):",
         pose=ur_pose,
         zeros=(
-            "The lists replace those of the same names in [mounting] of .urcontrol/calibration.conf; all other lines of",
-            "that file stay as they are there (checksums tie it to the joints built in). They are added to the nominal",
-            "table (ros-industrial/universal_robot #357). Whether a controller takes a changed file no source says: keep",
-            "the old one, and check one pose before anything else moves.",
+            "The lists replace those of the same names in [mounting] of .urcontrol/calibration.conf; all other lines",
+            "stay as they are there (checksums tie it to the joints built in). They are added to the nominal table",
+            "(ros-industrial/universal_robot #357). Whether a controller takes a changed file no source says: keep the",
+            "old one, and check one pose before anything else moves.",
         ),
         lengths="the lists hold all of them",
         whole=True,
@@ -108,8 +106,8 @@ CONTROLLERS: Mapping[str, Controller] = {
         pose=_fanuc_pose,
         zeros=NO_SOURCE,
         lengths=(
-            "$PARAM_GROUP[1].$DH_A and $DH_D change lengths as one user reports (robot-forum 23503), no manual says so: "
-            "they stay nominal here"
+            "$PARAM_GROUP[1].$DH_A and $DH_D change lengths as one user reports (robot-forum 23503), no manual says "
+            "so: they stay nominal here"
         ),
     ),
     "abb": Controller(
@@ -253,7 +251,7 @@ def _zeros(found: Held, nominal: Arm, controller: Controller) -> list[str]:
     lines = []
     for k, (zero, joint) in enumerate(zip(found.zeros.tolist(), nominal.joints, strict=True), 1):
         scale, unit = (DEG, "deg") if joint.type is JointType.REVOLUTE else (MM, "mm")
-        lines.append(f"{controller.axis.format(k)}: {zero / scale:+.5f} {unit}")
+        lines.append(f"{controller.axis.format(k)}: {round(zero / scale, 5) + 0.0:+.5f} {unit}")
     return lines
 
 

@@ -26,8 +26,8 @@ from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.kinematics import Arm, Convention, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes
 from armsight.store.arm_file import in_metres
-from armsight.store.tables import decoded
 from armsight.store.atomic import read_bytes
+from armsight.store.tables import decoded
 from armsight.store.yamls import read_yaml
 
 DELTAS: Mapping[str, str] = {"delta_theta": "theta_rad", "delta_a": "a_m", "delta_d": "d_m", "delta_alpha": "alpha_rad"}
@@ -133,15 +133,11 @@ def _from_frames(content: Mapping[str, Any], path: Path, nominal: Arm | None) ->
                 cure="Give the file that ur_calibration wrote, unchanged",
             )
         model = None if nominal is None or nominal.n != len(LINKS) else nominal.joints[i]
-        joints.append(
-            AxisJoint(
-                name=f"{name}_joint",
-                type=JointType.REVOLUTE,
-                T_parent_joint=T,
-                axis=np.array([0.0, 0.0, 1.0]),
-                **({} if model is None else {"lower": model.lower, "upper": model.upper, "max_speed": model.max_speed}),
-            )
-        )
+        axis = np.array([0.0, 0.0, 1.0])
+        joint = AxisJoint(name=f"{name}_joint", type=JointType.REVOLUTE, T_parent_joint=T, axis=axis)
+        if model is not None:
+            joint = replace(joint, lower=model.lower, upper=model.upper, max_speed=model.max_speed)
+        joints.append(joint)
     arm = arm_from_axes(path.stem, np.eye(4), joints, np.eye(4), np.eye(4))
     return replace(arm, source=f"{path.name}: factory calibration as ur_calibration wrote it")
 

@@ -63,7 +63,9 @@ def krl(program: Program) -> str:
             if move.blend_m > 0.0 and move.blend_m != blend:
                 blend = move.blend_m
                 lines.append(f"$APO.CDIS={decimals(blend / MM, 4)}")
-            lines.append(f"LIN {krl_frame(RigidTransform.from_matrix(move.T_base_tip))}{' C_DIS' * (move.blend_m > 0.0)}")
+            lines.append(
+                f"LIN {krl_frame(RigidTransform.from_matrix(move.T_base_tip))}{' C_DIS' * (move.blend_m > 0.0)}"
+            )
         if move.tag:
             lines.append(tag_line(move.tag, weld, lambda on: f"$OUT[{weld}]={str(on).upper()}", "; {}"))
     return "\r\n".join([*lines, "END", ""])

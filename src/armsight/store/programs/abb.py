@@ -105,7 +105,9 @@ def _bracket(found: Listed, text: str, at: int, line: int) -> tuple[Any, int]:
             break
         else:
             cell += letter
-    raise BadFile(f"{found.location(line)}: a target's brackets do not close", cure="Export the module again: it is cut")
+    raise BadFile(
+        f"{found.location(line)}: a target's brackets do not close", cure="Export the module again: it is cut"
+    )
 
 
 def _target(found: Listed, line: int, name: str, value: Any, *, joints: bool) -> Point:

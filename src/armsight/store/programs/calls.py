@@ -14,10 +14,12 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from armsight.errors import Inconsistent
+from armsight.errors import BadFile, Inconsistent
 from armsight.store.programs.points import NUMBER, Listed, Point, line_of, listed_numbers, numbers, require_end
 
-_MELFA = re.compile(r"^[ \t]*(?:\d+[ \t]+)?(?P<name>[PJ]\w*)[ \t]*=[ \t]*\((?P<cells>[^()\n]*)(?P<end>\))?", re.M | re.I)
+_MELFA = re.compile(
+    r"^[ \t]*(?:\d+[ \t]+)?(?P<name>[PJ]\w*)[ \t]*=[ \t]*\((?P<cells>[^()\n]*)(?P<end>\))?", re.M | re.I
+)
 
 
 def melfa_points(text: str, where: str) -> Listed:
@@ -26,8 +28,9 @@ def melfa_points(text: str, where: str) -> Listed:
     for match in _MELFA.finditer(text):
         line = line_of(text, match.start("name"))
         require_end(found, match["end"] is not None, ")")
-        values = listed_numbers(match["cells"], found.location(line), match["name"], (6, 7, 8))
-        found.points.append(_either(line, match["name"], values, joints=match["name"][0].upper() == "J"))
+        kind = match["name"][0].upper()
+        values = found.values(line, match["name"], match["cells"], (6, 7, 8), kind)
+        found.points.append(_either(line, match["name"], values, joints=kind == "J"))
     return found
 
 
@@ -48,12 +51,14 @@ def denso_points(text: str, where: str) -> Listed:
         line, joints = line_of(code, match.start()), match["kind"].upper() == "J"
         require_end(found, match["end"] is not None, ")")
         counts = (6,) if joints else (6, 7)  # the last one of a pose is its figure
-        values = listed_numbers(match["cells"], found.location(line), f"line {line}", counts)
+        values = found.values(line, f"line {line}", match["cells"], counts, match["kind"].upper())
         found.points.append(_either(line, f"line {line}", values[:6], joints=joints))
     return found
 
 
-_NACHI = re.compile(r"^\s*(?:\d+\s+)?MOVEX\b(?P<head>[^(\n]*)\((?P<cells>[^()\n]*)(?P<end>\))?(?P<tail>.*)", re.M | re.I)
+_NACHI = re.compile(
+    r"^\s*(?:\d+\s+)?MOVEX\b(?P<head>[^(\n]*)\((?P<cells>[^()\n]*)(?P<end>\))?(?P<tail>.*)", re.M | re.I
+)
 
 
 def nachi_points(text: str, where: str) -> Listed:
@@ -138,7 +143,7 @@ def _add_ur(found: Listed, line: int, name: str, match: re.Match[str], *, joints
 
 
 _GCODE = re.compile(r"^\s*(?:N\d+\s*)?(?:G53\s*)?G0*[01](?=[\sXYZ])(?P<words>[^(;\n]*)", re.MULTILINE | re.IGNORECASE)
-_WORD = re.compile(rf"([XYZABC])\s*({NUMBER.pattern})", re.IGNORECASE)
+_WORD = re.compile(rf"([XYZABCF])\s*({NUMBER.pattern})(?![\d.])", re.IGNORECASE)
 
 
 def gcode_points(text: str, where: str) -> Listed:
@@ -154,6 +159,13 @@ def gcode_points(text: str, where: str) -> Listed:
     for match in _GCODE.finditer(code):
         line = line_of(code, match.start("words"))
         words = {key.upper(): value for key, value in _WORD.findall(match["words"])}
+        rest = _WORD.sub("", match["words"]).strip()
+        if rest:
+            raise BadFile(
+                f"{found.location(line)}: {rest[:20]!r} in a motion is no word of X Y Z A B C F with a number",
+                consequence="Where it goes is not known",
+                cure="Write numbers with a decimal point, and other words in lines of their own",
+            )
         missing = [key for key in "XYZABC" if key not in words]
         if missing:
             raise Inconsistent(

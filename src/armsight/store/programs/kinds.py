@@ -43,7 +43,7 @@ class ProgramKind:
 PROGRAMS: Mapping[str, ProgramKind] = {
     "krl": ProgramKind(
         title="KUKA KRL: .src, .dat",
-        told=r"^\s*(?:&ACCESS\b|DEFDAT\b|(?:GLOBAL\s+)?DEF\s+\w+\s*\(|(?:GLOBAL\s+)?DECL\s+(?:GLOBAL\s+)?E?6?(?:POS|AXIS)\b)",
+        told=r"^\s*(?:&ACCESS\b|DEFDAT\b|(?:GLOBAL\s+)?DEF\s+\w+\s*\([^)\n]*\)\s*$|(?:GLOBAL\s+)?DECL\s+(?:GLOBAL\s+)?E?6?(?:POS|AXIS)\b)",
         points=kuka.krl_points,
         order="zyx",
         written="krl",
@@ -97,7 +97,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "melfa": ProgramKind(
         title="Mitsubishi MELFA-BASIC: .prg",
-        told=r"^[ \t]*(?:\d+[ \t]+)?(?:P\w*[ \t]*=[ \t]*\([-+\d., \t]+\)\([-+\d, ]*\)|J\w*[ \t]*=[ \t]*\([-+\d., \t]+\))",
+        told=r"^[ \t]*(?:\d+[ \t]+)?(?:P\w*[ \t]*=[ \t]*\([-+\d., \t]+\)\(|J\w*[ \t]*=[ \t]*\([-+\d., \t]+\))",
         points=calls.melfa_points,
         order="xyz-fixed",
         source="rc_cube manual, Mitsubishi XYZ-ABC; RoboDK Mitsubishi",
@@ -229,9 +229,7 @@ def _ascending(lines: Sequence[int]) -> tuple[int, ...]:
     return tuple(out)
 
 
-def _joint_values(
-    found: Listed, name: str, points: list[Point], format_: TableFormat
-) -> tuple[list[Point], list[str]]:
+def _joint_values(found: Listed, name: str, points: list[Point], format_: TableFormat) -> tuple[list[Point], list[str]]:
     """Return joint values between the links and in degrees, and what was done to them."""
     counts = {len(point.joints) for point in points}
     if len(counts) > 1:

@@ -155,9 +155,10 @@ def rsi_table(text: str, where: str) -> RawTable:
 
 
 def _packets(text: str, where: str) -> RawTable:
-    rows, lines = [], []
+    rows: list[dict[str, str]] = []
+    lines: list[int] = []
     for packet in _PACKET.finditer(text):
-        row = {}
+        row: dict[str, str] = {}
         for element, attributes in _ELEMENT.findall(packet[0]):
             row |= {f"{element}.{key}": value for key, value in _ATTRIBUTE.findall(attributes)}
         ipoc = re.search(r"<IPOC>\s*(\d+)\s*</IPOC>", packet[0])

@@ -20,7 +20,6 @@ from armsight.store.programs.points import (
     listed_numbers,
     numbers,
     require_end,
-    wrong_count,
 )
 
 _BLOCK = re.compile(r"^\.(?P<kind>\w+)", re.MULTILINE)
@@ -40,12 +39,10 @@ def as_points(text: str, where: str) -> Listed:
             elif kind == "END":
                 ended = True
         elif kind in ("TRANS", "JOINTS") and row:
-            name, *cells = row.replace(",", " , ").split()
-            if "," in cells:
+            name, *cells = row.split()
+            if "," in row:
                 raise BadFile(f"{found.location(line)}: {name} has commas", cure="Write numbers apart by blanks")
-            if len(cells) < 6:
-                raise wrong_count(len(cells), found.location(line), name, (6,))
-            values = numbers(cells, found.location(line), name)
+            values = found.values(line, name, ",".join(cells), range(6, 13), kind)
             joints = kind == "JOINTS"
             found.points.append(
                 Point(line=line, name=name, joints=values[:6], outer=values[6:])
@@ -68,7 +65,9 @@ def dtx_points(text: str, where: str) -> Listed:
     try:
         root = ElementTree.fromstring(text.encode())
     except (ElementTree.ParseError, ValueError) as error:
-        raise BadFile(f"{where}: is no whole XML: {error}", cure="Export the application again: it may be cut") from None
+        raise BadFile(
+            f"{where}: is no whole XML: {error}", cure="Export the application again: it may be cut"
+        ) from None
     lines = {match.start(): line_of(text, match.start()) for match in _VALUE.finditer(text)}
     order = iter(lines.values())
     for data in (element for element in root.iter() if element.tag.endswith("}Data") or element.tag == "Data"):

@@ -36,15 +36,24 @@ class Point:
 
 @dataclass(slots=True, kw_only=True)
 class Listed:
-    """The points of a program in the order of the file, and what to know of it, in words."""
+    """The points of a program in the order of the file, what to know of it, in words, and how many numbers each kind of
+    position has."""
 
     where: str
     points: list[Point] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
 
     def location(self, line: int) -> str:
         """Return 'file, line 7'."""
         return f"{self.where}, line {line}"
+
+    def values(self, line: int, name: str, cells: str, counts: Iterable[int], kind: str) -> tuple[str, ...]:
+        """Return the numbers of a position, as many as the others of its kind have. Raises BadFile."""
+        found = listed_numbers(cells, self.location(line), name, counts)
+        if self.counts.setdefault(kind, len(found)) != len(found):
+            raise wrong_count(len(found), self.location(line), name, (self.counts[kind],))
+        return found
 
 
 def line_of(text: str, at: int) -> int:

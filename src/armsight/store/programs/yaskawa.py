@@ -8,53 +8,56 @@ the controller's parameters and in no job. ANGLE: degrees. ///NPOS counts C, BC,
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 from armsight.errors import BadFile, Inconsistent
-from armsight.store.programs.points import Listed, Point, listed_numbers, require_end
+from armsight.store.programs.points import Listed, Point, listed_numbers, numbers, require_end
 
-_POSITION = re.compile(r"(B|E)?(C|P|X)(\d+)\s*=\s*(.*)")
-PULSE = "pulse"
-"""The frame of a point in pulses."""
+COUNTED = ("C", "BC", "EC", "P", "BP", "EX")
+"""Kinds of positions in the order of ///NPOS: of the arm, its track and other axes, and the same as variables."""
+_POSITION = re.compile(rf"({'|'.join(sorted(COUNTED, key=len, reverse=True))})(\d+)\s*=\s*(.*)")
 ANGLE = "angle"
+"""The frame of joint values in degrees, where others are pulses."""
 AXES = ("s", "l", "u", "r", "b", "t")
 """Names of a Motoman's axes, which head a table of pulses."""
 
 
 def jbi_points(text: str, where: str) -> Listed:
     """Return the positions of a job; frame 'pulse' or 'angle' for joint values. Raises BadFile."""
-    found = Listed(where=where)
-    tool, user, kind, counted, outer, read = "", "", "", [0] * 6, {}, [0] * 6
-    for line, raw in enumerate(text.splitlines(), 1):
+    found, setting = Listed(where=where), {"TOOL": "", "USER": "", "POSTYPE": ""}
+    counted: tuple[int, ...] = (0,) * 6
+    read = dict.fromkeys(COUNTED, 0)
+    outer: dict[str, list[str]] = {}
+    body, inst, _ = text.partition("//INST")
+    require_end(found, bool(inst), "//INST")
+    for line, raw in enumerate(body.splitlines(), 1):
         row = raw.strip()
-        if row.startswith("//INST"):
-            break
-        word, _, value = row.lstrip("/").partition(" ")
-        if row.startswith("///NPOS"):
-            counted = [int(cell) for cell in listed_numbers(value, found.location(line), "///NPOS", (6,))]
-        elif row.startswith("///TOOL"):
-            tool = f"TOOL {value.strip()}"
-        elif row.startswith("///USER"):
-            user = f" {value.strip()}"
-        elif row.startswith("///POSTYPE"):
-            kind = value.strip().upper()
+        word, _, value = row.removeprefix("///").partition(" ")
+        position = _POSITION.fullmatch(row)
+        if word.upper() in setting and row.startswith("///"):
+            setting[word.upper()] = value.strip().upper()
+        elif row.startswith("///NPOS"):
+            counted = tuple(map(int, listed_numbers(value, found.location(line), "///NPOS", (6,))))
         elif row.startswith(("///PULSE", "///ANGLE", "///RECTAN")):
-            _require_kind(found, line, kind, word.upper())
-        elif (match := _POSITION.fullmatch(row)) is not None:
-            read[("C", "BC", "EC", "P", "BP", "EX").index(f"{match[1] or ''}{match[2]}")] += 1
-            if match[1]:
-                outer.setdefault(f"{'C' if match[2] == 'C' else 'P'}{match[3]}", []).extend(match[4].split(","))
-                continue
-            found.points.append(_point(found, line, f"{match[2]}{match[3]}", match[4], (kind, user, tool)))
-    require_end(found, "//INST" in text, "//INST")
-    if read != counted:
+            _require_kind(found, line, setting["POSTYPE"], word.upper())
+        elif position is not None:
+            kind, number, cells = position.groups()
+            read[kind] += 1
+            if kind in ("C", "P"):
+                found.points.append(_point(found, line, f"{kind}{number}", cells, setting))
+            else:
+                outer.setdefault(f"{'C' if kind[-1] == 'C' else 'P'}{number}", []).extend(cells.split(","))
+    if tuple(read.values()) != counted:
         raise BadFile(
-            f"{where}: ///NPOS counts {counted[0]} positions C and {counted[3]} P, and there are {read[0]} and {read[3]}",
+            f"{where}: ///NPOS counts {', '.join(map(str, counted))} positions {', '.join(COUNTED)}, and there are "
+            f"{', '.join(map(str, read.values()))}",
             consequence="The job is cut, or was changed by hand",
             cure="Export it again, or correct ///NPOS",
         )
     found.points = [
-        replace(point, outer=tuple(cell.strip() for cell in outer.get(point.name, ()))) for point in found.points
+        replace(point, outer=numbers(outer.get(point.name, ()), found.location(point.line), point.name))
+        for point in found.points
     ]
     return found
 
@@ -69,16 +72,16 @@ def _require_kind(found: Listed, line: int, kind: str, word: str) -> None:
         )
 
 
-def _point(found: Listed, line: int, name: str, cells: str, setting: tuple[str, str, str]) -> Point:
-    kind, user, tool = setting
+def _point(found: Listed, line: int, name: str, cells: str, setting: Mapping[str, str]) -> Point:
+    kind, where = setting["POSTYPE"], found.location(line)
     if not kind:
         raise BadFile(
-            f"{found.location(line)}: no ///POSTYPE stands before {name}",
+            f"{where}: no ///POSTYPE stands before {name}",
             consequence="Whether it is in pulses or in mm is not known",
             cure="Export the job again",
         )
-    values = listed_numbers(cells, found.location(line), name, (6,))
     if kind in ("PULSE", "ANGLE"):
-        return Point(line=line, name=name, joints=values, frame=PULSE if kind == "PULSE" else ANGLE)
-    frame = f"{kind}{user if kind == 'USER' else ''}"
-    return Point(line=line, name=name, xyz=values[:3], turn=values[3:], tool=tool, frame=frame)
+        return Point(line=line, name=name, joints=listed_numbers(cells, where, name, (6,)), frame=kind.lower())
+    values = found.values(line, name, cells, (6, 7), kind)  # the seventh is the elbow's angle
+    frame = f"{kind} {setting['USER']}" if kind == "USER" else kind
+    return Point(line=line, name=name, xyz=values[:3], turn=values[3:6], tool=f"TOOL {setting['TOOL']}", frame=frame)
