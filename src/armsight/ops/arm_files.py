@@ -21,7 +21,7 @@ from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.atomic import write_text
-from armsight.store.factory_arms import is_factory_file, read_factory_arm
+from armsight.store.factory_arms import FACTORY, is_factory_file, read_factory_arm
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
@@ -58,8 +58,10 @@ class ConvertArmOutput(Output):
 
 
 def arm_notes(arm: Arm) -> tuple[str, ...]:
-    """Return what to know of an arm of a URDF; nothing of another."""
+    """Return what to know of an arm of a URDF or of a factory calibration; nothing of another."""
     told = links_told(arm)
+    if FACTORY in arm.source:
+        return (arm.source,)
     return (*told, arm.source) if told and arm.source.startswith("URDF") else told
 
 

@@ -23,17 +23,24 @@ from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent, UsageError
-from armsight.kinematics import Arm, Convention, JointType
+from armsight.kinematics import Arm, Convention, JointType, fk
 from armsight.kinematics.axes import AxisJoint, arm_from_axes
+from armsight.kinematics.derivatives import drawn_postures
 from armsight.store.arm_file import in_metres
 from armsight.store.atomic import read_bytes
 from armsight.store.tables import decoded
 from armsight.store.yamls import read_yaml
+from armsight.units import MM
 
 DELTAS: Mapping[str, str] = {"delta_theta": "theta_rad", "delta_a": "a_m", "delta_d": "d_m", "delta_alpha": "alpha_rad"}
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 ROS_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+FACTORY = "factory calibration"
 MOST_BYTES = 1_000_000
+FARTHEST_M = 2.0
+"""No link of theirs is longer."""
+FARTHEST_OFF_M = 0.03
+"""Those seen are up to 8 mm from their nominal arm; of another size most are 100 mm off, but not all."""
 _LIST = re.compile(r"^\s*(\w+)\s*=\s*\[([^\]\n]*)\]", re.MULTILINE)
 _STATUS = re.compile(r"^\s*calibration_status\s*=\s*(\d+)", re.MULTILINE)
 
@@ -92,8 +99,20 @@ def _from_deltas(text: str, path: Path, nominal: Arm | None) -> Arm:
         replace(joint, **{name: getattr(joint, name) + float(changes[key][i]) for key, name in DELTAS.items()})
         for i, joint in enumerate(nominal.joints)
     )
-    source = f"{path.name}: factory calibration, added to the nominal {nominal.name}"
-    return in_metres(replace(nominal, name=path.stem, joints=joints, source=source))
+    source = (
+        f"{path.name}: {FACTORY}, added to the nominal {nominal.name}, which the file does not name: compare one pose "
+        "with the controller's"
+    )
+    arm = in_metres(replace(nominal, name=path.stem, joints=joints, source=source))
+    q = drawn_postures(nominal)
+    most_m = float(np.linalg.norm((fk(arm, q) - fk(nominal, q))[:, :3, 3], axis=1).max())
+    if most_m > FARTHEST_OFF_M:
+        raise Inconsistent(
+            f"{path}: with these differences the arm is up to {most_m / MM:.3g} mm from the nominal {nominal.name}",
+            consequence="They are of another arm: a factory calibration is some mm",
+            cure="Give --nominal with the arm that the controller is of",
+        )
+    return arm
 
 
 def _six(text: str, where: str) -> Array:
@@ -139,8 +158,4 @@ def _from_frames(content: Mapping[str, Any], path: Path, nominal: Arm | None) ->
             joint = replace(joint, lower=model.lower, upper=model.upper, max_speed=model.max_speed)
         joints.append(joint)
     arm = arm_from_axes(path.stem, np.eye(4), joints, np.eye(4), np.eye(4))
-    return replace(arm, source=f"{path.name}: factory calibration as ur_calibration wrote it")
-
-
-FARTHEST_M = 2.0
-"""No link of theirs is longer."""
+    return replace(arm, source=f"{path.name}: {FACTORY} as ur_calibration wrote it")

@@ -1,8 +1,6 @@
 """Robots' own programs as lists of poses and joint values: each form, what path export writes, hostile files."""
 
-import os
 import re
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +22,19 @@ from armsight.ops.tables import convert_table
 from armsight.records import TaughtPath
 from armsight.store.interpret import TableFormat
 from armsight.store.programs import PROGRAMS, kind_of
-from program_writers import OF_ROWS, PULSES, jbi, kawasaki, krl, rapid, rows_of, turned, written, written_joints
+from program_writers import (
+    OF_ROWS,
+    PULSES,
+    jbi,
+    kawasaki,
+    krl,
+    public_file,
+    rapid,
+    rows_of,
+    turned,
+    written,
+    written_joints,
+)
 
 ASKED = {"pts": "zyx", "denso": "xyz-fixed"}
 
@@ -230,38 +240,42 @@ def test_g_code_for_linuxcnc_is_read_back(tmp_path):
     assert (found.inv() * asked).magnitude().max() < 3e-7
 
 
+HAND_EYE = ("GilbertPan97/HandEyeSync", "70bc59e4e59322effd72456b15f341371c4b03b6")
 PUBLIC = (
+    (*HAND_EYE, "data/LeiChi-04.25/camera1/calib_c1.ls", "poses", 28, "frame UF 0"),
+    (*HAND_EYE, "data/LeiChi-12.22/sphere/cam0/calib_0.ls", "poses", 18, "tool UT 0"),
     (
-        "GilbertPan97/HandEyeSync",
-        "70bc59e4e59322effd72456b15f341371c4b03b6",
-        "data/LeiChi-04.25/camera1/calib_c1.ls",
-        25,
+        "JuniorNatalin/VASC",
+        "02f99794238f333324a4c319c7bfa7bde4e3fd9b",
+        "BVTU/Backups/07.10.24/KJBVTU211160R01/ENGLISH/UP001.LS",
+        "poses",
+        86,
+        "other machines, not used: 2, 3, 4",
     ),
     (
-        "GilbertPan97/HandEyeSync",
-        "70bc59e4e59322effd72456b15f341371c4b03b6",
-        "data/LeiChi-12.22/sphere/cam0/calib_0.ls",
-        18,
+        "dm-bogachev/SW002-LoadWizardPro_v2",
+        "c6953743f6c9d17263ad845a993516ff6d8e5c88",
+        "Робот/LoadWizard_example.as",
+        "joints",
+        84,
+        "columns not used",
     ),
 )
-"""Files of laboratories: repository, commit, path, points."""
+"""Files of laboratories: repository, commit, path, kind, points, and what is said of it."""
 
 
-def public_file(repo, commit, path):
-    """A file of a public repository, from the folder of bare copies that ARMSIGHT_PUBLIC names."""
-    folder = os.environ.get("ARMSIGHT_PUBLIC", "")
-    copy = Path(folder) / repo.replace("/", "+") / "repo"
-    if not folder or not copy.is_dir():
-        pytest.skip("no copy of the repository here")
-    return subprocess.run(["git", "-C", copy, "show", f"{commit}:{path}"], capture_output=True, check=True).stdout
-
-
-@pytest.mark.parametrize(("repo", "commit", "path", "n"), PUBLIC)
-def test_public_programs(repo, commit, path, n, tmp_path):
-    (tmp_path / Path(path).name).write_bytes(public_file(repo, commit, path))
-    done = convert_table(tmp_path / Path(path).name, kind="poses")
+@pytest.mark.parametrize(("repo", "commit", "path", "kind", "n", "note"), PUBLIC)
+def test_public_programs(repo, commit, path, kind, n, note, tmp_path):
+    file = tmp_path / Path(path).name
+    file.write_bytes(public_file(repo, commit, path))
+    done = convert_table(file, kind=kind)
     assert done.n == n
-    assert any("frame UF 0" in note for note in done.notes)
+    assert any(note in one for one in done.notes)
+
+
+def test_a_module_of_several_tools_is_refused(tmp_path):
+    repo = ("DanielPaans/SMR1", "790397ccee38707f006bcf379bd6b8cfd4415ec5", "abb_robot_code/Module1.mod")
+    refused(tmp_path, public_file(*repo).decode(), Inconsistent, "tools in one program")
 
 
 def cut(text, rng):

@@ -41,7 +41,7 @@ def rapid_points(text: str, where: str) -> Listed:
 
 def _motions(found: Listed, code: str) -> None:
     """Add the targets that stand in motions themselves, and tool and work object to those that they name."""
-    used: dict[str, tuple[str, str]] = {}
+    used: dict[str, list[tuple[str, str]]] = {}
     computed = 0
     for motion in _MOTION.finditer(code):
         args, line = _split(motion["args"]), line_of(code, motion.start())
@@ -56,18 +56,13 @@ def _motions(found: Listed, code: str) -> None:
                 point = _target(found, line, name, value, joints=joints)
                 found.points.append(point if joints else replace(point, tool=setting[0], frame=setting[1]))
             elif re.fullmatch(r"\w+(?:\s*\\\s*NoEOffs)?", target):
-                name = target.split("\\")[0].strip().lower()
-                before = used.setdefault(name, setting)
-                if before != setting:
-                    used[name] = (f"{before[0]} and {setting[0]}", f"{before[1]} and {setting[1]}")
+                used.setdefault(target.split("\\")[0].strip().lower(), []).append(setting)
             else:
                 computed += 1
-    found.points = [
-        replace(point, tool=used[point.name.lower()][0], frame=used[point.name.lower()][1])
-        if not point.joints and point.name.lower() in used
-        else point
-        for point in found.points
-    ]
+    for k, point in enumerate(found.points):
+        if not point.joints and point.name.lower() in used:
+            tools, frames = (" and ".join(sorted(set(names))) for names in zip(*used[point.name.lower()], strict=True))
+            found.points[k] = replace(point, tool=tools, frame=frames)
     if computed:
         found.notes.append(f"{computed} targets of motions are computed (Offs, RelTool ...) and not used")
 

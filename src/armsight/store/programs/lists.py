@@ -40,7 +40,7 @@ def as_points(text: str, where: str) -> Listed:
                 ended = True
         elif kind in ("TRANS", "JOINTS") and row:
             name, *cells = row.split()
-            if "," in row:
+            if any("," in cell for cell in cells):
                 raise BadFile(f"{found.location(line)}: {name} has commas", cure="Write numbers apart by blanks")
             values = found.values(line, name, ",".join(cells), range(6, 13), kind)
             joints = kind == "JOINTS"
@@ -50,6 +50,8 @@ def as_points(text: str, where: str) -> Listed:
                 else Point(line=line, name=name, xyz=values[:3], turn=values[3:6], outer=values[6:])
             )
     require_end(found, ended, ".END")
+    if any(not point.joints for point in found.points):
+        found.notes.append(".TRANS may hold tools, frames and shifts beside points: leave in the file what are points")
     return found
 
 
