@@ -186,7 +186,7 @@ def program_table(data: bytes, where: str, joints: bool | None, format_: TableFo
     points, others = chosen(found, joints)
     notes = [*one_setting(found, points, as_stated=format_.as_stated), *found.notes]
     if others:
-        notes.append(f"{UNUSED}{others}"[:200])
+        notes.append(f"{UNUSED}{others if len(others) < TOLD else others[:TOLD].rpartition(',')[0] + ', ...'}")
     if points[0].joints:
         points, said = _joint_values(found, name, points, format_)
         notes += said
@@ -202,6 +202,8 @@ def program_table(data: bytes, where: str, joints: bool | None, format_: TableFo
 
 
 HEAD = 100_000
+TOLD = 200
+"""Letters of names that a note lists."""
 UNUSED = "columns not used: "
 """How a note begins that names what is left unused; `kind_of_table` counts them."""
 
