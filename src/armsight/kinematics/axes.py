@@ -125,6 +125,39 @@ def in_short_rows(arm: Arm) -> Arm:
     )
 
 
+def in_plain_rows(arm: Arm, like: Arm) -> Arm:
+    """Return the same arm in rows without beta from its frame 0, the last one that of `like` in a and alpha.
+
+    What that last row does not say goes into the tool; x axes point as those of `like`. d of nearly parallel axes runs
+    to hundreds of m. Joints turn forwards in both. Raises Inconsistent for a joint with a scale.
+    """
+    _, joints, last, tool = axes_of(arm)
+    at, rows = np.eye(4), []
+    lines = [at := at @ joint.T_parent_joint for joint in joints]
+    frame = frame0 = in_convention(arm, Convention.STANDARD).T_base_frame0.as_matrix()
+    nominal = link_frames(like.based(), np.zeros(like.n))[1:-1]
+    for k, joint in enumerate(joints[:-1]):
+        there, hint = lines[k + 1], frame0[:3, :3] @ nominal[k][:3, 0]
+        link = link_to_line(frame, there[:3, 3], there[:3, :3] @ joints[k + 1].axis, x_hint=hint, plain=True)
+        frame = frame @ link.matrix()
+        rows.append(_row(joint, 1.0, link.a_m, link.alpha_rad, link.d_m, link.theta_rad, 0.0))
+    end = like.joints[-1]
+    rows.append(_row(joints[-1], 1.0, end.a_m, end.alpha_rad, end.d_m, end.theta_rad, 0.0))
+    bottom = link_matrix(end.a_m, end.alpha_rad, 0.0)
+    bottom[2, 3] += end.d_m
+    flange = frame @ _turn_z(end.theta_rad) @ bottom
+    return replace(
+        arm,
+        joints=tuple(rows),
+        convention=Convention.STANDARD,
+        T_world_base=arm.T_world_base * RigidTransform.from_matrix(frame0),
+        T_base_frame0=RigidTransform.identity(),
+        T_flange_tool=RigidTransform.from_matrix(np.linalg.solve(flange, lines[-1] @ last @ tool)),
+        covariance=None,
+        tool_points=(),
+    )
+
+
 def _loaded(arm: Arm, joints: Sequence[AxisJoint], T_world_joint: Sequence[Array]) -> Arm:
     if not any(joint.mass_kg for joint in joints):
         return arm
@@ -276,13 +309,20 @@ class Link:
 
 
 def link_to_line(
-    T: ArrayLike, point_m: ArrayLike, direction: ArrayLike, *, x_hint: ArrayLike | None = None, prismatic: bool = False
+    T: ArrayLike,
+    point_m: ArrayLike,
+    direction: ArrayLike,
+    *,
+    x_hint: ArrayLike | None = None,
+    prismatic: bool = False,
+    plain: bool = False,
 ) -> Link:
     """Return the link whose far z axis is the line (point, direction), seen from the frame T (4, 4) at its near axis.
 
     point_m (3,), direction (3,) of unit length and T are in the same axes. x_hint (3,): the side to which the far x
     axis should point (its sign is free) and its direction where the lines coincide; default the x axis of T.
     prismatic: the far joint is, whose place is free; the line is then put through the origin of T (a = d = 0).
+    plain: no beta on nearly parallel axes, whose d then runs away.
     For parallel axes d is free and taken as that of the point. Raises Inconsistent for a direction not of unit length.
     MATH 4.5 and C7.
     """
@@ -294,7 +334,7 @@ def link_to_line(
     sine = hypot(v[0], v[1])
     if sine <= PARALLEL_SINE:
         return _parallel(p, v, hint)
-    if sine < HAYATI_SINE and not prismatic:
+    if sine < HAYATI_SINE and not (prismatic or plain):
         return _hayati(p, v, hint)
     n = np.array([-v[1], v[0], 0.0]) / sine  # z x v
     if n @ hint < 0.0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -133,21 +133,34 @@ def nearest_rigid(arm: Arm) -> Rigid:
 
     Least squares of the tool's pose, a turn counted by the mean link, over postures drawn in the joints' ranges.
     """
-    low, high = np.clip(arm.lower, -np.pi, np.pi), np.clip(arm.upper, -np.pi, np.pi)
-    q = np.random.default_rng(0).uniform(low, high, (POSTURES, arm.n))
-    wanted = fk(arm, arm.sagged(q))
+    q = drawn_postures(arm)
     near = replace(arm, joints=tuple(replace(joint, compliance=0.0) for joint in arm.joints), covariance=None)
     names = parameter_names(arm)
-    free = [
-        *range(PER_JOINT * arm.n),
-        *range(len(names) - 6, len(names)),
-    ]  # all but the base, which is the model's root
+    free = [*names[: PER_JOINT * arm.n], *names[-6:]]  # all but the base, which is the model's root
+    near = fitted(near, fk(arm, arm.sagged(q)), q, free)
+    off = np.linalg.norm(fk(near, q)[:, :3, 3] - fk(arm, arm.sagged(q))[:, :3, 3], axis=1)
+    return Rigid(arm=near, rms_m=float(np.sqrt(np.mean(off**2))), most_m=float(off.max()))
+
+
+def drawn_postures(arm: Arm) -> Array:
+    """Return joint values (POSTURES, n) drawn evenly in the joints' ranges, of a turn at most."""
+    low, high = np.clip(arm.lower, -np.pi, np.pi), np.clip(arm.upper, -np.pi, np.pi)
+    return np.random.default_rng(0).uniform(low, high, (POSTURES, arm.n))
+
+
+def fitted(near: Arm, wanted: Array, q: Array, free: Sequence[str]) -> Arm:
+    """Return the arm with those of its parameters changed that are free, its tool nearest to wanted (m, 4, 4) at q.
+
+    Least squares of the tool's pose, a turn counted by the mean link; of parameters that do the same the change is
+    shared between them, and what no posture shows stays.
+    """
+    names = parameter_names(near)
+    columns = [names.index(name) for name in free]
     for _ in range(ROUNDS):
         T, J = parameter_jacobian(near, q)
         turned = Rotation.from_matrix(wanted[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)).as_rotvec()
-        r = np.concatenate([wanted[:, :3, 3] - T[:, :3, 3], arm.length_m * turned], axis=1)
-        J[:, 3:] *= arm.length_m
-        step = np.linalg.lstsq(J[:, :, free].reshape(-1, len(free)), r.ravel(), rcond=WEAK)[0]
-        near = moved(near, {names[k]: float(by) for k, by in zip(free, step, strict=True)})
-    off = np.linalg.norm(fk(near, q)[:, :3, 3] - wanted[:, :3, 3], axis=1)
-    return Rigid(arm=near, rms_m=float(np.sqrt(np.mean(off**2))), most_m=float(off.max()))
+        r = np.concatenate([wanted[:, :3, 3] - T[:, :3, 3], near.length_m * turned], axis=1)
+        J[:, 3:] *= near.length_m
+        step = np.linalg.lstsq(J[:, :, columns].reshape(-1, len(columns)), r.ravel(), rcond=WEAK)[0]
+        near = moved(near, {name: float(by) for name, by in zip(free, step, strict=True)})
+    return near

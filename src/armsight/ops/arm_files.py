@@ -20,6 +20,8 @@ from armsight.kinematics.derivatives import nearest_rigid
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.atomic import write_text
+from armsight.store.factory_arms import FACTORY, is_factory_file, read_factory_arm
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
@@ -40,6 +42,14 @@ class ConvertArmOutput(Output):
     joints: Annotated[int, Doc("How many joints.")]
     convention: Annotated[str, Doc("standard or craig.")]
     notes: Annotated[tuple[str, ...], NOTES]
+    zeros: Annotated[
+        list[float] | None,
+        Doc("For a controller: by how much more each axis has to show, rad or m; null where its table holds them."),
+    ] = None
+    lost_rms_m: Annotated[
+        float | None, Doc("For a controller: how far its tool will be from the calibrated one's, RMS, m.")
+    ] = None
+    lost_most_m: Annotated[float | None, Doc("... at most over the joints' ranges, m.")] = None
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
@@ -48,8 +58,10 @@ class ConvertArmOutput(Output):
 
 
 def arm_notes(arm: Arm) -> tuple[str, ...]:
-    """Return what to know of an arm of a URDF; nothing of another."""
+    """Return what to know of an arm of a URDF or of a factory calibration; nothing of another."""
     told = links_told(arm)
+    if FACTORY in arm.source:
+        return (arm.source,)
     return (*told, arm.source) if told and arm.source.startswith("URDF") else told
 
 
@@ -58,8 +70,10 @@ def given_arm(arm: Path | str | None) -> Arm | None:
     return None if arm is None else load_arm(str(arm))
 
 
-def load_arm(text: str) -> Arm:
-    """Return the arm of an arm.yaml, a .urdf or a preset's name.
+def load_arm(text: str, nominal: Arm | None = None) -> Arm:
+    """Return the arm of an arm.yaml, a .urdf, a factory calibration or a preset's name.
+
+    nominal: the arm as its maker draws it, which a factory calibration may be differences to.
 
     A URDF that holds more than the arm's chain is given as FILE#TIP, or FILE#BASE:TIP, with the names of the chain's
     links (arm_source makes it). Raises UsageError, BadFile.
@@ -77,6 +91,8 @@ def load_arm(text: str) -> Arm:
     if file in PRESETS:
         refuse_file_called(file, "a known arm")
         return preset(file)
+    if Path(file).is_file() and is_factory_file(Path(file)):
+        return read_factory_arm(Path(file), nominal)
     if suffix in YAML_SUFFIXES or Path(file).exists():
         return read_arm(Path(file))
     raise UsageError(
@@ -104,9 +120,56 @@ def arm_file(text: str) -> Path | None:
     return None if file in PRESETS or not Path(file).exists() else Path(file)
 
 
-def convert_arm(source: str, out: Path, *, convention: str | None = None) -> ConvertArmOutput:
-    """Write the arm as arm.yaml or URDF, by the name's ending; convention: standard or craig (arm.yaml only)."""
-    model = load_arm(source)
+def for_controller(model: Arm, nominal: Arm | None, to: str, out: Path) -> ConvertArmOutput:
+    """Write what an arm becomes in its controller, as text. Raises UsageError, Inconsistent."""
+    from armsight.ops.controllers import controller_sheet, loss
+
+    refuse_model_suffix(out)
+    content, found = controller_sheet(model, require_nominal(nominal, to), to)
+    write_text(out, content)
+    return ConvertArmOutput(
+        arm=model.name,
+        file=str(out),
+        joints=model.n,
+        convention=model.convention.value,
+        notes=(loss(found),),
+        zeros=found.zeros.tolist() if found.zeros.any() else None,
+        lost_rms_m=found.rms_m,
+        lost_most_m=found.most_m,
+    )
+
+
+def require_nominal(nominal: Arm | None, name: str) -> Arm:
+    """Return the nominal arm. Raises UsageError where none is given."""
+    if nominal is None:
+        raise UsageError(
+            f"--to {name} says by how much the arm differs from what its controller has, and that is not given",
+            consequence="Nothing is written",
+            cure="Give --nominal with the arm as its maker draws it: a known arm's name, an arm.yaml or .urdf",
+        )
+    return nominal
+
+
+def refuse_model_suffix(out: Path) -> None:
+    """Raise UsageError for an ending that an arm's model has: it would be read as one."""
+    if out.suffix.lower() in (*YAML_SUFFIXES, *URDF_SUFFIXES):
+        raise UsageError(
+            f"{out.name} would be read as a model of an arm, and what a controller takes is none",
+            cure="End the name in .txt",
+        )
+
+
+def convert_arm(
+    source: str, out: Path, *, convention: str | None = None, nominal: str | None = None, to: str | None = None
+) -> ConvertArmOutput:
+    """Write the arm as arm.yaml or URDF, by the name's ending, or as its controller takes it.
+
+    convention: standard or craig (arm.yaml only). nominal: the arm as its maker draws it. to: a name of CONTROLLERS.
+    """
+    drawn = given_arm(nominal)
+    model = load_arm(source, drawn)
+    if to is not None:
+        return for_controller(model, drawn, to, out)
     suffix = out.suffix.lower()
     if convention is not None:
         if convention not in ("standard", "craig"):

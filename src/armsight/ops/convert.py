@@ -186,22 +186,42 @@ def handeye(
     return convert_handeye(source, out, to=to, names=names)
 
 
-@action("convert arm", writes=True, examples=("robot.urdf --tip tool0 -o arm.yaml",))
+@action(
+    "convert arm",
+    writes=True,
+    examples=(
+        "robot.urdf --tip tool0 -o arm.yaml",
+        "calibration.conf --nominal ur10e -o arm.yaml",
+        "arm.yaml --to kuka --nominal kr6 -o krc.txt",
+    ),
+)
 def arm(
-    source: Annotated[str, Doc(f"{KNOWN_ARM}."), Flag(positional=True, metavar="FILE")],
-    out: Annotated[Path, Doc("File to write: .yaml or .urdf."), OUT],
+    source: Annotated[
+        str,
+        Doc(f"{KNOWN_ARM}, or a Universal Robot's factory calibration: calibration.conf, kinematics YAML."),
+        Flag(positional=True, metavar="FILE"),
+    ],
+    out: Annotated[Path, Doc("File to write: .yaml or .urdf; .txt with --to."), OUT],
     *,
     convention: Annotated[str | None, Doc("standard or craig, for arm.yaml.")] = None,
     tip: Tip = None,
     base: Base = None,
+    nominal: Annotated[
+        str | None, Doc("The arm as its maker draws it and its controller has it."), Flag(metavar="ARM")
+    ] = None,
+    to: Annotated[str | None, Doc("What is typed into its controller: kuka, ur, fanuc, abb, staubli.")] = None,
 ) -> ConvertArmOutput:
-    """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
+    """Convert an arm between arm.yaml and URDF, between the conventions of Denavit and Hartenberg, for a controller.
+
+    With --to the file says what a calibrated arm's zeros, base and tool become in its controller, and what is lost.
+    """
     from armsight._files import arm_source
     from armsight.ops.arm_files import convert_arm
     from armsight.ops.file_kinds import pointed_elsewhere
 
     with pointed_elsewhere(Path(source), "convert arm"):
-        return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention)
+        chain = arm_source(source, tip=tip, base=base)
+        return convert_arm(chain, out, convention=convention, nominal=nominal, to=to)
 
 
 def convert(
@@ -266,7 +286,7 @@ def convert(
         if chosen == "camera":
             return camera(files[0], outs[0], to=to, size=as_size(size))
         if chosen == "arm":
-            return arm(fspath(files[0]), outs[0], convention=convention)
+            return arm(fspath(files[0]), outs[0], convention=convention, to=to)
         if chosen == "handeye":
             names = names or FrameNames()
             frames = {"base": names.base, "flange": names.flange, "target": names.target}

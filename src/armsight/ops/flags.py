@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -164,13 +165,17 @@ class TableFlags:
     as_stated: Annotated[
         bool, Doc("Take units and orders as stated though the numbers look otherwise."), Flag(panel=TABLES)
     ] = False
+    pulses_per_degree: Annotated[
+        str, Doc("Of joint values in pulses: one number for each axis."), Flag(metavar="S,L,U,...", panel=TABLES)
+    ] = ""
 
     def made(self, notify: Callable[[str], None]) -> TableFormat:
         """Return them as the readers take them; what was understood is told."""
         from armsight.store.interpret import TableFormat
 
         given = asdict(self)
-        return TableFormat(robot=given.pop("robot_format"), notify=notify, **given)
+        pulses = pulses_of(given.pop("pulses_per_degree"))
+        return TableFormat(robot=given.pop("robot_format"), pulses=pulses, notify=notify, **given)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,6 +223,20 @@ def point_of(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise UsageError(f"the point {text!r} is not X,Y,Z", cure="Write for instance 0.2,1.25,0.08, in m") from None
     return x, y, z
+
+
+def pulses_of(text: str) -> tuple[float, ...]:
+    """Return the numbers of 'S,L,U,R,B,T', none for ''. Raises UsageError."""
+    try:
+        ratios = tuple(float(cell) for cell in text.split(",")) if text else ()
+    except ValueError:
+        ratios = (0.0,)
+    if not all(math.isfinite(ratio) and ratio != 0.0 for ratio in ratios):
+        raise UsageError(
+            f"--pulses-per-degree {text!r} is no list of numbers other than 0",
+            cure="Write one for each axis: 1435.1,1140.6,-957.2,682.7,682.7,455.1",
+        )
+    return ratios
 
 
 def lengths_of(texts: list[str] | tuple[str, ...]) -> list[tuple[str, str, float, float | None]]:

@@ -34,7 +34,7 @@ def _long(joints: Sequence[Joint]) -> dict[str, float]:
     return {name: value for name, value in lengths.items() if looks_like_mm(value)}
 
 
-def _in_metres(arm: Arm) -> Arm:
+def in_metres(arm: Arm) -> Arm:
     """Return the arm; with beta on nearly parallel axes where d of a plain table runs away there.
 
     A controller's own calibration has such d, of some hundred metres that cancel (universal_robot's calibration.conf).
@@ -120,7 +120,7 @@ def _arm(model: ArmModel) -> Arm:
         tool_link=model.tool_link,
         **poses,
     )
-    return _in_metres(arm)
+    return in_metres(arm)
 
 
 def _covariance(model: ArmModel) -> NamedCovariance | None:

@@ -63,13 +63,16 @@ def krl(program: Program) -> str:
             if move.blend_m > 0.0 and move.blend_m != blend:
                 blend = move.blend_m
                 lines.append(f"$APO.CDIS={decimals(blend / MM, 4)}")
-            lines.append(f"LIN {_frame(RigidTransform.from_matrix(move.T_base_tip))}{' C_DIS' * (move.blend_m > 0.0)}")
+            lines.append(
+                f"LIN {krl_frame(RigidTransform.from_matrix(move.T_base_tip))}{' C_DIS' * (move.blend_m > 0.0)}"
+            )
         if move.tag:
             lines.append(tag_line(move.tag, weld, lambda on: f"$OUT[{weld}]={str(on).upper()}", "; {}"))
     return "\r\n".join([*lines, "END", ""])
 
 
-def _frame(T: RigidTransform) -> str:
+def krl_frame(T: RigidTransform) -> str:
+    """Return {X .., Y .., Z .., A .., B .., C ..}, mm and degrees."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # at B = 90 degrees only A - C is fixed, and C = 0 is as good
         a, b, c = in_degrees(np.asarray(T.rotation.as_euler("ZYX")))
@@ -80,7 +83,7 @@ def _frame(T: RigidTransform) -> str:
 def _krl_tool_note(T: RigidTransform | None, tool: int) -> list[str]:
     if T is None:
         return [f"; TOOL_DATA[{tool}] must be the tool the path was taught with."]
-    return [f"; TOOL_DATA[{tool}] must be {_frame(T)}"]
+    return [f"; TOOL_DATA[{tool}] must be {krl_frame(T)}"]
 
 
 def _number(what: str, text: str | None, lowest: int, highest: int) -> int | None:
@@ -133,14 +136,15 @@ def rapid(program: Program) -> str:
     for number, move in enumerate(program.moves):
         if number or program.start is None:
             speed = f"[{decimals(move.speed_m_s / MM, 3)},{decimals(program.turn_rad_s / DEG, 3)},{REST}]"
-            target = f"[{_rapid_pose(RigidTransform.from_matrix(move.T_base_tip))},[0,0,0,0],{NO_AXES}]"
+            target = f"[{rapid_pose(RigidTransform.from_matrix(move.T_base_tip))},[0,0,0,0],{NO_AXES}]"
             lines.append(f"    MoveL {target},{speed},{_zone(move.blend_m)},{program.tool}\\WObj:=wobj0;")
         if move.tag:
             lines.append(tag_line(move.tag, output, lambda on: f"    SetDO {output},{int(on)};", "    ! {}"))
     return "\r\n".join([*lines, "  ENDPROC", "ENDMODULE", ""])
 
 
-def _rapid_pose(T: RigidTransform) -> str:
+def rapid_pose(T: RigidTransform) -> str:
+    """Return [x,y,z],[q1,q2,q3,q4], mm, the scalar first."""
     x, y, z, w = T.rotation.as_quat(canonical=True)
     position = ",".join(decimals(float(value) / MM, 4) for value in T.translation)
     return f"[{position}],[{','.join(decimals(float(value), 9) for value in (w, x, y, z))}]"
@@ -154,7 +158,7 @@ def _zone(radius_m: float) -> str:
 
 
 def _rapid_tool_note(T: RigidTransform | None) -> str:
-    return "the tool the path was taught with." if T is None else f"[TRUE,[{_rapid_pose(T)}], ...]"
+    return "the tool the path was taught with." if T is None else f"[TRUE,[{rapid_pose(T)}], ...]"
 
 
 JOINT_ACCELERATION = 0.5
@@ -172,7 +176,7 @@ def urscript(program: Program) -> str:
     if program.T_flange_tool is None:
         lines.append("  # The tool centre point must be the one the path was taught with.")
     else:
-        lines.append(f"  set_tcp({_ur_pose(program.T_flange_tool)})")
+        lines.append(f"  set_tcp({ur_pose(program.T_flange_tool)})")
     moves = list(program.moves)
     if program.start is not None:
         joints = ", ".join(decimals(float(q), 6) for q in program.start)
@@ -180,7 +184,7 @@ def urscript(program: Program) -> str:
     for number, move in enumerate(moves):
         if number or program.start is None:
             lines.append(
-                f"  movel({_ur_pose(RigidTransform.from_matrix(move.T_base_tip))}, a={program.acceleration_m_s2:g}, "
+                f"  movel({ur_pose(RigidTransform.from_matrix(move.T_base_tip))}, a={program.acceleration_m_s2:g}, "
                 f"v={move.speed_m_s:.6g}, r={decimals(move.blend_m, 6)})"
             )
         if move.tag:
@@ -188,7 +192,8 @@ def urscript(program: Program) -> str:
     return "\n".join([*lines, "end", ""])
 
 
-def _ur_pose(T: RigidTransform) -> str:
+def ur_pose(T: RigidTransform) -> str:
+    """Return p[x, y, z, rx, ry, rz], m and a rotation vector."""
     values = [*T.translation, *T.rotation.as_rotvec()]
     return f"p[{', '.join(decimals(float(value), 6) for value in values)}]"
 

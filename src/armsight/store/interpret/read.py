@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from armsight.store.interpret.rotations import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.standard import UNUSED, Standard, standard_table
 from armsight.store.interpret.table_format import OURS, TableFormat
 from armsight.store.interpret.trackers.formats import no_bodies, tracker_of, tracker_table
+from armsight.store.programs.kinds import program_table, pulse_table
 from armsight.store.tables import MAX_BYTES, Table
 from armsight.store.yamls import parse_yaml_documents
 
@@ -72,21 +73,27 @@ def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted
     plain = not (format_.stated or format_.following)
     if plain and (is_ours(data, wanted) or b"\x00" in data):
         return Interpreted(data=data, how="a table of ours")
-    return _interpreted(_raw_of(data, path), wanted, format_, original=data)
+    program = program_table(data, str(path), wanted.joints == "wanted", format_)
+    if program is not None:
+        found = _interpreted(program.raw, wanted, program.format)
+        return replace(found, notes=(*found.notes, *program.notes))
+    return _interpreted(_raw_of(data, path, format_), wanted, format_, original=data)
 
 
 def _raw(path: Path, format_: TableFormat) -> RawTable:
     if path.suffix.lower() == ".mat":
         return mat_table(path, unnamed=bool(format_.columns))
-    return _raw_of(read_bytes(path, limit=MAX_BYTES), path)
+    data = read_bytes(path, limit=MAX_BYTES)
+    program = program_table(data, str(path), None, format_)
+    return _raw_of(data, path, format_) if program is None else program.raw
 
 
-def _raw_of(data: bytes, path: Path) -> RawTable:
-    """Return a table that no tracker wrote."""
+def _raw_of(data: bytes, path: Path, format_: TableFormat) -> RawTable:
+    """Return a table that neither a tracker nor a robot wrote."""
     head = data[:HEAD_BYTES].decode("utf-8", errors="replace").lstrip("\ufeff")
     if path.suffix.lower() in (".yaml", ".yml", ".json") or looks_like_records(head):
         return records_table(parse_yaml_documents(data, str(path)), str(path))
-    return parse_text(data, str(path))
+    return pulse_table(parse_text(data, str(path)), format_)
 
 
 def is_ours(data: bytes, role: Role) -> bool:

@@ -23,10 +23,11 @@ class TableFormat:
 
     euler: an order such as 'xyz-fixed'. columns: names for a table without a header, see column_names. robot: a name of
     ROBOT_FORMATS. units: such as 'mm,deg', of what the header leaves open. joints: the arm's joints by name, where an
-    arm is known; following: the places of those that have no drive, which need no column. as_stated: units and orders
-    are taken as stated though the numbers look otherwise. on_hand: whether the camera is on the hand, where it is
-    known. body: which of a tracker's bodies, or which markers, see trackers. measured: euler, columns and units of what
-    was measured, where they are others than the robot's. notify: called with what was understood, in words.
+    arm is known; following: the places of those that have no drive, which need no column; coupled: of those that the
+    arm's file couples to others. pulses: per degree, of each axis. as_stated: units and orders are taken as stated
+    though the numbers look otherwise. on_hand: whether the camera is on the hand, where it is known. body: which of a
+    tracker's bodies, or which markers, see trackers. measured: euler, columns and units of what was measured, where
+    they are others than the robot's. notify: called with what was understood, in words.
     """
 
     euler: str = ""
@@ -35,6 +36,8 @@ class TableFormat:
     units: str = ""
     joints: tuple[str, ...] = ()
     following: tuple[int, ...] = ()
+    coupled: tuple[int, ...] = ()
+    pulses: tuple[float, ...] = ()
     as_stated: bool = False
     on_hand: bool | None = None
     body: str = ""
@@ -55,7 +58,9 @@ class TableFormat:
 
     def of_arm(self, arm: Arm) -> TableFormat:
         """Return it with the names of an arm's joints."""
-        return replace(self, joints=tuple(joint.name for joint in arm.joints), following=arm.undriven)
+        names = tuple(joint.name for joint in arm.joints)
+        coupled = tuple(names.index(one.joint) for one in arm.couplings)
+        return replace(self, joints=names, following=arm.undriven, coupled=coupled)
 
     @property
     def of_camera(self) -> TableFormat:
