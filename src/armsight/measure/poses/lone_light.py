@@ -31,7 +31,21 @@ def measure_light(setup: Setup, t_s: float, seen: Sequence[Spots], *, alone: boo
     alone: nothing but lights is bright, or the caller has chosen the spots; see match_beacon. A light that two
     positions explain alike is lost: which of them it is, nothing says.
     """
-    sights, whys = Sights.of(setup, seen), list[NotSeen]()
+    sights = Sights.of(setup, seen)
+    found = lights_of(setup, sights, alone=alone)
+    if isinstance(found, NotSeen):
+        return lost_moment(t_s, tuple(seen), found)
+    most = max(sum(row >= 0 for row in rows) for rows in found)
+    best = [np.array(rows) for rows in found if sum(row >= 0 for row in rows) == most]
+    if len(best) > 1:
+        why = f"ambiguous: {len(best)} positions explain spots of {most} cameras each, and any could be the light"
+        return lost_moment(t_s, tuple(seen), NotSeen(why, Unseen.AMBIGUOUS))
+    return _measured(setup, t_s, sights, best[0])
+
+
+def lights_of(setup: Setup, sights: Sights, *, alone: bool = False) -> set[tuple[int, ...]] | NotSeen:
+    """Return which spot of each view (v), -1 for none, may be one light, or why there is none; see measure_light."""
+    seen, whys = sights.by_view, list[NotSeen]()
     candidates: list[tuple[Array, Index]] = []
     for a, b in combinations([s for s, spots in enumerate(seen) if len(spots)], 2):
         pair = setup.pair(a, b)
@@ -41,23 +55,16 @@ def measure_light(setup: Setup, t_s: float, seen: Sequence[Spots], *, alone: boo
             own[[a, b]] = pairs.index[row]
             candidates.append((pairs.xyz_m[row], own))
     if len(candidates) > MOST_PAIRS:
-        why = f"{len(candidates)} pairs of bright spots could be the light: mask what is not (--mask), or darken it"
-        return lost_moment(t_s, tuple(seen), NotSeen(why, Unseen.CROWD))
+        why = f"{len(candidates)} pairs of bright spots could be a light: mask what is not (--mask), or darken it"
+        return NotSeen(why, Unseen.CROWD)
+    none = NotSeen("no two cameras see one light: no spots of theirs agree (epipolar distance)", Unseen.UNPAIRED)
     found = {tuple(_completed(setup, sights, xyz_m, own).tolist()) for xyz_m, own in candidates}
-    if not found:
-        none = NotSeen("no two cameras see one light: no spots of theirs agree (epipolar distance)", Unseen.UNPAIRED)
-        return lost_moment(t_s, tuple(seen), whys[0] if whys else none)
-    most = max(sum(row >= 0 for row in rows) for rows in found)
-    best = [np.array(rows) for rows in found if sum(row >= 0 for row in rows) == most]
-    if len(best) > 1:
-        why = f"ambiguous: {len(best)} positions explain spots of {most} cameras each, and any could be the light"
-        return lost_moment(t_s, tuple(seen), NotSeen(why, Unseen.AMBIGUOUS))
-    return _measured(setup, t_s, sights, best[0])
+    return found or (whys[0] if whys else none)
 
 
 def _believed(pair: Setup, a: Spots, b: Spots, pairs: Pairs, whys: list[NotSeen], *, alone: bool) -> list[int]:
-    """Return the pairs of two views' spots that may be the light: of a coloured one by its size, too."""
-    if pair.settings.colour is None:
+    """Return the pairs of two views' spots that may be a light: of a lone coloured one by its size, too."""
+    if pair.settings.colour is None or len(pair.model) > 1:
         return list(range(len(pairs.index)))
     match = match_beacon(pair, a, b, pairs, None, alone=alone)
     if match.best is None:
