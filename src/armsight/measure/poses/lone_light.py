@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
+from math import comb
 
 import numpy as np
 
@@ -21,8 +22,8 @@ from armsight.measure.poses.sights import Sights
 from armsight.measure.poses.solving import solve_views, take_spots
 from armsight.records import NotSeen, PoseStatus, Spots
 
-MOST_PAIRS = 60
-"""Pairs of spots, over all pairs of views, that are looked at; a room with more has too much in it for one light."""
+MOST_PAIRS = 20
+"""Pairs of spots that are looked at, for each two views; a room with more has too much in it for one light."""
 
 
 def measure_light(setup: Setup, t_s: float, seen: Sequence[Spots], *, alone: bool = False) -> Measured:
@@ -54,7 +55,7 @@ def lights_of(setup: Setup, sights: Sights, *, alone: bool = False) -> set[tuple
             own = np.full(len(seen), -1, np.intp)
             own[[a, b]] = pairs.index[row]
             candidates.append((pairs.xyz_m[row], own))
-    if len(candidates) > MOST_PAIRS:
+    if len(candidates) > MOST_PAIRS * comb(len(seen), 2):
         why = f"{len(candidates)} pairs of bright spots could be a light: mask what is not (--mask), or darken it"
         return NotSeen(why, Unseen.CROWD)
     none = NotSeen("no two cameras see one light: no spots of theirs agree (epipolar distance)", Unseen.UNPAIRED)

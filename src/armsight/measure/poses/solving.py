@@ -322,9 +322,10 @@ def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: Ind
     """Return the ways (0 to 2, 6) from the pose T to those with a spot moved by a step both ways: k of each.
 
     at (k, 2): light and view; steps_px (k, 2). Where the target then fits neither way, less is hidden; none where it
-    never does. A pair's poses begin as if nothing were known, those of other rigs from T.
+    never does. A pair's poses, and those of unmeasured lights, begin as if
+    nothing were known, others from T.
     """
-    if views.uv_px.shape[1] == TWO:
+    if views.uv_px.shape[1] == TWO or not setup.target.model_known:
         return [_moved(setup, names, views, T, (i, s), way) for (i, s), way in zip(at.tolist(), steps_px, strict=True)]
     limit, slack_px, _ = _rules(setup, names, views)
     spots, ways = named_spots(setup, names, views), np.empty((len(at), 2, 6))
