@@ -303,7 +303,7 @@ def supervise(
     live.check_arm(arm, devices)
     live.check_stop(devices.robot, asked=stop_m is not None or stop_rad is not None or blind_stop_s is not None)
     setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
-    prepare(progress)
+    prepare(progress, views=not seen.is_pair)
     run = Supervision(setup, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
     run.show, run.tell = show or run.show, tell or run.tell
     with Folder(out) as folder:
