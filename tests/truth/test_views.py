@@ -362,13 +362,16 @@ def test_two_lights_have_the_place_of_their_mean(views: int) -> None:
 def test_lights_that_no_third_camera_tells_apart_are_not_guessed() -> None:
     """Two lights in one epipolar plane of the only two cameras that see them may be two others."""
     rng, world = np.random.default_rng(3), ring(3, spread_rad=1.0)
-    X, T = np.array([[0.0, 0.0, 0.03], [0.0, 0.0, -0.03]]), np.eye(4)
+    X, T = np.array([[0.03, 0.0, 0.03], [-0.03, 0.0, -0.03]]), np.eye(4)
     T[2, 3] = 1.3
     setup = Setup(setup_of(world).rig, spot_target({"A": tuple(X[0]), "B": tuple(X[1])}))
-    seen = [spots(uv) for uv in look(world, X + [[0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]], T, rng).uv]
+    seen = [spots(uv) for uv in look(world, X, T, rng).uv]
     assert measure_views(setup, 0.0, [seen[0], Spots.none(), seen[2]]).pose.status is not PoseStatus.OK
     assert len(measure_views(setup, 0.0, seen).points) <= 2
-    bright = [spots(np.vstack([one.uv_px, one.uv_px + [30.0, 0.0], one.uv_px - [35.0, 5.0]])) for one in seen]
+    bright = [
+        spots((one.uv_px[None] + np.array([[[0.0, 0.0]], [[30.0, 0.0]], [[-35.0, 5.0]]])).reshape(-1, 2))
+        for one in seen
+    ]
     crowd = measure_views(unknown(setup), 0.0, bright)
     assert crowd.pose.status is PoseStatus.LOST and crowd.cause in (Unseen.CROWD, Unseen.AMBIGUOUS)
 
