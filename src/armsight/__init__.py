@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from armsight.api.files import write_table as write_table
     from armsight.api.pose import LightTarget as LightTarget
     from armsight.api.pose import PoseEstimate as PoseEstimate
-    from armsight.api.pose import PoseTracker as PoseTracker
     from armsight.api.pose import estimate_pose as estimate_pose
     from armsight.api.pose import estimate_pose_from_spots as estimate_pose_from_spots
     from armsight.api.pose import find_spots as find_spots
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     from armsight.api.simulation import read_scenario as read_scenario
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
+    from armsight.api.tracker import PoseTracker as PoseTracker
     from armsight.calibrate.arm import ArmResult as ArmResult
     from armsight.calibrate.arm import RobotWorldResult as RobotWorldResult
     from armsight.calibrate.camera_noise.photon_transfer import NoiseResult as NoiseResult

@@ -201,7 +201,7 @@ TRIED = {
         f"{OF_TIMED} {SIDES} --target labels.yaml",
         "{} --timing pairs",
     ),
-    ("ops/recording/record.py", "Give --left and --right, or --cell"): ("record -o a.mcap", RECORD),
+    ("ops/recording/record.py", "Give --left and --right, --camera NAME=SRC, or --cell"): ("record -o a.mcap", RECORD),
     ("store/recording/mcapfile.py", "or give --overwrite"): (f"{RECORD} && {RECORD}", f"{RECORD} --overwrite"),
     ("ops/recording/export.py", "Give --to with one of"): (
         f"{RECORD} && convert recording a.mcap -o f --to zip",

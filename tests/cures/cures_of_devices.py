@@ -270,7 +270,7 @@ TRIED = {
         modelled,
         lambda: modelled(world=read_world(Path("cell/world.yaml"))),
     ),
-    ("ops/robot/run_motion.py", "Give --left and --right too"): (
+    ("ops/robot/run_motion.py", "Give them too: --left and --right"): (
         moved(camera_settings=EXPOSED),
         lambda: recorded_cameras(LIVE_EYES, EXPOSED, Path("moved")),
     ),

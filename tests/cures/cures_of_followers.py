@@ -64,7 +64,7 @@ TRIED = {
             require_named({"left": "camera:0", "right": "camera:2"}),
         ],
     ),
-    ("ops/requests/motion.py", "Give --left and --right, or --follow SCENARIO"): (
+    ("ops/requests/motion.py", "Give --left and --right, --camera NAME=SRC for each"): (
         lambda: require_named({}),
         lambda: [
             require_named({"left": "camera:0", "right": "camera:2"}),

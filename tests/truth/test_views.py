@@ -343,9 +343,85 @@ def test_a_followed_target_goes_on_where_a_view_is_missing_or_cannot_be_read() -
         tracker.take(None, replace(draw(world, T, rng)[1], image=np.zeros((10, 10), np.uint8)), None)
 
 
-def test_what_needs_two_cameras_is_refused_by_other_rigs() -> None:
+def unknown(setup: Setup) -> Setup:
+    return Setup(setup.rig, unmeasured_target())
+
+
+def by_order(P: np.ndarray, world: Ring) -> np.ndarray:
+    """Three points (3, 3) as A left, B lower right, C upper right in the first camera's picture."""
+    R, t = world.R[0], world.t[0]
+    xy = ((P @ R.T + t)[:, :2]) / (P @ R.T + t)[:, 2:]
+    a = int(np.argmin(xy[:, 0]))
+    b, c = sorted((i for i in range(3) if i != a), key=lambda i: -xy[i, 1])
+    return P[[a, b, c]]
+
+
+def pachidis(P: np.ndarray) -> np.ndarray:
+    """The frame of A, B, C: origin at their mean, x from A to it, z across their plane."""
+    G = P.mean(axis=0)
+    u, w = G - P[0], np.cross(P[1] - G, P[0] - G)
+    u, w = u / np.linalg.norm(u), w / np.linalg.norm(w)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.column_stack([u, np.cross(w, u), w]), G
+    return T
+
+
+@pytest.mark.parametrize("views", [3, 4, 8])
+def test_three_unmeasured_lights_have_the_frame_that_their_order_gives(views: int) -> None:
+    """A fifth of the sights hidden: two cameras may be left to a light, and the third tells which pairing is right."""
+    rng, world, q = np.random.default_rng(views), ring(views, spread_rad=1.0), []
+    setup, X = unknown(setup_of(world)), LIGHTS[[0, 2, 4]]
+    for _ in range(60):
+        T = pose(rng)
+        measured = measure_views(setup, 0.0, [spots(uv) for uv in look(world, X, T, rng, hidden=0.2).uv])
+        if measured.pose.status is PoseStatus.OK:
+            q.append(mahalanobis2(measured, pachidis(by_order(X @ T[:3, :3].T + T[:3, 3], world))))
+            assert measured.names == ("A", "B", "C") and len(measured.points) == 3
+    assert len(q) >= (15 if views == 3 else 40)
+    assert max(q) < WRONG and abs(np.mean(np.array(q) < chi2_law.ppf(0.95, 6)) - 0.95) < 0.12
+
+
+@pytest.mark.parametrize("views", [3, 4])
+def test_two_lights_have_the_place_of_their_mean(views: int) -> None:
+    rng, world, q = np.random.default_rng(views), ring(views, spread_rad=1.0), []
+    X = LIGHTS[[1, 4]]
+    setup = Setup(setup_of(world).rig, spot_target({"A": tuple(X[0]), "B": tuple(X[1])}))
+    other = Setup(setup.rig, spot_target({"A": tuple(X[0]), "B": tuple(0.5 * X[1])}))
+    for _ in range(60):
+        T = pose(rng)
+        seen = [spots(uv) for uv in look(world, X, T, rng).uv]
+        measured = measure_views(setup, 0.0, seen)
+        if measured.pose.status is PoseStatus.POSITION_ONLY:
+            d = np.asarray(measured.pose.T_parent_target)[:3, 3] - (X @ T[:3, :3].T + T[:3, 3]).mean(axis=0)
+            q.append(float(d @ np.linalg.solve(np.asarray(measured.pose.covariance), d)))
+            assert measure_views(other, 0.0, seen).cause in (Unseen.WRONG_TARGET, Unseen.AMBIGUOUS)
+    assert len(q) >= 50
+    assert max(q) < chi2_law.isf(1e-8, 3) and abs(np.mean(np.array(q) < chi2_law.ppf(0.95, 3)) - 0.95) < 0.12
+
+
+def test_lights_that_no_third_camera_tells_apart_are_not_guessed() -> None:
+    """Two lights in one epipolar plane of the only two cameras that see them may be two others."""
+    rng, world = np.random.default_rng(3), ring(3, spread_rad=1.0)
+    X, T = np.array([[0.03, 0.0, 0.03], [-0.03, 0.0, -0.03]]), np.eye(4)
+    T[2, 3] = 1.3
+    setup = Setup(setup_of(world).rig, spot_target({"A": tuple(X[0]), "B": tuple(X[1])}))
+    seen = [spots(uv) for uv in look(world, X, T, rng).uv]
+    assert measure_views(setup, 0.0, [seen[0], Spots.none(), seen[2]]).pose.status is not PoseStatus.OK
+    assert len(measure_views(setup, 0.0, seen).points) <= 2
+    bright = [
+        spots((one.uv_px[None] + np.array([[[0.0, 0.0]], [[30.0, 0.0]], [[-35.0, 5.0]]])).reshape(-1, 2))
+        for one in seen
+    ]
+    crowd = measure_views(unknown(setup), 0.0, bright)
+    assert crowd.pose.status is PoseStatus.LOST and crowd.cause in (Unseen.CROWD, Unseen.AMBIGUOUS)
+
+
+def test_what_one_camera_cannot_measure_is_refused() -> None:
     setup = setup_of(ring(3))
     with refuses(UsageError, 2, 3):
         require_views(setup, 2)
-    with refuses(UsageError, 3, "target.yaml"):
-        require_views(Setup(setup.rig, unmeasured_target()), 3)
+    one = setup_of(ring(1))
+    for target in (unmeasured_target(), spot_target({"A": (0.0, 0.0, 0.0), "B": (0.1, 0.0, 0.0)})):
+        require_views(Setup(setup.rig, target), 3)
+        with refuses(UsageError, "ray"):
+            require_views(Setup(one.rig, target), 1)

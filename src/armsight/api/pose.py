@@ -1,10 +1,10 @@
-"""Spots of an image, the target's pose from a pair, and its track over many pairs."""
+"""Spots of an image, and the target's pose from images or spots of one moment."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -12,25 +12,21 @@ from scipy.spatial.transform import RigidTransform
 from armsight.api.results import Result, Row, pose_rows
 from armsight.arrays import Array
 from armsight.columns import POSE6
-from armsight.errors import Inconsistent, NotEnoughData
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
-from armsight.measure.consistency.check import RunCheck, finalise
-from armsight.measure.consistency.findings import Consistency
-from armsight.measure.poses.from_spots import measure_spots
-from armsight.measure.poses.outcome import Measured, Track
-from armsight.measure.poses.pipeline import Setup, measure_pair
+from armsight.measure.poses.moments import measure_chosen, measure_moment, require_views
+from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.setup import Setup, rig_slack_px
 from armsight.measure.settings import DEFAULTS, SpotSettings
-from armsight.measure.track import PoseTrack
 from armsight.ops.arrays import ImageLike, as_frame, as_image
 from armsight.ops.checks import speaks_python
 from armsight.optics import Rig, RigKind
 from armsight.records import (
+    Frame,
     PoseStatus,
     Spots,
     Target,
-    TargetPose,
-    require_count,
     require_kind,
     require_number,
     spot_target,
@@ -194,18 +190,23 @@ class PoseEstimate(Result):
         return dict(zip(POSE6, values, strict=False))
 
 
+Cameras: TypeAlias = Mapping[str, Any]
+"""Images or spots by the camera's name in the rig, None where a camera has none."""
+
+
 @speaks_python()
 def estimate_pose(
-    left: ImageLike,
-    right: ImageLike | None,
-    rig: Rig,
-    target: Target,
+    left: ImageLike | None = None,
+    right: ImageLike | None = None,
+    rig: Rig | None = None,
+    target: Target | None = None,
     *,
+    cameras: Cameras | None = None,
     settings: SpotSettings = DEFAULTS,
     t_s: float = 0.0,
     bits: int | None = None,
 ) -> PoseEstimate:
-    """Return the target's pose from one pair of images, taken by itself.
+    """Return the target's pose from the images of one moment, taken by itself.
 
     What a good recording may show (a hidden light, a reflection, nothing at all) raises nothing: `status` and `why` say
     it.
@@ -221,6 +222,9 @@ def estimate_pose(
         The calibrated cameras.
     target
         Its lights, or a printed board.
+    cameras
+        Instead of left and right, of a rig of one to eight cameras: the images by the cameras' names in the rig, None
+        where one has none.
     settings
         Threshold, mask and sizes of the search for lights.
     t_s
@@ -239,6 +243,8 @@ def estimate_pose(
         An image cannot be read, or is none.
     Inconsistent
         An image has not the size of its camera, or left and right are swapped.
+    UsageError
+        Cameras that the rig has not, or one of it that is not named.
     Degenerate
         The target's lights are on one line.
 
@@ -251,12 +257,22 @@ def estimate_pose(
     (True, True)
     """
     require_number("t_s", t_s)
-    return _estimate(_measure(_setup(rig, target, settings, right is None), left, right, t_s, None, bits))
+    setup = setup_of(rig, target, settings, one_image=right is None and cameras is None)
+    frames = frames_of(setup, views_of(setup, left, right, cameras), t_s, bits)
+    return estimate_of(measure_moment(setup, frames))
 
 
 @speaks_python()
-def estimate_pose_from_spots(left: Spots, right: Spots, rig: Rig, target: Target, *, t_s: float = 0.0) -> PoseEstimate:
-    """Return the target's pose from spots that a detector of one's own found in both images.
+def estimate_pose_from_spots(
+    left: Spots | None = None,
+    right: Spots | None = None,
+    rig: Rig | None = None,
+    target: Target | None = None,
+    *,
+    cameras: Cameras | None = None,
+    t_s: float = 0.0,
+) -> PoseEstimate:
+    """Return the target's pose from spots of one moment that another detector found.
 
     Parameters
     ----------
@@ -264,6 +280,8 @@ def estimate_pose_from_spots(left: Spots, right: Spots, rig: Rig, target: Target
         Spots of both images, in any order: Spots.of_centres(uv_px, covariance_px2). Which belong together is found out.
     rig, target
         As estimate_pose takes them; the target is of lights.
+    cameras
+        Instead of left and right, of a rig of one to eight cameras: the spots by the cameras' names.
     t_s
         Time of the exposure in s; it is handed on.
 
@@ -276,6 +294,8 @@ def estimate_pose_from_spots(left: Spots, right: Spots, rig: Rig, target: Target
     ------
     Inconsistent
         Left and right are swapped, or the target is a printed board.
+    UsageError
+        Cameras that the rig has not, or one of it that is not named.
 
     Examples
     --------
@@ -286,111 +306,66 @@ def estimate_pose_from_spots(left: Spots, right: Spots, rig: Rig, target: Target
     True
     """
     require_number("t_s", t_s)
-    for name, spots in (("left", left), ("right", right)):
-        require_kind(name, spots, Spots, cure="Give Spots.of_centres(uv_px, covariance_px2)")
-    setup = _setup(rig, target, DEFAULTS, one_image=False)
-    if target.is_board:
+    setup = setup_of(rig, target, DEFAULTS, one_image=False)
+    seen = views_of(setup, left, right, cameras)
+    for name, spots in zip(setup.rig.names, seen, strict=True):
+        if spots is not None or cameras is None:
+            require_kind(name, spots, Spots, cure="Give Spots.of_centres(uv_px, covariance_px2)")
+    if setup.target.is_board:
         raise Inconsistent("the target is a printed board", cure="Give a target of lights, or images to estimate_pose")
-    return _estimate(measure_spots(setup, float(t_s), left, right))
+    return estimate_of(measure_chosen(setup, float(t_s), [Spots.none() if one is None else one for one in seen]))
 
 
-class PoseTracker:
-    """Follows a target over pairs of images in order, faster than each by itself, and checks that they agree.
-
-    The lights are looked for where they must be by now, and in the whole image where they are not. Over the run the
-    residuals are asked whether rig and target can be right; poses that follow are widened where they cannot.
-    """
-
-    def __init__(self, rig: Rig, target: Target, *, settings: SpotSettings = DEFAULTS, bits: int | None = None) -> None:
-        _require_setup(rig, target, settings)
-        if bits is not None:
-            require_count("bits", bits, least=1)
-        self._rig, self._target, self._settings, self._bits = rig, target, settings, bits
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all that was seen."""
-        self._setup: Setup | None = None
-        self._track: Track | None = None
-        self._check: RunCheck | None = None
-        self._poses: list[TargetPose] = []
-
-    def update(self, left: ImageLike, right: ImageLike | None, t_s: float) -> PoseEstimate:
-        """Return the pose at t_s.
-
-        Parameters
-        ----------
-        left
-            As estimate_pose takes it.
-        right
-            Alike; None for a mirror rig.
-        t_s
-            Time of the exposure in s, growing from call to call.
-
-        Raises
-        ------
-        Inconsistent
-            Time does not grow; else as estimate_pose.
-        """
-        require_number("t_s", t_s)
-        if self._poses and not t_s > self._poses[-1].t_s:
-            raise Inconsistent(
-                f"the time {t_s:g} s does not come after the one before",
-                consequence="The pair cannot be tracked",
-                cure="Give the times of the exposures in seconds, in order; reset() for another recording",
-            )
-        if self._setup is None or self._check is None or self._setup.overlaid != (right is None):
-            self._setup = _setup(self._rig, self._target, self._settings, right is None)
-            self._check = RunCheck(self._setup)
-        measured = _measure(self._setup, left, right, t_s, self._track, self._bits)
-        self._track = measured.track
-        measured = self._check.add(measured)
-        self._poses.append(measured.pose)
-        return _estimate(measured)
-
-    @property
-    def track(self) -> PoseTrack:
-        """The poses so far; all are doubtful once the run is found inconsistent."""
-        doubted = self._check is not None and self._check.inconsistent
-        return PoseTrack(poses=tuple(finalise(pose, inconsistent=doubted) for pose in self._poses))
-
-    @property
-    def consistency(self) -> Consistency | None:
-        """Whether the residuals so far fit the rig and the target, and what is likely wrong; None before any pair."""
-        return None if self._check is None else self._check.finish()
-
-
-def _setup(rig: Rig, target: Target, settings: SpotSettings, one_image: bool) -> Setup:
-    _require_setup(rig, target, settings)
-    if one_image and rig.kind is not RigKind.MIRROR:
+def setup_of(rig: Rig | None, target: Target | None, settings: SpotSettings, *, one_image: bool) -> Setup:
+    """Return what measuring needs; one_image: it holds both views of a mirror rig. Raises UsageError, Inconsistent."""
+    seen_by, shown = require_setup(rig, target, settings)
+    if not seen_by.is_pair:
+        return Setup(seen_by, shown, settings, slack_px=rig_slack_px(seen_by))
+    if one_image and seen_by.kind is not RigKind.MIRROR:
         raise Inconsistent(
             "there is no right image, and the rig has two cameras",
             consequence="There is nothing to triangulate with",
             cure="Give both images; one image holds both views only of a mirror rig",
         )
-    return Setup(rig, target, settings, overlaid=one_image)
+    return Setup(seen_by, shown, settings, overlaid=one_image)
 
 
-def _require_setup(rig: Rig, target: Target, settings: SpotSettings) -> None:
+def require_setup(rig: Rig | None, target: Target | None, settings: SpotSettings) -> tuple[Rig, Target]:
+    """Return rig and target. Raises UsageError for what is none."""
     require_kind("rig", rig, Rig, cure="Give a Rig: read_rig(path), or that of calibrate_stereo")
-    rig.require_pair("rig")
     require_kind("target", target, Target, cure="Give a Target: read_target(path), or LightTarget(...)")
     require_kind("settings", settings, SpotSettings, cure="Give SpotSettings(...)")
+    return rig, target  # type: ignore[return-value]  # checked
 
 
-def _measure(
-    setup: Setup, left: ImageLike, right: ImageLike | None, t_s: float, track: Track | None, bits: int | None
-) -> Measured:
-    at_left = as_frame(left, name="the left image" if right is not None else "the image", t_s=t_s, bits=bits)
-    at_right = at_left if right is None else as_frame(right, name="the right image", t_s=t_s, bits=bits)
-    return measure_pair(setup, at_left, at_right, track)
+def views_of(setup: Setup, left: Any, right: Any, cameras: Cameras | None) -> tuple[Any, ...]:
+    """Return what is given of each camera, in the rig's order. Raises UsageError where that is not of its cameras."""
+    names = setup.rig.names
+    require_views(setup, len(names))
+    if cameras is None and setup.rig.is_pair:
+        return left, left if setup.overlaid else right
+    if cameras is not None:
+        require_kind("cameras", cameras, Mapping, cure="Give {'left': ..., 'top': ...}, by the rig's names")
+    given = {str(name): view for name, view in (cameras or {}).items()}
+    if left is not None or right is not None or set(given) != set(names):
+        extra = [side for side, view in (("left", left), ("right", right)) if view is not None]
+        raise UsageError(
+            f"the rig's cameras are {', '.join(names)}, and given are {', '.join([*extra, *given]) or 'none'}",
+            consequence="Nothing is measured",
+            cure="Give each camera of the rig by its name in cameras, None where it has no picture",
+        )
+    return tuple(given[name] for name in names)
 
 
-def _estimate(measured: Measured) -> PoseEstimate:
+def frames_of(setup: Setup, views: Sequence[Any], t_s: float, bits: int | None) -> list[Frame | None]:
+    """Return images by camera in the rig's order, None where one has none, as frames of one moment."""
+    if setup.overlaid:
+        return [as_frame(views[0], name="the image", t_s=t_s, bits=bits)] * len(views)
+    named = zip(setup.rig.names, views, strict=True)
+    return [None if one is None else as_frame(one, name=f"the {name} image", t_s=t_s, bits=bits) for name, one in named]
+
+
+def estimate_of(measured: Measured) -> PoseEstimate:
+    """Return a measured moment as Python gets it."""
     pose = measured.pose
-    return PoseEstimate(
-        status=pose.status,
-        why=pose.why,
-        t_s=pose.t_s,
-        detail=measured,
-    )
+    return PoseEstimate(status=pose.status, why=pose.why, t_s=pose.t_s, detail=measured)

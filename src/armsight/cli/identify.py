@@ -39,7 +39,8 @@ def made_live(face: CommandUI, asked: Mapping[str, Any]) -> bool:
     if not seen or any(asked.get(name) is None for name in NEEDED):
         raise UsageError(
             "--live lacks something",
-            cure="Give --rig, --target, --limits, and --left and --right or --follow SCENARIO with it",
+            cure="Give --rig, --target, --limits, and --left and --right, --camera NAME=SRC for each, or --follow "
+            "SCENARIO with it",
         )
     if any(asked.get(name) != default for name, default in OF_SWEEPS.items()):
         raise UsageError(

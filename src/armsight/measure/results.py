@@ -264,7 +264,7 @@ REASONS = {
     "overlapping": "a spot of one view may lie on one of the other's",
     "lights_missing": "too few of the target's lights are seen",
     "unreadable": "the image cannot be read",
-    "no_board": "the board is not seen in both views",
+    "no_board": "the board is not seen, of a pair in both views",
     "in_part": "the board is seen in part",
     "blurred": "the board is blurred",
     "only_once": "the board is seen in one view of two",

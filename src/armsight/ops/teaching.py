@@ -182,7 +182,8 @@ def require_moments(moments: tuple[MomentSource, bool] | None) -> tuple[MomentSo
         raise UsageError(
             "which cameras see the target is not said",
             consequence="Nothing is taught",
-            cure="Give --left and --right, --image for a mirror rig, or --from poses.csv",
+            cure="Give --left and --right, --camera NAME=SRC for each of another rig, --image for a mirror rig, or "
+            "--from poses.csv",
         )
     return moments
 
@@ -201,7 +202,7 @@ def teach_standing(
     seconds_s: of the frames' own time. What was taught before a failure is in the files when the error is raised.
     Raises DataRefused, DeviceFailed; NotEnoughData for less than two poses.
     """
-    prepare(progress)
+    prepare(progress, views=not setup.rig.is_pair)
     with lesson.kept(), moments:
         tracker = WatchedTracker(setup)
         stopped_by = _taught(lesson.recorder, tracker, moments, seconds_s, progress, seen)

@@ -310,7 +310,7 @@ def supervise(
             play=play,
             camera_settings=camera_settings or AUTOMATIC,
         )
-        prepare(progress)
+        prepare(progress, views=not setup.rig.is_pair)
     expectation = PredictedPose(
         arm=arm if stand.parent == "world" else arm.based(),
         T_parent_rig=stand.T_parent_rig,

@@ -25,7 +25,8 @@ class Spots:
 
     uv_px: (n, 2) centres. covariance_px2: (n, 2, 2). peak: (n,) fitted height above the background in grey
     levels. size_px: (n,) Gaussian sigma or mean radius of the disc. model: 'gaussian', 'ellipse', 'joint',
-    'streak' or 'centroid' per spot. rejected: (u, v, why) of what was seen and not accepted.
+    'streak' or 'centroid' per spot. rejected: (u, v, why) of what was seen and not accepted. point: (n,) which point of
+    a printed board each is, None where the picture does not say.
     """
 
     uv_px: NDArray[np.float64]
@@ -34,6 +35,7 @@ class Spots:
     size_px: NDArray[np.float64]
     model: tuple[str, ...]
     rejected: tuple[tuple[float, float, str], ...] = ()
+    point: Index | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", checks.require_texts("model", self.model))
@@ -90,6 +92,7 @@ class Spots:
             size_px=self.size_px[i],
             model=tuple([self.model[k] for k in at]),
             rejected=self.rejected,
+            point=None if self.point is None else self.point[i],
         )
 
 

@@ -186,6 +186,7 @@ TIP = np.array([0.0, 0.0, 0.2])
 TURNED = RigidTransform.from_components(FLANGE.rotation.apply(-TIP), FLANGE.rotation)
 SETTINGS = record(armsight.SpotSettings())
 SIDE = choice("left")
+CAMERA_VIEWS = Arg(good=None, wrong={"a number": 3, "a list": ["left"], "none": {}, "another": {"top": None}})
 TASK = Arg(good="pose", wrong={"another": "nonsense", "a number": 3, "a list": ["pose"]})
 JOINT_VALUES = array(QS, more={"degrees": DEGREES, "empty": []})
 AT_HOME = Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "many": QS}, same=array(Q).same)
@@ -476,8 +477,10 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {"rig": record(RIG), "target": record(TARGET), "settings": SETTINGS, "bits": BITS},
     ),
     "PoseTracker.update": (
-        lambda left=LEFT, right=RIGHT, t_s=0.0: armsight.PoseTracker(RIG, TARGET).update(left, right, t_s),
-        {"left": image(LEFT), "right": image(RIGHT), "t_s": number(0.0)},
+        lambda left=LEFT, right=RIGHT, t_s=0.0, cameras=None: armsight.PoseTracker(RIG, TARGET).update(
+            left, right, t_s, cameras=cameras
+        ),
+        {"left": image(LEFT), "right": image(RIGHT), "t_s": number(0.0), "cameras": CAMERA_VIEWS},
     ),
     "Rig": (
         partial(armsight.Rig, left=CAMERA, right=CAMERA, T_rig_left=RIG.T_rig_left, T_rig_right=RIG.T_rig_right),
@@ -626,6 +629,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {
             "left": record(FOUND),
             "right": record(FOUND),
+            "cameras": CAMERA_VIEWS,
             "rig": record(RIG),
             "target": record(TARGET),
             "t_s": number(0.0),
@@ -648,6 +652,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {
             "left": image(LEFT),
             "right": image(RIGHT),
+            "cameras": CAMERA_VIEWS,
             "rig": record(RIG),
             "target": record(TARGET),
             "settings": SETTINGS,

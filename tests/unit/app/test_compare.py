@@ -13,7 +13,7 @@ from armsight.ops.compare.calibrations import Value, differences, judged
 from armsight.ops.files import compare
 from armsight.ops.measurement.outputs import made_with
 from armsight.ops.verify import verify
-from armsight.optics import Camera, Rig, RigKind
+from armsight.optics import Camera, MountedCamera, Rig, RigKind
 from armsight.records import NamedCovariance, Target, TargetKind
 from armsight.store import read_rig, write_camera, write_rig
 from armsight.store.arm_file import write_arm
@@ -101,6 +101,43 @@ def test_a_longer_baseline_shows_where_points_are_measured(tmp_path):
     assert names_it(done.verdict, "right.tx", "0.6 mm")
     assert effects["baseline of B over A, less one"] == pytest.approx(0.005)
     assert 5e-3 < effects["points measured at 1 m, RMS"] < 6.5e-3  # 0.5 % of the distance from the left camera
+
+
+def three(seed, *, top_m=0.0, order=("a", "b", "top")):
+    """Three cameras that look at one place, a little off by chance, `top` moved along x."""
+    rng, std = np.random.default_rng(seed), 1e-4
+    cameras = []
+    for i, (name, turn) in enumerate((("a", 0.0), ("b", 0.5), ("top", -0.5))):
+        R = Rotation.from_euler("y", -turn)
+        place = np.array([0.0, 0.0, 1.0]) - R.apply([0.0, 0.0, 1.0]) + (i > 0) * std * rng.standard_normal(3)
+        place[0] += top_m * (name == "top")
+        R = Rotation.from_rotvec((i > 0) * std * rng.standard_normal(3)) * R
+        cameras.append(
+            MountedCamera(name=name, camera=CAMERA, T_rig_camera=RigidTransform.from_components(place, R))
+        )
+    free = [f"{name}.{key}" for name in ("b", "top") for key in ("tx", "ty", "tz", "rx", "ry", "rz")]
+    known = NamedCovariance(names=tuple(free), matrix=std**2 * np.eye(len(free)))
+    return Rig(cameras=tuple(cameras), covariance=known).only(*order)
+
+
+def test_rigs_of_several_cameras_are_compared_by_name_whatever_their_order(tmp_path):
+    for name, rig in (
+        ("a", three(1)),
+        ("b", three(2, order=("top", "a", "b"))),
+        ("moved", three(3, top_m=0.002)),
+        ("two", three(2).only("a", "top")),
+    ):
+        write_rig(tmp_path / f"{name}.yaml", rig)
+    same = compare(a=tmp_path / "a.yaml", b=tmp_path / "b.yaml")
+    assert same.agree
+    moved = compare(a=tmp_path / "a.yaml", b=tmp_path / "moved.yaml")
+    assert moved.agree is False and names_it(moved.verdict, "top.tx", "2")
+    effects = {one.name: one.value for one in moved.effects}
+    far = next(value for name, value in effects.items() if name.startswith("a, top: points measured at 1 m, RMS"))
+    near = next(value for name, value in effects.items() if name.startswith("a, b: points measured at 1 m, RMS"))
+    assert near < 5e-4 < 1.5e-3 < far < 6e-3  # 2 mm across sight lines that cross at half a radian
+    with refuses(Inconsistent, "a, top", "a, b, top"):
+        compare(a=tmp_path / "a.yaml", b=tmp_path / "two.yaml")
 
 
 def test_arms_are_compared_where_their_tool_goes(tmp_path):

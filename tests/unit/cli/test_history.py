@@ -296,6 +296,13 @@ def test_what_may_drift_has_one_name_whatever_found_it():
     assert [(one.name, one.std) for one in parameters_of(verified, None).quantities] == [("joint1.offset_rad", 0.002)]
     stereo = {"baseline_m": 0.12, "std": {"baseline_m": 1e-5}}
     assert [(one.name, one.std) for one in parameters_of(stereo, None).quantities] == [("baseline_m", 1e-5)]
+    places = {"left": [0.0, 0.0, 0.0], "top": [0.1, 0.2, 0.3]}
+    three = {"baseline_m": None, "position_m": places, "std": {"top.tx_m": 1e-4, "top.ty_m": 2e-4, "top.tz_m": 3e-4}}
+    assert [(one.name, one.value, one.std) for one in parameters_of(three, None).quantities] == [
+        ("camera.top.x_m", 0.1, 1e-4),  # the first camera is held where it is
+        ("camera.top.y_m", 0.2, 2e-4),
+        ("camera.top.z_m", 0.3, 3e-4),
+    ]
     tip = {"tip_m": [0.0, 0.0, 0.1], "std": {"x_m": 1e-4, "y_m": 1e-4, "z_m": 1e-4}}
     assert [one.name for one in parameters_of(tip, None).quantities] == ["tip.x_m", "tip.y_m", "tip.z_m"]
     drifting = {"value": 4e-4, "std": None, "note": "the visits drift by 0.45 mm"}

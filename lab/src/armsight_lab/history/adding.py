@@ -35,7 +35,7 @@ from armsight_lab.history.entry import (
     utc,
     whole_moment,
 )
-from armsight_lab.history.figures import Parameters, of_arm, parameters_of, point_named, pose_named
+from armsight_lab.history.figures import Parameters, of_arm, of_cameras, parameters_of, point_named, pose_named
 from armsight_lab.history.filing import entry_of_result, hash_of
 from armsight_lab.history.place import Place, place_of
 from armsight_lab.history.request import AddJob
@@ -179,6 +179,7 @@ def _command_of(content: Mapping[str, Any], path: Path) -> str:
 def _kinds() -> list[tuple[str, type[Output]]]:
     from armsight.calibrate.arm import ArmResult, RobotWorldResult
     from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
+    from armsight.calibrate.cameras.many_result import CamerasCalibration
     from armsight.calibrate.handeye import HandEyeResult
     from armsight.calibrate.identify import Identification
     from armsight.calibrate.mirrors.result import MirrorsOutput
@@ -189,6 +190,7 @@ def _kinds() -> list[tuple[str, type[Output]]]:
     return [
         ("calibrate arm", ArmResult),
         ("calibrate camera", CameraCalibration),
+        ("calibrate cameras", CamerasCalibration),
         ("calibrate handeye", HandEyeResult),
         ("calibrate mirrors", MirrorsOutput),
         ("calibrate pivot", PivotCalibration),
@@ -226,8 +228,9 @@ def _calibrated(content: Mapping[str, Any], path: Path) -> tuple[str, Parameters
         arm = arm_from_mapping(content, str(path))
         return ("identify" if "identif" in arm.source else "calibrate arm"), of_arm(arm)
     if format_ == RIG_YAML.format:
-        rig = read_rig(path)
-        return ("calibrate mirrors" if str(rig.kind) == "mirror" else "calibrate stereo"), _of_rig(rig)
+        rig = read_rig(path, any_cameras=True)
+        made = "calibrate stereo" if rig.is_pair else "calibrate cameras"
+        return ("calibrate mirrors" if str(rig.kind) == "mirror" else made), _of_rig(rig)
     poses = [name for name in ("T_flange_camera", "T_base_camera") if name in content]
     if format_ == "armsight/handeye" and poses:
         return "calibrate handeye", pose_named("handeye", content[poses[0]], stds, "camera.")
@@ -252,6 +255,9 @@ def _stds(content: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _of_rig(rig: Rig) -> Parameters:
+    if not rig.is_pair:
+        stds = {} if rig.covariance is None else {f"{name}_m": std for name, std in rig.covariance.std().items()}
+        return of_cameras({one.name: one.T_rig_camera.translation.tolist() for one in rig.cameras}, stds)
     try:
         std = deviation(baseline_std(rig))
     except (ArmsightError, ValueError, KeyError):

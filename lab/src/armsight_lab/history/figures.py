@@ -165,6 +165,13 @@ def point_named(name: str, xyz_m: Sequence[float], stds: Mapping[str, Any], pref
     return Parameters(quantities=tuple(rows))
 
 
+def of_cameras(places_m: Mapping[str, Any], stds: Mapping[str, Any]) -> Parameters:
+    """Return the places of a rig's cameras in its axes, but of the one that is held there, which has no deviations."""
+    named = {name: f"{name}.t" for name in places_m if f"{name}.tx_m" in stds}
+    rows = (point_named(f"camera.{name}", places_m[name], stds, prefix).quantities for name, prefix in named.items())
+    return Parameters(quantities=tuple(one for row in rows for one in row))
+
+
 def _stds(covariance: NamedCovariance | None) -> Mapping[str, float]:
     return {} if covariance is None else covariance.std()
 
@@ -175,6 +182,8 @@ def _scalars(result: Content) -> Iterator[Quantity]:
         return
     if result.get("baseline_m") is not None:  # null of other cameras than a pair
         yield _quantity("baseline_m", result["baseline_m"], stds.get("baseline_m", result.get("baseline_std_m")))
+    if isinstance(places := result.get("position_m"), Mapping):
+        yield from of_cameras(places, stds).quantities
     for key in CAMERA:
         if key in result:
             yield _quantity(f"camera.{key}", result[key], stds.get(key))

@@ -23,7 +23,7 @@ POSES = "".join(rf"|{axis}" for axis in POSE6)[1:]
 GROUPS: Mapping[str, str] = {
     "joint-zeros": r"joint\d+\.(theta_rad|d_m|offset_rad)",
     "hand-eye": rf"handeye\.({POSES})",
-    "rig": r"baseline_m",
+    "rig": r"baseline_m|camera\.[^.]+\.[xyz]_m",
     "tool-tip": r"tip\.[xyz]_m",
     "world": rf"world\.({POSES})",
 }

@@ -59,7 +59,7 @@ def few_frames(
     why = f"; the first of the others: {rejected[0][1]}" if rejected else ""
     seen = "all lights in the image twice, neither path dark" if overlaid else "all lights seen by both cameras"
     if many:
-        seen = "all lights seen by two cameras at once in some"
+        seen = "in three moments and more all lights towards two cameras that stand near each other"
     swapped = "; where all are there, check which source is the left one" if n == 0 and not (overlaid or many) else ""
     views = "two" if many else "both"
     return NotEnoughData(

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from armsight.arrays import Array, Index, Mask
+from armsight.measure.poses.board_views import pose_of_corners
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pose import solve_pose
 from armsight.measure.poses.setup import Setup
@@ -37,8 +38,10 @@ REFIT_SLACKS = (8.0, 32.0)
 def with_all_sights(setup: Setup, measured: Measured) -> Measured:
     """Return the moment with what all cameras say of it, however badly it fits; itself where that is what it has."""
     T, m = measured.pose.T_parent_target, len(setup.model)
-    if T is None or measured.pose.status.size < 6:
+    if T is None or measured.pose.status.size < 6 or not setup.target.model_known:
         return measured
+    if setup.target.is_board:
+        return _with_all_corners(setup, measured) if measured.notes else measured
     P, sights = positions_of(setup, T), _shown(setup, measured)
     rows = [np.full(m, -1, np.intp) for _ in measured.seen]
     more = False
@@ -54,6 +57,12 @@ def with_all_sights(setup: Setup, measured: Measured) -> Measured:
             sights[:, s] = rows[s] >= 0
             spots[s] = seen.take(rows[s][rows[s] >= 0])
     return solved_as(setup, measured, sights, spots)
+
+
+def _with_all_corners(setup: Setup, measured: Measured) -> Measured:
+    """Return the moment of a board with all its points, whatever their residuals; itself where that gives no pose."""
+    found = pose_of_corners(setup, measured.pose.t_s, measured.seen, judged=False)
+    return found if found.pose.status in (PoseStatus.OK, PoseStatus.DOUBTFUL) else measured
 
 
 def shown_beside(setup: Setup, measured: Measured) -> bool:
@@ -118,8 +127,11 @@ def solved_as(setup: Setup, measured: Measured, sights: Mask, spots: Sequence[Sp
 
 def refit_views(setup: Setup, measured: Measured) -> Measured | None:
     """Return a moment that gave no pose with its spots named more loosely; None where that gives none either."""
-    if measured.busy:
+    if measured.busy or not setup.target.model_known:
         return None
+    if setup.target.is_board:
+        found = _with_all_corners(setup, measured)
+        return None if found is measured else found
     for loose in REFIT_SLACKS:
         slack = replace(setup, slack_px=loose * setup.slack_px)
         found = measure_views(slack, measured.pose.t_s, measured.seen)

@@ -188,10 +188,11 @@ class CamerasCheck:
         """Leave cameras out, and look at all moments anew without them."""
         self.left_out.append(found)
         self._check, track = RunCheck(self._setup), None
-        for one in self._moments:
+        for i, one in enumerate(self._moments):
             measured = self._again(one, track)
             track = measured.track
             self._check.add(measured)
+            self._moments[i] = replace(measured, track=None)  # who is asked next is not held against who was wrong
 
     def _again(self, one: Measured, track: Track | None) -> Measured:
         """Return a moment without the cameras that are left out."""

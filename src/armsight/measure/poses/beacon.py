@@ -142,7 +142,7 @@ def _only(pairs: Pairs, kept: Mask) -> Pairs:
 LABEL_MARGIN_PX = 2.0
 """Lights closer than this in column (or row) have no order in the image that could name them."""
 
-_UNMEASURED = (
+UNMEASURED = (
     "which of them are the target's, one pair of images does not tell, so that no pose is given; measure the target "
     "once (armsight calibrate target), black out the rest (--mask), raise --threshold, or darken the room"
 )
@@ -161,10 +161,10 @@ def match_by_position(left: Spots, right: Spots, pairs: Pairs) -> Match:
         n = f"{len(sides[0])} in the left image and {len(sides[1])} in the right one"
         cause = f"a target that has not been measured needs exactly three lights in both views, not {n}"
         more = max(len(side) for side in sides) > 3
-        return Match(best=None, why=f"{cause}: {_UNMEASURED}" if more else cause, cause=_few(more))
+        return Match(best=None, why=f"{cause}: {UNMEASURED}" if more else cause, cause=_few(more))
     orders = []
     for spots, seen, name in ((left, sides[0], "left"), (right, sides[1], "right")):
-        order = _order_by_position(spots.uv_px[seen])
+        order = order_by_position(spots.uv_px[seen])
         if order is None:
             return _ambiguous(f"the lights have no clear order left to right in the {name} image")
         orders.append(seen[order])
@@ -194,7 +194,7 @@ def _overlaid_by_position(spots: Spots, pairs: Pairs) -> Match:
         why = f"there is {ways} to make three pairs of the {len(spots)} lights of both views"
         return Match(best=None, why=why, cause=Unseen.AMBIGUOUS if triples else Unseen.UNPAIRED)
     rows = np.array(triples[0], dtype=np.intp)
-    order = _order_by_position(spots.uv_px[pairs.index[rows, 0]])
+    order = order_by_position(spots.uv_px[pairs.index[rows, 0]])
     if order is None:
         return _ambiguous("the lights have no clear order left to right in the left view")
     return Match(best=Assignment(names=("A", "B", "C"), pair=rows[order], chi2=0.0))
@@ -255,7 +255,7 @@ def _ambiguous(how: str) -> Match:
     return Match(best=None, why=f"ambiguous: {how}", cause=Unseen.AMBIGUOUS)
 
 
-def _order_by_position(uv: Array) -> list[int] | None:
+def order_by_position(uv: Array) -> list[int] | None:
     """Return the positions of A, B, C among three pixels (3, 2); None where the order is not clear."""
     a, second, _ = np.argsort(uv[:, 0])
     if uv[second, 0] - uv[a, 0] < LABEL_MARGIN_PX:

@@ -75,7 +75,7 @@ def _fit(setup: Setup, t_s: float, index: Index, uv: Array, cov: Array) -> Measu
                 np.ascontiguousarray(setup.target.xyz_m[index[kept]]),
                 uv[kept],
                 cov[kept],
-                _radius(setup, len(kept)),
+                printed_radius(setup, len(kept), 2),
                 setup.model.normal,
             ),
             limit=np.inf,  # judged point by point
@@ -109,10 +109,10 @@ def _worst(residual_px: Array, cov: Array, slack_px: float) -> int | None:
     return int(np.argmax(chi2)) if len(chi2) and chi2.max() > OUTLIER_CHI2 else None
 
 
-def _radius(setup: Setup, n: int) -> Array:
-    """Return (n, 2) radii: those of printed circles of known size, else 0."""
+def printed_radius(setup: Setup, n: int, v: int) -> Array:
+    """Return (n, v) radii: those of printed circles of known size, else 0."""
     circles = setup.target.kind in (TargetKind.CIRCLES, TargetKind.ACIRCLES)
-    return np.full((n, 2), setup.model.radius_m if circles else 0.0)
+    return np.full((n, v), setup.model.radius_m if circles else 0.0)
 
 
 def swapped() -> Inconsistent:

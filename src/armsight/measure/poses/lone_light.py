@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
+from math import comb
 
 import numpy as np
 
@@ -21,8 +22,8 @@ from armsight.measure.poses.sights import Sights
 from armsight.measure.poses.solving import solve_views, take_spots
 from armsight.records import NotSeen, PoseStatus, Spots
 
-MOST_PAIRS = 60
-"""Pairs of spots, over all pairs of views, that are looked at; a room with more has too much in it for one light."""
+MOST_PAIRS = 20
+"""Pairs of spots that are looked at, for each two views; a room with more has too much in it for one light."""
 
 
 def measure_light(setup: Setup, t_s: float, seen: Sequence[Spots], *, alone: bool = False) -> Measured:
@@ -31,22 +32,10 @@ def measure_light(setup: Setup, t_s: float, seen: Sequence[Spots], *, alone: boo
     alone: nothing but lights is bright, or the caller has chosen the spots; see match_beacon. A light that two
     positions explain alike is lost: which of them it is, nothing says.
     """
-    sights, whys = Sights.of(setup, seen), list[NotSeen]()
-    candidates: list[tuple[Array, Index]] = []
-    for a, b in combinations([s for s, spots in enumerate(seen) if len(spots)], 2):
-        pair = setup.pair(a, b)
-        pairs = pair_spots(pair.packed, seen[a], seen[b], setup.slack_px)
-        for row in _believed(pair, seen[a], seen[b], pairs, whys, alone=alone):
-            own = np.full(len(seen), -1, np.intp)
-            own[[a, b]] = pairs.index[row]
-            candidates.append((pairs.xyz_m[row], own))
-    if len(candidates) > MOST_PAIRS:
-        why = f"{len(candidates)} pairs of bright spots could be the light: mask what is not (--mask), or darken it"
-        return lost_moment(t_s, tuple(seen), NotSeen(why, Unseen.CROWD))
-    found = {tuple(_completed(setup, sights, xyz_m, own).tolist()) for xyz_m, own in candidates}
-    if not found:
-        none = NotSeen("no two cameras see one light: no spots of theirs agree (epipolar distance)", Unseen.UNPAIRED)
-        return lost_moment(t_s, tuple(seen), whys[0] if whys else none)
+    sights = Sights.of(setup, seen)
+    found = lights_of(setup, sights, alone=alone)
+    if isinstance(found, NotSeen):
+        return lost_moment(t_s, tuple(seen), found)
     most = max(sum(row >= 0 for row in rows) for rows in found)
     best = [np.array(rows) for rows in found if sum(row >= 0 for row in rows) == most]
     if len(best) > 1:
@@ -55,9 +44,28 @@ def measure_light(setup: Setup, t_s: float, seen: Sequence[Spots], *, alone: boo
     return _measured(setup, t_s, sights, best[0])
 
 
+def lights_of(setup: Setup, sights: Sights, *, alone: bool = False) -> set[tuple[int, ...]] | NotSeen:
+    """Return which spot of each view (v), -1 for none, may be one light, or why there is none; see measure_light."""
+    seen, whys = sights.by_view, list[NotSeen]()
+    candidates: list[tuple[Array, Index]] = []
+    for a, b in combinations([s for s, spots in enumerate(seen) if len(spots)], 2):
+        pair = setup.pair(a, b)
+        pairs = pair_spots(pair.packed, seen[a], seen[b], setup.slack_px)
+        for row in _believed(pair, seen[a], seen[b], pairs, whys, alone=alone):
+            own = np.full(len(seen), -1, np.intp)
+            own[[a, b]] = pairs.index[row]
+            candidates.append((pairs.xyz_m[row], own))
+    if len(candidates) > MOST_PAIRS * comb(len(seen), 2):
+        why = f"{len(candidates)} pairs of bright spots could be a light: mask what is not (--mask), or darken it"
+        return NotSeen(why, Unseen.CROWD)
+    none = NotSeen("no two cameras see one light: no spots of theirs agree (epipolar distance)", Unseen.UNPAIRED)
+    found = {tuple(_completed(setup, sights, xyz_m, own).tolist()) for xyz_m, own in candidates}
+    return found or (whys[0] if whys else none)
+
+
 def _believed(pair: Setup, a: Spots, b: Spots, pairs: Pairs, whys: list[NotSeen], *, alone: bool) -> list[int]:
-    """Return the pairs of two views' spots that may be the light: of a coloured one by its size, too."""
-    if pair.settings.colour is None:
+    """Return the pairs of two views' spots that may be a light: of a lone coloured one by its size, too."""
+    if pair.settings.colour is None or len(pair.model) > 1:
         return list(range(len(pairs.index)))
     match = match_beacon(pair, a, b, pairs, None, alone=alone)
     if match.best is None:

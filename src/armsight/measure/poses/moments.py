@@ -12,6 +12,7 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, Unseen, UsageError
+from armsight.measure.poses.board_views import measure_board_views
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.lone_light import measure_light
@@ -52,6 +53,8 @@ def measure_moment(
             return lost_moment(there[0].t_s, (Spots.none(),) * TWO, NotSeen(why, Unseen.UNREADABLE), track)
         return measure_pair(setup, left, right, track)
     t_s, late_s = rig_times(setup, frames)
+    if setup.target.is_board:
+        return measure_board_views(setup, t_s, frames)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
     measured = None
@@ -75,8 +78,6 @@ def _of_spots(
     """Return the pose from spots of views, of one time or brought there; when: as rig_times."""
     t_s, late_s = when
     motion = None if track is None else track.motion
-    if len(setup.model) < 3:
-        return measure_light(setup, t_s, seen)
     if motion is None or not apart(setup, late_s):
         return measure_views(setup, t_s, seen, track, frames, in_windows=in_windows)
     # outlines lie where their own frames have them: they are not looked at
@@ -108,18 +109,12 @@ def require_views(setup: Setup, n: int) -> None:
         )
     if n != v:
         raise UsageError(f"{n} frames for a rig of {v} cameras", cure="Give one for each, None where there is none")
-    known = setup.target.model_known and not setup.target.is_board and len(setup.model) >= 3
-    one_light = not setup.target.is_board and len(setup.model) == 1
-    if v == 1 and one_light:
+    named = setup.target.is_board or (setup.target.model_known and len(setup.model) >= 3)
+    if v == 1 and not named:
         raise UsageError(
-            "one camera does not place one light: it may be anywhere along its ray",
-            cure="Give two cameras and more, or a target of four lights and more",
-        )
-    if v != TWO and (not (known or one_light) or setup.overlaid):
-        raise UsageError(
-            f"a rig of {v} cameras measures one light, or three and more lights at known places",
-            consequence="Boards, two lights and lights nobody has measured need a rig of two cameras",
-            cure="Measure with two of the cameras, or give the places of the lights in target.yaml",
+            "one camera does not place a light by itself: it may be anywhere along its ray",
+            consequence="One camera measures boards, and four lights and more at known places",
+            cure="Give two cameras and more, a printed board, or a target of four lights and more",
         )
 
 

@@ -304,7 +304,7 @@ def widen(
         placed = solve_views(setup, t_s, names, views)
         return None if placed.pose.status is PoseStatus.LOST else placed
     C = np.array(own)
-    if views.uv_px.shape[1] == TWO:
+    if views.uv_px.shape[1] == TWO or not setup.target.model_known:
         for moved in _moves(setup, names, views, T, found):
             C += moved.T @ moved / len(moved)
     else:
@@ -319,10 +319,10 @@ def widen(
 
 
 def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, found: Array) -> list[Array]:
-    """Return the ways (1 to 2, 6) from the pose T of a pair to those with a spot moved by what may be hidden.
+    """Return the ways (1 to 2, 6) from the pose T, of a pair or of unmeasured lights, to those with a spot moved.
 
-    Each both ways; where the target then fits neither way, less is hidden; none where it never does. The poses begin as
-    if nothing were known; those of other rigs begin from T (add_moved).
+    Each is moved both ways by what may be hidden; where the target then fits neither way, less is hidden; none where it
+    never does. The poses begin as if nothing were known; those of other rigs begin from T (add_moved).
     """
     sides, lights = np.nonzero(found[:, :, outlines.UU] + found[:, :, outlines.VV] > 0.0)
     hidden = found[sides, lights][:, [[outlines.UU, outlines.UV], [outlines.UV, outlines.VV]]]

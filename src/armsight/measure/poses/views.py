@@ -17,11 +17,14 @@ import numpy as np
 
 from armsight.arrays import Array, Index
 from armsight.errors import Unseen
+from armsight.measure.poses.board_views import pose_of_corners
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE, RIVAL, match_known
 from armsight.measure.poses.kernels import completion
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import one_view as kernels
 from armsight.measure.poses.kernels.pose_ambiguity import POSSIBLE
+from armsight.measure.poses.kernels.tracking import transform_lights
+from armsight.measure.poses.lone_light import measure_light
 from armsight.measure.poses.outcome import Assignment, Measured, Prediction, Track, doubted, lost_moment
 from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
 from armsight.measure.poses.pose import PoseSolution, lost, no_points
@@ -36,6 +39,7 @@ from armsight.measure.poses.solving import (
     widen,
 )
 from armsight.measure.poses.tracking import continuation, doubtful, expected, next_track, positions_of
+from armsight.measure.poses.unnamed_lights import measure_unnamed
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
 from armsight.records.checks import for_kernels
 
@@ -102,11 +106,17 @@ def measure_views(
     *,
     in_windows: bool = False,
 ) -> Measured:
-    """Return the pose of a target of three known lights or more from all spots of the views, in the rig's order.
+    """Return the target's pose from all spots of the views, in the rig's order; of a board its points.
 
     frames: the images, to compare the lights' outlines; None where a view has none. in_windows: the spots are those
     near where the track expects them, so that the pose must go on from its motion.
     """
+    if setup.target.is_board:
+        return pose_of_corners(setup, t_s, seen)
+    if len(setup.model) == 1:
+        return measure_light(setup, t_s, seen)
+    if len(setup.model) == 2 or not setup.target.model_known:
+        return measure_unnamed(setup, t_s, seen, frames)
     sights = Sights.of(setup, seen)
     predicted = expected(setup, track, t_s)
     found: list[Hypothesis] = []

@@ -211,6 +211,7 @@ def record(columns: tuple[Array, ...], refused: Array) -> Spots:
         size_px=size,
         model=names,
         rejected=rejections(refused) if len(refused) else (),
+        point=None,
     )
 
 

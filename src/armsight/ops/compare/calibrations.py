@@ -16,7 +16,7 @@ from armsight.columns import POSE6
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.kinematics import Arm, pose
-from armsight.optics import SIDES, Camera, LensKind, Rig, triangulate
+from armsight.optics import Camera, LensKind, Rig, shared_point, triangulate
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, output
 from armsight.records.result_parts import Difference
@@ -79,37 +79,59 @@ def compare_cameras(a: Path, b: Path) -> Compared:
 
 
 def compare_rigs(a: Path, b: Path, distance_m: float | None = None) -> Compared:
-    """Compare two rig.yaml at a distance from the cameras. Raises BadFile, and Inconsistent for rigs of two kinds."""
-    first, second = read_rig(a), read_rig(b)
-    if first.kind is not second.kind:
+    """Compare two rig.yaml at a distance from the first camera, of a rig that is no pair where all look.
+
+    Raises BadFile, and Inconsistent for rigs of two kinds or of other cameras.
+    """
+    first, second = read_rig(a, any_cameras=True), read_rig(b, any_cameras=True)
+    if first.kind is not second.kind or set(first.names) != set(second.names):
         raise Inconsistent(
-            f"{a} is a rig of kind {first.kind} and {b} of kind {second.kind}",
+            f"{a} is a rig of kind {first.kind} with the cameras {', '.join(first.names)}, and {b} of kind "
+            f"{second.kind} with {', '.join(second.names)}",
             consequence=NOT_ONE,
             cure="Give two calibrations of one rig",
         )
+    second = second.only(*first.names)  # the first camera of A is held in both
     numbers: list[tuple[str, float, str]] = []
     others: list[float] = []
     effects: list[Effect] = []
-    for side in SIDES:
-        _same_size(first.camera(side), second.camera(side), f"the {side} images")
-        pair = first.camera(side), second.camera(side)
-        numbers += _intrinsics(*pair, f"{side}.")
-        others += [value for _, value, _ in _intrinsics(*pair[::-1], "")]
-        effects += _shift_effects(first.camera(side), second.camera(side), f"{side}: ")
-    T_a, T_b = (rig.T_rig_left.inv() * rig.T_rig_right for rig in (first, second))
-    here, there = _pose_values(T_a, T_b)
-    units = ("m", "m", "m", "rad", "rad", "rad")
-    numbers += [(f"right.{name}", value, unit) for name, value, unit in zip(RIG_POSE, here, units, strict=True)]
-    others += there
+    for name in first.names:
+        _same_size(first.camera(name), second.camera(name), f"the {name} images")
+        cameras = first.camera(name), second.camera(name)
+        numbers += _intrinsics(*cameras, f"{name}.")
+        others += [value for _, value, _ in _intrinsics(*cameras[::-1], "")]
+        effects += _shift_effects(first.camera(name), second.camera(name), f"{name}: ")
+    pair = first.is_pair
+    for name in first.names[1:]:
+        one, other = _two(first, name), _two(second, name)
+        T_a, T_b = (rig.T_rig_left.inv() * rig.T_rig_right for rig in (one, other))
+        here, there = _pose_values(T_a, T_b)
+        units = ("m", "m", "m", "rad", "rad", "rad")
+        numbers += [(f"{name}.{key}", value, unit) for key, value, unit in zip(RIG_POSE, here, units, strict=True)]
+        others += there
+        baseline = (other.baseline_m - one.baseline_m) / one.baseline_m
+        what = "baseline" if pair else f"distance from {first.names[0]} to {name}"
+        effects.append(Effect(name=f"{what} of B over A, less one", value=baseline, unit="1"))
+        found = _space_effects(one, other, distance_m or (BASELINES * one.baseline_m if pair else _in_sight_m(first)))
+        effects += found if pair else [replace(row, name=f"{first.names[0]}, {name}: {row.name}") for row in found]
     values = [Value(name=n, value=v, unit=u) for n, v, u in numbers]
-    baseline = (second.baseline_m - first.baseline_m) / first.baseline_m
-    effects.append(Effect(name="baseline of B over A, less one", value=baseline, unit="1"))
-    effects += _space_effects(first, second, distance_m or BASELINES * first.baseline_m)
     return Compared(
         differences=differences(values, others, first.covariance, second.covariance),
         covariances=(first.covariance, second.covariance),
         effects=effects,
     )
+
+
+def _two(rig: Rig, name: str) -> Rig:
+    """Return the first camera and another one as a pair; a pair itself."""
+    if rig.is_pair:
+        return rig
+    return Rig(cameras=(replace(rig.cameras[0], name="left"), replace(rig.only(name).cameras[0], name="right")))
+
+
+def _in_sight_m(rig: Rig) -> float:
+    """Return how far from the first camera the point is at which all cameras look."""
+    return float(np.linalg.norm(shared_point(rig) - np.asarray(rig.cameras[0].T_rig_camera.translation)))
 
 
 def compare_handeyes(a: Path, b: Path) -> Compared:

@@ -113,7 +113,7 @@ def identify_live(
     setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, mask))
     require_views(setup, len(known.rig.cameras))
     robot, moments = devices or open_devices(link, known.rig.names, sources, settings, target, clock)
-    prepare(progress)  # a controller that waits for compilers gives the link up
+    prepare(progress, views=not known.rig.is_pair)  # a controller that waits for compilers gives the link up
     with robot, moments:
         observer = CameraBeaconObserver(setup, moments_of(moments), clock)
         done = identify_observed(sweeps, known, person, robot, observer, clock, progress)

@@ -181,10 +181,11 @@ def _one(tracker: TargetTracker, frames: Frames) -> Step:
 
 
 LIGHTS_ON = (
-    "the lights must be on, in both views, and brighter than what is round them. Where they are: --rig and --target "
-    "must be theirs, and left be left. --inverted is for dark spots, --mask blackens what is not to be looked at"
+    "the lights must be on, in the cameras' views, and brighter than what is round them. Where they are: --rig and "
+    "--target must be theirs, and left be left. --inverted is for dark spots, --mask blackens what is not to be looked "
+    "at"
 )
-WHOLE_BOARD = "the board must be whole, sharp and evenly lit in both views, and its counts and kind those of --target"
+WHOLE_BOARD = "the board must be whole, sharp and evenly lit in the views, and its counts and kind those of --target"
 
 
 def _nothing_seen(outputs: Outputs, consistency: Consistency, setup: Setup) -> NotEnoughData | None:

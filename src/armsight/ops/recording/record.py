@@ -238,7 +238,7 @@ def _pump(
 def _check(job: RecordJob) -> None:
     """Raise UsageError for sources that contradict each other, and for a result that no reader would take."""
     if job.cell is not None and job.cameras:
-        raise UsageError("--cell goes with neither --left nor --right", cure="Give the one or the others")
+        raise UsageError("--cell goes with no named cameras", cure="Give the one or the others")
     if job.out.suffix.lower() != ".mcap":
         raise UsageError(
             f"{job.out.name} does not end in .mcap",
@@ -253,7 +253,7 @@ def _source(job: RecordJob, rig: Rig | None) -> tuple[MomentSource, bool]:
         return CellPairs(load_cell(job.cell, seed=job.seed, frames=n), n), False
     sources = list(job.cameras.values())
     if not sources:
-        raise UsageError("there is nothing to record", cure="Give --left and --right, or --cell")
+        raise UsageError("there is nothing to record", cure="Give --left and --right, --camera NAME=SRC, or --cell")
     if rig is not None:
         cameras = cameras_of(rig.names, job.cameras)
     elif len(sources) == 1 and is_whole_recording(sources[0]):

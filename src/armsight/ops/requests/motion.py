@@ -89,7 +89,7 @@ def negated(given: bool) -> bool:
 
 FollowedCell: TypeAlias = Annotated[
     str | None,
-    Doc("Simulated cameras of this scenario, in place of --left and --right, watch the joints that the robot tells."),
+    Doc("Simulated cameras of this scenario, in place of named ones, watch the joints that the robot tells."),
     Flag("--follow", metavar="SCENARIO", panel=SIMULATED),
 ]
 
@@ -111,7 +111,8 @@ def require_named(cameras: Mapping[str, str]) -> None:
         raise UsageError(
             "which cameras see the robot is not said",
             consequence="Nothing is opened",
-            cure="Give --left and --right, or --follow SCENARIO for simulated ones",
+            cure="Give --left and --right, --camera NAME=SRC for each of another rig, or --follow SCENARIO for "
+            "simulated ones",
         )
 
 

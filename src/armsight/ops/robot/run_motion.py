@@ -74,7 +74,10 @@ def recorded_cameras(cameras: Mapping[str, str], settings: CameraSettings | None
     """Return what the cameras are to record into a folder, None where none are given. Raises UsageError."""
     if not cameras:
         if settings not in (None, AUTOMATIC):
-            raise UsageError("settings of cameras are given, and no cameras", cure="Give --left and --right too")
+            raise UsageError(
+                "settings of cameras are given, and no cameras",
+                cure="Give them too: --left and --right, or --camera NAME=SRC",
+            )
         return None
     if len(cameras) == 1 and next(iter(cameras)) in SIDES:
         cameras = cameras_of(SIDES, cameras)  # of a pair the other one was forgotten

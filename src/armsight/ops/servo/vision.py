@@ -338,7 +338,7 @@ def open_servo(
     if moments is None:
         raise UsageError(
             "which cameras see the target is not said",
-            cure="Give --left and --right, or --image for a mirror rig",
+            cure="Give --left and --right, --camera NAME=SRC for each of another rig, or --image for a mirror rig",
         )
     pairs, overlaid = moments
     return ServoDevices(

@@ -84,7 +84,7 @@ def require_watching(sources: Iterable[str], what: str) -> None:
             raise UsageError(
                 f"{text} does not see {what} now",
                 consequence="Nothing is moved",
-                cure="Give live cameras, such as --left camera:0 --right camera:2",
+                cure="Give live cameras, such as --left camera:0 --right camera:2, or --camera top=camera:4",
             )
 
 
