@@ -23,7 +23,6 @@ from armsight.measure.poses.kernels import completion
 from armsight.measure.poses.kernels import hidden as outlines
 from armsight.measure.poses.kernels import one_view as kernels
 from armsight.measure.poses.kernels.pose_ambiguity import POSSIBLE
-from armsight.measure.poses.kernels.tracking import transform_lights
 from armsight.measure.poses.lone_light import measure_light
 from armsight.measure.poses.outcome import Assignment, Measured, Prediction, Track, doubted, lost_moment
 from armsight.measure.poses.pairs import PAIR_GATE, pair_spots
