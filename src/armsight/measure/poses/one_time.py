@@ -1,4 +1,8 @@
-"""Spots of one moment that were not exposed at one time, put where their lights were seen at the moment's own time."""
+"""Spots of one moment that were not exposed at one time, put where their lights were seen at the moment's own time.
+
+How the target moves is taken from the motion so far and from the moment's own views, each at its own time: a target
+that rested may start at once, and while it goes no views of different times fit one pose.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +12,26 @@ from dataclasses import replace
 import numpy as np
 
 from armsight.arrays import Array
+from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.motion.kernels.state import N
 from armsight.measure.motion.kernels.views import observe_all
-from armsight.measure.motion.states import MotionState
+from armsight.measure.motion.states import MotionState, View
+from armsight.measure.poses.expected import GATE_SIGMA, Shutter, expect
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.outcome import Measured, Track, lost_moment
+from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
-from armsight.records import AT_ONCE, Frame, Spots
+from armsight.measure.poses.views import measure_views
+from armsight.records import AT_ONCE, Frame, NotSeen, PoseStatus, Spots
+from armsight.errors import Unseen
 
 AT_ONE_TIME_S = 1e-4
 """What a spot moves in such a time is nothing: 0.1 mm at 1 m/s."""
+SLACKS_PX = (0.0, 1.0, 3.0)
+"""What views of different times may add to a spot's standard deviation, tried one after the other, where nothing is
+known of the motion and its views are to be named: 0.1 and 0.3 m/s for 8 ms at 0.8 m."""
+FEWEST = 4
+"""Named sights of one view, or of all, below which they say nothing of a motion."""
 
 
 def rig_times(setup: Setup, frames: Sequence[Frame | None]) -> tuple[float, Array]:
@@ -34,34 +50,100 @@ def apart(setup: Setup, late_s: Array) -> bool:
     return rolling or bool(np.abs(late_s).max() > AT_ONE_TIME_S)
 
 
-def at_one_time(setup: Setup, seen: Sequence[Spots], late_s: Array, state: MotionState) -> list[Spots]:
-    """Return the spots as they would have been seen at the moment's time, by the target's motion so far.
+def measure_apart(
+    setup: Setup, t_s: float, seen: Sequence[Spots], late_s: Array, track: Track | None, *, in_windows: bool = False
+) -> Measured:
+    """Return the pose at t_s from spots of views that were taken late_s (v,) after it; see rig_times."""
+    shutters = _shutters(setup, late_s)
+    before = None if track is None else track.motion
+    motion = None if before is None else _going_on(setup, t_s, seen, shutters, before)
+    if motion is None and not in_windows:
+        motion = _begun(setup, t_s, seen, shutters)
+    if motion is None:
+        return lost_moment(t_s, tuple(seen), NotSeen("the views fit no motion", Unseen.MOTION), track)
+    at_once = at_one_time(setup, seen, shutters, motion.state)
+    measured = _measured(setup, t_s, at_once, track, in_windows=in_windows)
+    if measured.pose.status is not PoseStatus.OK or measured.track is None:
+        return measured
+    return replace(measured, track=replace(measured.track, motion=motion))
 
-    late_s (v,): see rig_times. state: expected at the moment's time. Each spot goes as the light does that is expected
-    nearest to it. What is open of that way is added to its covariance, times the number of lights: those of a view
-    share it, so that their mean is no surer.
+
+def _measured(
+    setup: Setup, t_s: float, seen: Sequence[Spots], track: Track | None = None, *, in_windows: bool = False
+) -> Measured:
+    if len(seen) == TWO:
+        return measure_spots(setup, t_s, seen[0], seen[1], track)
+    return measure_views(setup, t_s, seen, track, in_windows=in_windows)
+
+
+def _shutters(setup: Setup, late_s: Array) -> list[Shutter]:
+    return [
+        Shutter(side=s, timing=one.timing or AT_ONCE, height=one.camera.height, late_s=late)
+        for s, (one, late) in enumerate(zip(setup.rig.cameras, late_s.tolist(), strict=True))
+    ]
+
+
+def _going_on(
+    setup: Setup, t_s: float, seen: Sequence[Spots], shutters: Sequence[Shutter], before: MotionFilter
+) -> MotionFilter | None:
+    """Return the motion with the moment's views, which show the target where it goes on, or where a knock puts it."""
+    if not t_s > before.t_s:
+        return None
+    for state in (before.at(t_s), before.after_a_knock(t_s)):
+        views, all_fit = list[View](), True
+        for spots, shutter in zip(seen, shutters, strict=True):
+            expected = expect(setup, state, shutter) if len(spots) else None
+            if expected is None:
+                continue
+            sigma = np.sqrt(expected.S.diagonal().reshape(-1, 2).max(axis=1) + spots.covariance_px2.max())
+            off = np.abs(spots.uv_px[None] - expected.uv_px[:, None]).max(axis=2)
+            light, of = np.nonzero(off <= GATE_SIGMA * sigma[:, None])
+            view = expected.named(t_s, spots.take(of), light)
+            if view is None:
+                all_fit &= len(spots) < 3
+            else:
+                views.append(view)
+        if all_fit and sum(len(view.lights) for view in views) >= FEWEST:
+            return before.add(*views)
+    return None
+
+
+def _begun(setup: Setup, t_s: float, seen: Sequence[Spots], shutters: Sequence[Shutter]) -> MotionFilter | None:
+    """Return the motion of a target that is found in views of which no motion is known; None where it is not found."""
+    for slack_px in SLACKS_PX:
+        at_once = _measured(replace(setup, slack_px=max(slack_px, setup.slack_px)), t_s, seen)
+        T, C = at_once.pose.T_parent_target, at_once.pose.covariance
+        if at_once.pose.status is PoseStatus.OK and T is not None and C is not None:
+            views = [
+                shutter.view(t_s, _rows(setup, at_once.names_in(s)), spots.uv_px, spots.covariance_px2)
+                for s, (spots, shutter) in enumerate(zip(at_once.spots, shutters, strict=True))
+                if len(spots)
+            ]
+            return MotionFilter.begin(setup.packed, setup.model.xyz_m, t_s, T, C).add(*views)
+    return None
+
+
+def _rows(setup: Setup, names: Sequence[str]) -> np.ndarray:
+    return np.array([setup.model.names.index(name) for name in names], dtype=np.intp)
+
+
+def at_one_time(
+    setup: Setup, seen: Sequence[Spots], shutters: Sequence[Shutter], state: MotionState
+) -> list[Spots]:
+    """Return the spots as they would have been seen at the state's time.
+
+    Each spot goes as the light does that is expected nearest to it. What is open of that way is added to its
+    covariance, times the number of lights: those of a view share it, so that their mean is no surer.
     """
     out, X = [], setup.model.xyz_m
-    for s, spots in enumerate(seen):
-        timing = setup.rig.timing[s] or AT_ONCE
-        height, now, then = setup.rig.cameras[s].camera.height, _expected(setup, state, s, np.zeros(len(X))), None
-        if now is not None:
-            then = _expected(setup, state, s, late_s[s] + timing.line_time(now[0][:, 1], height))
-        if now is None or then is None or not len(spots):
+    for spots, shutter in zip(seen, shutters, strict=True):
+        then = expect(setup, state, shutter) if len(spots) else None
+        uv, H = np.empty((len(X), 2)), np.empty((2 * len(X), N))
+        if then is None or not observe_all(state.x, setup.packed.camera(shutter.side), X, np.zeros(len(X)), uv, H):
             out.append(spots)
             continue
-        way, slope = now[0] - then[0], (now[1] - then[1]).reshape(len(X), 2, N)
+        way, slope = uv - then.uv_px, (H - then.H).reshape(len(X), 2, N)
         doubt = len(X) * np.einsum("mia,ab,mjb->mij", slope, state.C, slope)
-        of = np.linalg.norm(spots.uv_px[:, None] - then[0], axis=2).argmin(axis=1)
+        of = np.linalg.norm(spots.uv_px[:, None] - then.uv_px, axis=2).argmin(axis=1)
         out.append(replace(spots, uv_px=spots.uv_px + way[of], covariance_px2=spots.covariance_px2 + doubt[of]))
     return out
-
-
-def _expected(setup: Setup, state: MotionState, s: int, tau_s: Array) -> tuple[Array, Array] | None:
-    """Return where a view shows the lights (m, 2), each tau_s (m,) after the state's time, and d / d state (2 m, 18).
-
-    None where one is behind the camera.
-    """
-    m = len(setup.model)
-    uv, H = np.empty((m, 2)), np.empty((2 * m, N))
-    return (uv, H) if observe_all(state.x, setup.packed.camera(s), setup.model.xyz_m, tau_s, uv, H) else None
