@@ -21,6 +21,14 @@ VIEW_CHANCE = 1e-6
 """Chance below which a view that fits so badly is not of the target as it moves."""
 
 
+MAX_SPOTS = 16
+"""Among more it is guesswork which of them went where."""
+FEWEST_SPOTS = 3
+ALIKE_PX = 12.0
+"""By how much the ways of one target's lights differ: it turns and comes nearer, which its shift leaves out."""
+MOST_WAYS = 3
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shutter:
     """When a view of a camera (side) is exposed: its middle line late_s after a time, its lines as timing has them."""
@@ -78,3 +86,21 @@ def expect(setup: Setup, state: MotionState, shutter: Shutter) -> Expected | Non
 @cache
 def _most_chi2(dof: int) -> float:
     return float(chi2_isf(VIEW_CHANCE, dof))
+
+
+def links(a: Array, b: Array) -> list[tuple[Index, Index]]:
+    """Return which of the spots a (n, 2) are which of b (m, 2), under the shifts that explain most of them best."""
+    if not (FEWEST_SPOTS <= len(a) <= MAX_SPOTS and FEWEST_SPOTS <= len(b) <= MAX_SPOTS):
+        return []
+    found: dict[tuple[int, ...], tuple[int, float, Index, Index]] = {}
+    for shift in (b[None] - a[:, None]).reshape(-1, 2):
+        off = np.linalg.norm(a[:, None] + shift - b[None], axis=2)
+        nearest = off.argmin(axis=1)
+        rows = np.arange(len(a))
+        mutual = (off.argmin(axis=0)[nearest] == rows) & (off[rows, nearest] < ALIKE_PX)
+        before, after = np.flatnonzero(mutual), nearest[mutual]
+        if len(before) >= FEWEST_SPOTS:
+            misfit = float(np.linalg.norm((b[after] - a[before]) - (b[after] - a[before]).mean(axis=0)))
+            found[(*before.tolist(), -1, *after.tolist())] = (-len(before), misfit, before, after)
+    ways = sorted(found.values(), key=lambda way: way[:2])
+    return [(before, after) for _, _, before, after in ways[:MOST_WAYS]]

@@ -16,7 +16,7 @@ from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.motion.kernels.state import N
 from armsight.measure.motion.kernels.views import observe_all
 from armsight.measure.motion.states import MotionState, View
-from armsight.measure.poses.expected import GATE_SIGMA, Shutter, expect
+from armsight.measure.poses.expected import Expected, Shutter, expect, links
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
 from armsight.measure.poses.pose import TWO
@@ -90,21 +90,22 @@ def _going_on(
     if not t_s > before.t_s:
         return None
     for state in (before.at(t_s), before.after_a_knock(t_s)):
-        views, all_fit = list[View](), True
-        for spots, shutter in zip(seen, shutters, strict=True):
-            expected = expect(setup, state, shutter) if len(spots) else None
-            if expected is None:
-                continue
-            sigma = np.sqrt(expected.S.diagonal().reshape(-1, 2).max(axis=1) + spots.covariance_px2.max())
-            off = np.abs(spots.uv_px[None] - expected.uv_px[:, None]).max(axis=2)
-            light, of = np.nonzero(off <= GATE_SIGMA * sigma[:, None])
-            view = expected.named(t_s, spots.take(of), light)
-            if view is None:
-                all_fit &= len(spots) < 3
-            else:
-                views.append(view)
-        if all_fit and sum(len(view.lights) for view in views) >= FEWEST:
-            return before.add(*views)
+        expected = [expect(setup, state, shutter) for shutter in shutters]
+        views = [
+            _named(at, t_s, spots) for at, spots in zip(expected, seen, strict=True) if at is not None and len(spots)
+        ]
+        found = [view for view in views if view is not None]
+        if len(found) == len(views) and sum(len(view.lights) for view in found) >= FEWEST:
+            return before.add(*found)
+    return None
+
+
+def _named(expected: Expected, t_s: float, spots: Spots) -> View | None:
+    """Return the view of the spots that are the lights' by one shift of all, the likeliest that fits; None if none."""
+    for lights, rows in links(expected.uv_px, spots.uv_px):
+        view = expected.named(t_s, spots.take(rows), lights)
+        if view is not None:
+            return view
     return None
 
 
