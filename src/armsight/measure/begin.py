@@ -11,9 +11,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from armsight.arrays import Array, Index
+from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.measure.motion.states import View
+from armsight.measure.poses.expected import links
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.moments import measure_moment
 from armsight.measure.poses.outcome import Measured
@@ -147,40 +148,14 @@ def _of_spots(setup: Setup, t_s: float, seen: Sequence[Spots]) -> Measured:
     return measure_spots(setup, t_s, seen[0], seen[1]) if len(seen) == TWO else measure_views(setup, t_s, seen)
 
 
-MAX_SPOTS = 16
-"""Among more it is guesswork which of them went where."""
-FEWEST_SPOTS = 3
-ALIKE_PX = 12.0
-"""By how much the ways of one target's lights differ: it turns and comes nearer, which its shift leaves out."""
-MOST_WAYS = 3
-
-
 def spots_between(earlier: Spots, later: Spots, share: float) -> Iterator[Spots]:
     """Yield the spots as they were when this share of the time between two frames was over, the likeliest way first.
 
     Spots that move alike are taken for one target's; its spots are linked by their common shift.
     """
-    for before, after in _links(earlier.uv_px, later.uv_px):
+    for before, after in links(earlier.uv_px, later.uv_px):
         a, b = earlier.take(before), later.take(after)
         yield Spots.of_centres(
             (1.0 - share) * a.uv_px + share * b.uv_px,
             (1.0 - share) ** 2 * a.covariance_px2 + share**2 * b.covariance_px2,
         )
-
-
-def _links(a: Array, b: Array) -> list[tuple[Index, Index]]:
-    """Return which of the spots a (n, 2) are which of b (m, 2), under the shifts that explain most of them best."""
-    if not (FEWEST_SPOTS <= len(a) <= MAX_SPOTS and FEWEST_SPOTS <= len(b) <= MAX_SPOTS):
-        return []
-    found: dict[tuple[int, ...], tuple[int, float, Index, Index]] = {}
-    for shift in (b[None] - a[:, None]).reshape(-1, 2):
-        off = np.linalg.norm(a[:, None] + shift - b[None], axis=2)
-        nearest = off.argmin(axis=1)
-        rows = np.arange(len(a))
-        mutual = (off.argmin(axis=0)[nearest] == rows) & (off[rows, nearest] < ALIKE_PX)
-        before, after = np.flatnonzero(mutual), nearest[mutual]
-        if len(before) >= FEWEST_SPOTS:
-            misfit = float(np.linalg.norm((b[after] - a[before]) - (b[after] - a[before]).mean(axis=0)))
-            found[(*before.tolist(), -1, *after.tolist())] = (-len(before), misfit, before, after)
-    ways = sorted(found.values(), key=lambda way: way[:2])
-    return [(before, after) for _, _, before, after in ways[:MOST_WAYS]]

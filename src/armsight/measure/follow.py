@@ -8,31 +8,26 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from math import sqrt
 
 import numpy as np
 
 from armsight.arrays import Array, Index
-from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame, Beginner, Beginning
 from armsight.measure.motion.estimate import MAX_GAP_S, MotionFilter, Start
 from armsight.measure.motion.kernels import state as kernels
-from armsight.measure.motion.kernels.views import choose, observe_all
+from armsight.measure.motion.kernels.views import observe_all
 from armsight.measure.motion.states import MotionState, View
+from armsight.measure.poses.expected import GATE_SIGMA, Shutter, expect
 from armsight.measure.poses.kernels import rig_covariance
 from armsight.measure.poses.setup import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import track_spots
-from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, trusted
+from armsight.records import AT_ONCE, CameraTiming, Frame, Spots
 
 LEAST_WINDOW_PX, MOST_WINDOW_PX = 8.0, 64.0
 SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas."""
-GATE_SIGMA = 5.0
-"""Standard deviations of where a spot is expected beyond which it is another one."""
-VIEW_CHANCE = 1e-6
-"""Chance below which a view that fits so badly is not of the target as it moves."""
 WAITING_FRAMES = 60
 """Frames before a beginning through which the target is followed backwards: a second of both cameras."""
 LOST_VIEWS = 6
@@ -43,16 +38,6 @@ MAX_PARTIAL_S = 0.15
 """Without three lights in a view for longer, how the target turns is guesswork, and it is looked for anew."""
 FEWEST_VIEWS = 10
 """Views between a start and the next one below which it was none: what was followed was not the target."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Expected:
-    """Where lights are expected in one view: uv_px (m, 2), H (2 m, 18), S (2 m, 2 m), and their lines' tau_s (m,)."""
-
-    uv_px: Array
-    H: Array
-    S: Array
-    tau_s: Array
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -201,7 +186,8 @@ class Follower:
 
     def _look(self, frame: AnyFrame, side: int, t_s: float, state: MotionState) -> View | None:
         """Return the target's spots in a frame, looked for where they are expected; None where they are not there."""
-        expected = expect(self.setup, state, side, self.timing[side], frame.height)
+        shutter = Shutter(side=side, timing=self.timing[side], height=frame.height)
+        expected = expect(self.setup, state, shutter)
         if expected is None:
             return None
         h, w = frame.height, frame.width
@@ -212,14 +198,7 @@ class Follower:
         half = min(GATE_SIGMA * sigma + LEAST_WINDOW_PX, MOST_WINDOW_PX)
         spots, of = _spots_near(frame, expected.uv_px[inside], half, self.setup.sides[side])
         self._near |= len(spots) > 0
-        light, kept = np.flatnonzero(inside)[of], np.empty(len(expected.tau_s) + 1, np.intp)
-        seen = spots.uv_px, spots.covariance_px2
-        n, chi2 = choose((expected.uv_px, expected.S), light, seen, GATE_SIGMA**2, kept)
-        if not n or not chi2 < _most_chi2(2 * n):
-            return None
-        light, uv, cov = light[kept[:n]], spots.uv_px[kept[:n]], spots.covariance_px2[kept[:n]]
-        tau = self.timing[side].line_time(uv[:, 1], h)
-        return trusted(View, t_s=t_s, side=side, lights=light, uv_px=uv, cov_px2=cov, tau_s=tau)
+        return expected.named(t_s, spots, np.flatnonzero(inside)[of])
 
 
 def _spots_near(frame: AnyFrame, uv_px: Array, half_px: float, settings: SpotSettings) -> tuple[Spots, Index]:
@@ -229,23 +208,6 @@ def _spots_near(frame: AnyFrame, uv_px: Array, half_px: float, settings: SpotSet
     off = np.abs(frame.spots.uv_px[None] - uv_px[:, None]).max(axis=2)
     of, which = np.nonzero(off <= half_px)
     return frame.spots.take(which), of
-
-
-def expect(setup: Setup, state: MotionState, side: int, timing: CameraTiming, height: int) -> Expected | None:
-    """Return where the lights will be seen; None where one of them would be behind the camera."""
-    packed, X = setup.packed, setup.model.xyz_m
-    m = len(X)
-    uv, H, tau = np.empty((m, 2)), np.empty((2 * m, kernels.N)), np.zeros(m)
-    for _ in range(2 if timing.rolling else 1):
-        if not observe_all(state.x, packed.camera(side), X, tau, uv, H):
-            return None
-        tau = timing.line_time(uv[:, 1], height)
-    return Expected(uv_px=uv, H=H, S=H @ state.C @ H.T, tau_s=tau)
-
-
-@cache
-def _most_chi2(dof: int) -> float:
-    return float(chi2_isf(VIEW_CHANCE, dof))
 
 
 def _reversed(timing: CameraTiming) -> CameraTiming:

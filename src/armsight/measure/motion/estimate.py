@@ -377,15 +377,17 @@ class MotionFilter:
         after = replace(self, t_s=t_s, seen_s=t_s, xs=xs, Cs=Cs, weights=weights, best=best)
         return after, mahalanobis2, knocked
 
-    def add(self, view: View) -> MotionFilter:
-        """Bring in a view. Raises Inconsistent where it is older than the last one."""
-        if not view.t_s >= self.t_s:
+    def add(self, *views: View) -> MotionFilter:
+        """Bring in a view, or some of one time. Raises Inconsistent where they are older than the last one."""
+        t_s = views[0].t_s
+        if not t_s >= self.t_s:
             raise Inconsistent(
-                f"a view of {view.t_s:g} s comes after one of {self.t_s:g} s", cure="Give views in the order of time"
+                f"a view of {t_s:g} s comes after one of {self.t_s:g} s", cure="Give views in the order of time"
             )
         xs, Cs, weights = self.xs.copy(), self.Cs.copy(), self.weights.copy()
-        seen = np.ascontiguousarray(self.positions_m[view.lights]), view.tau_s, view.uv_px, view.cov_px2
-        log, camera = np.empty(len(JERK_LEVELS)), self.packed.camera(view.side)
-        best = levels.step_filters((xs, Cs, weights), view.t_s - self.t_s, MOTION, camera, seen, log)
-        seen_s = view.t_s if len(view.lights) else self.seen_s
-        return replace(self, t_s=view.t_s, seen_s=seen_s, xs=xs, Cs=Cs, weights=weights, best=best)
+        rows, _ = _columns(views, np.array([view.t_s for view in views]), np.zeros(0))
+        rig, log = self.packed.arrays, np.empty(len(JERK_LEVELS))
+        step = t_s - self.t_s, MOTION, rig, for_kernels(self.positions_m), rows.views[1:], rows.spots, log
+        best = levels.step_filters((xs, Cs, weights), *step)
+        seen_s = t_s if len(rows.tau) else self.seen_s
+        return replace(self, t_s=t_s, seen_s=seen_s, xs=xs, Cs=Cs, weights=weights, best=best)

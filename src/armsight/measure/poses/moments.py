@@ -16,7 +16,7 @@ from armsight.measure.poses.board_views import measure_board_views
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.lone_light import measure_light
-from armsight.measure.poses.one_time import apart, at_one_time, rig_times
+from armsight.measure.poses.one_time import apart, measure_apart, rig_times
 from armsight.measure.poses.outcome import Measured, Track, lost_moment
 from armsight.measure.poses.pipeline import check_sizes, measure_pair
 from armsight.measure.poses.pose import TWO
@@ -77,11 +77,11 @@ def _of_spots(
 ) -> Measured:
     """Return the pose from spots of views, of one time or brought there; when: as rig_times."""
     t_s, late_s = when
-    motion = None if track is None else track.motion
-    if motion is None or not apart(setup, late_s):
+    named = setup.target.model_known and len(setup.model) >= 3
+    if not named or not apart(setup, late_s):
         return measure_views(setup, t_s, seen, track, frames, in_windows=in_windows)
     # outlines lie where their own frames have them: they are not looked at
-    return measure_views(setup, t_s, at_one_time(setup, seen, late_s, motion.at(t_s)), track, in_windows=in_windows)
+    return measure_apart(setup, t_s, seen, late_s, track, in_windows=in_windows)
 
 
 def measure_chosen(setup: Setup, t_s: float, seen: Sequence[Spots]) -> Measured:

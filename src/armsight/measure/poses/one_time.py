@@ -1,4 +1,8 @@
-"""Spots of one moment that were not exposed at one time, put where their lights were seen at the moment's own time."""
+"""Spots of one moment that were not exposed at one time, put where their lights were seen at the moment's own time.
+
+How the target moves is taken from the motion so far and from the moment's own views, each at its own time: a target
+that rested may start at once, and while it goes no views of different times fit one pose.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from armsight.arrays import Array
-from armsight.measure.motion.kernels.state import N
+from armsight.arrays import Array, Index
+from armsight.errors import Inconsistent, Unseen
+from armsight.measure.motion.estimate import ANGULAR_RATIO, MotionFilter
+from armsight.measure.motion.kernels.state import N, add_jerk
 from armsight.measure.motion.kernels.views import observe_all
-from armsight.measure.motion.states import MotionState
+from armsight.measure.motion.states import MotionState, View
+from armsight.measure.poses.expected import Expected, Shutter, expect, links
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
+from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
-from armsight.records import AT_ONCE, Frame, Spots
+from armsight.measure.poses.views import measure_views
+from armsight.records import AT_ONCE, Frame, NotSeen, PoseStatus, Spots
 
 AT_ONE_TIME_S = 1e-4
 """What a spot moves in such a time is nothing: 0.1 mm at 1 m/s."""
+SLACKS_PX = (0.0, 1.0, 3.0)
+"""What views of different times may add to a spot's standard deviation, tried one after the other, where nothing is
+known of the motion and its views are to be named: 0.1 and 0.3 m/s for 8 ms at 0.8 m."""
+FEWEST = 4
+"""Named sights below which they say nothing of a motion."""
+NO_MOTION = "the cameras expose at different times, and what they show fits no motion of the target"
 
 
 def rig_times(setup: Setup, frames: Sequence[Frame | None]) -> tuple[float, Array]:
@@ -35,34 +52,118 @@ def apart(setup: Setup, late_s: Array) -> bool:
     return rolling or bool(np.abs(late_s).max() > AT_ONE_TIME_S)
 
 
-def at_one_time(setup: Setup, seen: Sequence[Spots], late_s: Array, state: MotionState) -> list[Spots]:
-    """Return the spots as they would have been seen at the moment's time, by the target's motion so far.
+def measure_apart(
+    setup: Setup, t_s: float, seen: Sequence[Spots], late_s: Array, track: Track | None, *, in_windows: bool = False
+) -> Measured:
+    """Return the pose at t_s from spots of views that were taken late_s (v,) after it; see rig_times.
 
-    late_s (v,): see rig_times. state: expected at the moment's time. Each spot goes as the light does that is expected
-    nearest to it. What is open of that way is added to its covariance, times the number of lights: those of a view
-    share it, so that their mean is no surer.
+    Raises Inconsistent where left and right of a pair are swapped.
     """
-    out, X = [], setup.model.xyz_m
-    for s, spots in enumerate(seen):
-        timing = setup.rig.timing[s] or AT_ONCE
-        height, now, then = setup.rig.cameras[s].camera.height, _expected(setup, state, s, np.zeros(len(X))), None
-        if now is not None:
-            then = _expected(setup, state, s, late_s[s] + timing.line_time(now[0][:, 1], height))
-        if now is None or then is None or not len(spots):
+    shutters = _shutters(setup, late_s)
+    before = None if track is None else track.motion
+    views = [] if before is None else _going_on(setup, t_s, seen, shutters, before)
+    if before is None or not views:
+        before, views = (None, []) if in_windows else _begun(setup, t_s, seen, shutters)
+    if before is None:
+        return lost_moment(t_s, tuple(seen), NotSeen(NO_MOTION, Unseen.MOTION), track)
+    motion = before.add(*views)
+    at_once = at_one_time(setup, seen, shutters, motion.state)
+    measured = _measured(setup, t_s, at_once, track, in_windows=in_windows)
+    if measured.pose.status is not PoseStatus.OK or measured.track is None:
+        return measured
+    if any(len(measured.spots[view.side]) < len(view.lights) - 1 for view in views):
+        # it fits some of the views alone, and these any motion along their lines of sight
+        return lost_moment(t_s, tuple(seen), NotSeen(NO_MOTION, Unseen.MOTION), track)
+    return replace(measured, track=replace(measured.track, motion=motion))
+
+
+def _measured(
+    setup: Setup, t_s: float, seen: Sequence[Spots], track: Track | None = None, *, in_windows: bool = False
+) -> Measured:
+    """Return the pose from spots of one time, as rigs of so many cameras have it."""
+    if len(seen) == TWO:
+        return doubted(measure_spots(setup, t_s, seen[0], seen[1], track))
+    return measure_views(setup, t_s, seen, track, in_windows=in_windows)
+
+
+def _shutters(setup: Setup, late_s: Array) -> list[Shutter]:
+    return [
+        Shutter(side=s, timing=one.timing or AT_ONCE, height=one.camera.height, late_s=late)
+        for s, (one, late) in enumerate(zip(setup.rig.cameras, late_s.tolist(), strict=True))
+    ]
+
+
+def _going_on(
+    setup: Setup, t_s: float, seen: Sequence[Spots], shutters: Sequence[Shutter], before: MotionFilter
+) -> list[View]:
+    """Return the views in which the target goes on as it did, or as a knock makes it go; none if one does not fit."""
+    for state in (before.at(t_s), before.after_a_knock(t_s)):
+        expected = [expect(setup, state, shutter) for shutter in shutters]
+        views = [
+            _named(at, t_s, spots) for at, spots in zip(expected, seen, strict=True) if at is not None and len(spots)
+        ]
+        found = [view for view in views if view is not None]
+        if len(found) == len(views) and sum(len(view.lights) for view in found) >= FEWEST:
+            return found
+    return []
+
+
+def _named(expected: Expected, t_s: float, spots: Spots) -> View | None:
+    """Return the view of the spots that are the lights' by one shift of all, the likeliest that fits; None if none."""
+    for lights, rows in links(expected.uv_px, spots.uv_px):
+        view = expected.named(t_s, spots.take(rows), lights)
+        if view is not None:
+            return view
+    return None
+
+
+def _begun(
+    setup: Setup, t_s: float, seen: Sequence[Spots], shutters: Sequence[Shutter]
+) -> tuple[MotionFilter | None, list[View]]:
+    """Return a motion of which nothing is known where the views, as if of one time, show the target, and these; None
+    where they do not."""
+    swapped = None
+    for slack_px in SLACKS_PX:
+        try:
+            found = _measured(replace(setup, slack_px=max(slack_px, setup.slack_px)), t_s, seen)
+        except Inconsistent as error:  # or it goes so fast that it looks like that
+            swapped = swapped or error
+            continue
+        T, C = found.pose.T_parent_target, found.pose.covariance
+        if found.pose.status is PoseStatus.OK and T is not None and C is not None:
+            views = [
+                shutter.view(t_s, _rows(setup, found.names_in(shutter.side)), spots.uv_px, spots.covariance_px2)
+                for spots, shutter in zip(found.spots, shutters, strict=True)
+                if len(spots)
+            ]
+            return MotionFilter.begin(setup.packed, setup.model.xyz_m, t_s, T, C), views
+    if swapped is not None:
+        raise swapped
+    return None, []
+
+
+def _rows(setup: Setup, names: Sequence[str]) -> Index:
+    return np.array([setup.model.names.index(name) for name in names], dtype=np.intp)
+
+
+def at_one_time(setup: Setup, seen: Sequence[Spots], shutters: Sequence[Shutter], state: MotionState) -> list[Spots]:
+    """Return the spots as they would have been seen at the state's time.
+
+    Each spot goes as the light does that is expected nearest to it. What is open of that way, and what jerk may do from
+    the first of the views to the last, is added to its covariance, times the number of lights: those of a view share
+    it, so that their mean is no surer.
+    """
+    out, X, C = [], setup.model.xyz_m, np.array(state.C)
+    late = [shutter.late_s for shutter in shutters]
+    add_jerk(C, max(late) - min(late), state.jerk, ANGULAR_RATIO * state.jerk)
+    for spots, shutter in zip(seen, shutters, strict=True):
+        then = expect(setup, state, shutter) if len(spots) else None
+        uv, H = np.empty((len(X), 2)), np.empty((2 * len(X), N))
+        if then is None or not observe_all(state.x, setup.packed.camera(shutter.side), X, np.zeros(len(X)), uv, H):
             out.append(spots)
             continue
-        way, slope = now[0] - then[0], (now[1] - then[1]).reshape(len(X), 2, N)
-        doubt = len(X) * np.einsum("mia,ab,mjb->mij", slope, state.C, slope)
-        of = np.linalg.norm(spots.uv_px[:, None] - then[0], axis=2).argmin(axis=1)
+        way, slope = uv - then.uv_px, (H - then.H).reshape(len(X), 2, N)
+        doubt = len(X) * np.einsum("mia,ab,mjb->mij", slope, C, slope)
+        of = np.linalg.norm(spots.uv_px[:, None] - then.uv_px, axis=2).argmin(axis=1)
         out.append(replace(spots, uv_px=spots.uv_px + way[of], covariance_px2=spots.covariance_px2 + doubt[of]))
     return out
-
-
-def _expected(setup: Setup, state: MotionState, s: int, tau_s: Array) -> tuple[Array, Array] | None:
-    """Return where a view shows the lights (m, 2), each tau_s (m,) after the state's time, and d / d state (2 m, 18).
-
-    None where one is behind the camera.
-    """
-    m = len(setup.model)
-    uv, H = np.empty((m, 2)), np.empty((2 * m, N))
-    return (uv, H) if observe_all(state.x, setup.packed.camera(s), setup.model.xyz_m, tau_s, uv, H) else None

@@ -80,29 +80,38 @@ class MotionArrays(NamedTuple):
 
 
 @kernel
-def step_filters(states, dt, motion, camera, view, log):
-    """Bring a view into filters of different jerk, side by side; return the number of the likeliest.
+def step_filters(states, dt, motion, rig, X, views, spots, log):
+    """Bring views of one time into filters of different jerk, side by side; return the number of the likeliest.
 
     All plain tuples: states: x (K, 24), C (K, 18, 18) and w (K,), the levels' probabilities, changed in place; motion,
-    camera, view: as MotionArrays, CameraK, ViewK. dt: s since the view before. A view of no spots: only time passes.
-    log (K,): the view's log likelihood under each level.
+    rig: as MotionArrays, RigK; X, spots: see run_filters; views: side (n,) and first (n + 1,). dt: s since the views
+    before. Of no spots: only time passes. log (K,): the views' log likelihood under each level.
     """
     xs, Cs, w = states
-    motion, view = MotionArrays(*motion), ViewK(*view)
+    motion, rig = MotionArrays(*motion), RigK(*rig)
+    side, first = views
+    light, uv, cov, tau = spots
     K = motion.jerk.shape[0]
     y = np.empty(STATE)
     D = np.empty((N, N))
     F = np.empty((N, N))
-    residual = np.empty((view.X.shape[0], 2))
-    for m in range(K):
-        if dt > 0.0:
+    log[:] = 0.0
+    if dt > 0.0:
+        for m in range(K):
             predict(xs[m], Cs[m], dt, motion.jerk[m], motion.ratio * motion.jerk[m], y, D, F)
             xs[m] = y
             Cs[m] = D
-        log[m] = 0.0
-        if view.X.shape[0]:
+    for i in range(side.shape[0]):
+        a, b, s = first[i], first[i + 1], side[i]
+        if a == b:
+            continue
+        at = np.empty((b - a, 3))
+        select(X, light[a:b], at)
+        residual = np.empty((b - a, 2))
+        camera, view = (rig.k[s], rig.R[s], rig.t[s]), ViewK(at, tau[a:b], uv[a:b], cov[a:b])
+        for m in range(K):
             chi2, logdet = update(xs[m], Cs[m], camera, view, residual)
-            log[m] = -0.5 * (chi2 + logdet) if chi2 >= 0.0 else IMPOSSIBLE
+            log[m] += -0.5 * (chi2 + logdet) if chi2 >= 0.0 else IMPOSSIBLE
     return weigh(xs, Cs, w, log, motion.stick)
 
 
@@ -147,17 +156,12 @@ def run_filters(views, spots, rig, X, motion, start, logs):
     C (n, 18, 18), with which the rows of fresh (n,) start anew.
     """
     t, side, first = views
-    light, uv, cov, tau = spots
-    rig = RigK(*rig)
     begin, C0, fresh = start
     n, K = logs.shape
     xs = np.empty((K, STATE))
     Cs = np.empty((K, N, N))
     w = np.empty(K)
     for i in range(n):
-        a, b = first[i], first[i + 1]
-        at = np.empty((b - a, 3))
-        select(X, light[a:b], at)
         dt = 0.0
         if fresh[i]:
             w[:] = 1.0 / K
@@ -166,9 +170,7 @@ def run_filters(views, spots, rig, X, motion, start, logs):
                 Cs[m] = C0[i]
         else:
             dt = t[i] - t[i - 1]
-        s = side[i]
-        camera, view = (rig.k[s], rig.R[s], rig.t[s]), (at, tau[a:b], uv[a:b], cov[a:b])
-        step_filters((xs, Cs, w), dt, motion, camera, view, logs[i])
+        step_filters((xs, Cs, w), dt, motion, rig, X, (side[i : i + 1], first[i : i + 2]), spots, logs[i])
 
 
 @kernel
