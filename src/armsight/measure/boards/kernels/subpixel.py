@@ -29,6 +29,7 @@ SETTLED = 1e-6
 """Relative fall of the squares at which the fit ends."""
 BLUR_MIN_PX = 0.25
 BLUR_MAX_PX = 12.0
+FIRST_BLUR_PX = 8.0
 EDGE_SHARE = 1.02
 """A window has no more pixels than so many times its area: those that its edge cuts count too."""
 QUANTISATION = 1.0 / 12.0
@@ -183,8 +184,9 @@ def _start_corner(E, sign, mean, spread, p):
     size = min(sqrt(E[0, 0] ** 2 + E[1, 0] ** 2), sqrt(E[0, 1] ** 2 + E[1, 1] ** 2))
     p[2] = atan2(E[1, 0], E[0, 0])
     p[3] = atan2(E[1, 1], E[0, 1])
-    # rather too blurred than too sharp: an edge without slope where the picture's lies cannot find it
-    p[4] = p[5] = max(0.6, 0.08 * size)
+    # rather too blurred than too sharp: an edge without slope where the picture's lies cannot find it; but no more than
+    # there can be, which squares of 150 px would have
+    p[4] = p[5] = max(0.6, min(0.08 * size, FIRST_BLUR_PX))
     p[6], p[7], p[8] = mean, 0.0, 0.0
     # left of the edge along the columns is +y, left of the one along the rows is -x
     p[9] = -sign * spread
