@@ -16,13 +16,15 @@ from armsight.kinematics import (
     preset,
 )
 from armsight.kinematics.axes import links_told
-from armsight.kinematics.derivatives import nearest_rigid
+from armsight.kinematics.rigid import as_rigid
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.mjcf import mjcf_lacks, write_mjcf
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
+MJCF_SUFFIX = ".mjcf"
 
 
 YAML_SUFFIXES = (".yaml", ".yml")
@@ -104,24 +106,31 @@ def arm_file(text: str) -> Path | None:
     return None if file in PRESETS or not Path(file).exists() else Path(file)
 
 
-def convert_arm(source: str, out: Path, *, convention: str | None = None) -> ConvertArmOutput:
-    """Write the arm as arm.yaml or URDF, by the name's ending; convention: standard or craig (arm.yaml only)."""
+def convert_arm(source: str, out: Path, *, convention: str | None = None, only_rigid: bool = False) -> ConvertArmOutput:
+    """Write the arm as arm.yaml, URDF or MJCF, by the name's ending; convention: standard or craig (arm.yaml only).
+
+    only_rigid: the nearest rigid arm in an arm.yaml too; the others hold no other.
+    """
     model = load_arm(source)
     suffix = out.suffix.lower()
     if convention is not None:
         if convention not in ("standard", "craig"):
             raise UsageError(f"the convention {convention!r} is not known", cure="Use standard or craig")
         model = in_convention(model, convention)
+    if suffix not in (*YAML_SUFFIXES, *URDF_SUFFIXES, MJCF_SUFFIX):
+        raise UsageError(f"{out.name} ends in neither .yaml nor .urdf nor .mjcf", cure="Choose one of them")
     lost: tuple[str, ...] = ()
+    if only_rigid or suffix not in YAML_SUFFIXES:
+        rigid = as_rigid(model)
+        model, lost = rigid.arm, (rigid.lost,) if rigid.lost else ()
     if suffix in URDF_SUFFIXES:
-        rigid = nearest_rigid(model) if model.compliant else None
-        write_urdf(out, model if rigid is None else rigid.arm)
-        lost = () if rigid is None else (rigid.lost,)
-    elif suffix in YAML_SUFFIXES:
+        write_urdf(out, model)
+    elif suffix == MJCF_SUFFIX:
+        write_mjcf(out, model)
+        lost += tuple(mjcf_lacks(model))
+    else:
         file = arm_file(source)
         write_arm(out, model, inputs=[] if file is None else [file])
-    else:
-        raise UsageError(f"{out.name} ends in neither .yaml nor .urdf", cure="Choose one of them")
     return ConvertArmOutput(
         arm=model.name,
         file=str(out),

@@ -184,20 +184,23 @@ def handeye(
     return convert_handeye(source, out, to=to, names=names)
 
 
-@action("convert arm", writes=True, examples=("robot.urdf --tip tool0 -o arm.yaml",))
+@action("convert arm", writes=True, examples=("robot.urdf --tip tool0 -o arm.yaml", "arm.yaml -o arm.mjcf"))
 def arm(
     source: Annotated[str, Doc(f"{KNOWN_ARM}."), Flag(positional=True, metavar="FILE")],
-    out: Annotated[Path, Doc("File to write: .yaml or .urdf."), OUT],
+    out: Annotated[Path, Doc("File to write: .yaml, .urdf, or .mjcf for MuJoCo."), OUT],
     *,
     convention: Annotated[str | None, Doc("standard or craig, for arm.yaml.")] = None,
+    rigid: Annotated[
+        bool, Doc("The nearest rigid arm, for programs that know no other; .urdf and .mjcf are so.")
+    ] = False,
     tip: Tip = None,
     base: Base = None,
 ) -> ConvertArmOutput:
-    """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
+    """Convert an arm between arm.yaml and URDF, to MJCF, and between the two Denavit-Hartenberg conventions."""
     from armsight._files import arm_source
     from armsight.ops.arm_files import convert_arm
 
-    return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention)
+    return convert_arm(arm_source(source, tip=tip, base=base), out, convention=convention, only_rigid=rigid)
 
 
 def convert(
