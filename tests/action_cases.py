@@ -24,6 +24,7 @@ BOARD = "--board checkerboard:7x5:0.02"
 PAIRS = f"--left boards/left --right boards/right {BOARD}"
 
 CASES = {
+    "boards.print_board": "board checkerboard:9x6:0.025 -o new.pdf",
     "calibrate_cameras.calibrate_camera": f"calibrate camera boards/left {BOARD} -o new.yaml",
     "calibrate_cameras.calibrate_stereo": f"calibrate stereo {PAIRS} -o new.yaml",
     "calibrate_cameras.calibrate_zoom_rig": "calibrate zoom-rig --rig zoom/rig.yaml --left zoom/left.yaml "

@@ -98,6 +98,7 @@ if TYPE_CHECKING:
     from armsight.measure.settings import SpotSettings as SpotSettings
     from armsight.measure.track import PoseTrack as PoseTrack
     from armsight.ops import paths as paths
+    from armsight.ops.boards import *
     from armsight.ops.calibrate_cameras import *
     from armsight.ops.calibrate_cell import *
     from armsight.ops.calibrate_hand_eye import *

@@ -120,9 +120,9 @@ TRIED = {
         lambda: load_scenario("webcam-cell"),
     ),
     ("kinematics/arm.py", "Check compliance"): (lambda: soft(5.0).sagged(AT), lambda: soft(1e-5).sagged(AT)),
-    ("store/urdf.py", "armsight convert arm FILE"): (
+    ("kinematics/rigid.py", "armsight convert arm FILE"): (
         lambda: urdf_text(soft(1e-5)),
-        (lambda: write_arm(Path("soft.yaml"), soft(1e-5)), "convert arm soft.yaml -o arm.urdf"),
+        (lambda: write_arm(Path("soft.yaml"), soft(1e-5)), "convert arm soft.yaml --rigid -o rigid.yaml"),
     ),
     ("server/waiting.py", "Choose another port with --port"): (listens(taken=True), listens(taken=False)),
     ("armsight_lab/api/design.py", "Give (width, height) in px"): (lambda: _size((640,)), lambda: _size((640, 480))),

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +13,6 @@ from armsight.arrays import Array
 from armsight.columns import DH_ROW, POSE6
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.forward_kinematics import fk
 from armsight.kinematics.joints import Convention
 from armsight.kinematics.kernels.derivatives import PER_JOINT, many_parameter_columns
 
@@ -97,70 +95,3 @@ def _moved_pose(T: RigidTransform, step: list[float]) -> RigidTransform:
     return RigidTransform.from_components(
         np.asarray(T.translation) + step[:3], Rotation.from_rotvec(step[3:]) * T.rotation
     )
-
-
-# The rigid arm that is nearest to one whose joints give way, for formats that know no others.
-
-POSTURES = 500
-"""Drawn in the joints' ranges: ten times as many numbers as an arm has parameters."""
-
-ROUNDS = 5
-"""Steps of Gauss and Newton; two settle what an arm gives way, some milliradians."""
-
-WEAK = 1e-6
-"""Share of the strongest direction of the parameters below which one is left as it is, such as a joint's height."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rigid:
-    """A rigid arm, and how far its tool is from the other's over the joints' ranges, rms_m and most_m."""
-
-    arm: Arm
-    rms_m: float
-    most_m: float
-
-    @property
-    def lost(self) -> str:
-        """What to know of it."""
-        return (
-            f"a rigid arm is written, as there is no place for joints that give way: its tool is "
-            f"{1e3 * self.rms_m:.3g} mm RMS, {1e3 * self.most_m:.3g} mm at most, from this one's over the ranges"
-        )
-
-
-def nearest_rigid(arm: Arm) -> Rigid:
-    """Return the rigid arm on the same base whose tool is nearest to that of an arm that gives way under its weight.
-
-    Least squares of the tool's pose, a turn counted by the mean link, over postures drawn in the joints' ranges.
-    """
-    q = drawn_postures(arm)
-    near = replace(arm, joints=tuple(replace(joint, compliance=0.0) for joint in arm.joints), covariance=None)
-    names = parameter_names(arm)
-    free = [*names[: PER_JOINT * arm.n], *names[-6:]]  # all but the base, which is the model's root
-    near = fitted(near, fk(arm, arm.sagged(q)), q, free)
-    off = np.linalg.norm(fk(near, q)[:, :3, 3] - fk(arm, arm.sagged(q))[:, :3, 3], axis=1)
-    return Rigid(arm=near, rms_m=float(np.sqrt(np.mean(off**2))), most_m=float(off.max()))
-
-
-def drawn_postures(arm: Arm) -> Array:
-    """Return joint values (POSTURES, n) drawn evenly in the joints' ranges, of a turn at most."""
-    low, high = np.clip(arm.lower, -np.pi, np.pi), np.clip(arm.upper, -np.pi, np.pi)
-    return np.random.default_rng(0).uniform(low, high, (POSTURES, arm.n))
-
-
-def fitted(near: Arm, wanted: Array, q: Array, free: Sequence[str]) -> Arm:
-    """Return the arm with those of its parameters changed that are free, its tool nearest to wanted (m, 4, 4) at q.
-
-    Least squares of the tool's pose, a turn counted by the mean link; of parameters that do the same the change is
-    shared between them, and what no posture shows stays.
-    """
-    names = parameter_names(near)
-    columns = [names.index(name) for name in free]
-    for _ in range(ROUNDS):
-        T, J = parameter_jacobian(near, q)
-        turned = Rotation.from_matrix(wanted[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)).as_rotvec()
-        r = np.concatenate([wanted[:, :3, 3] - T[:, :3, 3], near.length_m * turned], axis=1)
-        J[:, 3:] *= near.length_m
-        step = np.linalg.lstsq(J[:, :, columns].reshape(-1, len(columns)), r.ravel(), rcond=WEAK)[0]
-        near = moved(near, {name: float(by) for name, by in zip(free, step, strict=True)})
-    return near

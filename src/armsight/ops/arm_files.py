@@ -16,15 +16,17 @@ from armsight.kinematics import (
     preset,
 )
 from armsight.kinematics.axes import links_told
-from armsight.kinematics.derivatives import nearest_rigid
+from armsight.kinematics.rigid import as_rigid
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.atomic import write_text
 from armsight.store.factory_arms import FACTORY, is_factory_file, read_factory_arm
+from armsight.store.mjcf import mjcf_lacks, write_mjcf
 from armsight.store.urdf import read_urdf, write_urdf
 
 URDF_SUFFIXES = (".urdf", ".xml")
+MJCF_SUFFIX = ".mjcf"
 
 
 YAML_SUFFIXES = (".yaml", ".yml")
@@ -152,7 +154,7 @@ def require_nominal(nominal: Arm | None, name: str) -> Arm:
 
 def refuse_model_suffix(out: Path) -> None:
     """Raise UsageError for an ending that an arm's model has: it would be read as one."""
-    if out.suffix.lower() in (*YAML_SUFFIXES, *URDF_SUFFIXES):
+    if out.suffix.lower() in (*YAML_SUFFIXES, *URDF_SUFFIXES, MJCF_SUFFIX):
         raise UsageError(
             f"{out.name} would be read as a model of an arm, and what a controller takes is none",
             cure="End the name in .txt",
@@ -160,11 +162,18 @@ def refuse_model_suffix(out: Path) -> None:
 
 
 def convert_arm(
-    source: str, out: Path, *, convention: str | None = None, nominal: str | None = None, to: str | None = None
+    source: str,
+    out: Path,
+    *,
+    convention: str | None = None,
+    only_rigid: bool = False,
+    nominal: str | None = None,
+    to: str | None = None,
 ) -> ConvertArmOutput:
-    """Write the arm as arm.yaml or URDF, by the name's ending, or as its controller takes it.
+    """Write the arm as arm.yaml, URDF or MJCF, by the name's ending, or as its controller takes it.
 
-    convention: standard or craig (arm.yaml only). nominal: the arm as its maker draws it. to: a name of CONTROLLERS.
+    convention: standard or craig (arm.yaml only). only_rigid: the nearest rigid arm in an arm.yaml too; the others hold
+    no other. nominal: the arm as its maker draws it. to: a name of CONTROLLERS.
     """
     drawn = given_arm(nominal)
     model = load_arm(source, drawn)
@@ -175,16 +184,20 @@ def convert_arm(
         if convention not in ("standard", "craig"):
             raise UsageError(f"the convention {convention!r} is not known", cure="Use standard or craig")
         model = in_convention(model, convention)
+    if suffix not in (*YAML_SUFFIXES, *URDF_SUFFIXES, MJCF_SUFFIX):
+        raise UsageError(f"{out.name} ends in neither .yaml nor .urdf nor .mjcf", cure="Choose one of them")
     lost: tuple[str, ...] = ()
+    if only_rigid or suffix not in YAML_SUFFIXES:
+        rigid = as_rigid(model)
+        model, lost = rigid.arm, (rigid.lost,) if rigid.lost else ()
     if suffix in URDF_SUFFIXES:
-        rigid = nearest_rigid(model) if model.compliant else None
-        write_urdf(out, model if rigid is None else rigid.arm)
-        lost = () if rigid is None else (rigid.lost,)
-    elif suffix in YAML_SUFFIXES:
+        write_urdf(out, model)
+    elif suffix == MJCF_SUFFIX:
+        write_mjcf(out, model)
+        lost += tuple(mjcf_lacks(model))
+    else:
         file = arm_file(source)
         write_arm(out, model, inputs=[] if file is None else [file])
-    else:
-        raise UsageError(f"{out.name} ends in neither .yaml nor .urdf", cure="Choose one of them")
     return ConvertArmOutput(
         arm=model.name,
         file=str(out),

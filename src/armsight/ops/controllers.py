@@ -20,7 +20,8 @@ from armsight.control.paths.program import decimals
 from armsight.errors import Inconsistent, not_one_of
 from armsight.kinematics import Arm, JointType, fk
 from armsight.kinematics.axes import in_plain_rows
-from armsight.kinematics.derivatives import drawn_postures, fitted, nearest_rigid, parameter_names
+from armsight.kinematics.derivatives import parameter_names
+from armsight.kinematics.rigid import as_rigid, drawn_postures, fitted
 from armsight.units import DEG, MM
 
 MOST_ZERO_RAD = 0.35
@@ -186,7 +187,7 @@ def _whole(model: Arm, nominal: Arm) -> Arm:
             consequence="The controller's table has no place for that",
             cure="Calibrate the arm by its own readings, from the nominal arm that the controller has",
         )
-    rigid = nearest_rigid(model).arm if model.compliant else model
+    rigid = as_rigid(model).arm
     turning = tuple(replace(joint, sign=1.0) for joint in rigid.joints)
     return in_plain_rows(replace(rigid, joints=turning, covariance=None), nominal)
 

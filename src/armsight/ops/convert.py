@@ -193,6 +193,7 @@ def handeye(
         "robot.urdf --tip tool0 -o arm.yaml",
         "calibration.conf --nominal ur10e -o arm.yaml",
         "arm.yaml --to kuka --nominal kr6 -o krc.txt",
+        "arm.yaml -o arm.mjcf",
     ),
 )
 def arm(
@@ -201,9 +202,12 @@ def arm(
         Doc(f"{KNOWN_ARM}, or a Universal Robot's factory calibration: calibration.conf, kinematics YAML."),
         Flag(positional=True, metavar="FILE"),
     ],
-    out: Annotated[Path, Doc("File to write: .yaml or .urdf; .txt with --to."), OUT],
+    out: Annotated[Path, Doc("File to write: .yaml, .urdf, or .mjcf for MuJoCo; .txt with --to."), OUT],
     *,
     convention: Annotated[str | None, Doc("standard or craig, for arm.yaml.")] = None,
+    rigid: Annotated[
+        bool, Doc("The nearest rigid arm, for programs that know no other; .urdf and .mjcf are so.")
+    ] = False,
     tip: Tip = None,
     base: Base = None,
     nominal: Annotated[
@@ -211,7 +215,7 @@ def arm(
     ] = None,
     to: Annotated[str | None, Doc("What is typed into its controller: kuka, ur, fanuc, abb, staubli.")] = None,
 ) -> ConvertArmOutput:
-    """Convert an arm between arm.yaml and URDF, between the conventions of Denavit and Hartenberg, for a controller.
+    """Convert an arm between arm.yaml and URDF, to MJCF, between conventions of Denavit and Hartenberg, for a controller.
 
     With --to the file says what a calibrated arm's zeros, base and tool become in its controller, and what is lost.
     """
@@ -221,7 +225,7 @@ def arm(
 
     with pointed_elsewhere(Path(source), "convert arm"):
         chain = arm_source(source, tip=tip, base=base)
-        return convert_arm(chain, out, convention=convention, nominal=nominal, to=to)
+        return convert_arm(chain, out, convention=convention, only_rigid=rigid, nominal=nominal, to=to)
 
 
 def convert(

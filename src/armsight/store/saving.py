@@ -16,7 +16,7 @@ from armsight.calibrate.identify import Identification
 from armsight.control.guard import Limits
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, JointType
-from armsight.kinematics.derivatives import nearest_rigid
+from armsight.kinematics.rigid import as_rigid
 from armsight.measure.track import PoseTrack
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
@@ -26,6 +26,7 @@ from armsight.store.atomic import disk_errors, write_json, write_text
 from armsight.store.handeye_file import write_handeye as write_handeye
 from armsight.store.handeye_file import write_tip as write_tip
 from armsight.store.limits_file import write_limits
+from armsight.store.mjcf import write_mjcf
 from armsight.store.path_file import write_path, write_test_plan
 from armsight.store.rigs import World, write_camera, write_rig, write_world
 from armsight.store.tables import cells, table_text, word
@@ -65,13 +66,13 @@ def write_calibrated_arm(path: Path, result: ArmResult, *, inputs: Sequence[Path
 
 
 def as_urdf(arm: Arm) -> tuple[str, str]:
-    """Return the arm as a URDF, one that gives way as the nearest rigid one, and what is lost by that.
+    """Return the arm as a URDF, one that is not rigid as the nearest that is, and what is lost by that.
 
-    '' where joint scales or couplings have no place in one.
+    '' where no rigid arm is near.
     """
-    rigid = nearest_rigid(arm) if arm.compliant else None
     try:
-        return urdf_text(arm if rigid is None else rigid.arm), "" if rigid is None else rigid.lost
+        rigid = as_rigid(arm)
+        return urdf_text(rigid.arm), rigid.lost
     except Inconsistent:
         return "", ""
 
@@ -212,7 +213,7 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     Camera: dict.fromkeys(YAML, write_camera),
     Rig: dict.fromkeys(YAML, write_rig),
     Target: dict.fromkeys(YAML, write_target),
-    Arm: {**dict.fromkeys(YAML, write_arm), ".urdf": write_urdf},
+    Arm: {**dict.fromkeys(YAML, write_arm), ".urdf": write_urdf, ".mjcf": write_mjcf},
     TaughtPath: {".csv": write_path},
     PoseTrack: {".csv": write_poses, ".tum": write_tum, ".txt": write_tum},
     World: dict.fromkeys(YAML, write_world),

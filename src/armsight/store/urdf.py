@@ -12,9 +12,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.errors import BadFile, Inconsistent
+from armsight.errors import BadFile
 from armsight.kinematics import Arm, Coupling, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes, axes_of
+from armsight.kinematics.rigid import followers, require_rigid
 from armsight.store.atomic import disk_errors, read_bytes, write_text
 from armsight.store.codec import named
 from armsight.store.interpret import looks_like_mm
@@ -282,21 +283,11 @@ def delete_urdf(path: Path) -> None:
 def urdf_text(arm: Arm) -> str:
     """Return the arm's kinematics as URDF: links world, base, link1.., flange, tool; no shapes, no masses.
 
-    Poses are the same to rounding, also after reading it back. Raises Inconsistent for a joint with a scale, for joints
-    that give way and for coupled readings.
+    Poses are the same to rounding, also after reading it back. A joint without a drive mimics the one it follows.
+    Raises Inconsistent for an arm that is not rigid (as_rigid), and for a joint that follows several.
     """
-    if arm.compliant:
-        raise Inconsistent(
-            f"the joints {', '.join(joint.name for joint in arm.joints if joint.compliance)} give way under the weight",
-            consequence="URDF has no place for it",
-            cure="Write the nearest rigid arm: armsight convert arm FILE -o arm.urdf",
-        )
-    if arm.couplings:
-        raise Inconsistent(
-            f"the readings of {', '.join(c.joint for c in arm.couplings)} are coupled to other joints'",
-            consequence="URDF has no place for it",
-            cure="Keep this arm as arm.yaml",
-        )
+    require_rigid(arm, "URDF")
+    leads = followers(arm, "URDF")
     base, joints, flange, tool = axes_of(arm)
     robot = ElementTree.Element("robot", name=arm.name)
     links = ["world", "base", *(f"link{i + 1}" for i in range(arm.n)), "flange", "tool"]
@@ -316,6 +307,9 @@ def urdf_text(arm: Arm) -> str:
                 repr(float(np.clip(end, -NO_LIMIT, NO_LIMIT))) for end in (joint.lower, joint.upper)
             )
         ElementTree.SubElement(element, "limit", limit)
+        if joint.name in leads:
+            follows = leads[joint.name]
+            ElementTree.SubElement(element, "mimic", joint=follows.by, multiplier=repr(float(follows.share)))
     _add_joint(robot, "to_flange", "fixed", links[-3], "flange", flange)
     _add_joint(robot, "to_tool", "fixed", "flange", "tool", tool)
     ElementTree.indent(robot)

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armsight.kinematics import fk, preset
-from armsight.kinematics.derivatives import nearest_rigid
+from armsight.errors import Inconsistent
+from armsight.kinematics import Coupling, fk, preset
+from armsight.kinematics.rigid import as_rigid, nearest_rigid
 from armsight.store.urdf import arm_from_urdf, urdf_text
 
 
@@ -35,3 +36,30 @@ def test_an_arm_whose_joint_gives_way_alike_everywhere_is_that_rigid_arm():
     found = nearest_rigid(Arm(name="lift", joints=(joint,)))
     assert found.most_m < 1e-12
     assert fk(found.arm, np.array([0.3]))[2, 3] == pytest.approx(0.3 - 1e-5 * 10.0 * 9.80665)
+
+
+def test_errors_of_gears_lose_what_is_told():
+    """Scales, and a reading coupled a little: what a rigid arm cannot turn into zeros and lengths is said, in mm."""
+    arm = preset("irb120")
+    joints = tuple(
+        replace(j, sign=j.sign * (1.001 if k == 1 else 0.9995 if k == 3 else 1.0)) for k, j in enumerate(arm.joints)
+    )
+    names = [joint.name for joint in joints]
+    worn = replace(arm, joints=joints, couplings=(Coupling(joint=names[4], by=names[3], share=0.002),))
+    found = as_rigid(worn)
+    assert as_rigid(arm).arm is arm and not as_rigid(arm).lost
+    written = arm_from_urdf(urdf_text(found.arm))
+    q = np.random.default_rng(7).uniform(arm.lower, arm.upper, (400, 6))
+    there = fk(worn, worn.values(q))[:, :3, 3]
+    off = np.linalg.norm(fk(written, q)[:, :3, 3] - there, axis=1)
+    left_out = np.linalg.norm(fk(arm, q)[:, :3, 3] - there, axis=1)
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(found.rms_m, rel=0.15)
+    assert 1e-5 < found.rms_m < 0.9 * np.sqrt(np.mean(left_out**2))
+    assert all(part in found.lost for part in (f"{names[1]} by 1.001", f"coupled to other joints' ({names[4]})"))
+
+
+def test_a_parallelogram_is_no_rigid_arm():
+    arm = preset("irb120")
+    names = [joint.name for joint in arm.joints]
+    with pytest.raises(Inconsistent, match=r"misses this one's tool by \d+ mm RMS"):
+        as_rigid(replace(arm, couplings=(Coupling(joint=names[2], by=names[1], share=-1.0),)))

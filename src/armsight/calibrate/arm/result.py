@@ -142,7 +142,7 @@ class ArmResult(TitledOutput):
     expected_std: Annotated[dict[str, float] | None, Doc("Standard deviations to expect with those measured too.")] = (
         None
     )
-    urdf: Annotated[str | None, Doc("The URDF written; null for scales and couplings, which it cannot hold.")]
+    urdf: Annotated[str | None, Doc("The URDF written; null where no rigid arm is near.")]
     features: Annotated[tuple[TouchedFeature, ...] | None, Doc("What was touched; with --touch.")] = None
 
     @property

@@ -7,7 +7,7 @@ the normal equations give the centre's covariance.
 
 from __future__ import annotations
 
-from math import atan2, ceil, floor, sqrt
+from math import atan2, ceil, floor, pi, sqrt
 
 import numpy as np
 
@@ -29,6 +29,9 @@ SETTLED = 1e-6
 """Relative fall of the squares at which the fit ends."""
 BLUR_MIN_PX = 0.25
 BLUR_MAX_PX = 12.0
+FIRST_BLUR_PX = 8.0
+EDGE_SHARE = 1.02
+"""A window has no more pixels than so many times its area: those that its edge cuts count too."""
 QUANTISATION = 1.0 / 12.0
 """Variance that rounding to whole grey levels leaves; the noise is never believed to be below it."""
 
@@ -122,15 +125,19 @@ def _sample(image, u, v, E, Q, reach, hole, window):
 
     E (2, 2): columns are the image steps of one unit along the board's x and y. Q (2, 3): second derivatives
     by ss, st, tt, taken off so that curved edges become straight. hole: pixels with s^2 + t^2 below it are left out,
-    and those beyond reach^2, so that the window is a ring; negative: all of the window.
+    and those beyond reach^2, so that the window is a ring; negative: all of the window. Of one with more than LARGEST
+    pixels every second row is taken, or every third: cut off where the table is full it would lean to one side.
     """
     h, w = image.shape
-    by_det = 1.0 / (E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0])
+    det = E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0]
+    by_det = 1.0 / det
+    size = abs(det) * (4.0 * reach * reach if hole < 0.0 else pi * (reach * reach - hole))
+    step = 1 + int(EDGE_SHARE * size / LARGEST)
     sx, sy, tx, ty = E[1, 1] * by_det, -E[0, 1] * by_det, -E[1, 0] * by_det, E[0, 0] * by_det
     bx = abs(E[0, 0]) * reach + abs(E[0, 1]) * reach
     by = abs(E[1, 0]) * reach + abs(E[1, 1]) * reach
     n = 0
-    for row in range(max(0, int(v - by)), min(h, int(v + by) + 2)):
+    for row in range(max(0, int(v - by)), min(h, int(v + by) + 2), step):
         dy = row - v
         low, high = max(u - bx, 0.0), min(u + bx, w - 1.0)
         for along, beside in ((sx, sy * dy), (tx, ty * dy)):  # |along dx + beside| <= reach
@@ -177,8 +184,9 @@ def _start_corner(E, sign, mean, spread, p):
     size = min(sqrt(E[0, 0] ** 2 + E[1, 0] ** 2), sqrt(E[0, 1] ** 2 + E[1, 1] ** 2))
     p[2] = atan2(E[1, 0], E[0, 0])
     p[3] = atan2(E[1, 1], E[0, 1])
-    # rather too blurred than too sharp: an edge without slope where the picture's lies cannot find it
-    p[4] = p[5] = max(0.6, 0.08 * size)
+    # rather too blurred than too sharp: an edge without slope where the picture's lies cannot find it; but no more than
+    # there can be, which squares of 150 px would have
+    p[4] = p[5] = max(0.6, min(0.08 * size, FIRST_BLUR_PX))
     p[6], p[7], p[8] = mean, 0.0, 0.0
     # left of the edge along the columns is +y, left of the one along the rows is -x
     p[9] = -sign * spread
