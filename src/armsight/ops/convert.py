@@ -215,7 +215,7 @@ def arm(
     ] = None,
     to: Annotated[str | None, Doc("What is typed into its controller: kuka, ur, fanuc, abb, staubli.")] = None,
 ) -> ConvertArmOutput:
-    """Convert an arm between arm.yaml and URDF, to MJCF, between conventions of Denavit and Hartenberg, for a controller.
+    """Convert an arm: arm.yaml and URDF, to MJCF, conventions of Denavit and Hartenberg, for a controller.
 
     With --to the file says what a calibrated arm's zeros, base and tool become in its controller, and what is lost.
     """

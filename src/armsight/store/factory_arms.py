@@ -25,7 +25,7 @@ from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.kinematics import Arm, Convention, JointType, fk
 from armsight.kinematics.axes import AxisJoint, arm_from_axes
-from armsight.kinematics.derivatives import drawn_postures
+from armsight.kinematics.rigid import drawn_postures
 from armsight.store.arm_file import in_metres
 from armsight.store.atomic import read_bytes
 from armsight.store.tables import decoded
