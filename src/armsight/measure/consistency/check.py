@@ -119,6 +119,10 @@ class RunCheck:
         other = what_fits(self._evidence.setup, self._kept) if self._evidence.setup.rig.is_pair else None
         return found if other is None else replace(found, instead=other.words, remedy=other.cure)
 
+    def with_changes(self) -> Consistency:
+        """Return the verdict so far, causes that began during the run among those looked for."""
+        return self._judge(changes=True)
+
     def _judge(self, *, changes: bool) -> Consistency:
         share = self._refused / max(self._refused + self._complete, 1)
         return judge(self._evidence, self._causes, share, changes=changes)

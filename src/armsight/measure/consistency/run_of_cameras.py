@@ -77,7 +77,10 @@ class CamerasCheck:
         if not self._early or (self._check.looks_next == before and n < self._next_ask):
             return out
         self._next_ask = max(self._next_ask, 2 * n)
-        found = self._wrong(self._check.known)
+        known = self._check.known
+        if known is not None and known.accused:  # which of the cameras it is, is told by when it was
+            known = self._check.with_changes()
+        found = self._wrong(known)
         if found is None or not self._enough_without(found):
             return out
         self._leave(found)
