@@ -127,9 +127,10 @@ def _best_start(setup: Setup, index: Index, uv: Array, cov: Array, starts: Seque
     h, best, chi2_of_best = uv.shape[1] + 1, None, np.inf
     lights = for_kernels(setup.target.xyz_m[index]), printed_radius(setup, *uv.shape[:2]), setup.model.normal
     for start in starts:
-        T, C, chi2 = np.empty((h, 4, 4)), np.empty((h, 6, 6)), np.empty(h)
+        T, C, scores = np.empty((h, 4, 4)), np.empty((h, 6, 6)), np.empty((h, 3))
         start.setflags(write=False)  # as UNKNOWN: one compilation serves both
-        kernels.tilts(setup.packed.arrays, lights, (uv, cov), start, T, C, chi2)
+        kernels.tilts(setup.packed.arrays, lights, (uv, cov), setup.slack_px**2, start, T, C, scores)
+        chi2 = scores[:, 0]
         i = int(np.argmin(chi2))
         if chi2[i] < chi2_of_best:
             best, chi2_of_best = T[i].copy(), float(chi2[i])
