@@ -46,9 +46,12 @@ def rig_times(setup: Setup, frames: Sequence[Frame | None]) -> tuple[float, Arra
 
 
 def apart(setup: Setup, late_s: Array) -> bool:
-    """Tell whether views are of times so far apart that a motion shows."""
+    """Tell whether views are of times so far apart that a motion shows.
+
+    Without timing in the rig's file stamps say little: those of a common trigger arrive apart, too.
+    """
     rolling = any(one is not None and one.rolling for one in setup.rig.timing)
-    return rolling or bool(np.abs(late_s).max() > AT_ONE_TIME_S)
+    return rolling or (setup.rig.runs_free and bool(np.abs(late_s).max() > AT_ONE_TIME_S))
 
 
 def measure_apart(
@@ -70,8 +73,7 @@ def measure_apart(
     measured = _measured(setup, t_s, at_once, track, in_windows=in_windows)
     if measured.pose.status is not PoseStatus.OK or measured.track is None:
         return measured
-    if any(len(measured.spots[view.side]) < len(view.lights) - 1 for view in views):
-        # it fits some of the views alone, and these any motion along their lines of sight
+    if not _by_all(views, measured):
         return lost_moment(t_s, tuple(seen), NotSeen(NO_MOTION, Unseen.MOTION), track)
     return replace(measured, track=replace(measured.track, motion=motion))
 
@@ -83,6 +85,17 @@ def _measured(
     if len(seen) == TWO:
         return doubted(measure_spots(setup, t_s, seen[0], seen[1], track))
     return measure_views(setup, t_s, seen, track, in_windows=in_windows)
+
+
+def _by_all(views: Sequence[View], measured: Measured) -> bool:
+    """Tell whether a pose is of all views that its motion was taken from, but for a light of each.
+
+    Some of them alone fit any motion along their lines of sight.
+    """
+    lights = [set(view.lights.tolist()) for view in views]
+    if len(measured.spots) == TWO:  # by whose rule a light is seen twice
+        lights = [set.intersection(*lights)] * len(lights)
+    return all(len(measured.spots[v.side]) >= len(of) - 1 for v, of in zip(views, lights, strict=True))
 
 
 def _shutters(setup: Setup, late_s: Array) -> list[Shutter]:
