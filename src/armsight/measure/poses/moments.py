@@ -58,7 +58,7 @@ def measure_moment(
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
     measured = None
-    if track is not None and track.complete:
+    if track is not None and track.complete and len(frames) != TWO:
         measured = _by_windows(setup, frames, (t_s, late_s), track, whole)
     if measured is None:
         seen = setup.pace.each(lambda s: _spots(setup, s, frames[s]), len(frames))

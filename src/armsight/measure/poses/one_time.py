@@ -17,11 +17,13 @@ from armsight.measure.motion.estimate import ANGULAR_RATIO, MotionFilter
 from armsight.measure.motion.kernels.state import N, add_jerk
 from armsight.measure.motion.kernels.views import observe_all
 from armsight.measure.motion.states import MotionState, View
-from armsight.measure.poses.expected import Expected, Shutter, expect, links
-from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
+from armsight.measure.poses.expected import FEWEST_SPOTS, MAX_SPOTS, Expected, Shutter, expect, links
+from armsight.measure.poses.from_spots import measure_among
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.shortlist import Shortlist
 from armsight.measure.poses.views import measure_views
 from armsight.records import AT_ONCE, Frame, NotSeen, PoseStatus, Spots
 
@@ -83,7 +85,16 @@ def _measured(
 ) -> Measured:
     """Return the pose from spots of one time, as rigs of so many cameras have it."""
     if len(seen) == TWO:
-        return doubted(measure_spots(setup, t_s, seen[0], seen[1], track))
+        left, right = seen
+        more = max(len(left), len(right)) > len(setup.model)
+        n = len(left) + len(right)
+        rows = {"left": np.arange(len(left)), "right": np.arange(len(right))}
+        among = Shortlist(**rows, bright=n, arrangements=AS_FOUND) if more else None
+        measured, chance = measure_among(setup, t_s, left, right, track, among)
+        if measured.pose.status is PoseStatus.LOST or chance < BY_CHANCE:
+            return doubted(measured)
+        why = f"{n} bright spots: {len(measured.names)} fit the target, but no better than some would by chance"
+        return lost_moment(t_s, (left, right), NotSeen(why, Unseen.CROWD), track)
     return measure_views(setup, t_s, seen, track, in_windows=in_windows)
 
 
@@ -108,16 +119,20 @@ def _shutters(setup: Setup, late_s: Array) -> list[Shutter]:
 def _going_on(
     setup: Setup, t_s: float, seen: Sequence[Spots], shutters: Sequence[Shutter], before: MotionFilter
 ) -> list[View]:
-    """Return the views in which the target goes on as it did, or as a knock makes it go; none if one does not fit."""
+    """Return the views in which the target goes on as it did, all that show enough; or as a knock makes it go, those
+    that fit, for something else may be bright in one."""
+    views = list[View | None]()
     for state in (before.at(t_s), before.after_a_knock(t_s)):
         expected = [expect(setup, state, shutter) for shutter in shutters]
         views = [
-            _named(at, t_s, spots) for at, spots in zip(expected, seen, strict=True) if at is not None and len(spots)
+            _named(at, t_s, spots)
+            for at, spots in zip(expected, seen, strict=True)
+            if at is not None and FEWEST_SPOTS <= len(spots) <= MAX_SPOTS
         ]
-        found = [view for view in views if view is not None]
-        if len(found) == len(views) and sum(len(view.lights) for view in found) >= FEWEST:
-            return found
-    return []
+        if None not in views:
+            break
+    found = [view for view in views if view is not None]
+    return found if sum(len(view.lights) for view in found) >= FEWEST else []
 
 
 def _named(expected: Expected, t_s: float, spots: Spots) -> View | None:
