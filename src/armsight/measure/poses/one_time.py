@@ -86,10 +86,10 @@ def _measured(
     """Return the pose from spots of one time, as rigs of so many cameras have it."""
     if len(seen) == TWO:
         left, right = seen
-        more = max(len(left), len(right)) > len(setup.model)
-        n = len(left) + len(right)
-        rows = {"left": np.arange(len(left)), "right": np.arange(len(right))}
-        among = Shortlist(**rows, bright=n, arrangements=AS_FOUND) if more else None
+        n, among = len(left) + len(right), None
+        if max(len(left), len(right)) > len(setup.model):
+            rows = np.arange(len(left)), np.arange(len(right))
+            among = Shortlist(left=rows[0], right=rows[1], bright=n, arrangements=AS_FOUND)
         measured, chance = measure_among(setup, t_s, left, right, track, among)
         if measured.pose.status is PoseStatus.LOST or chance < BY_CHANCE:
             return doubted(measured)
@@ -119,9 +119,8 @@ def _shutters(setup: Setup, late_s: Array) -> list[Shutter]:
 def _going_on(
     setup: Setup, t_s: float, seen: Sequence[Spots], shutters: Sequence[Shutter], before: MotionFilter
 ) -> list[View]:
-    """Return the views in which the target goes on as it did, all that show enough; or as a knock makes it go, those
-    that fit, for something else may be bright in one."""
-    views = list[View | None]()
+    """Return the views in which the target goes on as it did, or as a knock makes it go: all that show three lights or
+    more; none if one of them does not fit."""
     for state in (before.at(t_s), before.after_a_knock(t_s)):
         expected = [expect(setup, state, shutter) for shutter in shutters]
         views = [
@@ -129,10 +128,10 @@ def _going_on(
             for at, spots in zip(expected, seen, strict=True)
             if at is not None and FEWEST_SPOTS <= len(spots) <= MAX_SPOTS
         ]
-        if None not in views:
-            break
-    found = [view for view in views if view is not None]
-    return found if sum(len(view.lights) for view in found) >= FEWEST else []
+        found = [view for view in views if view is not None]
+        if len(found) == len(views) and sum(len(view.lights) for view in found) >= FEWEST:
+            return found
+    return []
 
 
 def _named(expected: Expected, t_s: float, spots: Spots) -> View | None:
@@ -157,7 +156,7 @@ def _begun(
             swapped = swapped or error
             continue
         T, C = found.pose.T_parent_target, found.pose.covariance
-        if found.pose.status is PoseStatus.OK and T is not None and C is not None:
+        if found.pose.status in (PoseStatus.OK, PoseStatus.DOUBTFUL) and T is not None and C is not None:
             views = [
                 shutter.view(t_s, _rows(setup, found.names_in(shutter.side)), spots.uv_px, spots.covariance_px2)
                 for spots, shutter in zip(found.spots, shutters, strict=True)
