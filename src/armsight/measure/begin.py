@@ -65,7 +65,9 @@ class Beginner:
     _seen: list[tuple[float, Spots] | None] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._latest, self._seen = [None] * len(self.timing), [None] * len(self.timing)
+        none = [None] * len(self.timing)
+        self._latest, self._seen = [*none], [*none]
+        self.setup = replace(self.setup, rig=self.setup.rig.with_each(timing=none))  # as if of one moment
 
     def add(self, frame: AnyFrame, side: int) -> Beginning | None:
         """Bring in a frame of a camera (side, in the rig's order); return what begins with it."""

@@ -193,7 +193,7 @@ def measure(
     told = frame_times(next(iter(sources.named), None), times, fps)
     pairs: MomentSource
     pairs, overlaid = sources.of_rig(seen_by, told.times_s, colour=colour is not None)
-    made = setup(overlaid=overlaid)
+    made = setup(rig=seen_by.with_each(timing=(None,) * len(seen_by.cameras)), overlaid=overlaid)
     if not pair:
         require_views(made, len(seen_by.cameras))
     about = about_pairs(sources, pairs.name, told, facts, zoomed, stills=stills)

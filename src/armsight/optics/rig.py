@@ -177,6 +177,12 @@ class Rig(records.Saveable):
         return tuple(one.timing for one in self.cameras)
 
     @property
+    def runs_free(self) -> bool:
+        """Whether its cameras are known not to expose at once."""
+        known = [one for one in self.timing if one is not None]
+        return any(one.rolling or one.delay_s != 0.0 or one.drift_ppm != 0.0 for one in known)
+
+    @property
     def zoom(self) -> tuple[MountedZoom | None, ...]:
         """The settings of each camera's lens, where it zooms."""
         return tuple(one.zoom for one in self.cameras)

@@ -1,6 +1,7 @@
 """One moment of any number of cameras -> the target's pose: frames, or nothing of a camera, in the rig's order.
 
-Two cameras go their own way, `pipeline.measure_pair`. What other numbers of cameras cannot do is refused here.
+Two cameras that expose at once go their own way, `pipeline.measure_pair`. What other numbers of cameras cannot do is
+refused here.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from armsight.measure.poses.shortlist import MOST_UNNAMED
 from armsight.measure.poses.tracking import MAX_GAP_S, half_window_px
 from armsight.measure.poses.views import measure_views
 from armsight.measure.spots import find_candidates, track_spots
+from armsight.optics import RigKind
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
 
 IDLE_LOOKS, LOOK_AGAIN = 24, 30
@@ -51,19 +53,26 @@ def measure_moment(
         if left is None or right is None:
             why = "one of the two cameras has no picture"
             return lost_moment(there[0].t_s, (Spots.none(),) * TWO, NotSeen(why, Unseen.UNREADABLE), track)
-        return measure_pair(setup, left, right, track)
+        if not _runs_free(setup):
+            return measure_pair(setup, left, right, track)
     t_s, late_s = rig_times(setup, frames)
     if setup.target.is_board:
         return measure_board_views(setup, t_s, frames)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
     measured = None
-    if track is not None and track.complete:
+    if track is not None and track.complete and len(frames) != TWO:
         measured = _by_windows(setup, frames, (t_s, late_s), track, whole)
     if measured is None:
         seen = setup.pace.each(lambda s: _spots(setup, s, frames[s]), len(frames))
         measured = _of_spots(setup, frames, seen, (t_s, late_s), track)
     return measured
+
+
+def _runs_free(setup: Setup) -> bool:
+    """Tell whether the views of a pair are to be brought to one time."""
+    by_itself = setup.target.model_known and not setup.target.is_board and len(setup.model) >= 3
+    return setup.rig.runs_free and setup.rig.kind is not RigKind.MIRROR and by_itself
 
 
 def _of_spots(
@@ -78,7 +87,7 @@ def _of_spots(
     """Return the pose from spots of views, of one time or brought there; when: as rig_times."""
     t_s, late_s = when
     named = setup.target.model_known and len(setup.model) >= 3
-    if not named or not apart(setup, late_s):
+    if not named or (len(seen) != TWO and not apart(setup, late_s)):
         return measure_views(setup, t_s, seen, track, frames, in_windows=in_windows)
     # outlines lie where their own frames have them: they are not looked at
     return measure_apart(setup, t_s, seen, late_s, track, in_windows=in_windows)

@@ -17,11 +17,13 @@ from armsight.measure.motion.estimate import ANGULAR_RATIO, MotionFilter
 from armsight.measure.motion.kernels.state import N, add_jerk
 from armsight.measure.motion.kernels.views import observe_all
 from armsight.measure.motion.states import MotionState, View
-from armsight.measure.poses.expected import Expected, Shutter, expect, links
-from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
+from armsight.measure.poses.expected import FEWEST_SPOTS, MAX_SPOTS, Expected, Shutter, expect, links
+from armsight.measure.poses.from_spots import measure_among
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.pose import TWO
 from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.shortlist import Shortlist
 from armsight.measure.poses.views import measure_views
 from armsight.records import AT_ONCE, Frame, NotSeen, PoseStatus, Spots
 
@@ -47,9 +49,12 @@ def rig_times(setup: Setup, frames: Sequence[Frame | None]) -> tuple[float, Arra
 
 
 def apart(setup: Setup, late_s: Array) -> bool:
-    """Tell whether views are of times so far apart that a motion shows."""
+    """Tell whether views are of times so far apart that a motion shows.
+
+    Without timing in the rig's file stamps say little: those of a common trigger arrive apart, too.
+    """
     rolling = any(one is not None and one.rolling for one in setup.rig.timing)
-    return rolling or bool(np.abs(late_s).max() > AT_ONE_TIME_S)
+    return rolling or (setup.rig.runs_free and bool(np.abs(late_s).max() > AT_ONE_TIME_S))
 
 
 def measure_apart(
@@ -71,8 +76,7 @@ def measure_apart(
     measured = _measured(setup, t_s, at_once, track, in_windows=in_windows)
     if measured.pose.status is not PoseStatus.OK or measured.track is None:
         return measured
-    if any(len(measured.spots[view.side]) < len(view.lights) - 1 for view in views):
-        # it fits some of the views alone, and these any motion along their lines of sight
+    if not _by_all(views, measured):
         return lost_moment(t_s, tuple(seen), NotSeen(NO_MOTION, Unseen.MOTION), track)
     return replace(measured, track=replace(measured.track, motion=motion))
 
@@ -82,8 +86,28 @@ def _measured(
 ) -> Measured:
     """Return the pose from spots of one time, as rigs of so many cameras have it."""
     if len(seen) == TWO:
-        return doubted(measure_spots(setup, t_s, seen[0], seen[1], track))
+        left, right = seen
+        n, among = len(left) + len(right), None
+        if max(len(left), len(right)) > len(setup.model):
+            rows = np.arange(len(left)), np.arange(len(right))
+            among = Shortlist(left=rows[0], right=rows[1], bright=n, arrangements=AS_FOUND)
+        measured, chance = measure_among(setup, t_s, left, right, track, among)
+        if measured.pose.status is PoseStatus.LOST or chance < BY_CHANCE:
+            return doubted(measured)
+        why = f"{n} bright spots: {len(measured.names)} fit the target, but no better than some would by chance"
+        return lost_moment(t_s, (left, right), NotSeen(why, Unseen.CROWD), track)
     return measure_views(setup, t_s, seen, track, in_windows=in_windows)
+
+
+def _by_all(views: Sequence[View], measured: Measured) -> bool:
+    """Tell whether a pose is of all views that its motion was taken from, but for a light of each.
+
+    Some of them alone fit any motion along their lines of sight.
+    """
+    lights = [set(view.lights.tolist()) for view in views]
+    if len(measured.spots) == TWO:  # by whose rule a light is seen twice
+        lights = [set.intersection(*lights)] * len(lights)
+    return all(len(measured.spots[v.side]) >= len(of) - 1 for v, of in zip(views, lights, strict=True))
 
 
 def _shutters(setup: Setup, late_s: Array) -> list[Shutter]:
@@ -96,11 +120,14 @@ def _shutters(setup: Setup, late_s: Array) -> list[Shutter]:
 def _going_on(
     setup: Setup, t_s: float, seen: Sequence[Spots], shutters: Sequence[Shutter], before: MotionFilter
 ) -> list[View]:
-    """Return the views in which the target goes on as it did, or as a knock makes it go; none if one does not fit."""
+    """Return the views in which the target goes on as it did, or as a knock makes it go: all that show three lights or
+    more; none if one of them does not fit."""
     for state in (before.at(t_s), before.after_a_knock(t_s)):
         expected = [expect(setup, state, shutter) for shutter in shutters]
         views = [
-            _named(at, t_s, spots) for at, spots in zip(expected, seen, strict=True) if at is not None and len(spots)
+            _named(at, t_s, spots)
+            for at, spots in zip(expected, seen, strict=True)
+            if at is not None and FEWEST_SPOTS <= len(spots) <= MAX_SPOTS
         ]
         found = [view for view in views if view is not None]
         if len(found) == len(views) and sum(len(view.lights) for view in found) >= FEWEST:
@@ -130,7 +157,7 @@ def _begun(
             swapped = swapped or error
             continue
         T, C = found.pose.T_parent_target, found.pose.covariance
-        if found.pose.status is PoseStatus.OK and T is not None and C is not None:
+        if found.pose.status in (PoseStatus.OK, PoseStatus.DOUBTFUL) and T is not None and C is not None:
             views = [
                 shutter.view(t_s, _rows(setup, found.names_in(shutter.side)), spots.uv_px, spots.covariance_px2)
                 for spots, shutter in zip(found.spots, shutters, strict=True)

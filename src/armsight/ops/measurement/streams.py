@@ -115,7 +115,7 @@ class FrameSources:
         tables = self.left_spots is not None or self.right_spots is not None
         one_exposure = self.image is not None or rig.kind is RigKind.MIRROR
         apart = not (one_exposure or stills or self.times is not None)
-        free = timing == "free" or (timing == "auto" and apart and (tables or runs_free(rig)))
+        free = timing == "free" or (timing == "auto" and apart and (tables or rig.runs_free))
         if free and not apart:
             raise UsageError(
                 "both views are one exposure"
@@ -228,11 +228,6 @@ def streams_of_cameras(cameras: Mapping[str, str], *, colour: bool, fps: float |
         )
     first = next(iter(cameras.values()))
     return tuple(_images(text, name, colour=colour, fps=fps, origin_of=first) for name, text in cameras.items())
-
-
-def runs_free(rig: Rig) -> bool:
-    """Tell whether the rig's file says that its cameras do not expose at once."""
-    return any(one.rolling or one.delay_s != 0.0 or one.drift_ppm != 0.0 for one in timing_of(rig))
 
 
 def timing_of(rig: Rig) -> tuple[CameraTiming, ...]:
