@@ -112,9 +112,7 @@ def three(seed, *, top_m=0.0, order=("a", "b", "top")):
         place = np.array([0.0, 0.0, 1.0]) - R.apply([0.0, 0.0, 1.0]) + (i > 0) * std * rng.standard_normal(3)
         place[0] += top_m * (name == "top")
         R = Rotation.from_rotvec((i > 0) * std * rng.standard_normal(3)) * R
-        cameras.append(
-            MountedCamera(name=name, camera=CAMERA, T_rig_camera=RigidTransform.from_components(place, R))
-        )
+        cameras.append(MountedCamera(name=name, camera=CAMERA, T_rig_camera=RigidTransform.from_components(place, R)))
     free = [f"{name}.{key}" for name in ("b", "top") for key in ("tx", "ty", "tz", "rx", "ry", "rz")]
     known = NamedCovariance(names=tuple(free), matrix=std**2 * np.eye(len(free)))
     return Rig(cameras=tuple(cameras), covariance=known).only(*order)
