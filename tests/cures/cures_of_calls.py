@@ -105,7 +105,7 @@ def soft(compliance):
 
 
 TRIED = {
-    ("api/pose.py", "Give the times of the exposures"): (followed(1.0, 0.5), followed(0.5, 1.0)),
+    ("api/tracker.py", "Give the times of the exposures"): (followed(1.0, 0.5), followed(0.5, 1.0)),
     ("armsight_lab/batch/cluster.py", "Give --jobs from 1"): (lambda: Workers(n=0), lambda: Workers(n=1)),
     ("armsight_lab/design/request.py", "Write for instance --mount"): (
         lambda: mount_of("0,0"),

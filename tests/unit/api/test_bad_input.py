@@ -625,7 +625,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {"n": number(1, none_at_all=0), "reachable": Arg(good=None, wrong={"nowhere": lambda T: False})},
     ),
     "estimate_pose_from_spots": (
-        armsight.estimate_pose_from_spots,
+        partial(armsight.estimate_pose_from_spots, left=FOUND, right=FOUND, rig=RIG, target=TARGET),
         {
             "left": record(FOUND),
             "right": record(FOUND),
@@ -648,7 +648,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "estimate_pose": (
-        armsight.estimate_pose,
+        partial(armsight.estimate_pose, left=LEFT, right=RIGHT, rig=RIG, target=TARGET),
         {
             "left": image(LEFT),
             "right": image(RIGHT),

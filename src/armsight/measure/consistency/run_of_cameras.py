@@ -125,7 +125,7 @@ class CamerasCheck:
             if told is not None and (not told.names or self._enough_without(told)):
                 return told
         for k in idle if ended or len(self._moments) >= LONG else ():
-            found = checks.elsewhere(k)
+            found = self._checks(self.without).elsewhere(k)
             if found is not None:
                 return found
             self._asked.add(k)
@@ -183,19 +183,19 @@ class CamerasCheck:
                     out.append(k)
         return out
 
-    def _checks(self) -> CameraChecks:
+    def _checks(self, without: Sequence[str] = ()) -> CameraChecks:
         step = max(len(self._moments) // TRIED, 1)
-        return CameraChecks(self._setup, self._moments[::step][:TRIED])
+        names, some = self._setup.rig.names, self._moments[::step][:TRIED]
+        return CameraChecks(self._setup, [without_spots(one, names, without) for one in some])
 
     def _leave(self, found: LeftOut) -> None:
         """Leave cameras out, and look at all moments anew without them."""
         self.left_out.append(found)
         self._check, track = RunCheck(self._setup), None
-        for i, one in enumerate(self._moments):
+        for one in self._moments:
             measured = self._again(one, track)
             track = measured.track
             self._check.add(measured)
-            self._moments[i] = replace(measured, track=None)  # who is asked next is not held against who was wrong
 
     def _again(self, one: Measured, track: Track | None) -> Measured:
         """Return a moment without the cameras that are left out."""
@@ -217,3 +217,9 @@ def accused_in(known: Consistency) -> LeftOut | None:
         return None
     first = known.findings[0]
     return LeftOut(names=known.accused, words=capital(what(first)), cure=first.cause.advice)
+
+
+def without_spots(one: Measured, names: Sequence[str], without: Sequence[str]) -> Measured:
+    """Return a moment without what some of its cameras saw."""
+    seen = zip(names, one.seen, strict=True)
+    return replace(one, seen=tuple(Spots.none() if name in without else spots for name, spots in seen))

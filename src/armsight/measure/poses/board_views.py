@@ -116,8 +116,11 @@ def _by_one_view(setup: Setup, s: int, spots: Spots) -> Array | None:
     if not np.isfinite(rays).all():
         return None
     X = np.ascontiguousarray(setup.target.xyz_m[spots.point])
-    found, turn, place = cv2.solvePnP(X, rays[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     T = np.eye(4)
+    try:
+        found, turn, place = cv2.solvePnP(X, rays[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    except cv2.error:  # points on one line
+        return None
     T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], place[:, 0]
     return np.asarray(one.T_rig_camera.as_matrix() @ T) if found and np.isfinite(T).all() else None
 
