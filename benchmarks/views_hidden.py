@@ -178,11 +178,13 @@ def named_alone(n: np.ndarray, target: str, depth_m: np.ndarray) -> np.ndarray:
 
 
 def since_named(could: np.ndarray, named: np.ndarray, fps: float) -> np.ndarray:
-    """Return the frames that could have a pose (k,) and follow, by gaps of GAP_S at most, one that names the lights."""
-    out, last = np.zeros(len(could), bool), -np.inf
+    """Return the frames that could have a pose (k,) and name their lights, or follow two such by GAP_S at most.
+
+    One pose tells where the target is and not how fast it goes: a light may then be anywhere among the others.
+    """
+    out = np.zeros(len(could), bool)
     for k in np.flatnonzero(could):
-        out[k] = named[k] or k - last <= GAP_S * fps
-        last = k if out[k] else last
+        out[k] = named[k] or out[max(k - int(GAP_S * fps), 0) : k].sum() > 1
     return out
 
 
