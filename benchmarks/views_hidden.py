@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
+from scipy.special import comb, perm
 from scipy.stats import chi2
 
 from armsight.measure.poses.moments import measure_moment
@@ -155,6 +156,38 @@ def possible(sights: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
+NAMINGS_BY_CHANCE = 1e-4
+"""Expected number of namings of chance from which sights of one camera name no light."""
+LEAST_RMS_PX = 0.15
+"""What an uncalibrated part of a lens may leave of residuals, in px."""
+GAP_S = 0.5
+"""Beyond which no motion before names a light."""
+
+
+def named_alone(n: np.ndarray, target: str, depth_m: np.ndarray) -> np.ndarray:
+    """Tell where n sights (k,) of one camera name their lights, the target being at a depth (k,).
+
+    Three of them have m (m - 1) (m - 2) names and mostly two poses; each further one lies by chance where one of the
+    lights left is expected, to four times the residual, as often as such circles fill the target's image.
+    """
+    X = np.array([place for place, _ in TARGETS[target][1]])
+    wide_px = FOCAL_PX * np.linalg.norm(X[:, None] - X[None], axis=2).max() / depth_m
+    m, further = len(X), np.maximum(n - 3, 0)
+    near = np.minimum(n * (4.0 * LEAST_RMS_PX / wide_px) ** 2, 1.0)
+    return np.asarray((n >= 4) & (2.0 * perm(m, 3) * comb(m - 3, further) * near**further < NAMINGS_BY_CHANCE))
+
+
+def since_named(could: np.ndarray, named: np.ndarray, fps: float) -> np.ndarray:
+    """Return the frames that could have a pose (k,) and name their lights, or follow two such by GAP_S at most.
+
+    One pose tells where the target is and not how fast it goes: a light may then be anywhere among the others.
+    """
+    out = np.zeros(len(could), bool)
+    for k in np.flatnonzero(could):
+        out[k] = named[k] or out[max(k - int(GAP_S * fps), 0) : k].sum() > 1
+    return out
+
+
 def scene(q: np.ndarray, target: str, eyes: Sequence[np.ndarray], between: int = 1) -> Any:
     """Return a world to be rendered: the arm at home, where lights are seen, then at q[k] in frame (k + 1) between.
 
@@ -239,7 +272,7 @@ def measured(n: int, seed: int) -> None:
     found = scenario_text("arm-cell")
     q, _ = stands(yaml.safe_load(found[0])["arm"] if found else {}, n, seed)
     rows = [
-        [name, target, *of_pictures(scene(q, target, eyes, BETWEEN), n, len(eyes))]
+        [name, target, *of_pictures(scene(q, target, eyes, BETWEEN), n, len(eyes), target)]
         for name, eyes in ARRANGEMENTS.items()
         for target in TARGETS
     ]
@@ -247,12 +280,19 @@ def measured(n: int, seed: int) -> None:
     table(f"Frames with a pose, as far as possible, on the way through {n} stands of the arm, 2 s each", head, rows)
 
 
-def of_pictures(world: Any, n: int, views: int) -> list[object]:
+def of_pictures(world: Any, n: int, views: int, target: str) -> list[object]:
     """Return a row: where a pose could be, of these how many are in a track and without, what the poses are worth.
 
-    Of two cameras both must see a light. Without a track is every tenth frame, as if it were the first.
+    Of two cameras both must see a light. One camera must name them, now or in the track before (named_alone). Without a
+    track is every tenth frame, as if it were the first.
     """
-    could = possible(told(world, n * BETWEEN))["twice" if views == 2 else "every sight"]
+    sights = told(world, n * BETWEEN)
+    could = possible(sights)["twice" if views == 2 else "every sight"]
+    alone = could
+    if views == 1:
+        depth_m = np.array([mean_pose(world, k + 1)[2, 3] for k in range(len(could))])
+        alone = could & named_alone(sights[:, :, 0].sum(axis=1), target, depth_m)
+        could = since_named(could, alone, world.fps)
     rig = rig_from_mapping(world.rig, "rig")
     if views == 2:
         rig = Rig(cameras=[replace(one, name=side) for one, side in zip(rig.cameras, ("left", "right"), strict=True)])
@@ -269,7 +309,9 @@ def of_pictures(world: Any, n: int, views: int) -> list[object]:
             found[k] = one.pose.status is PoseStatus.OK
             if found[k]:
                 q.append(squared_distance(one.pose, T))
-    of = [100.0 * one[could[::step]].mean() for one, step in ((ok, 1), (cold[::10], 10))]
+    of = [
+        100.0 * one[there].mean() if there.any() else np.nan for one, there in ((ok, could), (cold[::10], alone[::10]))
+    ]
     inside = 100.0 * float((np.array(q) < chi2.ppf(0.95, 6)).mean()) if q else float("nan")
     return [100.0 * could.mean(), *of, inside, len(q), sum(x > WRONG for x in q)]
 
