@@ -110,6 +110,6 @@ def test_prism_and_tilt_are_the_nearest_lens_or_refused(tmp_path: Path) -> None:
 
 
 def test_a_lens_that_leaves_the_picture_without_rays_is_refused(tmp_path: Path) -> None:
-    source = depthai(tmp_path / "oak.json", [0.0] * 5 + [-4.0, 0.0, 0.0] + [0.0] * 6)
+    source = depthai(tmp_path / "oak.json", [0.0] * 5 + [4.0, 0.0, 0.0] + [0.0] * 6)
     with refuses(BadFile, "no ray", "pole", "26.6 degrees"):
         convert_camera(source, tmp_path / "camera.yaml")
