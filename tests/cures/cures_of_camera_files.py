@@ -53,6 +53,9 @@ FILES = {
     "[STEREO]\nBaseline=120\nTY=0\nTZ=0\nCV_HD=0\nRX_HD=0\nRZ_HD=0\n",
     "oak.json": json.dumps({"cameraData": [socket(1, 2, -7.5), socket(2, -1, 0)]}),
     "campar.dat": halcon(-60000.0),
+    "tilted.yml": "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n"
+    "camera_matrix: [[600, 0, 320], [0, 600, 240], [0, 0, 1]]\n"
+    "distortion_coefficients: [0.1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0.02, 0.01]\n",
     "cameras.txt": "# Camera list with one line of data per camera:\n1 PINHOLE 640 480 600 600 320.5 240.5\n"
     "2 PINHOLE 640 480 600 600 320.5 240.5\n",
     "rigs.txt": "# Rig calib list with one line of data per calib:\n1 2 CAMERA 1 CAMERA 2 1 1 0 0 0 -0.1 0 0\n",
@@ -84,6 +87,10 @@ TRIED = {
     ("store/foreign/photogrammetry.py", "with --approximate"): (
         "convert camera campar.dat -o h.yaml",
         "convert camera campar.dat -o h.yaml --approximate",
+    ),
+    ("store/foreign/opencv_lens.py", "with --approximate"): (
+        "convert camera tilted.yml -o t.yaml",
+        "convert camera tilted.yml -o t.yaml --approximate",
     ),
     ("store/foreign/colmap.py", "Give the length of its unit"): (
         "convert rig cameras.txt rigs.txt -o r.yaml",

@@ -41,7 +41,7 @@ RIG = "format: armsight/rig\nversion: {}\nkind: {}\ncameras:\n{}"
 FILES = {
     "rational.yml": "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n"
     "camera_matrix: [[300, 0, 320], [0, 300, 240], [0, 0, 1]]\n"
-    "distortion_coefficients: [40, -30, 0, 0, 5, 41, -20, 9]\n",
+    "distortion_coefficients: [0, 0, 0, 0, 0, 4, 0, 0]\n",
     "lens640.yaml": "format: armsight/camera\nversion: 1\nwidth: 640\nheight: 480\n"
     "fx: 520\nfy: 521\ncx: 321\ncy: 238\ndistortion: [0, 0, 0, 0, 0]\n",
     "small.yaml": SMALL + PLAIN,

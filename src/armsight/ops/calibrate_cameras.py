@@ -322,8 +322,7 @@ def board_options(given: BoardOptions | None, lens: str, *, most: int, zoom: flo
         raise UsageError(
             f"{len(names)} kinds of lens are given", cure="Give one, or for a pair left and right: fisheye,pinhole"
         )
-    kinds = {"lens": LensKind(names[0]), "right_lens": LensKind(names[-1])}
-    options = given or BoardOptions(**kinds, choose_lens=lens == AUTO)
+    options = given or BoardOptions(lens=LensKind(names[0]), right_lens=LensKind(names[-1]), choose_lens=lens == AUTO)
     if zoom is not None and (options.choose_lens or {*options.lenses} != {LensKind.PINHOLE}):
         raise UsageError(f"--lens {lens} with --zoom", cure="Settings of a zoom lens are pinholes: leave one away")
     return options

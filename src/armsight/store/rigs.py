@@ -94,7 +94,7 @@ class WideRigModel(CamerasModel):
     """rig.yaml of any cameras of which one has a rational lens, which earlier versions do not know."""
 
     version: Literal[3]  # type: ignore[assignment]  # of the same key
-    kind: Literal["stereo", "cameras"]  # type: ignore[assignment]  # of the same key
+    kind: Literal["stereo", "mirror", "cameras"]  # type: ignore[assignment]  # of the same key
 
 
 class CameraModel(Origin, IntrinsicsModel):

@@ -419,6 +419,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "Camera.pinhole": by_annotation(armsight.Camera.pinhole, LENS),
     "Camera.fisheye": by_annotation(armsight.Camera.fisheye, LENS),
+    "Camera.rational": by_annotation(armsight.Camera.rational, LENS),
     "Camera.project": (CAMERA.project, {"points_m": array(POINTS, nan=True, more={"empty": []})}),
     "Camera.rays": (CAMERA.rays, {"uv_px": array(PIXELS, nan=True, more={"empty": []})}),
     "Camera.is_close": (CAMERA.is_close, {"other": record(CAMERA), "tol": number(1e-9)}),

@@ -273,7 +273,7 @@ def _of_rig(path: Path, sizes: Sequence[tuple[int, int]], names: Sequence[str]) 
             raise Inconsistent(
                 f"{path}: the {name} camera has a {camera.lens} lens",
                 consequence="A cell's cameras are fitted with k1, k2, p1, p2, k3: its coefficients say nothing here",
-                cure="Leave the rig out, or calibrate it with --lens pinhole",
+                cure="Leave the rig out, or give one that was calibrated as pinholes",
             )
         if (camera.width, camera.height) != tuple(size):
             raise Inconsistent(
