@@ -198,6 +198,8 @@ def test_matlabs_pair_is_read_with_its_own_conventions(tmp_path, new):
     for got, view in zip(load_rig([path], asked).project(POINTS), (LEFT, RIGHT), strict=True):
         assert np.abs(got - view.sees(POINTS)).max() < 1e-9
     assert names_it(asked.told, "mm", "WorldUnits")
+    with refuses(BadFile, "ImageSize", "1280x720", "--size"):
+        load_rig([path], Asked(size=(640, 480)))
     with refuses(UsageError, "WorldUnits", "--unit"):
         load_rig([path], Asked(unit_m=0.001))
     scipy.io.savemat(path, {"params": matlab(LEFT, new=new)})

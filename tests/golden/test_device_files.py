@@ -241,7 +241,7 @@ def test_two_cameras_of_a_larger_rig_become_a_pair_with_their_covariance(tmp_pat
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("cam0:\n  camera_model: pinhole\n  intrinsics: [1, 2\n", ("Kalibr", "line 3")),
+        ("cam0:\n  camera_model: pinhole\n  intrinsics: [1, 2\n", ("Kalibr", "line 4")),
         ("Camera-system parameters:\n\tcam0 (/c):\n", ("camchain.yaml",)),
         ("time,x,y\n0,1.5,2\n", ("convert table",)),
         ('<robot name="r">\n  <link name="a"/>\n</robot>\n', ("URDF", "convert arm")),
