@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import BadFile, UsageError
 from armsight.geometry import is_close
+from armsight.ops.arm_files import load_arm
 from armsight.ops.conversion import convert_camera, convert_rig, load_camera, load_rig
-from armsight.ops.convert import any_table, arm
-from armsight.ops.file_kinds import listing
+from armsight.ops.file_kinds import listing, pointed_elsewhere
+from armsight.ops.tables import convert_table
 from armsight.records import NamedCovariance
 from armsight.store import write_rig
 from armsight.store.foreign import FORMATS, READ, Asked, kind_of
@@ -255,11 +256,11 @@ def test_an_unknown_file_is_answered_with_the_nearest_kinds(tmp_path, text, says
 
 
 def test_a_file_given_to_another_command_is_sent_to_its_own(tmp_path):
-    zed(tmp_path / "SN1.conf")
-    with refuses(BadFile, "SN1.conf", "convert rig"):
-        any_table(tmp_path / "SN1.conf")
-    with refuses(BadFile, "SN1.conf", "convert rig"):
-        arm(str(tmp_path / "SN1.conf"), tmp_path / "arm.yaml")
+    path = zed(tmp_path / "SN1.conf")
+    with refuses(BadFile, "SN1.conf", "convert rig"), pointed_elsewhere(path, "convert table"):
+        convert_table(path)
+    with refuses(BadFile, "SN1.conf", "convert rig"), pointed_elsewhere(path, "convert arm"):
+        load_arm(str(path))
 
 
 def test_the_list_and_the_guide_name_every_kind_that_is_known():
