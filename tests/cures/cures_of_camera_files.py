@@ -84,7 +84,7 @@ TRIED = {
         OAK,
         f"{OAK} --name CAM_B && convert rig oak.json -o both.yaml",
     ),
-    ("store/foreign/photogrammetry.py", "with --approximate"): (
+    ("store/foreign/lenses.py", "lens all the same with --approximate"): (
         "convert camera campar.dat -o h.yaml",
         "convert camera campar.dat -o h.yaml --approximate",
     ),

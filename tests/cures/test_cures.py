@@ -152,6 +152,24 @@ FOLLOWED_IN = {
     "test_a_direction_that_is_not_the_files_is_refused_and_signs_are_the_cure": [
         "drivers/servo_bus/robot.py: or signs and zero_steps"
     ],
+    "test_the_list_and_the_guide_name_every_kind_that_is_known": [
+        "ops/file_kinds.py: All kinds are in armsight convert --list"
+    ],
+    "test_a_lens_that_sees_further_than_a_camera_here_is_refused_or_taken_in_part": [
+        "store/foreign/lenses.py: Take the rest of the picture with --approximate"
+    ],
+    "test_matlabs_pair_is_read_with_its_own_conventions": [
+        "store/foreign/matlab.py: Leave --unit out, or correct WorldUnits",
+        "store/foreign/matlab.py: Leave --size out",
+    ],
+    "test_what_matlabs_files_leave_open_is_asked_for": ["store/foreign/matlab.py: Give the size of the images"],
+    "test_a_file_with_a_fault_is_refused_or_read_as_it_was_meant": [
+        "store/foreign/numbers.py: Look for the unit there"
+    ],
+    "test_what_rs_enumerate_devices_prints_is_read": [
+        "store/foreign/realsense.py: Give the size of the images that you record",
+        "store/foreign/several.py: of those that stand apart",
+    ],
     "test_a_rig_that_is_no_longer_so_is_not_built_on_until_it_is_mended": [
         "calibrate/cameras/extended.py: calibrate it again with --again"
     ],

@@ -177,7 +177,7 @@ def test_what_rs_enumerate_devices_prints_is_read(tmp_path):
     path.write_text(text)
     with refuses(UsageError, "Depth", "1280x720", "640x360", "--size"):
         load_rig([path])
-    with refuses(BadFile, "Depth", "Infrared 1", "one place"):
+    with refuses(BadFile, "Depth", "Infrared 1", "same point"):
         load_rig([path], Asked(size=SIZE))
     rig = load_rig([path], Asked(size=SIZE, names=("Infrared 1", "Color")))
     for got, view in zip(rig.project(POINTS), (LEFT, RIGHT), strict=True):
@@ -186,7 +186,7 @@ def test_what_rs_enumerate_devices_prints_is_read(tmp_path):
     with refuses(UsageError, "Color", "raw and rectified"):
         load_rig([path], Asked(size=SIZE))
     path.write_text(text.replace("PPX:        \t640.5", "PPX:        \t640,5"))
-    with refuses(BadFile, "not whole"):
+    with refuses(BadFile, "damaged", "640,5"):
         load_rig([path], Asked(size=SIZE))
 
 
@@ -198,6 +198,8 @@ def test_matlabs_pair_is_read_with_its_own_conventions(tmp_path, new):
     for got, view in zip(load_rig([path], asked).project(POINTS), (LEFT, RIGHT), strict=True):
         assert np.abs(got - view.sees(POINTS)).max() < 1e-9
     assert names_it(asked.told, "mm", "WorldUnits")
+    with refuses(BadFile, "ImageSize", "1280x720", "--size"):
+        load_rig([path], Asked(size=(640, 480)))
     with refuses(UsageError, "WorldUnits", "--unit"):
         load_rig([path], Asked(unit_m=0.001))
     scipy.io.savemat(path, {"params": matlab(LEFT, new=new)})

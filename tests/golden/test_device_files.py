@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import BadFile, UsageError
 from armsight.geometry import is_close
+from armsight.ops.arm_files import load_arm
 from armsight.ops.conversion import convert_camera, convert_rig, load_camera, load_rig
+from armsight.ops.file_kinds import listing, pointed_elsewhere
+from armsight.ops.tables import convert_table
 from armsight.records import NamedCovariance
 from armsight.store import write_rig
-from armsight.store.foreign import READ, Asked, kind_of
+from armsight.store.foreign import FORMATS, READ, Asked, kind_of
 from foreign_cameras import (
     LEFT,
     POINTS,
@@ -233,3 +237,40 @@ def test_two_cameras_of_a_larger_rig_become_a_pair_with_their_covariance(tmp_pat
     renamed = [name.replace("c2.", "left.").replace("c1.", "right.") for name in part.covariance.names]
     order = [renamed.index(name) for name in pair.covariance.names]
     assert np.allclose(pair.covariance.matrix, part.covariance.matrix[np.ix_(order, order)], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("cam0:\n  camera_model: pinhole\n  intrinsics: [1, 2\n", ("Kalibr", "line 4")),
+        ("Camera-system parameters:\n\tcam0 (/c):\n", ("camchain.yaml",)),
+        ("time,x,y\n0,1.5,2\n", ("convert table",)),
+        ('<robot name="r">\n  <link name="a"/>\n</robot>\n', ("URDF", "convert arm")),
+        ("nothing known\n", ("convert --list",)),
+    ],
+)
+def test_an_unknown_file_is_answered_with_the_nearest_kinds(tmp_path, text, says):
+    (tmp_path / "file.dat").write_text(text)
+    with refuses(BadFile, "file.dat", *says):
+        load_rig([tmp_path / "file.dat"])
+
+
+def test_a_file_given_to_another_command_is_sent_to_its_own(tmp_path):
+    path = zed(tmp_path / "SN1.conf")
+    with refuses(BadFile, "SN1.conf", "convert rig"), pointed_elsewhere(path, "convert table"):
+        convert_table(path)
+    with refuses(BadFile, "SN1.conf", "convert rig"), pointed_elsewhere(path, "convert arm"):
+        load_arm(str(path))
+
+
+def test_the_list_and_the_guide_name_every_kind_that_is_known():
+    lines = list(listing())
+    guide = (Path(__file__).parents[2] / "docs" / "guide" / "camera-files.md").read_text()
+    for name, one in FORMATS.items():
+        (line,) = (line for line in lines if line.split()[0] == name)
+        both = one.write_rig is not None
+        assert one.title in line and one.needs in line and ("written" in line) == both
+        (row,) = (row for row in guide.splitlines() if row.startswith(f"| {name} |"))
+        assert ("both" in row.split("|")[5]) == both
+    for command in ("convert rig", "convert table", "convert arm", "convert poses", "convert recording"):
+        assert any(line.endswith(command) for line in lines)

@@ -227,7 +227,7 @@ def _kind(path: Path, own: str) -> str:
     raise BadFile(
         f"{path} is {kind}, not {own}",
         consequence="It cannot be converted",
-        cure=f"Known are {own} and the kinds of armsight convert --list",
+        cure=f"Give a file of {own}, or one that another program wrote of its cameras",
     )
 
 

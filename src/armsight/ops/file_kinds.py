@@ -31,14 +31,14 @@ CELL = r"[^\n,;\t]*[,;\t]"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileKind:
-    """A kind of file: the commands that take it, its name for --to, what becomes of it, title, what it needs.
+    """A kind of file: the commands that take it, its name for --to, its use (read or written), title, what it needs.
 
     signs: patterns of what stands in its first lines and in few others.
     """
 
     commands: str
     name: str
-    way: str
+    use: str
     title: str
     needs: str = ""
     signs: tuple[str, ...] = ()
@@ -48,7 +48,7 @@ OTHERS = (
     FileKind(
         commands=TABLES,
         name="table",
-        way=BOTH,
+        use=BOTH,
         title="CSV, TXT, JSON, YAML, MATLAB .mat, or a folder with a file a pose: joints, poses, points, pairs",
         needs="--units, --euler, --columns where it leaves them open; also taken by verify, identify, calibrate",
         signs=(rf"\A\ufeff?{CELL}{CELL}", rf"^[ \d.eE+-]*\d{CELL}[ \d.eE+-]*\d{CELL}", r"^Format Version,"),
@@ -56,34 +56,34 @@ OTHERS = (
     FileKind(
         commands=TABLES,
         name="robot",
-        way=READ,
+        use=READ,
         title=f"tables of poses as makers of robots write them: {', '.join(ROBOT_FORMATS)}",
         needs="--robot-format",
     ),
-    FileKind(commands="convert poses", name="tum", way=BOTH, title="TUM poses (.tum, .txt), as evo reads them"),
-    FileKind(commands=ARMS, name="armsight", way=BOTH, title="arm.yaml", needs="--convention", signs=("armsight/arm",)),
+    FileKind(commands="convert poses", name="tum", use=BOTH, title="TUM poses (.tum, .txt), as evo reads them"),
+    FileKind(commands=ARMS, name="armsight", use=BOTH, title="arm.yaml", needs="--convention", signs=("armsight/arm",)),
     FileKind(
         commands=ARMS,
         name="urdf",
-        way=BOTH,
+        use=BOTH,
         title="URDF (.urdf)",
         needs="--tip and --base where it holds more than the arm",
         signs=(r"<robot\b", "<joint", "<link"),
     ),
-    FileKind(commands="convert handeye", name="easy_handeye", way=WRITTEN, title="easy_handeye, easy_handeye2"),
-    FileKind(commands="convert handeye", name="tf", way=WRITTEN, title="a launch file of ROS 2 with the transforms"),
-    FileKind(commands="convert recording", name="mcap", way=READ, title="a recording of armsight or ROS (.mcap)"),
-    FileKind(commands="convert recording", name="rosbag2", way=WRITTEN, title="a bag of ROS 2"),
+    FileKind(commands="convert handeye", name="easy_handeye", use=WRITTEN, title="easy_handeye, easy_handeye2"),
+    FileKind(commands="convert handeye", name="tf", use=WRITTEN, title="a launch file of ROS 2 with the transforms"),
+    FileKind(commands="convert recording", name="mcap", use=READ, title="a recording of armsight or ROS (.mcap)"),
+    FileKind(commands="convert recording", name="rosbag2", use=WRITTEN, title="a bag of ROS 2"),
 )
 
 
 def file_kinds() -> Iterator[FileKind]:
     """Yield every kind, those of one command together."""
     ours = ("format: armsight/(camera|rig)",)
-    yield FileKind(commands=CAMERAS, name="armsight", way=BOTH, title="camera.yaml, rig.yaml", signs=ours)
+    yield FileKind(commands=CAMERAS, name="armsight", use=BOTH, title="camera.yaml, rig.yaml", signs=ours)
     for name, one in FORMATS.items():
-        way = (BOTH if one.write_rig else READ) if one.rig else WRITTEN
-        yield FileKind(commands=CAMERAS, name=name, way=way, title=one.title, needs=one.needs, signs=one.signs)
+        use = (BOTH if one.write_rig else READ) if one.rig else WRITTEN
+        yield FileKind(commands=CAMERAS, name=name, use=use, title=one.title, needs=one.needs, signs=one.signs)
     yield from OTHERS
 
 
@@ -94,20 +94,21 @@ def listing() -> Iterator[str]:
         if kind.commands != commands:
             commands = kind.commands
             yield f"armsight {commands.replace(', ', ', armsight ')}"
-        yield f"  {kind.name:13} {kind.way:16} {kind.title}" + (f"; {kind.needs}" if kind.needs else "")
+        yield f"  {kind.name:13} {kind.use:16} {kind.title}" + (f"; {kind.needs}" if kind.needs else "")
 
 
 def unknown(path: Path, command: str, error: BadFile | None = None) -> BadFile:
     """Return why a file is of no kind that a command takes: what its first lines are nearest to, and what takes that.
 
-    error: where reading it ended, which is told of a file that does look like one that the command takes.
+    error: where reading it ended, which is said of a file that does look like one that the command takes.
     """
     head = _head(path)
     count, kinds = _nearest(head)
     here = [kind for kind in kinds if command in kind.commands]
     if here and error is not None and count >= SURE:
+        why = error.cause.removeprefix(str(path)).lstrip(":, ")
         return BadFile(
-            f"{path} looks like {here[0].title}, and is not whole: {error.cause.removeprefix(str(path)).lstrip(':, ')}",
+            f"{path} looks like {here[0].title}, and is damaged or cut off: {why}",
             cure="Copy it anew from the program or device that wrote it, or correct it there",
         )
     first = " ".join(head.split())[:60]

@@ -147,7 +147,7 @@ FORMATS = {
         "RealSense: text of rs-enumerate-devices -c, or JSON of librealsense's fields",
         realsense.read_realsense,
         needs="--size where it holds several; of a rig --name of its cameras",
-        unit="m, known",
+        unit="metres",
         signs=("Intrinsic of", "ppx", "ppy", "coeffs", "rs-enumerate-devices", "brown_conrady"),
     ),
     "matlab": _several(
@@ -191,7 +191,7 @@ def read_foreign_rig(kind: str, paths: Sequence[Path], asked: Asked) -> Rig:
     one = FORMATS[kind]
     if one.rig is None:
         raise UsageError(f"a file of {kind} is written only", cure="Give a file of another kind")
-    if one.unit in ("mm", "cm") and asked.unit_m is not None:
+    if one.unit in ("mm", "cm", "metres") and asked.unit_m is not None:
         raise UsageError(
             f"a file of {kind} is in {one.unit}, which is known",
             consequence="Another unit would put the cameras elsewhere",

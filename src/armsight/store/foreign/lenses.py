@@ -7,6 +7,7 @@ largest there is.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,7 +34,7 @@ GRID = (41, 31)
 
 Intrinsics = tuple[float, float, float, float, float]
 Size = tuple[int, int]
-LENSES: Mapping[str, tuple[Callable[..., Camera], Callable[..., tuple[Array, Array]], int]] = {
+LENSES: Mapping[str, tuple[Callable[..., Camera], Callable[..., Any], int]] = {
     "pinhole": (Camera.pinhole, cv2.projectPoints, 5),
     "fisheye": (Camera.fisheye, cv2.fisheye.projectPoints, 4),
 }

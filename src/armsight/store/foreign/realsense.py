@@ -76,7 +76,7 @@ def _of_text(text: str, where: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield f"{a}_to_{b}", {"rotation": columns, "translation": [float(x) for x in t.split()]}
     except (ValueError, KeyError) as error:
         raise BadFile(
-            f"{where}: a block of rs-enumerate-devices is not whole ({error})", cure="Print it anew into a file"
+            f"{where}: a block of rs-enumerate-devices is damaged ({error})", cure="Print it anew into a file"
         ) from error
 
 

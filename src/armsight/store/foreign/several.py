@@ -49,7 +49,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placed:
-    """A camera of a file, its name there; lens: reads it, only of those that are meant, so that no other one is told of
+    """A camera of a file, its name there; lens: reads it, only of those that are meant, so that no other one is named
     or refused; pose: R (3, 3), t (3,) of p_camera = R p_world + t, None where unknown."""
 
     name: str
@@ -102,17 +102,18 @@ def rig_of(found: Sequence[Placed], where: str, asked: Asked, names: Sequence[st
         )
     if sorted(one.name for one in cameras) == list(SIDES):
         cameras.sort(key=lambda one: one.name)  # a pair's first is left
+    called = names if len(names) == len(cameras) else _plain(cameras, asked)
     mounted: list[MountedCamera] = []
     (R_first, t_first), *_ = poses = [one.pose for one in cameras if one.pose is not None]
-    for one, name, (R, t) in zip(cameras, names or _plain(cameras, asked), poses, strict=True):
+    for one, name, (R, t) in zip(cameras, called, poses, strict=True):
         T = RigidTransform.identity()
         if mounted:
             R = R @ R_first.T
             step = t - R @ t_first
             if not step.any():
                 raise BadFile(
-                    f"{where}: {cameras[0].name} and {one.name} stand in one place",
-                    consequence="They are no two cameras that see a length",
+                    f"{where}: {cameras[0].name} and {one.name} stand at the same point",
+                    consequence="Two views from one point measure no distance",
                     cure=f"Say which are meant: --name {cameras[0].name} --name ..., of those that stand apart",
                 )
             T = numbers.placed(R, step, f"{where}, {cameras[0].name} and {one.name}", asked.unit_m)
