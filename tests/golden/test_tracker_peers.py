@@ -200,7 +200,7 @@ def test_one_recording_as_csv_of_nexus_and_as_c3d(tmp_path):
 
 
 def test_skin_is_no_body(tmp_path):
-    with refuses(Inconsistent, "do not keep their distances"):
+    with refuses(Inconsistent, "keep their distances"):
         read_measured(public("c3d", tmp_path), TableFormat(body="Daphnee"))
 
 

@@ -36,7 +36,7 @@ from armsight.units import DEG, MM
 if TYPE_CHECKING:
     from armsight.clock import Clock
     from armsight.ops.requests.plant import Publishing
-    from armsight.ops.verification.supervising import Show, Supervised
+    from armsight.ops.verification.supervising import Eyes, Show, Supervised
     from armsight.records import Progress
     from armsight.verify.iso9283.plan import VerifyPlanOutput
     from armsight.verify.live import VerifyLiveOutput
@@ -300,8 +300,8 @@ def supervise(
         {"--body": body, "--tracker-std": tracker_std_m, "--tracker-std-deg": tracker_std_rad},
     )
     if tracker is not None:
-        std = (tracker_std_m, tracker_std_rad)
-        eyes, devices = TrackerEyes(), devices or live.open_tracked(link, tracker, body, std, clock, arm)
+        eyes: Eyes = TrackerEyes()
+        devices = devices or live.open_tracked(link, tracker, body, (tracker_std_m, tracker_std_rad), clock, arm)
     else:
         setup = live.setup_of(rig, target)
         eyes = CameraEyes(setup, (rig, target), frames=keep_frames)

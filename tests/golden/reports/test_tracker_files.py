@@ -107,7 +107,7 @@ def test_a_list_of_points_is_in_the_unit_of_its_remark(file):
         ("motive_one_cut.csv", {}, BadFile, ("header",)),
         ("vicon_cut.csv", {}, BadFile, ("frames a second",)),
         ("vicon_tracker.csv", {}, Ambiguous, ("Helical", "--euler rotvec")),
-        ("poses_full.csv", {"body": "Flange"}, UsageError, ("no bodies by name",)),
+        ("poses_full.csv", {"body": "Flange"}, UsageError, ("bodies by name",)),
     ],
 )
 def test_what_a_file_leaves_open_is_asked_for(file, stated, kind, words):

@@ -64,7 +64,7 @@ class QtmStream(BodyStream):
             on_disconnect=lambda _: self.end("QTM ended the connection"),
         )
         if self._connection is None:
-            raise ConnectionError("nobody answers")
+            raise ConnectionError("there is no answer")
         settings = await self._connection.get_parameters(parameters=["6d"])
         names = [(name.text or "").strip() for name in ElementTree.fromstring(settings).findall("*/Body/Name")]
         self._index = self.chosen(names)

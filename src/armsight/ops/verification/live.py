@@ -97,8 +97,8 @@ def tracker_doubts(tracker: str | None, said: bool) -> list[str]:
 
 
 TRACKER_STD = (0.3 * MM, 0.3 * DEG)
-"""What a tracker's pose is taken to be off where nobody says: makers state 0.1 to 0.5 mm of a marker in a cell of a few
-metres, and a body of 100 mm turns by 0.2 degrees with it."""
+"""What a tracker's pose is taken to be off where that is not said: some tenths of a millimetre, and the rotation that
+these give a body of 100 mm."""
 
 
 def open_tracked(
@@ -116,7 +116,7 @@ def open_tracked(
 
 
 def check_eyes(tracker: str | None, of_cameras: Mapping[str, object], of_tracker: Mapping[str, object]) -> None:
-    """Raise UsageError where both cameras and a tracker are given, or neither as a whole."""
+    """Raise UsageError where both cameras and a tracker are given, or neither completely."""
     given = [flag for flag, value in of_cameras.items() if value]
     if tracker is not None and given:
         raise UsageError(

@@ -23,7 +23,7 @@ from armsight.errors import UsageError
 from armsight.units import DEG, MM
 
 ROTVEC = "rotvec"
-"""In the place of an order: the three numbers are a rotation vector."""
+"""Instead of an order: the three numbers are a rotation vector."""
 _ORDER = re.compile(r"([xyz]{3})(?:-(fixed|rotating))?", re.IGNORECASE)
 
 

@@ -1,4 +1,4 @@
-"""Every kind of tracker file: how it is told by its first lines, and how it is read; one entry a kind.
+"""Every kind of tracker file: how it is known by its first lines, and how it is read; one entry a kind.
 
 What a file of each really says stands, with its source, at the head of the module that reads it.
 """

@@ -89,7 +89,7 @@ def _padded(cells: list[str], width: int) -> list[str]:
 def _those(columns: dict[tuple[str, str], int], wanted: list[tuple[str, str]], name: str, where: str) -> list[int]:
     missing = [f"{what} {axis.upper()}" for what, axis in wanted if (what, axis) not in columns]
     if missing:
-        raise BadFile(f"{where}: of {name!r} there is no {', '.join(missing)}", cure="Export it anew, as a whole")
+        raise BadFile(f"{where}: of {name!r} there is no {', '.join(missing)}", cure="Export it anew, with all columns")
     return [columns[key] for key in wanted]
 
 

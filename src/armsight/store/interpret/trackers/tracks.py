@@ -143,7 +143,7 @@ def length_of(unit: str, where: str, format_: TableFormat, what: str) -> float:
     if not name and not format_.units:
         raise UsageError(
             f"{where}: {what} says no unit of length",
-            consequence="Millimetres and metres cannot be told apart",
+            consequence="Millimetres and metres cannot be distinguished",
             cure="Give --units mm, or what it is",
         )
     if not name:

@@ -2,7 +2,7 @@
 
 A section: its name; frames a second; bodies or markers; Frame, Sub Frame, RX, RY, RZ[, RW], TX, TY, TZ or X, Y, Z;
 units. Without RW the three are a rotation vector (`Helical`, what Tracker sets at first) or Euler angles, which the
-file does not say: a length beyond half a turn is no rotation vector, an RY beyond 90 degrees no Euler angle x, y, z
+file does not say: a length beyond 180 degrees is no rotation vector, an RY beyond 90 degrees no Euler angle x, y, z
 (AG6GR/Vicon_CSV, README, for Tracker 3.5; trajectories by a file of Nexus in pyomeca). A lost frame is empty, or zeros.
 """
 
