@@ -266,7 +266,7 @@ def pulses_per_degree(where: str, count: int, format_: TableFormat) -> tuple[flo
             f"{where}: joint values in pulses, and how many pulses make a degree no job says",
             consequence="Without them they are no angles",
             cure="Give --pulses-per-degree S,L,U,R,B,T from the controller's parameters (negative where an axis counts "
-            "the other way than the arm's model)",
+            "against the arm's model)",
         )
     if len(ratios) != count:
         raise UsageError(

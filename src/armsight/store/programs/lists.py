@@ -68,7 +68,7 @@ def dtx_points(text: str, where: str) -> Listed:
         root = ElementTree.fromstring(text.encode())
     except (ElementTree.ParseError, ValueError) as error:
         raise BadFile(
-            f"{where}: is no whole XML: {error}", cure="Export the application again: it may be cut"
+            f"{where}: is no complete XML: {error}", cure="Export the application again: it may be cut"
         ) from None
     lines = {match.start(): line_of(text, match.start()) for match in _VALUE.finditer(text)}
     order = iter(lines.values())
