@@ -88,7 +88,7 @@ def dtx_points(text: str, where: str) -> Listed:
     return found
 
 
-_PTS = re.compile(r"^\s*Point\d+\s*\{(?P<body>[^{}]*)(?P<end>\})?", re.MULTILINE)
+_PTS = re.compile(r"^[ \t]*Point\d+\s*\{(?P<body>[^{}]*)(?P<end>\})?", re.MULTILINE)
 
 
 def pts_points(text: str, where: str) -> Listed:
@@ -108,7 +108,7 @@ def pts_points(text: str, where: str) -> Listed:
         cells = listed_numbers(",".join(values[key] for key in keys), found.location(line), name, (6,))
         frame = f"Local {values.get('nLocal', '0')}"
         found.points.append(Point(line=line, name=name, xyz=cells[:3], turn=cells[3:], frame=frame))
-    counted = re.search(r"^\s*nNumberOfPoints\s*=\s*(\d+)", text, re.MULTILINE)
+    counted = re.search(r"^[ \t]*nNumberOfPoints\s*=\s*(\d+)", text, re.MULTILINE)
     if counted is not None and int(counted[1]) != len(blocks):
         raise BadFile(
             f"{where}: nNumberOfPoints is {counted[1]}, and there are {len(blocks)}",
