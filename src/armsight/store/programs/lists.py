@@ -85,6 +85,8 @@ def dtx_points(text: str, where: str) -> Listed:
                 cells = numbers([value.get(key, "0") for key in keys], found.location(line), name)
                 frame = value.get("fatherId", "")
                 found.points.append(Point(line=line, name=name, xyz=cells[:3], turn=cells[3:], frame=frame))
+    if any(not point.joints for point in found.points):
+        found.notes.append("lengths are taken as mm: that a project is in inches, its .pjx alone says")
     return found
 
 
