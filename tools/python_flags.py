@@ -59,6 +59,7 @@ TABLE = {
     "--robot-format": "robot",
     "--units": "units",
     "--as-stated": "as_stated",
+    "--pulses-per-degree": "pulses",
 }
 ANYWHERE: Mapping[str, str] = {
     "--json": "results are objects: `to_dict()` gives what this prints",

@@ -41,8 +41,8 @@ FARTHEST_M = 2.0
 """No link of theirs is longer."""
 FARTHEST_OFF_M = 0.03
 """Those seen are up to 8 mm from their nominal arm; of another size most are 100 mm off, but not all."""
-_LIST = re.compile(r"^\s*(\w+)\s*=\s*\[([^\]\n]*)\]", re.MULTILINE)
-_STATUS = re.compile(r"^\s*calibration_status\s*=\s*(\d+)", re.MULTILINE)
+_LIST = re.compile(r"^[ \t]*(\w+)\s*=\s*\[([^\]\n]*)\]", re.MULTILINE)
+_STATUS = re.compile(r"^[ \t]*calibration_status\s*=\s*(\d+)", re.MULTILINE)
 
 
 def is_factory_file(path: Path) -> bool:

@@ -101,6 +101,14 @@ def test_joint_3_stays_for_an_arm_whose_file_couples_it(tmp_path):
     assert np.rad2deg(third) == pytest.approx(q_deg[:, 2] - q_deg[:, 1], abs=6e-4)
 
 
+def test_comments_may_be_in_a_controller_s_code_page(tmp_path):
+    xyz_mm, rotation, _ = world()
+    text = written("krl", xyz_mm, rotation).replace("DEFDAT", "; Meßpunkte für Zelle 3\r\nDEFDAT", 1)
+    path = tmp_path / "points.dat"
+    path.write_bytes(text.encode("latin-1"))
+    assert convert_table(path, kind="poses").n == len(xyz_mm)
+
+
 def test_pulses_are_degrees_by_the_numbers_given(tmp_path):
     q_deg = world()[2]
     text = jbi([], [list(row) for row in q_deg], PULSES)

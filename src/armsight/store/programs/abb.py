@@ -33,8 +33,10 @@ def rapid_points(text: str, where: str) -> Listed:
             name = f"{declared[2]}{{{k}}}" if declared[3] else declared[2]
             found.points.append(_target(found, line, name, target, joints=joints))
     _motions(found, code)
-    if re.search(r"^\s*MODULE\b", code, re.MULTILINE | re.IGNORECASE):
-        require_end(found, re.search(r"^\s*ENDMODULE\b", code, re.MULTILINE | re.IGNORECASE) is not None, "ENDMODULE")
+    if re.search(r"^[ \t]*MODULE\b", code, re.MULTILINE | re.IGNORECASE):
+        require_end(
+            found, re.search(r"^[ \t]*ENDMODULE\b", code, re.MULTILINE | re.IGNORECASE) is not None, "ENDMODULE"
+        )
     found.points.sort(key=lambda point: point.line)
     return found
 

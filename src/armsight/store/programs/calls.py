@@ -57,7 +57,7 @@ def denso_points(text: str, where: str) -> Listed:
 
 
 _NACHI = re.compile(
-    r"^\s*(?:\d+\s+)?MOVEX\b(?P<head>[^(\n]*)\((?P<cells>[^()\n]*)(?P<end>\))?(?P<tail>.*)", re.M | re.I
+    r"^[ \t]*(?:\d+\s+)?MOVEX\b(?P<head>[^(\n]*)\((?P<cells>[^()\n]*)(?P<end>\))?(?P<tail>.*)", re.M | re.I
 )
 
 
@@ -128,7 +128,7 @@ def urscript_points(text: str, where: str) -> Listed:
             _add_ur(found, line_of(code, match.start()), named, match, joints=match["pose"] is None, tool=tool)
     found.points.sort(key=lambda point: point.line)
     if re.match(r"\s*(?:global\s+)?def\s+\w+", code):
-        require_end(found, re.search(r"^\s*end\b", code, re.MULTILINE) is not None, "end")
+        require_end(found, re.search(r"^[ \t]*end\b", code, re.MULTILINE) is not None, "end")
     if "pose_trans" in code or "pose_add" in code:
         found.notes.append("poses that the program computes (pose_trans, pose_add) are not used")
     return found
@@ -142,7 +142,9 @@ def _add_ur(found: Listed, line: int, name: str, match: re.Match[str], *, joints
     found.points.append(point if joints else replace(point, tool=tool, frame="the base"))
 
 
-_GCODE = re.compile(r"^\s*(?:N\d+\s*)?(?:G53\s*)?G0*[01](?=[\sXYZ])(?P<words>[^(;\n]*)", re.MULTILINE | re.IGNORECASE)
+_GCODE = re.compile(
+    r"^[ \t]*(?:N\d+\s*)?(?:G53\s*)?G0*[01](?=[\sXYZ])(?P<words>[^(;\n]*)", re.MULTILINE | re.IGNORECASE
+)
 _WORD = re.compile(rf"([XYZABCF])\s*({NUMBER.pattern})(?![\d.])", re.IGNORECASE)
 
 
@@ -176,5 +178,5 @@ def gcode_points(text: str, where: str) -> Listed:
         values = numbers([words[key] for key in "XYZABC"], found.location(line), f"line {line}")
         point = _either(line, f"line {line}", values, joints=False)
         found.points.append(replace(point, tool="the flange", frame="the machine"))
-    require_end(found, re.search(r"^\s*(?:M0*2\b|M30\b|%)", code, re.MULTILINE) is not None, "M2")
+    require_end(found, re.search(r"^[ \t]*(?:M0*2\b|M30\b|%)", code, re.MULTILINE) is not None, "M2")
     return found

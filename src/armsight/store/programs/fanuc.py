@@ -14,7 +14,7 @@ from decimal import Decimal
 from armsight.errors import BadFile, Inconsistent
 from armsight.store.programs.points import POINTS, Listed, Point, line_of, numbers, require_end, wrong_count
 
-_OPENED = re.compile(r"^\s*P\[(\d+)(?:\s*:\s*\"([^\"]*)\")?\]\s*\{", re.MULTILINE)
+_OPENED = re.compile(r"^[ \t]*P\[(\d+)(?:\s*:\s*\"([^\"]*)\")?\]\s*\{", re.MULTILINE)
 _GROUP = re.compile(r"GP(\d+)\s*:")
 _FRAMES = re.compile(r"UF\s*:\s*(\w+)\s*,\s*UT\s*:\s*(\w+)")
 _VALUE = re.compile(r"\b([XYZWPR]|[JE]\d)\s*=\s*([^\s,]+(?:,\d+)?)\s*(mm|deg)?")

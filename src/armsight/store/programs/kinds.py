@@ -43,7 +43,8 @@ class ProgramKind:
 PROGRAMS: Mapping[str, ProgramKind] = {
     "krl": ProgramKind(
         title="KUKA KRL: .src, .dat",
-        told=r"^\s*(?:&ACCESS\b|DEFDAT\b|(?:GLOBAL\s+)?DEF\s+\w+\s*\([^)\n]*\)\s*$|(?:GLOBAL\s+)?DECL\s+(?:GLOBAL\s+)?E?6?(?:POS|AXIS)\b)",
+        told=r"^[ \t]*(?:&ACCESS\b|DEFDAT\b|(?:GLOBAL\s+)?DEF\s+\w+\s*\([^)\n]*\)\s*$"
+        r"|(?:GLOBAL\s+)?DECL\s+(?:GLOBAL\s+)?E?6?(?:POS|AXIS)\b)",
         points=kuka.krl_points,
         order="zyx",
         written="krl",
@@ -58,7 +59,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "rapid": ProgramKind(
         title="ABB RAPID: .mod, .prg",
-        told=r"^\s*(?:%%%|MODULE\s+\w+|(?:LOCAL\s+|TASK\s+)?(?:CONST|PERS|VAR)\s+(?:robtarget|jointtarget)\b)",
+        told=r"^[ \t]*(?:%%%|MODULE\s+\w+|(?:LOCAL\s+|TASK\s+)?(?:CONST|PERS|VAR)\s+(?:robtarget|jointtarget)\b)",
         points=abb.rapid_points,
         order=QUATERNION,
         written="rapid",
@@ -88,7 +89,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "pts": ProgramKind(
         title="Epson RC+ points: .pts",
-        told=r"^\s*Point\d+\s*\{",
+        told=r"^[ \t]*Point\d+\s*\{",
         points=lists.pts_points,
         order=ASKED,
         likely="zyx (strangers' files), or what the manual says",
@@ -104,7 +105,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "denso": ProgramKind(
         title="Denso PacScript: .pcs, .pac",
-        told=r"^\s*(?:DEFPOS|MOVE\s+[PLCS]\s*,).*\b[PJ]\(",
+        told=r"^[ \t]*(?:DEFPOS|MOVE\s+[PLCS]\s*,).*\b[PJ]\(",
         points=calls.denso_points,
         order=ASKED,
         likely="xyz-fixed or zyz",
@@ -113,7 +114,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "nachi": ProgramKind(
         title="Nachi: MOVEX statements",
-        told=r"^\s*(?:\d+\s+)?MOVEX\b",
+        told=r"^[ \t]*(?:\d+\s+)?MOVEX\b",
         points=calls.nachi_points,
         order="zyx",
         source="RoboDK Nachi_AX_FD",
@@ -127,7 +128,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "urscript": ProgramKind(
         title="Universal Robots URScript: .script",
-        told=r"^\s*(?:global\s+)?def\s+\w+\s*\([^)\n]*\)\s*:|\bmove[jlp]\s*\(\s*p?\[",
+        told=r"^[ \t]*(?:global\s+)?def\s+\w+\s*\([^)\n]*\)\s*:|\bmove[jlp]\s*\(\s*p?\[",
         points=calls.urscript_points,
         order=VECTOR,
         unit="m, rad",
@@ -136,7 +137,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "gcode": ProgramKind(
         title="LinuxCNC G-code with X Y Z A B C: .ngc",
-        told=r"^\s*(?:N\d+\s*)?(?:G53\s*)?G0*[01]\s*X.*\bA[-\d.]+\s+B",
+        told=r"^[ \t]*(?:N\d+\s*)?(?:G53\s*)?G0*[01]\s*X.*\bA[-\d.]+\s+B",
         points=calls.gcode_points,
         order="xyz-fixed",
         written="linuxcnc",
@@ -180,7 +181,7 @@ def program_table(data: bytes, where: str, joints: bool | None, format_: TableFo
             f"{where}: --columns names the columns of a table, and this is a program ({kind.title})",
             cure="Leave --columns away",
         )
-    found = kind.points(decoded(data, where).replace("\r\n", "\n").replace("\r", "\n"), where)
+    found = kind.points(_text(data, where), where)
     if joints is None:
         require_one_kind(found)
     points, others = chosen(found, joints)
@@ -202,6 +203,17 @@ def program_table(data: bytes, where: str, joints: bool | None, format_: TableFo
 
 
 HEAD = 100_000
+
+
+def _text(data: bytes, where: str) -> str:
+    """Return a program's text; comments of controllers may be in a code page of theirs, numbers and names are not."""
+    try:
+        text = decoded(data, where)
+    except BadFile:
+        text = decoded(data.decode("latin-1").encode(), where)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
 TOLD = 200
 """Letters of names that a note lists."""
 UNUSED = "columns not used: "
@@ -266,7 +278,7 @@ def pulses_per_degree(where: str, count: int, format_: TableFormat) -> tuple[flo
             f"{where}: joint values in pulses, and how many pulses make a degree no job says",
             consequence="Without them they are no angles",
             cure="Give --pulses-per-degree S,L,U,R,B,T from the controller's parameters (negative where an axis counts "
-            "the other way than the arm's model)",
+            "against the arm's model)",
         )
     if len(ratios) != count:
         raise UsageError(

@@ -68,7 +68,7 @@ def dtx_points(text: str, where: str) -> Listed:
         root = ElementTree.fromstring(text.encode())
     except (ElementTree.ParseError, ValueError) as error:
         raise BadFile(
-            f"{where}: is no whole XML: {error}", cure="Export the application again: it may be cut"
+            f"{where}: is no complete XML: {error}", cure="Export the application again: it may be cut"
         ) from None
     lines = {match.start(): line_of(text, match.start()) for match in _VALUE.finditer(text)}
     order = iter(lines.values())
@@ -85,10 +85,12 @@ def dtx_points(text: str, where: str) -> Listed:
                 cells = numbers([value.get(key, "0") for key in keys], found.location(line), name)
                 frame = value.get("fatherId", "")
                 found.points.append(Point(line=line, name=name, xyz=cells[:3], turn=cells[3:], frame=frame))
+    if any(not point.joints for point in found.points):
+        found.notes.append("lengths are taken as mm: that a project is in inches, its .pjx alone says")
     return found
 
 
-_PTS = re.compile(r"^\s*Point\d+\s*\{(?P<body>[^{}]*)(?P<end>\})?", re.MULTILINE)
+_PTS = re.compile(r"^[ \t]*Point\d+\s*\{(?P<body>[^{}]*)(?P<end>\})?", re.MULTILINE)
 
 
 def pts_points(text: str, where: str) -> Listed:
@@ -108,7 +110,7 @@ def pts_points(text: str, where: str) -> Listed:
         cells = listed_numbers(",".join(values[key] for key in keys), found.location(line), name, (6,))
         frame = f"Local {values.get('nLocal', '0')}"
         found.points.append(Point(line=line, name=name, xyz=cells[:3], turn=cells[3:], frame=frame))
-    counted = re.search(r"^\s*nNumberOfPoints\s*=\s*(\d+)", text, re.MULTILINE)
+    counted = re.search(r"^[ \t]*nNumberOfPoints\s*=\s*(\d+)", text, re.MULTILINE)
     if counted is not None and int(counted[1]) != len(blocks):
         raise BadFile(
             f"{where}: nNumberOfPoints is {counted[1]}, and there are {len(blocks)}",
