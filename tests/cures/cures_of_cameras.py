@@ -243,4 +243,24 @@ TRIED = {
         "simulate arm-points --room dark -o s",
         "simulate arm-points -o s",
     ),
+    ("store/board_print.py", "or give WIDTHxHEIGHT in mm such as"): (
+        "board circles:5x5:0.02 --paper b9 -o b.pdf",
+        "board circles:5x5:0.02 --paper 150x150 -o b.pdf",
+    ),
+    ("store/board_print.py", "Choose --paper {}, or a"): (
+        "board checkerboard:8x6:0.03 -o b.pdf",
+        ("board checkerboard:8x6:0.026 -o small.pdf", "board checkerboard:8x6:0.03 --paper a3 -o b.pdf"),
+    ),
+    ("store/board_print.py", "Leave --dot and --bigger-first away"): (
+        "board checkerboard:8x6:0.02 --dot 5mm -o b.pdf",
+        "board checkerboard:8x6:0.02 -o b.pdf",
+    ),
+    ("store/board_print.py", "Leave --old-layout away"): (
+        "board circles:5x5:0.02 --old-layout -o b.pdf",
+        "board circles:5x5:0.02 -o b.pdf",
+    ),
+    ("store/board_print.py", "Give --dot of {} m or less"): (
+        "board circles:5x5:0.02 --dot 14mm --bigger-first -o b.pdf",
+        "board circles:5x5:0.02 --dot 0.01 --bigger-first -o b.pdf",
+    ),
 }

@@ -62,8 +62,8 @@ class Saveable(ByValue):
     def save(self, path: str | PathLike[str]) -> Path:
         """Write the record's own kind of file (docs/file-formats.md), whole or not at all, and return its path.
 
-        The ending decides: .yaml, of an arm also .urdf, of a path .csv. Raises UsageError for another ending or where
-        there is no such folder, DeviceFailed.
+        The ending decides: .yaml, of an arm also .urdf or .mjcf, of a path .csv. Raises UsageError for another ending
+        or where there is no such folder, DeviceFailed.
         """
         return Files.save(self, path)
 

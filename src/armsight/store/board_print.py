@@ -61,9 +61,9 @@ class BoardPrint(Output):
 
     board: Annotated[str, Doc("The board, as --board takes it.")]
     file: Annotated[str, Doc("The file written.")]
-    paper_m: Annotated[tuple[float, float], Doc("Width and height of the page.", unit="m")]
-    size_m: Annotated[tuple[float, float], Doc("Width and height of what is printed of the board.", unit="m")]
-    rulers_m: Annotated[tuple[float, float], Doc("Lengths of the rulers, across and down.", unit="m")]
+    paper_m: Annotated[tuple[float, float], Doc("Width and height of the page.")]
+    size_m: Annotated[tuple[float, float], Doc("Width and height of what is printed of the board.")]
+    rulers_m: Annotated[tuple[float, float], Doc("Lengths of the rulers, across and down.")]
     notes: Annotated[tuple[str, ...], Doc("What to know of this print.")]
 
     def summary(self) -> Iterator[Shown]:

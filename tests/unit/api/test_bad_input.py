@@ -332,6 +332,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "write_formulas": (armsight.write_formulas, {"arm": ARM, "out": AWAY}),
     "write_joints": (armsight.write_joints, {"path": AWAY, "t_s": [0.0], "q": np.zeros((1, 6))}),
     "write_table": (armsight.write_table, {"path": AWAY, "columns": {"x_m": [0.0]}}),
+    "print_board": (armsight.print_board, {"board": BOARD, "out": AWAY}),
     "write_simulation": (armsight.write_simulation, {"scenario": "hand-cell", "out": AWAY}),
     **{
         f"paths.{name}": (getattr(armsight.paths, name), {"path": PATH, **more})

@@ -173,7 +173,7 @@ def test_what_cannot_be_printed_is_refused_with_what_can(tmp_path: Path) -> None
     assert "holds 182 x 269 mm" in str(refused.value)
     assert any("larger than A4" in note for note in print_board("aprilgrid:6x6:0.088:0.3", out, paper="a0").notes)
     assert not print_board("aprilgrid:6x6:0.0224:0.3", out).notes
-    with pytest.raises(UsageError, match="needs 60 markers, and the dictionary has 50"):
+    with pytest.raises(UsageError, match="60 markers"):
         print_board("charuco:12x10:0.015:0.01:DICT_4X4_50", out)
     for words in ({"bigger_first": True, "dot_m": 0.014}, {"dot_m": 0.02}):
         with pytest.raises(UsageError, match="touch"):
