@@ -139,8 +139,8 @@ def _named(expected: Expected, t_s: float, spots: Spots) -> View | None:
     """Return the view of the spots that are the lights' by one shift of all, the likeliest that fits; None if none."""
     for lights, rows in links(expected.uv_px, spots.uv_px):
         view = expected.named(t_s, spots.take(rows), lights)
-        if view is not None:
-            return view
+        if view is not None and len(view.lights) >= min(len(spots), len(expected.uv_px)) - 1:
+            return view  # fewer of them would fit by other names, too
     return None
 
 
@@ -163,7 +163,8 @@ def _begun(
                 for spots, shutter in zip(found.spots, shutters, strict=True)
                 if len(spots)
             ]
-            return MotionFilter.begin(setup.packed, setup.model.xyz_m, t_s, T, C), views
+            if sum(len(view.lights) >= FEWEST_SPOTS for view in views) >= sum(len(one) >= FEWEST_SPOTS for one in seen):
+                return MotionFilter.begin(setup.packed, setup.model.xyz_m, t_s, T, C), views
     if swapped is not None:
         raise swapped
     return None, []
