@@ -100,7 +100,9 @@ def kalibr_mapping(camera: Camera) -> dict[str, Any]:
     fisheye = camera.lens is LensKind.FISHEYE
     fx, fy, cx, cy, skew, *coefficients = camera.intrinsics.tolist()
     if camera.lens is LensKind.RATIONAL:
-        raise Inconsistent("the lens is rational", consequence="Kalibr has no such model", cure="Calibrate it as a pinhole")
+        raise Inconsistent(
+            "the lens is rational", consequence="Kalibr has no such model", cure="Calibrate it as a pinhole"
+        )
     k3 = 0.0 if fisheye else coefficients[4]
     if skew != 0.0 or k3 != 0.0:
         raise Inconsistent(
