@@ -15,7 +15,8 @@ from armsight import records
 from armsight.arrays import Array
 from armsight.defaults import GLASS
 from armsight.errors import Inconsistent
-from armsight.optics.kernels.camera import FISHEYE, RATIONAL, project_many, undistort_many
+from armsight.optics.kernels.camera import project_many, undistort_many
+from armsight.optics.kernels.wide import FISHEYE, RATIONAL
 
 SIDES = ("left", "right")
 

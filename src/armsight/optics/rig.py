@@ -18,7 +18,8 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import pose_from_rotvec
 from armsight.geometry.poses import skew
 from armsight.optics.camera import INTRINSICS, PACKED, RATIONAL_INTRINSICS, SIDES, Camera, names_beside
-from armsight.optics.kernels.camera import RATIONAL, project_many
+from armsight.optics.kernels.camera import project_many
+from armsight.optics.kernels.wide import RATIONAL
 from armsight.optics.mounted import MountedCamera, MountedZoom, place_of, require_names, with_each
 
 PLACE = ("tx", "ty", "tz", "rx", "ry", "rz")

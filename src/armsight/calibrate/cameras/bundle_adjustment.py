@@ -18,7 +18,7 @@ from armsight.calibrate.cameras.observations import Known, Observations
 from armsight.fitting import Evaluation, Fit, NormalEquations, Prior, Problem, Settings, solve
 from armsight.optics import INTRINSICS, LensKind
 from armsight.optics.camera import EMPTY_PLACE, INTRINSICS_OF, PACKED, names_beside
-from armsight.optics.kernels.camera import FISHEYE, RATIONAL
+from armsight.optics.kernels.wide import FISHEYE, RATIONAL
 from armsight.records import Progress
 
 EMPTY = np.empty((0, 0, 0))

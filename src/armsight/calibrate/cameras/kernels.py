@@ -12,16 +12,8 @@ import numpy as np
 
 from armsight._numba import inline_sum_kernel, inner_kernel, inner_sum_kernel, kernel, sum_kernel
 from armsight.geometry.kernels import Pose, rotation_from_rotvec, rotvec_of
-from armsight.optics.kernels.camera import (
-    NEAR_AXIS,
-    RATIONAL,
-    distort_pinhole,
-    is_wide,
-    lens_of,
-    n_intrinsics,
-    rational_radial,
-    see_wide,
-)
+from armsight.optics.kernels.camera import distort_pinhole
+from armsight.optics.kernels.wide import NEAR_AXIS, RATIONAL, n_intrinsics, rational_radial, see_wide, wide_of
 
 N_INTRINSICS = 10
 N_POSE = 6
@@ -31,22 +23,6 @@ N_COLUMNS = RESIDUAL + 1 + N_POSE
 N_DENOMINATOR = 3
 N_WIDE = N_COLUMNS + N_DENOMINATOR
 """... and of a rational lens k4, k5, k6."""
-
-
-class Lens(NamedTuple):
-    """Coefficients of distortion as see_wide takes them; wide: whether the lens is a fisheye or rational."""
-
-    wide: Any
-    kind: Any
-    k1: Any
-    k2: Any
-    p1: Any
-    p2: Any
-    k3: Any
-    widest: Any
-    k4: Any
-    k5: Any
-    k6: Any
 
 
 class View(NamedTuple):
@@ -213,7 +189,7 @@ def _fill_columns(view, pose, side, other, board, cols, r):
     S, ts = side
     X, radius = board
     fx, fy, cx, cy, skew = kc[0], kc[1], kc[2], kc[3], kc[4]
-    lens = Lens(is_wide(kc), *lens_of(kc))
+    lens = wide_of(kc)
     rational = lens.kind == RATIONAL
     used = 0
     for i in range(weight.shape[0]):
@@ -275,9 +251,8 @@ def _fill_columns(view, pose, side, other, board, cols, r):
 @inline_sum_kernel
 def _through_lens(lens, x, y):
     """Return whether a lens sees a normalised point, where it puts it, and the derivatives of that."""
-    if lens.wide:
-        kind, k1, k2, p1, p2, k3 = lens.kind, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3
-        return see_wide(kind, k1, k2, p1, p2, k3, lens.widest, lens.k4, lens.k5, lens.k6, x, y)
+    if lens.kind < 0.0:
+        return see_wide(lens, x, y)
     xd, yd, dxx, dxy, dyy = distort_pinhole(lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, x, y)
     return True, xd, yd, dxx, dxy, dyy
 
@@ -289,7 +264,7 @@ def _by_coefficients(lens, s, v, x, y):
     r2 = x * x + y * y
     r4 = r2 * r2
     along = s * x + v * y  # radial terms move the point along its own direction
-    if lens.wide and lens.kind != RATIONAL:
+    if lens.kind < 0.0 and lens.kind != RATIONAL:
         # (x, y) theta (1 + k1 theta^2 + ..) / r (Kannala, Brandt 2006, equation 6); theta^3 / r is r^2 at the axis
         q = atan(sqrt(r2)) ** 2
         along *= q * sqrt(q / r2) if r2 > NEAR_AXIS else r2
@@ -303,7 +278,7 @@ def _by_coefficients(lens, s, v, x, y):
 @inner_kernel
 def _by_denominator(lens, x, y, cols, o):
     """Divide the derivatives by k1, k2, k3 in column o of cols by a rational lens's denominator; fill k4, k5, k6's."""
-    radial, _, over = rational_radial(lens.k1, lens.k2, lens.k3, lens.k4, lens.k5, lens.k6, x * x + y * y)
+    radial, _, over = rational_radial(lens, x * x + y * y)
     for top, bottom in ((5, N_COLUMNS), (6, N_COLUMNS + 1), (9, N_COLUMNS + 2)):
         cols[top, o] *= over
         cols[bottom, o] = -radial * cols[top, o]

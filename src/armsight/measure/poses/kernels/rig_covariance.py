@@ -16,8 +16,9 @@ from armsight._numba import inline_kernel, inner_kernel, kernel, lean_kernel
 from armsight.geometry.kernels import copy_2, dot, multiply, sandwich
 from armsight.measure.poses.kernels.pose import SOLVED, solve_named
 from armsight.measure.poses.kernels.pose_ambiguity import PLAIN, depth_chi2, fold, one_astray, scale
-from armsight.optics.kernels.camera import RigK, intrinsics_jacobian, n_intrinsics, see_point
+from armsight.optics.kernels.camera import RigK, intrinsics_jacobian, see_point
 from armsight.optics.kernels.triangulation import centre_of, invert_2, missing, n_sights
+from armsight.optics.kernels.wide import n_intrinsics
 
 POSE = 6
 
