@@ -131,14 +131,14 @@ def judged(lens: Lens, seed: int, draws: int) -> tuple[float, float]:
 @pytest.mark.parametrize("lens", [OAK, KINECT], ids=["oak", "kinect"])
 def test_a_rational_lens_is_found_as_well_as_its_images_allow(lens: Lens) -> None:
     ratio, within = judged(lens, 1, DRAWS)
-    assert ratio < 1.25  # of twelve numbers six times; 1.00 and 1.01 of 60 draws
+    assert ratio < 1.25  # of twelve numbers six times
     assert within > 0.85
 
 
 def test_the_kind_of_lens_is_chosen_by_images_left_out() -> None:
     rng = np.random.default_rng(5)
-    for lens, kind in ((OAK, LensKind.RATIONAL), (FIVE, LensKind.PINHOLE)):
-        views = seen(lens, boards(lens, rng), rng)
+    for lens, kind in ((KINECT, LensKind.RATIONAL), (FIVE, LensKind.PINHOLE)):
+        views = seen(lens, boards(lens, rng, 25), rng)
         done = calibrate_camera(views, BOARD, BoardOptions(choose_lens=True, folds=0))
         assert done.camera.lens is kind
         assert f"--lens {kind}" in done.advice[0]
@@ -156,6 +156,8 @@ def test_of_a_plain_lens_a_rational_one_is_found_that_sees_alike() -> None:
     poses = boards(FIVE, rng)
     done = calibrate_camera(seen(FIVE, poses, rng), BOARD, BoardOptions(lens=LensKind.RATIONAL, folds=0))
     P = np.concatenate([Rotation.from_rotvec(turn).apply(X) + place for turn, place in poses])
-    P = P[on_picture(FIVE, P)]
-    assert np.abs(done.camera.project(P) - FIVE.pixels(P)).max() < 1.5 * SIGMA_PX
+    P = P[on_picture(FIVE, P)][::17]
+    off = done.camera.project(P).ravel() - FIVE.pixels(P).ravel()
+    E = slopes(lambda k: FIVE.pixels(P, k).ravel(), done.camera.intrinsics[FREE])
+    assert (off**2 < 4.0**2 * np.einsum("ij,jk,ik->i", E, done.covariance.matrix, E)).all()
     assert set(done.covariance.names) >= {"k1", "k6"}
