@@ -72,7 +72,7 @@ def moments(
 @pytest.mark.parametrize("views", [2, 3, 4])
 def test_a_target_that_starts_at_once_is_not_lost(views: int) -> None:
     runs = [moments(views, seed, a) for seed, a in enumerate((2.0, 5.0, 10.0, 20.0))]
-    t_s, errors, squares = (np.concatenate(column) for column in zip(*runs, strict=True))
+    _, errors, squares = (np.concatenate(column) for column in zip(*runs, strict=True))
     ok = np.isfinite(squares)
     shares = [np.isfinite(q)[at_s > 0.2].mean() for at_s, _, q in runs]
     assert min(shares[:3]) > 0.95 and shares[3] > 0.6  # at 1.1 m/s and 20 ms lights pass each other's places
