@@ -60,6 +60,7 @@ TABLE = {
     "--units": "units",
     "--as-stated": "as_stated",
     "--pulses-per-degree": "pulses",
+    "--body": "body",
 }
 ANYWHERE: Mapping[str, str] = {
     "--json": "results are objects: `to_dict()` gives what this prints",
@@ -89,6 +90,7 @@ OTHERWISE: Mapping[tuple[str, str], str] = {
     ("record", "--repair"): "`repair_recording(path)`",
     ("calibrate mirrors", "--check"): "`check_mirrors`",
     ("convert arm", "-o"): "`convert(out)`, or `Arm.save(path)`: the ending decides",
+    ("convert arm", "--rigid"): "`Arm.save(path)` of a `.urdf` or `.mjcf` writes it",
     ("convert rig", "--name"): "`read_rig(names=(...))`",
     ("convert handeye", "--base"): "`convert(names=FrameNames(base=...))`",
     ("convert handeye", "--flange"): "`convert(names=FrameNames(flange=...))`",
@@ -121,6 +123,8 @@ WHY_NOT: Mapping[str | tuple[str, str], str] = {
     "demo": "`simulate` and `measure` do it; the command is for a first look",
     "calibrate cell-plan": "a plan for one recording, which is a file: run the command",
     "robot run": "a motion from a file, once: run the command",
+    ("convert arm", "--nominal"): "a sheet for whoever types it into a controller: run the command",
+    ("convert arm", "--to"): "a sheet for whoever types it into a controller: run the command",
     **{
         ("verify", flag): "for the plant's systems, which want a process that stays: run the command"
         for flag in (

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 MODULES = (
-    *("machine", "measure", "verify", "files", "identify", "boards"),
+    *("machine", "measure", "verify", "mastering", "files", "identify", "boards"),
     *("calibrate_cameras", "calibrate_hand_eye", "calibrate_robot", "calibrate_mirrors", "calibrate_rig"),
     *("calibrate_cell", "convert", "kinematics", "paths", "motion", "teach", "robots"),
 )

@@ -274,10 +274,6 @@ class Camera(records.Saveable):
         undistort_many(self.packed, uv, xy)
         return xy
 
-    def moved(self, step: Array) -> Camera:
-        """Return the camera with its intrinsics moved by a step (n,), whose places beyond them are empty."""
-        return replace(self, intrinsics=self.intrinsics + step[: len(self.names)])
-
     def is_close(self, other: Camera, *, tol: float) -> bool:
         """Tell whether two cameras have the same size, lens, intrinsics and plate within tol."""
         records.require_kind("other", other, Camera)
@@ -285,6 +281,11 @@ class Camera(records.Saveable):
         return (self.width, self.height, self.lens) == (other.width, other.height, other.lens) and bool(
             np.allclose(self.packed, other.packed, rtol=0.0, atol=tol)
         )
+
+
+def with_step(camera: Camera, step: Array) -> Camera:
+    """Return a camera with its intrinsics moved by a step (n,), whose places beyond them are empty."""
+    return replace(camera, intrinsics=camera.intrinsics + step[: len(camera.names)])
 
 
 def _rational_end(k: Array) -> float:

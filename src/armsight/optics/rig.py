@@ -17,7 +17,7 @@ from armsight.arrays import Array
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import pose_from_rotvec
 from armsight.geometry.poses import skew
-from armsight.optics.camera import INTRINSICS, PACKED, RATIONAL_INTRINSICS, SIDES, Camera, names_beside
+from armsight.optics.camera import INTRINSICS, PACKED, RATIONAL_INTRINSICS, SIDES, Camera, names_beside, with_step
 from armsight.optics.kernels.camera import project_many
 from armsight.optics.kernels.wide import RATIONAL
 from armsight.optics.mounted import MountedCamera, MountedZoom, place_of, require_names, with_each
@@ -349,7 +349,7 @@ def moved_rig(rig: Rig, step: Array) -> Rig:
         turned = Rotation.from_rotvec(move[3:]) * T.rotation
         poses.append(RigidTransform.from_components(np.asarray(T.translation) + move[:3], turned))
     cameras = tuple(
-        MountedCamera(name=one.name, camera=one.camera.moved(lens), T_rig_camera=T)
+        MountedCamera(name=one.name, camera=with_step(one.camera, lens), T_rig_camera=T)
         for one, lens, T in zip(rig.cameras, lenses, poses, strict=True)
     )
     return Rig(kind=rig.kind, cameras=cameras)

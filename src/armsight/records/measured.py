@@ -42,6 +42,8 @@ class Spots:
         checks.require_kind("rejected", self.rejected, tuple, cure="Give a tuple of (u, v, why)")
         n = len(self.model)
         checks.freeze(self, uv_px=(n, 2), covariance_px2=(n, 2, 2), peak=(n,), size_px=(n,))
+        if self.point is not None:
+            checks.checked_array("point", self.point, (n,))
 
     def __len__(self) -> int:
         return len(self.model)

@@ -535,6 +535,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
                 good=("gaussian",) * 3, wrong={"a text": "abc", "too few": ("gaussian",), "numbers": (1, 2, 3)}
             ),
             "rejected": Arg(good=(), wrong={"a number": 3}),
+            "point": Arg(good=None, wrong={"too few": np.array([1]), "a text": "abc"}),
         },
     ),
     "Spots.none": (armsight.Spots.none, {"rejected": Arg(good=(), wrong={"a number": 3})}),

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.optics import INTRINSICS, Camera, PackedRig, Rig
+from armsight.optics.camera import with_step
 from armsight.optics.rig import PLACE
 
 EXACT = 1e-9
@@ -64,4 +65,4 @@ def moved_camera(camera: Camera, T_rig_camera: RigidTransform, step: Array) -> t
     """Return a camera and its pose moved by a step (n + 6,): intrinsics, t + dt and Exp(dw) R."""
     turned = Rotation.from_rotvec(step[-3:]) * T_rig_camera.rotation
     at = np.asarray(T_rig_camera.translation) + step[-6:-3]
-    return camera.moved(step), RigidTransform.from_components(at, turned)
+    return with_step(camera, step), RigidTransform.from_components(at, turned)
