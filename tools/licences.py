@@ -26,6 +26,7 @@ DEVELOPMENT = "dev"
 UNSAID = {
     "axe-playwright-python": "MIT",  # its LICENSE file
     "cmeel-qhull": "Qhull",  # COPYING.txt of Qhull: free, its notice kept
+    "ezc3d": "MIT",  # its LICENSE file
     "docutils": "BSD-2-Clause",  # public domain for the most part; the GPL is that of an Emacs mode, not installed
     "pyglet": "BSD-3-Clause",  # its LICENSE file
 }

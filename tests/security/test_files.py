@@ -383,7 +383,7 @@ def test_matlab_variables_unpack_to_so_much_only(
 def test_only_numbers_of_a_matlab_file_are_read(tmp_path: Path) -> None:
     path = tmp_path / "x.mat"
     path.write_bytes(mat({"q_deg": np.ones((4, 6)), "s": {"a": {"b": 1}}, "c": np.array([{}, "x"], object), "t": "x"}))
-    found = other_files._loaded(path.read_bytes())
+    found = other_files._loaded(path.read_bytes(), other_files.MAT_NUMBERS)
     assert {name for name in found if not name.startswith("__")} == {"q_deg"}
 
 

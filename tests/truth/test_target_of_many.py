@@ -98,7 +98,7 @@ def test_moments_that_no_two_cameras_see_in_full_make_the_shape_surer() -> None:
 def test_a_target_that_no_two_cameras_see_in_full_is_refused_by_name() -> None:
     seen = moments(np.random.default_rng(4), 8, 0.0)
     alone = [LitMoment(name=one.name, views=(one.views[0], Spots.none(), Spots.none())) for one in seen]
-    with refuses(NotEnoughData, ("0 of 8", "two views", "two cameras at once")):
+    with refuses(NotEnoughData, ("0 of 8", "two views", "two cameras that stand")):
         calibrated(alone)
     rig = RIG.only("front")
     with refuses(UsageError, ("one camera alone", "two cameras and more")):

@@ -14,6 +14,8 @@ from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
 from armsight.store.foreign import FORMATS
 from armsight.store.interpret import ROBOT_FORMATS
+from armsight.store.interpret.trackers.formats import TRACKERS
+from armsight.store.programs.kinds import PROGRAMS
 from armsight.store.yamls import MAX_BYTES
 
 CAMERAS, TABLES, ARMS = "convert camera, convert rig", "convert table", "convert arm"
@@ -24,6 +26,8 @@ MOST = 3
 """Kinds that an unknown file is answered with."""
 SURE = 2
 """Signs from which on a file that cannot be read to its end is called one of a kind."""
+UNREADABLE = "Correct it there"
+"""The cure of a file that breaks its syntax."""
 HINTS = {"Camera-system parameters": "This is what Kalibr prints for people: give its camchain.yaml. "}
 """Beginnings of files that stand beside those that are wanted."""
 CELL = r"[^\n,;\t]*[,;\t]"
@@ -70,6 +74,22 @@ OTHERS = (
         needs="--tip and --base where it holds more than the arm",
         signs=(r"<robot\b", "<joint", "<link"),
     ),
+    FileKind(commands=ARMS, name="mjcf", use=WRITTEN, title="MJCF for MuJoCo (.mjcf)"),
+    FileKind(
+        commands=ARMS,
+        name="ur-factory",
+        use=READ,
+        title="a Universal Robot's calibration.conf, or its driver's kinematics YAML",
+        needs="--nominal of a .conf",
+        signs=(r"^\[mounting\]", r"^delta_theta\s*=", r"^kinematics:"),
+    ),
+    FileKind(
+        commands=ARMS,
+        name="controller",
+        use=WRITTEN,
+        title="what is typed into its controller: --to kuka, ur, fanuc, abb, staubli",
+        needs="--nominal",
+    ),
     FileKind(commands="convert handeye", name="easy_handeye", use=WRITTEN, title="easy_handeye, easy_handeye2"),
     FileKind(commands="convert handeye", name="tf", use=WRITTEN, title="a launch file of ROS 2 with the transforms"),
     FileKind(commands="convert recording", name="mcap", use=READ, title="a recording of armsight or ROS (.mcap)"),
@@ -84,6 +104,13 @@ def file_kinds() -> Iterator[FileKind]:
     for name, one in FORMATS.items():
         use = (BOTH if one.write_rig else READ) if one.rig else WRITTEN
         yield FileKind(commands=CAMERAS, name=name, use=use, title=one.title, needs=one.needs, signs=one.signs)
+    for name, tracker in TRACKERS.items():
+        yield FileKind(commands=TABLES, name=name, use=READ, title=tracker.title, needs=tracker.needs)
+    for name, program in PROGRAMS.items():
+        use = BOTH if program.written else READ
+        yield FileKind(
+            commands=TABLES, name=name, use=use, title=program.title, needs=program.needs, signs=(program.told,)
+        )
     yield from OTHERS
 
 
@@ -106,6 +133,8 @@ def unknown(path: Path, command: str, error: BadFile | None = None) -> BadFile:
     count, kinds = _nearest(head)
     here = [kind for kind in kinds if command in kind.commands]
     if here and error is not None and count >= SURE:
+        if error.cure not in ("", UNREADABLE):
+            return error
         why = error.cause.removeprefix(str(path)).lstrip(":, ")
         return BadFile(
             f"{path} looks like {here[0].title}, and is damaged or cut off: {why}",

@@ -8,7 +8,7 @@ from armsight.errors import BadFile
 from armsight.ops.conversion import convert_rig, load_camera, load_rig
 from armsight.optics import LensKind
 from armsight.store.foreign import Asked
-from refusals import names_it, refuses
+from refusals import refuses
 from reports import case
 
 
@@ -55,12 +55,11 @@ def test_four_coefficients_of_a_wide_lens_are_asked_for_and_the_cure_works(tmp_p
     assert load_rig([tmp_path / "pi.yml"]).left.lens is LensKind.PINHOLE
 
 
-def test_a_rational_lens_is_read_as_the_nearest_and_how_near_is_told(tmp_path):
+def test_a_rational_lens_is_read_as_it_is(tmp_path):
     import cv2
 
     folder = case("cameras-20")
-    done = convert_rig([folder / "left.yaml", folder / "right.yaml"], [tmp_path / "rig.yaml"])
-    assert names_it(done.note, "8 coefficients", "px")
+    convert_rig([folder / "left.yaml", folder / "right.yaml"], [tmp_path / "rig.yaml"])
     K = np.array([[798.2, 0, 641.7], [0, 798.4, 402.6], [0, 0, 1]])
     k = np.array([2.31, -6.02, 0.00031, -0.00049, 2.87, 2.19, -5.71, 2.52])
     x, y = np.meshgrid(np.linspace(-0.7, 0.7, 15), np.linspace(-0.4, 0.4, 9))
@@ -68,8 +67,7 @@ def test_a_rational_lens_is_read_as_the_nearest_and_how_near_is_told(tmp_path):
     right = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, k)[0].reshape(-1, 2)
     inside = ((right > 0.0) & (right < [1279.0, 799.0])).all(axis=1)
     off = np.linalg.norm(load_rig([tmp_path / "rig.yaml"]).left.project(rays) - right, axis=1)[inside]
-    told = float(done.note.split("at most ")[1].split(" px")[0])
-    assert off.max() <= 1.1 * told and np.sqrt((off**2).mean()) < 1.0
+    assert off.max() < 1e-8
 
 
 @pytest.mark.parametrize("kind", ["r", "e", "f"])
@@ -103,11 +101,10 @@ def test_a_rotation_vector_is_one_and_a_zed_without_rays_is_refused_by_cause():
     folder = case("camera-files")
     rig = load_rig([folder / "tr_r.yml"])
     assert 0.0 < np.linalg.norm(rig.T_rig_right.rotation.as_rotvec()) < 0.2
-    with refuses(BadFile, "D_LEFT", "without rays"):
+    with refuses(BadFile, "D_LEFT", "no ray"):
         convert_rig([folder / "zed_calibration_1234.yml"], [folder / "never.yaml"], asked=Asked(unit_m=0.001))
 
 
 def test_python_warns_of_what_the_command_tells():
-    folder = case("cameras-20")
-    with pytest.warns(UserWarning, match="nearest|rational"):
-        armsight.read_rig([folder / "left.yaml", folder / "right.yaml"])
+    with pytest.warns(UserWarning, match="nearest"):
+        armsight.read_rig(case("camera-files") / "k_ds.yaml")

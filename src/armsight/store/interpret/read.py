@@ -21,7 +21,7 @@ from armsight.store.interpret.rotations import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.standard import UNUSED, Standard, standard_table
 from armsight.store.interpret.table_format import OURS, TableFormat
 from armsight.store.interpret.trackers.formats import no_bodies, tracker_of, tracker_table
-from armsight.store.programs.kinds import program_table, pulse_table
+from armsight.store.programs.kinds import kind_of, program_table, pulse_table
 from armsight.store.tables import MAX_BYTES, Table
 from armsight.store.yamls import parse_yaml_documents
 
@@ -66,17 +66,18 @@ def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted
     if path.suffix.lower() == ".mat":
         return _interpreted(mat_table(path, unnamed=bool(format_.columns)), wanted, format_)
     data = read_bytes(path, limit=MAX_BYTES)
-    if not format_.columns and (kind := tracker_of(data)) is not None:
+    program = kind_of(data[:HEAD_BYTES].decode("utf-8", errors="replace").lstrip("\ufeff"))
+    if not format_.columns and program is None and (kind := tracker_of(data)) is not None:
         return _interpreted(tracker_table(kind, data, str(path), format_), wanted, format_)
     if format_.body and format_.measured is None:
         raise no_bodies(str(path), format_.body)
     plain = not (format_.stated or format_.following)
     if plain and (is_ours(data, wanted) or b"\x00" in data):
         return Interpreted(data=data, how="a table of ours")
-    program = program_table(data, str(path), wanted.joints == "wanted", format_)
-    if program is not None:
-        found = _interpreted(program.raw, wanted, program.format)
-        return replace(found, notes=(*found.notes, *program.notes))
+    listed = program_table(data, str(path), wanted.joints == "wanted", format_)
+    if listed is not None:
+        found = _interpreted(listed.raw, wanted, listed.format)
+        return replace(found, notes=(*found.notes, *listed.notes))
     return _interpreted(_raw_of(data, path, format_), wanted, format_, original=data)
 
 
