@@ -56,8 +56,8 @@ def print_board(
 
     Examples
     --------
-    >>> armsight.print_board("checkerboard:9x6:0.025", folder / "board.pdf").size_m
-    (0.25, 0.175)
+    >>> armsight.print_board("checkerboard:9x6:0.025", folder / "board.pdf").size_m[0]
+    0.25
     """
     from armsight.store.board_print import print_board as write
 

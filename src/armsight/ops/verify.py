@@ -36,7 +36,7 @@ from armsight.units import DEG, MM
 if TYPE_CHECKING:
     from armsight.clock import Clock
     from armsight.ops.requests.plant import Publishing
-    from armsight.ops.verification.supervising import Eyes, Show, Supervised
+    from armsight.ops.verification.supervising import Show, Supervised
     from armsight.records import Progress
     from armsight.verify.iso9283.plan import VerifyPlanOutput
     from armsight.verify.live import VerifyLiveOutput
@@ -281,8 +281,8 @@ def supervise(
     from armsight.ops.given import Given as Folder
     from armsight.ops.measurement.warm_up import prepare
     from armsight.ops.sources.cameras import named_cameras
-    from armsight.ops.verification import live
-    from armsight.ops.verification.supervising import CameraEyes, Supervision, TrackerEyes
+    from armsight.ops.verification import eyes, live
+    from armsight.ops.verification.supervising import Supervision
     from armsight.records import Silent
     from armsight.store import read_world
     from armsight.verify.live import live_output
@@ -300,11 +300,11 @@ def supervise(
         {"--body": body, "--tracker-std": tracker_std_m, "--tracker-std-deg": tracker_std_rad},
     )
     if tracker is not None:
-        eyes: Eyes = TrackerEyes()
+        watch: eyes.Eyes = eyes.TrackerEyes()
         devices = devices or live.open_tracked(link, tracker, body, (tracker_std_m, tracker_std_rad), clock, arm)
     else:
         setup = live.setup_of(rig, target)
-        eyes = CameraEyes(setup, (rig, target), frames=keep_frames)
+        watch = eyes.CameraEyes(setup, (rig, target), frames=keep_frames)
         devices = devices or live.open_supervised(
             *(link, setup.rig.names, views, setup.target, clock, arm),
             play=play,
@@ -320,7 +320,7 @@ def supervise(
     )
     live.check_arm(arm, devices)
     live.check_stop(devices.robot, asked=stop_m is not None or stop_rad is not None or blind_stop_s is not None)
-    run = Supervision(eyes, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
+    run = Supervision(watch, expectation, devices, clock, limits, latency_s=latency_s, blind_stop_s=blind_stop_s)
     run.show, run.tell = show or run.show, tell or run.tell
     with Folder(out) as folder:
         recording = folder.out / RECORDING
@@ -337,7 +337,7 @@ def supervise(
         *live.tracker_doubts(tracker, tracker_std_m is not None and tracker_std_rad is not None),
         *(one.contradiction for one in run.contradictions),
     ]
-    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=eyes.of_pair)
+    done = live_output(run.judge.log, recording=str(recording), doubts=known, of_pair=watch.of_pair)
     if failure is not None:
         raise live.with_kept(failure, done, out)
     return done

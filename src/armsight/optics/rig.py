@@ -348,10 +348,8 @@ def moved_rig(rig: Rig, step: Array) -> Rig:
         T = one.T_rig_camera
         turned = Rotation.from_rotvec(move[3:]) * T.rotation
         poses.append(RigidTransform.from_components(np.asarray(T.translation) + move[:3], turned))
-    cameras = tuple(
-        MountedCamera(name=one.name, camera=with_step(one.camera, lens), T_rig_camera=T)
-        for one, lens, T in zip(rig.cameras, lenses, poses, strict=True)
-    )
+    every = zip(rig.cameras, lenses, poses, strict=True)
+    cameras = [MountedCamera(name=one.name, camera=with_step(one.camera, k), T_rig_camera=T) for one, k, T in every]
     return Rig(kind=rig.kind, cameras=cameras)
 
 
@@ -382,13 +380,7 @@ def parallel_rig(camera: Camera, baseline_m: float, right: Camera | None = None)
     )
 
 
-def converged_rig(
-    left: Camera,
-    right: Camera,
-    baseline_m: float,
-    beta1_rad: float,
-    beta2_rad: float,
-) -> Rig:
+def converged_rig(left: Camera, right: Camera, baseline_m: float, beta1_rad: float, beta2_rad: float) -> Rig:
     """Return Korayem's rig: cameras at x = -B/2 and +B/2, optical axes (sin beta, 0, cos beta) in rig axes.
 
     Both angles count in the same sense, about the rig's y; cameras that look at one point in front have

@@ -81,20 +81,8 @@ def _from_deltas(text: str, path: Path, nominal: Arm | None) -> Arm:
             consequence="Whether its deltas hold is not known",
             cure="Give the file of a controller whose arm is calibrated and linearised",
         )
-    if nominal is None:
-        raise UsageError(
-            f"{path}: holds differences to the arm's nominal table, and which arm it is it does not say",
-            consequence="The arm is not known",
-            cure="Give --nominal with the arm's name, such as ur10e",
-        )
+    nominal = _plain_table(path, nominal)
     changes = {key: _six(lists[key], f"{path}: {key}") for key in DELTAS}
-    plain = nominal.convention is Convention.STANDARD and not any(joint.beta_rad for joint in nominal.joints)
-    if nominal.n != 6 or not plain or (nominal.T_base_frame0.as_matrix() != np.eye(4)).any():
-        raise UsageError(
-            f"--nominal {nominal.name} has no plain Denavit-Hartenberg table of six joints from its base",
-            consequence="Differences to another table say nothing",
-            cure="Give a Universal Robot by its name: ur3, ur5, ur10, ur3e, ur5e, ur10e, ur16e",
-        )
     joints = tuple(
         replace(joint, **{name: getattr(joint, name) + float(changes[key][i]) for key, name in DELTAS.items()})
         for i, joint in enumerate(nominal.joints)
@@ -113,6 +101,24 @@ def _from_deltas(text: str, path: Path, nominal: Arm | None) -> Arm:
             cure="Give --nominal with the arm that the controller is of",
         )
     return arm
+
+
+def _plain_table(path: Path, nominal: Arm | None) -> Arm:
+    """Return the nominal arm. Raises UsageError where none is given, or one that has no table like a UR's."""
+    if nominal is None:
+        raise UsageError(
+            f"{path}: holds differences to the arm's nominal table, and which arm it is it does not say",
+            consequence="The arm is not known",
+            cure="Give --nominal with the arm's name, such as ur10e",
+        )
+    plain = nominal.convention is Convention.STANDARD and not any(joint.beta_rad for joint in nominal.joints)
+    if nominal.n != 6 or not plain or (nominal.T_base_frame0.as_matrix() != np.eye(4)).any():
+        raise UsageError(
+            f"--nominal {nominal.name} has no plain Denavit-Hartenberg table of six joints from its base",
+            consequence="Differences to another table say nothing",
+            cure="Give a Universal Robot by its name: ur3, ur5, ur10, ur3e, ur5e, ur10e, ur16e",
+        )
+    return nominal
 
 
 def _six(text: str, where: str) -> Array:

@@ -51,7 +51,7 @@ class RigCameraModel(IntrinsicsModel):
     """A camera with its place in the rig, its noise where known, and the glass plate it looks through, if any."""
 
     T_rig_camera: codec.PoseModel
-    noise: NoiseKey | None = None  # type: ignore[valid-type]  # of the record
+    noise: NoiseKey | None = None
     plate: PlateModel | None = None  # type: ignore[valid-type]  # of the record
     timing: TimingKey | None = None
     zoom: MountedZoomModel | None = None
@@ -103,7 +103,7 @@ class CameraModel(Origin, IntrinsicsModel):
     format: Literal["armsight/camera"] = "armsight/camera"
     rms_px: codec.Finite | None = None
     covariance: codec.CovarianceModel | None = None
-    noise: NoiseKey | None = None  # type: ignore[valid-type]  # of the record
+    noise: NoiseKey | None = None
     timing: TimingKey | None = None
 
 

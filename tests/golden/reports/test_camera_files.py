@@ -107,4 +107,4 @@ def test_a_rotation_vector_is_one_and_a_zed_without_rays_is_refused_by_cause():
 
 def test_python_warns_of_what_the_command_tells():
     with pytest.warns(UserWarning, match="nearest"):
-        armsight.read_rig(case("camera-files") / "k_ds.yaml")
+        armsight.read_rig(case("camera-files") / "k_fov.yaml")

@@ -76,7 +76,7 @@ def test_what_advice_tells_to_type_is_there() -> None:
             if command is None or words == "robot server":  # the program's name in a sentence
                 continue
             if hasattr(command, "commands"):
-                command = command.commands.get(second[0]) if second else None
+                command = command.commands.get(second[0]) if second else command
                 assert command is not None or not second, f"{file}: {text}"
             flags = set(re.findall(r"--[a-z][a-z-]*", rest))
             known = {name for param in getattr(command, "params", ()) for name in param.opts}

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
 from armsight.optics import Camera, LensKind, Plate, Rig, moved_rig, triangulate
-from armsight.optics.camera import RATIONAL_INTRINSICS
+from armsight.optics.camera import RATIONAL_INTRINSICS, with_step
 from armsight.optics.kernels.camera import intrinsics_jacobian, project_point, undistort_point
 from armsight_sim.lens import Lens
 from refusals import refuses
@@ -67,7 +67,7 @@ def test_derivatives_are_finite_differences(of: str) -> None:
         by_point = [(lens.project(X + e)[0] - lens.project(X - e)[0]) / (2 * h) for e in h * np.eye(3)]
         np.testing.assert_allclose(J, np.stack(by_point, axis=1), rtol=1e-5, atol=2e-3)
         for i in range(13):
-            there, back = (lens.moved(s * h * np.eye(13)[i]).project(X)[0] for s in (1.0, -1.0))
+            there, back = (with_step(lens, s * h * np.eye(13)[i]).project(X)[0] for s in (1.0, -1.0))
             np.testing.assert_allclose(K[:, i], (there - back) / (2 * h), rtol=1e-5, atol=2e-3)
         ray, by_pixel = np.empty(2), np.empty((2, 2))
         assert undistort_point(lens.packed, *uv, ray, by_pixel)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.errors import BadFile, Inconsistent
 from armsight.ops.conversion import convert_camera, convert_rig
 from armsight.optics import Camera, LensKind, Rig
+from armsight.optics.camera import with_step
 from armsight.records import NamedCovariance
 from armsight.store import read_camera, read_rig, write_camera, write_rig
 from armsight.store.foreign.several import Asked
@@ -26,7 +27,7 @@ CAMERA = Camera.rational(1280, 800, *K, distortion=D)
 NAMES = ("left.k1", "right.k6", "right.tx")
 RIG = Rig(
     left=CAMERA,
-    right=CAMERA.moved(1e-3 * np.eye(13)[12]),
+    right=with_step(CAMERA, 1e-3 * np.eye(13)[12]),
     T_rig_left=RigidTransform.identity(),
     T_rig_right=RigidTransform.from_translation([0.075, 0.001, -0.002]),
     covariance=NamedCovariance(names=NAMES, matrix=np.diag([1e-4, 2e-4, 1e-9])),

@@ -46,8 +46,7 @@ def calibrate_camera(
 
     Raises NotEnoughData (too few different views), Degenerate (no tilt, board in one part of the image),
     Undetermined (parameters that cannot be told apart), Inconsistent (images of unequal size, the other kind of lens),
-    NotConverged,
-    Cancelled.
+    NotConverged, Cancelled.
     """
     options = options or BoardOptions()
     require_views(views, board)
@@ -67,7 +66,6 @@ def calibrate_camera(
     advice += refuse_other_lens(observations, robust_fit, options, 0, "the camera")
     if in_doubt:
         refuse_misfit(observations, options, "the camera")
-    out = left_out(robust_fit, options)
     residual, seen = residuals_px(robust_fit.observations, robust_fit.fit), robust_fit.observations.weight > 0.0
     shape = board_shape(robust_fit.observations, robust_fit.fit, required(robust_fit))
     covariance = shape.covariance
@@ -77,7 +75,7 @@ def calibrate_camera(
         rms_px=rms(residual, seen),
         n_used=robust_fit.observations.n_views,
         rejected=tuple(map(RejectedFile._make, (*repeated, *robust_fit.rejected))),
-        holdout_rms_px=None if out is None else out.rms_px,
+        holdout_rms_px=getattr(left_out(robust_fit, options), "rms_px", None),
         view_rms_px=view_rms(residual, seen),
         sources=tuple(names[0] for names in robust_fit.observations.sources),
         uv_px=robust_fit.observations.uv[seen],

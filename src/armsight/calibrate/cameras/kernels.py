@@ -185,13 +185,9 @@ def _fill_columns(view, pose, side, other, board, cols, r):
     square of radius over distance.
     """
     kc, uv, weight = view
-    R, t = pose
-    S, ts = side
-    X, radius = board
+    (R, t), (S, ts), (X, radius) = pose, side, board
     fx, fy, cx, cy, skew = kc[0], kc[1], kc[2], kc[3], kc[4]
-    lens = wide_of(kc)
-    rational = lens.kind == RATIONAL
-    used = 0
+    lens, used = wide_of(kc), 0
     for i in range(weight.shape[0]):
         w = weight[i]
         if w == 0.0:
@@ -228,7 +224,7 @@ def _fill_columns(view, pose, side, other, board, cols, r):
                 s, v = 0.0, w * fy
                 cols[0, o], cols[1, o], cols[2, o], cols[3, o], cols[4, o] = 0.0, w * yd, 0.0, w, 0.0
             cols[5, o], cols[6, o], cols[7, o], cols[8, o], cols[9, o] = _by_coefficients(lens, s, v, x, y)
-            if rational:
+            if lens.kind == RATIONAL:
                 _by_denominator(lens, x, y, cols, o)
             j0, j1 = w * jx * iz, w * jy * iz  # x = q0 / q2, y = q1 / q2
             j2 = -(j0 * x + j1 * y)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -241,7 +242,7 @@ def open_devices(
 ) -> tuple[Robot, MomentSource]:
     """Return the robot and the cameras of these names; nothing is opened yet. Raises as open_supervised."""
     seen = open_supervised(link, names, sources, target, clock, None, play=False, camera_settings=settings)
-    return seen.robot, seen.pairs
+    return seen.robot, cast(MomentSource, seen.pairs)  # of cameras
 
 
 def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:

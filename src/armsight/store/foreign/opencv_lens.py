@@ -14,7 +14,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.optics import Camera
-from armsight.optics.camera import NO_SHIFT, NO_TURN
+from armsight.optics.camera import NO_SHIFT, NO_TURN, with_step
 from armsight.optics.kernels.light_image import see_points
 from armsight.store.codec import named
 from armsight.store.foreign.numbers import TOLD_PX
@@ -102,7 +102,7 @@ def _nearest(
     X, uv = (part[np.abs(back - uv).max(axis=1) < TOLD_PX] for part in (X, uv))  # the others have no ray
     nearest, apart = camera, _apart(camera, X, uv)
     for _ in range(ROUNDS):
-        found = nearest.moved(_step(nearest, X, uv))
+        found = with_step(nearest, _step(nearest, X, uv))
         far = _apart(found, X, uv)
         if not np.sum(far**2) < np.sum(apart**2):
             break
