@@ -1,7 +1,7 @@
 """C3D as two public libraries write and read it; and public files of laboratories, where they are on the machine.
 
 The libraries' own readers are no truth for lost points: one gives the cameras of a point as its residual, the other
-leaves a lost point where it was last.
+writes a lost point where it was last.
 """
 
 import io

@@ -3,7 +3,7 @@
 Blocks of 512 bytes; numbers of an Intel, DEC or MIPS processor; points as integers with a scale or, where the scale is
 negative, as floating point. Of the fourth number of a point the lower byte is its residual in units of the scale, the
 upper one the cameras that saw it; below zero the point is lost, whatever stands before it. Read here: of two public
-readers one takes the cameras for the residual, and one leaves a lost point where it was last.
+readers one takes the cameras for the residual, and one gives a lost point as its file has it, where it was last.
 """
 
 from __future__ import annotations
