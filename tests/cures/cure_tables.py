@@ -16,6 +16,7 @@ import cures_of_robots
 import cures_of_runs
 import cures_of_scenes
 import cures_of_tables
+import cures_of_trackers
 
 PARTS = (
     cures_of_tables,
@@ -32,6 +33,7 @@ PARTS = (
     cures_of_followers,
     cures_of_many_cameras,
     cures_of_camera_files,
+    cures_of_trackers,
 )
 FILES = {name: text for part in PARTS for name, text in part.FILES.items()}
 TRIED = {entry: trial for part in PARTS for entry, trial in part.TRIED.items()}

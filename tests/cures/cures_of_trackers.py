@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from cures_of_runs import HEAD, by_chance, over_time
+from cures_of_runs import by_chance, over_time
 from scipy.spatial.transform import Rotation
 
 from armsight.kinematics import preset
@@ -33,12 +33,10 @@ R, T_MM = flange_of(over_time())
 N = len(T_MM)
 SEEN = {name: R.apply(place) + T_MM for name, place in MARKERS_MM.items()}
 WALL = {name: np.tile(AXES.apply(place), (N, 1)) for name, place in LAB_MM.items()}
-HALVES = {
-    **{name: SEEN[name] for name in "BCD"},
-    **{name: np.where(np.arange(N)[:, None] < 30, SEEN["A"] + i, np.nan) for i, name in enumerate("EF")},
+LATE = np.arange(N)[:, None] >= N // 2
+HALVES = {name: np.where(LATE, SEEN[name], np.nan) for name in "BCD"} | {
+    name: np.where(LATE, np.nan, SEEN["A"] + 20.0 * k) for k, name in enumerate("EF")
 }
-for _name in "BCD":
-    HALVES[_name] = np.where(np.arange(N)[:, None] < 30, np.nan, HALVES[_name])
 """B, C and D are seen when E and F no longer are."""
 
 
@@ -92,7 +90,7 @@ def vicon(turns: np.ndarray, *more: Sequence[str]) -> str:
 
 def trajectories() -> list[list[str]]:
     """Return the section of the flange's markers."""
-    named = [cell for name in SEEN for cell in (f"{name}", "", "")]
+    named = [cell for name in SEEN for cell in (name, "", "")]
     head = [[], ["Trajectories"], [f"{RATE:g}"], ["", "", *named], ["Frame", "Sub Frame", *list("XYZ") * len(SEEN)]]
     rows = [[str(k + 1), "0", *cells(np.ravel([xyz[k] for xyz in SEEN.values()]))] for k in range(N)]
     return [*head, ["", "", *["mm"] * 3 * len(SEEN)], *rows]
@@ -166,7 +164,7 @@ TRIED = {
     ),
     ("store/interpret/trackers/lists.py", "Name one with --body"): (
         "verify --measured groups.csv --arm irb120 --joints j.csv -o v",
-        "{} --body flange",
+        "{} --body 'cell flange'",
     ),
     ("store/interpret/trackers/qtm.py", "or give --euler with their order"): (
         f"{TABLE} own-angles.tsv",

@@ -334,3 +334,13 @@ def test_markers_of_two_bodies_are_refused_with_those_that_belong_together(tmp_p
     with refuses(Degenerate, "A, B, C", "line"):
         reads(path, body="A,B,C")
     assert len(read_measured(path, TableFormat(body="A")).measured.xyz_m) == N
+
+
+def test_groups_of_one_last_word_are_asked_for_and_one_is_taken_by_it(tmp_path):
+    points = "".join(f"{cell} flange, P{k}, {k}.5, {k * k}.0, 7.0\n" for cell in ("cell", "room") for k in range(4))
+    path = tmp_path / "sa.txt"
+    path.write_text(points)
+    with refuses(Ambiguous, ("cell flange", "room flange", "--body")):
+        read_measured(path, TableFormat(units="mm", body="flange"))
+    path.write_text(points.replace("room flange", "room base"))
+    assert len(read_measured(path, TableFormat(units="mm", body="flange")).measured.xyz_m) == 4

@@ -60,25 +60,24 @@ def read_points(data: bytes, where: str, format_: TableFormat) -> Tracks:
         )
     groups = [" ".join(row.cells[: lead - 1]) or "points" for row in rows]
     names = list(dict.fromkeys(groups))
-    wanted = format_.body or names[0]
-    wanted = next((name for name in names if wanted in (name, name.split(" ")[-1])), "")
-    if (len(names) > 1 and not format_.body) or not wanted:
+    wanted = [name for name in names if format_.body in ("", name, name.split(" ")[-1])]
+    if len(wanted) != 1:
         raise Ambiguous(
             f"{where}: holds the groups {', '.join(names)[:300]}",
             consequence="It is open which is meant",
             cure="Name one with --body",
         )
-    rows = [row for row, group in zip(rows, groups, strict=True) if group == wanted]
+    rows = [row for row, group in zip(rows, groups, strict=True) if group == wanted[0]]
     xyz = numbers([Row(line=row.line, cells=row.cells[lead : lead + 3]) for row in rows], 3, where)
     point = [row.cells[lead - 1] for row in rows]
     if len(set(point)) < len(point):
-        raise Ambiguous(f"{where}: two points of {wanted!r} have one name", consequence="It is open which is meant")
+        raise Ambiguous(f"{where}: two points of {wanted[0]!r} have one name", consequence="It is open which is meant")
     return Tracks(
         where=where,
         how="SpatialAnalyzer's list of points",
         lines=[row.line for row in rows],
         t_s=None,
-        markers=(Track(name=wanted, xyz_m=scale * xyz),),
+        markers=(Track(name=format_.body or wanted[0], xyz_m=scale * xyz),),
         notes=(f"{len(point)} points in their order, {point[0]} to {point[-1]}",),
     )
 
