@@ -12,6 +12,7 @@ import cures_of_followers
 import cures_of_lights
 import cures_of_many_cameras
 import cures_of_motions
+import cures_of_programs
 import cures_of_robots
 import cures_of_runs
 import cures_of_scenes
@@ -34,6 +35,7 @@ PARTS = (
     cures_of_many_cameras,
     cures_of_camera_files,
     cures_of_trackers,
+    cures_of_programs,
 )
 FILES = {name: text for part in PARTS for name, text in part.FILES.items()}
 TRIED = {entry: trial for part in PARTS for entry, trial in part.TRIED.items()}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import pytest
 
 from armsight.drivers.trackers.source import open_tracker
-from armsight.ops.verification.live import TRACKER_STD
-from armsight.ops.verify import supervise
+from armsight.errors import DeviceLost
+from armsight.ops.verification.live import TRACKER_STD, check_eyes
 from program_writers import PULSES, gcode, jbi, krl, pts
 from tracker_servers import Qtm
 
@@ -39,19 +41,21 @@ def table(name):
 
 
 def tracked(body):
-    """Return a call that opens a tracker of two bodies, and takes a frame of one."""
+    """Return a call that opens a tracker of two bodies, and takes the frames of one until it ends."""
 
     def opened():
         pytest.importorskip("qtm_rt")
-        server, (std_m, std_rad) = Qtm(), TRACKER_STD
+        server, (std_m, std_rad), frames = Qtm(), TRACKER_STD, []
         server.start()
         try:
-            with open_tracker(f"qtm:127.0.0.1:{server.port}", body=body, std_m=std_m, std_rad=std_rad) as stream:
-                next(iter(stream))
+            stream = open_tracker(f"qtm:127.0.0.1:{server.port}", body=body, std_m=std_m, std_rad=std_rad)
+            with stream, contextlib.suppress(DeviceLost):  # which ends it
+                frames.extend(stream)
         finally:
             server.ending.set()
             server.join(10.0)
             server.socket.close()
+        assert frames
 
     return opened
 
@@ -59,8 +63,9 @@ def tracked(body):
 FACTORY = "convert arm programs/calibration.conf -o ur.yaml"
 TO_KUKA = "convert arm kr6 --to kuka -o krc.txt"
 LIVE = "verify --live --robot sim:webcam-cell --arm cell/arm.yaml --world cell/world.yaml --frames 9 -o live"
-VIEWS = ("camera:sim:webcam-cell:left", "camera:sim:webcam-cell:right")
-WATCHED = f"{LIVE} --left {VIEWS[0]} --right {VIEWS[1]} --rig cell/rig.yaml --target cell/target.yaml"
+EYES = "--left camera:sim:webcam-cell:left --right camera:sim:webcam-cell:right"
+WATCHED = f"{LIVE} {EYES} --rig cell/rig.yaml --target cell/target.yaml"
+UNSET = {"--rig": None, "--target": None}
 
 TRIED = {
     ("ops/arm_files.py", "Give --nominal with the arm as its maker draws it"): (
@@ -81,10 +86,13 @@ TRIED = {
         WATCHED,
     ),
     ("ops/verification/live.py", "Give --rig and --target, or --tracker"): (
-        lambda: supervise("sim:webcam-cell", None, None, *VIEWS, "cell/arm.yaml", "cell/world.yaml", frames=9),
+        lambda: check_eyes(None, UNSET, {}),
+        (lambda: check_eyes(None, dict.fromkeys(UNSET, "a.yaml"), {}), lambda: check_eyes("qtm:host", UNSET, {})),
+    ),
+    ("ops/verification/live.py", "Leave it out, or give --tracker in place of the cameras"): (
+        f"{WATCHED} --body Flange",
         WATCHED,
     ),
-    ("ops/verification/live.py", "Add --tracker, or leave it out"): (f"{WATCHED} --body Flange", WATCHED),
     ("store/factory_arms.py", "Give --nominal with the arm that the controller is of"): (
         f"{FACTORY} --nominal ur5",
         f"{FACTORY} --nominal ur10",

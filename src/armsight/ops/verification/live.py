@@ -127,7 +127,9 @@ def check_eyes(tracker: str | None, of_cameras: Mapping[str, object], of_tracker
         raise UsageError("cameras need a rig and a target", cure="Give --rig and --target, or --tracker")
     unused = [flag for flag, value in of_tracker.items() if value]
     if tracker is None and unused:
-        raise UsageError(f"{', '.join(unused)} goes with --tracker", cure="Add --tracker, or leave it out")
+        raise UsageError(
+            f"{', '.join(unused)} goes with --tracker", cure="Leave it out, or give --tracker in place of the cameras"
+        )
 
 
 def with_kept(failure: ArmsightError, done: VerifyLiveOutput, out: Path | None) -> ArmsightError:
