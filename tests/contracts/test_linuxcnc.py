@@ -188,6 +188,7 @@ from tests.contracts.test_linuxcnc import RigidTransform, corrects, corrected
 from armsight.ops.robot.recorder import run_with_progress
 with corrects(sys.argv[1]) as robot:
     run_with_progress(lambda: corrected(robot, RigidTransform.from_translation([0.009, 0.0, 0.0]), sys.stdout), str)
+    sys.exit(f"ended: {robot.state}, {robot.why}")
 """
 
 
