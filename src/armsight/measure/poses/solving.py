@@ -318,6 +318,18 @@ def widen(
     return with_covariance(solved, C)
 
 
+def widened_or_odd(
+    setup: Setup, t_s: float, names: tuple[str, ...], views: Views, solved: PoseSolution, found: Array
+) -> tuple[PoseSolution | None, Mask]:
+    """Return the pose as wide as its sights may be off by found (v, n, FINDING), None if too wide; and which (v, n) are
+    then to be left out: the odd ones, else the one that may hide most."""
+    odd: Mask = found[:, :, outlines.ODD] > 0.0
+    if odd.any():
+        return None, odd
+    doubt = found[:, :, [outlines.UU, outlines.VV]].sum(axis=2)
+    return widen(setup, t_s, names, views, solved, found), np.asarray(doubt == doubt.max())
+
+
 def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, found: Array) -> list[Array]:
     """Return the ways (1 to 2, 6) from the pose T, of a pair or of unmeasured lights, to those with a spot moved.
 

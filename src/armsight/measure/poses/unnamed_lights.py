@@ -22,7 +22,7 @@ from armsight.measure.poses.pairs import PAIR_GATE
 from armsight.measure.poses.pose import PoseSolution, lost, no_points, solve_points
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.sights import Sights
-from armsight.measure.poses.solving import compare, solve_views, take_spots, why_hidden, widen
+from armsight.measure.poses.solving import compare, solve_views, take_spots, why_hidden, widened_or_odd
 from armsight.optics.kernels.camera import project_many
 from armsight.records import Frame, NotSeen, PoseStatus, Spots
 from armsight.records.checks import for_kernels
@@ -161,13 +161,9 @@ def _looked_at(
         verdict, out = compare(setup, solved.points.xyz_m, solved.T, sights.taken(rows), frames)
         if verdict == outlines.NO_DOUBT:
             return rows, solved, tuple(hidden)
-        odd = out[:, :, outlines.ODD] > 0.0  # (v, n)
-        if not odd.any():
-            widened = widen(setup, t_s, names, views, solved, out)
-            if widened is not None:
-                return rows, widened, tuple(hidden)
-            doubt = out[:, :, [outlines.UU, outlines.VV]].sum(axis=2)
-            odd = doubt == doubt.max()
+        widened, odd = widened_or_odd(setup, t_s, names, views, solved, out)
+        if widened is not None:
+            return rows, widened, tuple(hidden)
         hidden += [names[i] for i in np.flatnonzero(odd.any(axis=0)).tolist()]
         rows = rows.copy()
         rows[odd.T] = -1

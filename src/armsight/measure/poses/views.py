@@ -35,7 +35,7 @@ from armsight.measure.poses.solving import (
     solve_views,
     take_spots,
     why_hidden,
-    widen,
+    widened_or_odd,
 )
 from armsight.measure.poses.tracking import continuation, doubtful, expected, next_track, positions_of
 from armsight.measure.poses.unnamed_lights import measure_unnamed
@@ -370,13 +370,9 @@ def _looked_at(
         verdict, out = compare(setup, positions_of(setup, solved.T)[lights], solved.T, shown, frames)
         if verdict == outlines.NO_DOUBT:
             return rows, solved, tuple(hidden)
-        odd = out[:, :, outlines.ODD] > 0.0  # (v, n)
-        if not odd.any():
-            widened = widen(setup, t_s, names, views, solved, out)
-            if widened is not None:
-                return rows, widened, tuple(hidden)
-            doubt = out[:, :, [outlines.UU, outlines.VV]].sum(axis=2)
-            odd = doubt == doubt.max()
+        widened, odd = widened_or_odd(setup, t_s, names, views, solved, out)
+        if widened is not None:
+            return rows, widened, tuple(hidden)
         hidden += [names[i] for i in np.flatnonzero(odd.any(axis=0)).tolist()]
         kept = rows[lights]
         kept[odd.T] = -1
