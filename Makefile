@@ -10,17 +10,28 @@ VERSIONS := 3.11 3.12 3.13
 # one more than two cores: a quarter of the time, tests wait for robots, cameras and browsers
 WORKERS ?= 3
 
-.PHONY: demo test check types style guides docs install lock packages test-all $(VERSIONS:%=test-%) clean
+.PHONY: demo test test-alone test-others check types style guides docs install lock packages test-all $(VERSIONS:%=test-%) clean
 
 demo: $(RUNS)
 	$(BIN)/armsight demo -o demo
 
-# what failed beside other tests is run once more by itself: it fails, or the machine was too busy for it, as told
-AGAIN := --last-failed --last-failed-no-failures none
+# tests that follow a robot in real time wait for three quarters of it: all others fill that time, and give way to them
+test-alone: HOW := -m alone
+test-others: HOW := -n $(WORKERS) --dist worksteal -m "not alone"
+test-others: GIVES_WAY := $(shell chrt --idle 0 true 2>/dev/null && echo chrt --idle 0 || echo nice -n 19)
+LAST := .pytest_cache
 
+# what failed beside others is run once more by itself: it fails, or the machine was too busy for it, as told
 test: install
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not alone" || $(BIN)/pytest $(AGAIN) -m "not alone"
-	$(BIN)/pytest -m alone || $(BIN)/pytest $(AGAIN) -m alone
+	@rm -rf $(LAST)
+	@$(MAKE) --no-print-directory --jobs=2 test-alone test-others
+	@for part in alone others; do test ! -e $(LAST)/$$part/failed || \
+	  $(BIN)/pytest -o cache_dir=$(LAST)/$$part --last-failed --last-failed-no-failures none || exit 1; done
+
+# 1: tests failed; all else means that the run itself did
+test-alone test-others:
+	@$(GIVES_WAY) $(BIN)/pytest -o cache_dir=$(LAST)/$(@:test-%=%) $(HOW) || \
+	  { test $$? = 1 && touch $(LAST)/$(@:test-%=%)/failed; }
 
 # the same tests under every Python that armsight is for: each of them has to be on the machine
 test-all: $(VERSIONS:%=test-%)
