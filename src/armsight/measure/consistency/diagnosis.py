@@ -72,6 +72,9 @@ BENT = 0.02
 """Share of its gain by which a cause made of several must beat a single one: others explain what a large fault's bend
 leaves (measured with single lights 0.5 to 3 mm off: 0.05 to 1 %)."""
 
+WITHIN = (0.75, 0.5, 0.25)
+"""Shares of a stretch behind a change within it that are tried: exact to a frame while stretches hold four of them."""
+
 CLEAR = 1e-9
 """Information of a direction, over the largest, below which it is none."""
 
@@ -103,7 +106,7 @@ def judge(
     whole = _total(evidence.blocks, evidence.size)
     blocks = evidence.blocks if changes else [whole]
     width = _widths(evidence)
-    scale2, noise_dof = noise_scale2(blocks, width)
+    scale2, noise_dof = noise_scale2(blocks, width, within=not evidence.setup.rig.is_pair)
     structured = max(whole.chi2 - scale2 * whole.dof, 0.0) / whole.dof
     scale2 += CURVED**2 * structured
     prior, noise = prior_root(evidence.setup, evidence.size), Noise(max(scale2, 1.0), noise_dof + PRIOR_DOF)
@@ -138,10 +141,10 @@ def _explained(
     """Return what the sums say of each cause; of two cameras at once only where each alone may have moved."""
     whole = _total(blocks, evidence.size)
     static = [cause for cause in causes if not cause.from_change]
-    found = [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in static if len(cause.cameras) < 2]
+    found = [_explain(evidence, cause, whole, whole, prior, noise) for cause in static if len(cause.cameras) < 2]
     suspects = {f.cause.cameras[0] for f in found if f.cause.cameras and f.gain > SUSPECT}
     both = [cause for cause in static if len(cause.cameras) > 1 and suspects.issuperset(cause.cameras)]
-    found += [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in both]
+    found += [_explain(evidence, cause, whole, whole, prior, noise) for cause in both]
     if len(blocks) > 1:
         found += [_changed(evidence, cause, whole, prior, noise) for cause in causes if cause.from_change]
     return found
@@ -168,18 +171,21 @@ def _of_board(evidence: Evidence) -> tuple[float, float]:
     return sqrt(evidence.residual_px2 / evidence.residuals), known
 
 
-def noise_scale2(blocks: list[Block], width: Array) -> tuple[float, float]:
+def noise_scale2(blocks: list[Block], width: Array, *, within: bool = False) -> tuple[float, float]:
     """Return the noise's variance over the claimed one, and the degrees of freedom it rests on.
 
     From what is left when every parameter is free; and, so that a change in the run does not pass for noise, free
-    anew from some moment on, where less is left so.
+    anew from some moment on, where less is left so. within: a stretch at that moment may be of neither part.
     """
-    size = len(width)
-    whole = _total(blocks, size)
-    rest = [_unexplained([whole], width)]
-    rest += [_unexplained([_total(blocks[:i], size), _total(blocks[i:], size)], width) for i in range(1, len(blocks))]
-    scaled = [((chi2 + PRIOR_DOF * PRIOR_SCALE2) / (dof + PRIOR_DOF), dof) for chi2, dof in rest]
-    return min(scaled)
+
+    def left(*parts: list[Block]) -> tuple[float, float]:
+        chi2, dof = _unexplained([_total(part, len(width)) for part in parts if part], width)
+        return (chi2 + PRIOR_DOF * PRIOR_SCALE2) / (dof + PRIOR_DOF), dof
+
+    split = [left(blocks[:i], blocks[i:]) for i in range(len(blocks))]
+    i = split.index(min(split))
+    mixed = (i - 1, i) if within and i else ()
+    return min([*split, *(left(blocks[:j], blocks[j + 1 :]) for j in mixed)])
 
 
 def prior_root(setup: Setup, size: int) -> Array:
@@ -225,9 +231,18 @@ def _unexplained(blocks: list[Block], width: Array) -> tuple[float, float]:
 
 
 def _explain(
-    evidence: Evidence, cause: Cause, whole: Block, part: Block, prior: Array, noise: Noise, since_s: float | None
+    evidence: Evidence,
+    cause: Cause,
+    whole: Block,
+    part: Block,
+    prior: Array,
+    noise: Noise,
+    since_s: float | None = None,
+    mixed: Array | None = None,
 ) -> Finding:
     """Return the estimate of a cause that holds in part of the run; rig and target uncertain throughout.
+
+    mixed (q, q): information of part on how its frames differ, which its sums do not have.
 
     With u the unit normal numbers behind rig and target, a those of the cause (units of width, prior of 1), the cost
     (chi2 + 2 b'x + x'N x) / scale2 + u'u + a'a with x = L u + V a is minimised; u is eliminated.
@@ -238,6 +253,8 @@ def _explain(
     Hau = NV.T @ prior
     solved = np.linalg.solve(Huu, np.column_stack([Hau.T, prior.T @ whole.score / scale2]))
     K = np.eye(k) + V.T @ NV - Hau @ solved[:, :k]
+    if mixed is not None:
+        K -= V.T @ mixed @ V / scale2
     g = V.T @ part.score / scale2 - Hau @ solved[:, k]
     K = 0.5 * (K + K.T)
     values, vectors = np.linalg.eigh(K)
@@ -261,18 +278,33 @@ def _explain(
         second_moment=np.mean([W @ (np.outer(a, a) + C) @ W.T for W in shapes], axis=0),
         since_s=since_s,
     )
-    return out if out.quotable or not cause.unit else replace(out, significant=False)
+    proven = out.quotable or not cause.unit or (k > 1 and cause.cameras)  # of six numbers none may stand out
+    return out if proven else replace(out, significant=False)
 
 
 def _changed(evidence: Evidence, cause: Cause, whole: Block, prior: Array, noise: Noise) -> Finding:
-    """Return the cause from the moment at which it explains most; the choice of the moment is paid for."""
-    blocks = evidence.blocks
-    found = [
-        _explain(evidence, cause, whole, _total(blocks[i:], evidence.size), prior, noise, blocks[i].start_s)
-        for i in range(1, len(blocks))
-    ]
-    best = max(found, key=lambda f: f.evidence)
-    return replace(best, evidence=best.evidence - log(len(found)))
+    """Return the cause from the moment at which it explains most; the choice of the moment is paid for.
+
+    Of a change within a stretch only sums over both of its parts are known. Frames of a stretch being alike, a cause
+    that held in a share s of it has moved these as s of its size would have all along: score and rig's part by s, its
+    own information by s^2.
+    """
+    blocks, start_s = evidence.blocks, [block.start_s for block in evidence.blocks]
+
+    def since(i: int, share: float = 1.0) -> Finding:
+        part = Block(start_s[i], share * blocks[i].information, share * blocks[i].score)
+        for block in blocks[i + 1 :]:
+            part.add(block)
+        mixed = None if share == 1.0 else share * (1.0 - share) * blocks[i].information
+        since_s = float(np.interp(i + 1.0 - share, range(len(blocks)), start_s))
+        return _explain(evidence, cause, whole, part, prior, noise, since_s, mixed)
+
+    found = {i: since(i) for i in range(1, len(blocks))}
+    best = max(found, key=lambda i: found[i].evidence)
+    within = () if evidence.setup.rig.is_pair else WITHIN
+    every = [*found.values(), *(since(i, share) for i in (best - 1, best) for share in within)]
+    chosen = max(every, key=lambda f: f.evidence)
+    return replace(chosen, evidence=chosen.evidence - log(len(found) * (1 + len(within))))
 
 
 def _effect(shift: Array, x: Array, frames: int) -> float:

@@ -98,6 +98,8 @@ class CamerasCheck:
             self._leave(wrong)
         if wrong is not None:
             found = replace(found, verdict="inconsistent", instead=wrong.words, remedy=wrong.cure)
+        elif found.open_which:
+            found = replace(found, verdict="inconsistent")
         self._final = replace(found, left_out=tuple(self.left_out))
         return self._final
 
