@@ -248,7 +248,7 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     variances = np.diagonal(run.Cs, axis1=1, axis2=2)
     evidence.claimed_m2, evidence.claimed_rad2 = float(variances[:, :3].sum()), float(variances[:, 3:6].sum())
     evidence.frames = n
-    return MovingCheck(verdict=judge(evidence), slopes=ds[:, :6])
+    return MovingCheck(verdict=judge(evidence).final, slopes=ds[:, :6])
 
 
 SHOWN = {"1": (100.0, " %"), "m": (1.0 / MM, " mm"), "rad": (1.0 / DEG, "°"), "s": (1e3, " ms")}

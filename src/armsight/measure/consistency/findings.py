@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import sqrt
 
 import numpy as np
@@ -152,6 +152,11 @@ class Consistency:
     def open_which(self) -> bool:
         """Whether each of the likeliest causes is some camera's, which not all of them name, and poses are worse."""
         return bool(self._named) and all(self._named) and not self.accused
+
+    @property
+    def final(self) -> Consistency:
+        """What is said at the end of a run: where it is open which camera is wrong, it is inconsistent."""
+        return replace(self, verdict="inconsistent") if self.open_which else self
 
     @property
     def _named(self) -> list[tuple[str, ...]]:
