@@ -215,7 +215,8 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     """Return what the views' innovations under a motion of strength jerk (n,) say of rig and target."""
     evidence = Evidence.of(setup)
     n, q = len(views), evidence.size
-    t, block = np.array([view.t_s for view in views]), (np.arange(n) * BLOCKS) // n
+    t, blocks = np.array([view.t_s for view in views]), BLOCKS * evidence.fine
+    block = (np.arange(n) * blocks) // n
     run, judged = Filtered.of(setup.packed, setup.model.xyz_m, views, starts, jerk), rig_of(setup)
     seen_s, side, first = run.rows.views
     side = side + len(judged.k) - len(setup.packed.k)  # before the cameras of other rigs than pairs stands one more
@@ -224,7 +225,7 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     weight = np.array([still[one.side].weight(one.lights, one.uv_px[:, None], one.cov_px2[:, None]) for one in views])
     for start in starts:
         weight[start.view : start.view + SETTLED_VIEWS] = 0.0
-    information, score, chi2 = np.zeros((BLOCKS, q, q)), np.zeros((BLOCKS, q)), np.zeros(BLOCKS)
+    information, score, chi2 = np.zeros((blocks, q, q)), np.zeros((blocks, q)), np.zeros(blocks)
     kernels.run_evidence(
         (seen_s, side, first),
         run.rows.spots,
@@ -234,7 +235,7 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
         *run.states(ds, dp),
         (information, score, chi2),
     )
-    dof = np.bincount(block, weight * [2.0 * len(view.lights) for view in views], BLOCKS)
+    dof = np.bincount(block, weight * [2.0 * len(view.lights) for view in views], blocks)
     for k in np.unique(block[weight > 0.0]).tolist():
         part = Block(
             float(t[block == k][0]), information[k], score[k], max(float(chi2[k]), float(dof[k])), float(dof[k])
