@@ -309,8 +309,9 @@ def advice(found: Consistency) -> str:
 
 def what(f: Finding) -> str:
     """Return the cause with its size: 'the target's scale against the baseline is off by 1.02 +- 0.03 %'."""
+    moment = "" if f.since_s is None else f" (from about {f.since_s:.1f} s on)"
     if not (f.cause.unit and f.quotable):
-        return f.cause.words
+        return f"{f.cause.words}{moment if f.cause.cameras else ''}"
     factor, sign = SHOWN[f.unit]
     if f.cause.key.startswith("distortion"):
         factor, sign = 1.0, " in k1"
@@ -325,7 +326,6 @@ def what(f: Finding) -> str:
         return (
             f"the right camera exposes {_figures(factor * abs(f.size), factor * f.std, sign)} {later} than the left one"
         )
-    moment = "" if f.since_s is None else f" (from about {f.since_s:.1f} s on)"
     return f"{f.cause.words}, by {size}{moment}" if f.cause.key != "scale" else f"{f.cause.words} by {size}"
 
 
