@@ -155,7 +155,7 @@ class TimedMoments(Moments):
         """Tell once that cameras seem to expose at times that nothing says."""
         if apart_s > APART_S:
             self.apart = (
-                f"The frames of {' and '.join(self.names)} are {apart_s * 1e3:.0f} ms apart, and the rig's file does "
+                f"The frames of {', '.join(self.names)} are {apart_s * 1e3:.0f} ms apart, and the rig's file does "
                 "not say when its cameras expose: poses of a target that moves are worse than they claim, by some "
                 f"{apart_s * 100.0:.1f} mm at 0.1 m/s. Run `armsight calibrate timing` once, trigger the cameras "
                 "together, or let the target rest"
