@@ -4,11 +4,12 @@ The world (tests/truth/camera_ring.py) projects by itself: six lights at 1.3 m, 
 Every run's rig file is drawn from the covariance of a calibration, lenses too: 60 boards that two cameras or more see,
 and 20 that fill each one's picture, 0.05 px a corner. Then one camera is turned about its own centre, or shifted, in a
 direction drawn. A knocked run goes from its spots, with two reflections, through the naming; it counts as right where
-the first camera that is left out is that one. Good runs, and those of a knock half way, are of spots named as they
-are, which is quicker; --search names those of good runs too.
+the first camera that is left out is that one. Good runs, and those of a knock during the run (--at), are of spots named
+as they are, which is quicker; --search names those too.
 
     python benchmarks/knocked_camera.py                     # 1,000 good runs and 2 x 200 knocks for 3, 4 and 8 cameras
     python benchmarks/knocked_camera.py --good 100 --knocks 20 --views 4
+    python benchmarks/knocked_camera.py --at 0.5 0.67       # knocks half way, and at two thirds of the run
     python benchmarks/knocked_camera.py --bound 20          # what the data can tell, whatever is done with them
 """
 
@@ -111,22 +112,26 @@ def by_name(setup: Setup, true: world.Ring, t_s: float, rng: np.random.Generator
 
 
 def first_named(
-    views: int, seed: int, knock: tuple[float, float] | None, *, search: bool, half_way: bool = False
+    views: int, seed: int, knock: tuple[float, float] | None, *, search: bool, at: float = 0.0
 ) -> tuple[int, list[str], int]:
-    """Return which camera was knocked, the first that were left out, and after how many moments that was."""
+    """Return which camera was knocked, the first that were left out, and after how many moments that was.
+
+    at: share of the run before the knock; up to three moments later, so that runs differ in where in a stretch it is.
+    """
     rng = np.random.default_rng(seed)
     setup, true, k = drawn(views, rng), world.ring(views), seed % views
     before = true
     if knock is not None:
         true = knocked(true, k, rng, *knock)
     check, moment = CamerasCheck(setup), by_search if search else by_name
+    first = round(at * MOMENTS) + seed // views % 4 if at else 0
     for i in range(MOMENTS):
-        check.add(moment(setup, before if half_way and i < MOMENTS // 2 else true, 0.5 * i, rng))
+        check.add(moment(setup, before if i < first else true, 0.5 * i, rng))
         if check.left_out:
-            return k, list(check.left_out[0].names), i + 1
+            return k, list(check.left_out[0].names), i + 1 - first
     found = check.finish()
     named = list(check.left_out[0].names) if check.left_out else []
-    return k, named if named or found.verdict == "ok" else [found.verdict], MOMENTS
+    return k, named if named or found.verdict == "ok" else [found.verdict], MOMENTS - first
 
 
 @cache
@@ -194,10 +199,10 @@ def told(views: int, what: str, knock: tuple[float, float], runs: int) -> list[o
 
 
 def row(
-    views: int, what: str, knock: tuple[float, float] | None, runs: int, *, search: bool, half_way: bool = False
+    views: int, what: str, knock: tuple[float, float] | None, runs: int, *, search: bool, at: float = 0.0
 ) -> list[object]:
     """Return one row of the table."""
-    done = [first_named(views, 1000 * views + i, knock, search=search, half_way=half_way) for i in range(runs)]
+    done = [first_named(views, 1000 * views + i, knock, search=search, at=at) for i in range(runs)]
     told = [one for one in done if one[1]]
     right = sum(named == [f"c{k}"] for k, named, _ in told)
     wrong = len(told) - right if knock else len(told)
@@ -215,6 +220,7 @@ def main() -> None:
     parser.add_argument("--good", type=int, default=1000)
     parser.add_argument("--knocks", type=int, default=200)
     parser.add_argument("--views", type=int, nargs="+", default=[3, 4, 8])
+    parser.add_argument("--at", type=float, nargs="+", default=[0.0, 0.5], help="shares of the run before the knock")
     parser.add_argument("--search", action="store_true")
     parser.add_argument("--bound", type=int, default=0, help="of so many knocks each, what the data can tell at all")
     args = parser.parse_args()
@@ -233,9 +239,9 @@ def main() -> None:
             f"{views} cameras: places of the calibration to {place:.3f} mm and {turn:.4f} degrees or better", flush=True
         )
         for what, knock in KNOCKS:
-            if args.knocks:
-                rows.append(row(views, what, knock, args.knocks, search=True))
-                rows.append(row(views, f"{what}, half way", knock, args.knocks, search=False, half_way=True))
+            for at in args.at if args.knocks else ():
+                when = f", after {at:.0%}" if at else ""
+                rows.append(row(views, f"{what}{when}", knock, args.knocks, search=args.search or not at, at=at))
         if args.good:
             rows.append(row(views, "nothing", None, args.good, search=args.search))
     table("Knocked cameras", head, rows)

@@ -149,7 +149,7 @@ def test_a_camera_whose_clock_is_no_longer_as_calibrated_is_told_and_left_out() 
     assert len(q) > 100 and np.mean(q < chi2.ppf(0.95, 6)) > 0.85
 
 
-@pytest.mark.parametrize("turn_deg", [0.007, 0.15])
+@pytest.mark.parametrize("turn_deg", [0.007, 0.01, 0.15])
 def test_a_camera_that_was_knocked_is_named_and_left_out(turn_deg: float) -> None:
     def knocked(world: Ring) -> Ring:
         turn = Rotation.from_rotvec([0.0, np.deg2rad(turn_deg), 0.0]).as_matrix()

@@ -70,10 +70,22 @@ def test_the_camera_that_was_knocked_is_named_and_the_poses_go_on_without_it(vie
     assert all(len(one.spots[k]) == 0 for one in after)
 
 
-def test_a_camera_that_is_knocked_during_the_run_is_named() -> None:
-    world = ring(4)
-    run = Run(setup_of(world), world, seed=3, n=40, later=knocked(world, 2, np.random.default_rng(3), TURN_RAD))
-    run.told("c2")
+@pytest.mark.parametrize(
+    ("views", "k", "seed", "n", "sizes"),
+    [
+        (4, 2, 3, 40, {"turn_rad": TURN_RAD}),
+        *((3, *at, {"shift_m": SHIFT_M}) for at in ((0, 0, 44), (2, 11, 44), (1, 1, 102))),
+    ],
+)
+def test_a_camera_that_is_knocked_during_the_run_is_named_with_the_moment(
+    views: int, k: int, seed: int, n: int, sizes: dict[str, float]
+) -> None:
+    """Also within a stretch of the run, and where the sums of its frames are no longer kept one by one."""
+    world = ring(views)
+    later = knocked(world, k, np.random.default_rng(seed), **sizes)
+    run = Run(setup_of(world), world, seed=seed, n=n, later=later)
+    run.told(f"c{k}")
+    assert names_it(sentence(run.found), f"{0.5 * (n // 2):.1f} s"), sentence(run.found)
 
 
 @pytest.mark.parametrize("views", [1, 3, 4])

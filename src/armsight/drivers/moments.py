@@ -56,11 +56,13 @@ def moments_of(source: Iterable[M]) -> Generator[M, None, None]:
 
 
 def news_of(source: object, told: list[str]) -> list[str]:
-    """Return what to tell of the cameras of a source that were lost since they were last told, which it notes."""
+    """Return what to tell of a source since it was last told, which it notes: cameras that were lost, frames apart."""
     lost: Mapping[str, str] = getattr(source, "lost", {})
-    fresh = [name for name in lost if name not in told]
+    apart: str = getattr(source, "apart", "")
+    news = {name: f"the camera {name} is lost: {why}" for name, why in lost.items()} | ({apart: apart} if apart else {})
+    fresh = [key for key in news if key not in told]
     told += fresh
-    return [f"the camera {name} is lost: {lost[name]}" for name in fresh]
+    return [news[key] for key in fresh]
 
 
 def pairs_of(moments: Iterable[Views]) -> Generator[tuple[Frame, Frame], None, None]:
@@ -75,7 +77,8 @@ class Moments(ABC):
 
     Of one or two cameras every moment has every frame: what fails ends it. Of more a frame that is missing or cannot be
     read is a missing view, and a camera that is lost is told at once and left out, as long as `fewest` are left.
-    lost: why, by name. n_dropped: frames so far that had no partner.
+    lost: why, by name. n_dropped: frames so far that had no partner. untimed: whether nothing is known of when cameras
+    expose, so that it is told where their stamps are apart; apart: what was told of that.
     """
 
     def __init__(
@@ -89,6 +92,7 @@ class Moments(ABC):
         self.names = tuple(names)
         self.fewest = fewest or min(FEWEST, len(sources))
         self.lost: dict[str, str] = {}
+        self.untimed, self.apart = False, ""
         self.n_dropped = 0
         self._partial = len(sources) > len(PAIR)
         self._tell = tell

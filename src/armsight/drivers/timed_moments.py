@@ -24,6 +24,10 @@ UNPAIRED_LIMIT = 60
 INTERVALS = 31
 """Frames whose distances in time say how long a period of a camera is: a second of a webcam."""
 
+APART_S = 3e-3
+"""Time between two frames of a moment (RMS of a second) from which their cameras seem to run freely: stamps of
+triggered webcams jitter by a millisecond or two."""
+
 AFTER = 3
 """Moments of the others after which a camera that sends no more has ended before them."""
 
@@ -64,6 +68,7 @@ class TimedMoments(Moments):
     ) -> None:
         super().__init__(*sources, names=names, fewest=fewest, tell=tell)
         self._max_skew_s = max_skew_s
+        self._spread_s2: list[float] = []
         self._sum_s = self._largest_s = 0.0
         self._n = 0
         self.short: FrameSource | None = None
@@ -140,6 +145,22 @@ class TimedMoments(Moments):
         self._sum_s += skew_s
         if abs(skew_s) > abs(self._largest_s):
             self._largest_s = skew_s
+        if self.untimed and not self.apart and len(t_s) > 1:
+            self._spread_s2.append(2.0 * float(np.var(t_s, ddof=1)))
+            if len(self._spread_s2) == INTERVALS:
+                self._tell_apart(math.sqrt(sum(self._spread_s2) / INTERVALS))
+                self._spread_s2.clear()
+
+    def _tell_apart(self, apart_s: float) -> None:
+        """Tell once that cameras seem to expose at times that nothing says."""
+        if apart_s > APART_S:
+            self.apart = (
+                f"The frames of {', '.join(self.names)} are {apart_s * 1e3:.0f} ms apart, and the rig's file does "
+                "not say when its cameras expose: poses of a target that moves are worse than they claim, by some "
+                f"{apart_s * 100.0:.1f} mm at 0.1 m/s. Run `armsight calibrate timing` once, trigger the cameras "
+                "together, or let the target rest"
+            )
+            self._tell(self.apart)
 
     def _never_meet(self, there: dict[int, Frame]) -> DeviceFailed:
         times = [frame.t_s for frame in there.values()]

@@ -17,6 +17,7 @@ from armsight.drivers import (
     Moment,
     RecordedMoments,
     TimedMoments,
+    news_of,
     open_moments,
 )
 from armsight.errors import DeviceLost, Inconsistent
@@ -99,6 +100,26 @@ def test_the_run_ends_where_too_few_are_left_and_of_a_pair_at_once() -> None:
     assert len(told) == 1
     alone = TimedMoments(Camera("0", ticks(3)), names=("a",))
     assert read(alone) == [(0,), (1,), (2,)]
+
+
+@pytest.mark.parametrize("views", [2, 3])
+def test_cameras_that_run_free_are_told_once_where_nothing_says_when_they_expose(views: int) -> None:
+    def told(late_s: float, *, untimed: bool = True, jitter_s: float = 0.0) -> list[str]:
+        out: list[str] = []
+        rng, late = np.random.default_rng(views), (0.0, late_s, 0.5 * late_s)[:views]
+        cameras = [Camera(str(k), [t + rng.normal(0.0, jitter_s) for t in ticks(90, at)]) for k, at in enumerate(late)]
+        moments = TimedMoments(*cameras, names=NAMES[:views], tell=out.append)
+        moments.untimed = untimed
+        news: list[str] = []
+        with moments:
+            said = [text for _ in moments for text in news_of(moments, news)]
+        assert said == out
+        return out
+
+    (one,) = told(0.009)
+    assert names_it(one, *NAMES[:views]) and names_it(one, "calibrate timing")
+    assert not told(0.009, untimed=False)
+    assert not told(0.0, jitter_s=1.5e-3)  # of triggered cameras
 
 
 def test_a_clock_seconds_apart_is_told_or_refused() -> None:

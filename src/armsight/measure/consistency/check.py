@@ -215,7 +215,8 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     """Return what the views' innovations under a motion of strength jerk (n,) say of rig and target."""
     evidence = Evidence.of(setup)
     n, q = len(views), evidence.size
-    t, block = np.array([view.t_s for view in views]), (np.arange(n) * BLOCKS) // n
+    t, blocks = np.array([view.t_s for view in views]), BLOCKS * evidence.fine
+    block = (np.arange(n) * blocks) // n
     run, judged = Filtered.of(setup.packed, setup.model.xyz_m, views, starts, jerk), rig_of(setup)
     seen_s, side, first = run.rows.views
     side = side + len(judged.k) - len(setup.packed.k)  # before the cameras of other rigs than pairs stands one more
@@ -224,7 +225,7 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     weight = np.array([still[one.side].weight(one.lights, one.uv_px[:, None], one.cov_px2[:, None]) for one in views])
     for start in starts:
         weight[start.view : start.view + SETTLED_VIEWS] = 0.0
-    information, score, chi2 = np.zeros((BLOCKS, q, q)), np.zeros((BLOCKS, q)), np.zeros(BLOCKS)
+    information, score, chi2 = np.zeros((blocks, q, q)), np.zeros((blocks, q)), np.zeros(blocks)
     kernels.run_evidence(
         (seen_s, side, first),
         run.rows.spots,
@@ -234,7 +235,7 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
         *run.states(ds, dp),
         (information, score, chi2),
     )
-    dof = np.bincount(block, weight * [2.0 * len(view.lights) for view in views], BLOCKS)
+    dof = np.bincount(block, weight * [2.0 * len(view.lights) for view in views], blocks)
     for k in np.unique(block[weight > 0.0]).tolist():
         part = Block(
             float(t[block == k][0]), information[k], score[k], max(float(chi2[k]), float(dof[k])), float(dof[k])
@@ -248,7 +249,7 @@ def check_motion(setup: Setup, views: Sequence[View], starts: Sequence[Start], j
     variances = np.diagonal(run.Cs, axis1=1, axis2=2)
     evidence.claimed_m2, evidence.claimed_rad2 = float(variances[:, :3].sum()), float(variances[:, 3:6].sum())
     evidence.frames = n
-    return MovingCheck(verdict=judge(evidence), slopes=ds[:, :6])
+    return MovingCheck(verdict=judge(evidence).final, slopes=ds[:, :6])
 
 
 SHOWN = {"1": (100.0, " %"), "m": (1.0 / MM, " mm"), "rad": (1.0 / DEG, "°"), "s": (1e3, " ms")}
@@ -308,8 +309,9 @@ def advice(found: Consistency) -> str:
 
 def what(f: Finding) -> str:
     """Return the cause with its size: 'the target's scale against the baseline is off by 1.02 +- 0.03 %'."""
+    moment = "" if f.since_s is None else f" (from about {f.since_s:.1f} s on)"
     if not (f.cause.unit and f.quotable):
-        return f.cause.words
+        return f"{f.cause.words}{moment if f.cause.cameras else ''}"
     factor, sign = SHOWN[f.unit]
     if f.cause.key.startswith("distortion"):
         factor, sign = 1.0, " in k1"
@@ -324,7 +326,6 @@ def what(f: Finding) -> str:
         return (
             f"the right camera exposes {_figures(factor * abs(f.size), factor * f.std, sign)} {later} than the left one"
         )
-    moment = "" if f.since_s is None else f" (from about {f.since_s:.1f} s on)"
     return f"{f.cause.words}, by {size}{moment}" if f.cause.key != "scale" else f"{f.cause.words} by {size}"
 
 

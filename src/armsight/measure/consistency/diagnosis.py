@@ -9,8 +9,10 @@ parameter explains, so that cameras noisier than they say are no fault of the se
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import log, sqrt
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import fdtri
@@ -21,6 +23,8 @@ from armsight.measure.consistency.causes import Cause, causes_of, parameter_widt
 from armsight.measure.consistency.evidence import Block, Evidence
 from armsight.measure.consistency.findings import Consistency, Finding
 from armsight.measure.poses.setup import Setup, n_parameters
+
+T = TypeVar("T")
 
 FALSE_ALARM = 1e-5
 """Chance at which the gain of one cause passes without a fault, the noise being known from the residuals alone."""
@@ -72,6 +76,9 @@ BENT = 0.02
 """Share of its gain by which a cause made of several must beat a single one: others explain what a large fault's bend
 leaves (measured with single lights 0.5 to 3 mm off: 0.05 to 1 %)."""
 
+WITHIN = (0.75, 0.5, 0.25)
+"""Shares of a block of several frames behind a change within it that are tried."""
+
 CLEAR = 1e-9
 """Information of a direction, over the largest, below which it is none."""
 
@@ -103,11 +110,11 @@ def judge(
     whole = _total(evidence.blocks, evidence.size)
     blocks = evidence.blocks if changes else [whole]
     width = _widths(evidence)
-    scale2, noise_dof = noise_scale2(blocks, width)
+    scale2, noise_dof = noise_scale2(blocks, width, evidence.fine)
     structured = max(whole.chi2 - scale2 * whole.dof, 0.0) / whole.dof
     scale2 += CURVED**2 * structured
     prior, noise = prior_root(evidence.setup, evidence.size), Noise(max(scale2, 1.0), noise_dof + PRIOR_DOF)
-    found = _explained(evidence, causes, blocks, prior, noise)
+    found = _explained(Sums.of(evidence, whole, prior, noise), causes, changes=len(blocks) > 1)
     ranked = sorted(found, key=lambda f: -f.evidence)
     significant = [f for f in ranked if f.significant]
     if refused > MOSTLY and not significant:
@@ -132,19 +139,35 @@ def judge(
     return replace(out, verdict="inconsistent" if refused > MOSTLY else _verdict(out))
 
 
-def _explained(
-    evidence: Evidence, causes: tuple[Cause, ...], blocks: list[Block], prior: Array, noise: Noise
-) -> list[Finding]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """What causes are held against: a run's sums over all of it, with what rig and target leave open, prior (q, p).
+
+    Huu (p, p), bu (p,): information and score of the p unit normal numbers behind these.
+    """
+
+    evidence: Evidence
+    whole: Block
+    prior: Array
+    noise: Noise
+    Huu: Array
+    bu: Array
+
+    @classmethod
+    def of(cls, evidence: Evidence, whole: Block, prior: Array, noise: Noise) -> Sums:
+        """Return them."""
+        Huu = np.eye(prior.shape[1]) + prior.T @ whole.information @ prior / noise.scale2
+        return cls(evidence, whole, prior, noise, Huu, prior.T @ whole.score / noise.scale2)
+
+
+def _explained(sums: Sums, causes: tuple[Cause, ...], *, changes: bool) -> list[Finding]:
     """Return what the sums say of each cause; of two cameras at once only where each alone may have moved."""
-    whole = _total(blocks, evidence.size)
     static = [cause for cause in causes if not cause.from_change]
-    found = [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in static if len(cause.cameras) < 2]
+    found = [_explain(sums, cause, sums.whole) for cause in static if len(cause.cameras) < 2]
     suspects = {f.cause.cameras[0] for f in found if f.cause.cameras and f.gain > SUSPECT}
     both = [cause for cause in static if len(cause.cameras) > 1 and suspects.issuperset(cause.cameras)]
-    found += [_explain(evidence, cause, whole, whole, prior, noise, None) for cause in both]
-    if len(blocks) > 1:
-        found += [_changed(evidence, cause, whole, prior, noise) for cause in causes if cause.from_change]
-    return found
+    found += [_explain(sums, cause, sums.whole) for cause in both]
+    return found + [_changed(sums, cause) for cause in causes if changes and cause.from_change]
 
 
 def possible(evidence: Evidence) -> tuple[Cause, ...]:
@@ -168,18 +191,23 @@ def _of_board(evidence: Evidence) -> tuple[float, float]:
     return sqrt(evidence.residual_px2 / evidence.residuals), known
 
 
-def noise_scale2(blocks: list[Block], width: Array) -> tuple[float, float]:
+def noise_scale2(blocks: list[Block], width: Array, fine: int = 1) -> tuple[float, float]:
     """Return the noise's variance over the claimed one, and the degrees of freedom it rests on.
 
     From what is left when every parameter is free; and, so that a change in the run does not pass for noise, free
-    anew from some moment on, where less is left so.
+    anew from some moment on, where less is left so. fine: as searched.
     """
-    size = len(width)
-    whole = _total(blocks, size)
-    rest = [_unexplained([whole], width)]
-    rest += [_unexplained([_total(blocks[:i], size), _total(blocks[i:], size)], width) for i in range(1, len(blocks))]
-    scaled = [((chi2 + PRIOR_DOF * PRIOR_SCALE2) / (dof + PRIOR_DOF), dof) for chi2, dof in rest]
-    return min(scaled)
+
+    def left(*parts: list[Block]) -> tuple[float, float]:
+        chi2, dof = _unexplained([_total(part, len(width)) for part in parts if part], width)
+        return (chi2 + PRIOR_DOF * PRIOR_SCALE2) / (dof + PRIOR_DOF), dof
+
+    split = _searched(len(blocks), fine, lambda i: left(blocks[:i], blocks[i:]), lambda one: -one[0])
+    rest = [left(blocks), *split.values()]
+    if fine > 1 and split and blocks[0].frames > 1:  # a block that the change is within is of neither part
+        i = min(split, key=lambda i: split[i])
+        rest += [left(blocks[:j], blocks[j + 1 :]) for j in (i - 1, i)]
+    return min(rest)
 
 
 def prior_root(setup: Setup, size: int) -> Array:
@@ -225,19 +253,22 @@ def _unexplained(blocks: list[Block], width: Array) -> tuple[float, float]:
 
 
 def _explain(
-    evidence: Evidence, cause: Cause, whole: Block, part: Block, prior: Array, noise: Noise, since_s: float | None
+    sums: Sums, cause: Cause, part: Block, since_s: float | None = None, mixed: Array | None = None
 ) -> Finding:
     """Return the estimate of a cause that holds in part of the run; rig and target uncertain throughout.
+
+    mixed (q, q): information of part on how its frames differ, which its sums do not have.
 
     With u the unit normal numbers behind rig and target, a those of the cause (units of width, prior of 1), the cost
     (chi2 + 2 b'x + x'N x) / scale2 + u'u + a'a with x = L u + V a is minimised; u is eliminated.
     """
-    V, k, scale2 = cause.scaled(), cause.V.shape[1], noise.scale2
+    V, k, scale2, evidence, prior = cause.scaled(), cause.V.shape[1], sums.noise.scale2, sums.evidence, sums.prior
     NV = part.information @ V / scale2  # (q, k)
-    Huu = np.eye(prior.shape[1]) + prior.T @ whole.information @ prior / scale2
     Hau = NV.T @ prior
-    solved = np.linalg.solve(Huu, np.column_stack([Hau.T, prior.T @ whole.score / scale2]))
+    solved = np.linalg.solve(sums.Huu, np.column_stack([Hau.T, sums.bu]))
     K = np.eye(k) + V.T @ NV - Hau @ solved[:, :k]
+    if mixed is not None:
+        K -= V.T @ mixed @ V / scale2
     g = V.T @ part.score / scale2 - Hau @ solved[:, k]
     K = 0.5 * (K + K.T)
     values, vectors = np.linalg.eigh(K)
@@ -248,7 +279,7 @@ def _explain(
     odds -= 0.0 if cause.unit else 0.5 * BENT * gain
     shapes = [V, *(W * cause.width for W in cause.same)]
     free = max(int((values > 2.0).sum()), 1)
-    least = free * fdtri(free, noise.dof, 1.0 - FALSE_ALARM)
+    least = free * fdtri(free, sums.noise.dof, 1.0 - FALSE_ALARM)
     out = Finding(
         cause=cause,
         estimate=cause.width * a,
@@ -261,18 +292,40 @@ def _explain(
         second_moment=np.mean([W @ (np.outer(a, a) + C) @ W.T for W in shapes], axis=0),
         since_s=since_s,
     )
-    return out if out.quotable or not cause.unit else replace(out, significant=False)
+    proven = out.quotable or not cause.unit or (k > 1 and cause.cameras)  # of six numbers none may stand out
+    return out if proven else replace(out, significant=False)
 
 
-def _changed(evidence: Evidence, cause: Cause, whole: Block, prior: Array, noise: Noise) -> Finding:
-    """Return the cause from the moment at which it explains most; the choice of the moment is paid for."""
-    blocks = evidence.blocks
-    found = [
-        _explain(evidence, cause, whole, _total(blocks[i:], evidence.size), prior, noise, blocks[i].start_s)
-        for i in range(1, len(blocks))
-    ]
-    best = max(found, key=lambda f: f.evidence)
-    return replace(best, evidence=best.evidence - log(len(found)))
+def _changed(sums: Sums, cause: Cause) -> Finding:
+    """Return the cause from the moment at which it explains most; the choice of the moment is paid for.
+
+    Of a change within a block only sums over both of its parts are known. Its frames being alike, a cause that held in
+    a share s of it has moved these as s of its size would have all along: score and rig's part by s, its own
+    information by s^2.
+    """
+    blocks, fine, start_s = sums.evidence.blocks, sums.evidence.fine, [block.start_s for block in sums.evidence.blocks]
+
+    def since(i: int, share: float = 1.0) -> Finding:
+        part = Block(start_s[i], share * blocks[i].information, share * blocks[i].score)
+        for block in blocks[i + 1 :]:
+            part.add(block)
+        mixed = None if share == 1.0 else share * (1.0 - share) * blocks[i].information
+        return _explain(sums, cause, part, float(np.interp(i + 1.0 - share, range(len(blocks)), start_s)), mixed)
+
+    found = _searched(len(blocks), fine, since, lambda f: f.evidence)
+    best = max(found, key=lambda i: found[i].evidence)
+    within = WITHIN if fine > 1 and blocks[0].frames > 1 else ()
+    every = [*found.values(), *(since(i, share) for i in (best - 1, best) for share in within)]
+    chosen, moments = max(every, key=lambda f: f.evidence), (len(blocks) - 1) * (1 + len(within))
+    return replace(chosen, evidence=chosen.evidence - log(moments))
+
+
+def _searched(n: int, fine: int, of: Callable[[int], T], worth: Callable[[T], float]) -> dict[int, T]:
+    """Return of(i) of moments i of 1 .. n - 1: of each multiple of fine, and of all about the one of most worth."""
+    found = {i: of(i) for i in range(fine, n, fine)}
+    best = max(found, key=lambda i: worth(found[i]), default=fine)
+    near = range(max(best - fine + 1, 1), min(best + fine, n))
+    return found | {i: of(i) for i in near if i not in found}
 
 
 def _effect(shift: Array, x: Array, frames: int) -> float:

@@ -44,6 +44,9 @@ HALF = WINDOW // 2
 BLOCKS = 16
 """Stretches of the run that are kept apart, so that a change shows; when full, neighbours are merged."""
 
+FINE = 4
+"""Parts of a stretch that are kept apart where a change is dated within it: single frames at first."""
+
 
 class StillLights:
     """What one more look at lights is worth that have not moved since they were first seen there.
@@ -144,7 +147,7 @@ class Evidence:
     residual_px2: float = 0.0
     residuals: int = 0
     frames: int = 0
-    _per_block: int = 4
+    _per_block: int = field(init=False)
     _before: Frame | None = None
     _last: Frame | None = None
     _still: StillLights = field(init=False)
@@ -154,11 +157,17 @@ class Evidence:
     def __post_init__(self) -> None:
         self.shift_m2, self.shift_rad2 = np.zeros((self.size, self.size)), np.zeros((self.size, self.size))
         self._still = StillLights(len(self.basis), len(self.rig.k))
+        self._per_block = 4 // self.fine
 
     @classmethod
     def of(cls, setup: Setup) -> Evidence:
         """Return the empty sums of a setup."""
         return cls(setup, target_basis(setup), rig_of(setup))
+
+    @property
+    def fine(self) -> int:
+        """How many of the blocks are a stretch: of a pair, which knows but one camera that moved, each is one."""
+        return 1 if self.setup.rig.is_pair else FINE
 
     @property
     def size(self) -> int:
@@ -249,7 +258,7 @@ class Evidence:
     def _block(self, t_s: float) -> Block:
         if self.blocks and self.blocks[-1].frames < self._per_block:
             return self.blocks[-1]
-        if len(self.blocks) == BLOCKS:
+        if len(self.blocks) == BLOCKS * self.fine:
             for first, second in zip(self.blocks[::2], self.blocks[1::2], strict=True):
                 first.add(second)
             self.blocks = self.blocks[::2]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import sqrt
 
 import numpy as np
@@ -145,12 +145,25 @@ class Consistency:
     @property
     def accused(self) -> tuple[str, ...]:
         """The cameras that each of the likeliest causes names; none where these do not agree, or poses stay as good."""
+        named = self._named
+        return tuple(name for name in named[0] if all(name in other for other in named)) if named else ()
+
+    @property
+    def open_which(self) -> bool:
+        """Whether each of the likeliest causes is some camera's, which not all of them name, and poses are worse."""
+        return bool(self._named) and all(self._named) and not self.accused
+
+    @property
+    def final(self) -> Consistency:
+        """What is said at the end of a run: where it is open which camera is wrong, it is inconsistent."""
+        return replace(self, verdict="inconsistent") if self.open_which else self
+
+    @property
+    def _named(self) -> list[tuple[str, ...]]:
+        """The cameras that each of the likeliest causes names; nothing where poses stay as good."""
         equal = self.findings[: self.equal]
         felt = [max(f.effect_m / self.claimed_m, f.effect_rad / self.claimed_rad) for f in equal]
-        if not equal or max(felt) < FELT:
-            return ()
-        named = [f.cause.cameras for f in equal]
-        return tuple(name for name in named[0] if all(name in other for other in named))
+        return [f.cause.cameras for f in equal] if equal and max(felt) >= FELT else []
 
     @property
     def second_moment(self) -> Array | None:

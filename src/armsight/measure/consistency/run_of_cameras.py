@@ -98,7 +98,7 @@ class CamerasCheck:
             self._leave(wrong)
         if wrong is not None:
             found = replace(found, verdict="inconsistent", instead=wrong.words, remedy=wrong.cure)
-        self._final = replace(found, left_out=tuple(self.left_out))
+        self._final = replace(found.final, left_out=tuple(self.left_out))
         return self._final
 
     def again(self) -> Iterator[Measured]:

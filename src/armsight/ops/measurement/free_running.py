@@ -101,10 +101,10 @@ def _measured(
 
 def _fits(
     setup: Setup, streams: Sequence[Stream], left_out: Sequence[LeftOut], progress: Progress
-) -> dict[str, tuple[LeftOut, float]]:
-    """Return the cameras without which the others' views fit a motion: what is told of each, and chi-square per degree
-    of freedom then; none where too few would be left."""
-    names, found = setup.rig.names, dict[str, tuple[LeftOut, float]]()
+) -> list[tuple[LeftOut, FreeRun]]:
+    """Return the cameras without which the others' views fit a motion, and these views' run; none where too few would
+    be left."""
+    names, found = setup.rig.names, list[tuple[LeftOut, FreeRun]]()
     for name, stream in zip(names, _without(names, left_out, streams), strict=True):
         wrong = LeftOut(
             names=(name,),
@@ -114,15 +114,17 @@ def _fits(
         if not len(stream.t_s) or not _enough_without(names, [*left_out, wrong]):
             continue
         with suppress(Inconsistent, NotEnoughData):
-            rest = _measured(setup, _without(names, [*left_out, wrong], streams), None, None, progress)
-            found[name] = wrong, rest.figures.chi2_per_dof or 0.0
+            found.append((wrong, _measured(setup, _without(names, [*left_out, wrong], streams), None, None, progress)))
     return found
 
 
 def _misfit(setup: Setup, streams: Sequence[Stream], left_out: Sequence[LeftOut], progress: Progress) -> LeftOut | None:
-    """Return the one camera without which all the others' views fit a motion; None where that is not one alone."""
+    """Return the one camera without which all the others' views fit a motion, or without which alone they agree too: a
+    small knock bends a motion that fits. None where that is not one alone."""
     found = _fits(setup, streams, left_out, progress)
-    return next(iter(found.values()))[0] if len(found) == 1 else None
+    agreeing = [one for one in found if not one[1].consistency.findings]
+    named = agreeing if len(agreeing) == 1 else found
+    return named[0][0] if len(named) == 1 else None
 
 
 def _accused(
@@ -130,12 +132,14 @@ def _accused(
 ) -> LeftOut | None:
     """Return the camera that the innovations accuse, or, as these mistake one for another where a knock is large, the
     one without which the others fit best. None where none is accused."""
+    if done.consistency.open_which:
+        return _misfit(setup, streams, left_out, progress)
     told = accused_in(done.consistency)
     if told is None or not _enough_without(setup.rig.names, [*left_out, told]):
         return None
     found = _fits(setup, streams, left_out, progress)
-    best, (other, _) = min(found.items(), key=lambda item: item[1][1], default=(told.names[0], (told, 0.0)))
-    return told if best in told.names else other
+    best, _ = min(found, key=lambda one: one[1].figures.chi2_per_dof or 0.0, default=(told, done))
+    return told if set(best.names) <= set(told.names) else best
 
 
 def _enough_without(names: Sequence[str], left_out: Sequence[LeftOut]) -> bool:

@@ -25,7 +25,7 @@ from armsight.drivers import (
 )
 from armsight.errors import Inconsistent, UsageError
 from armsight.measure.begin import AnyFrame, SpotFrame
-from armsight.ops.sources.cameras import open_cameras, open_rig
+from armsight.ops.sources.cameras import open_cameras, open_rig, told_apart
 from armsight.ops.sources.frames import camera_source, complex_pairs, is_recording, open_source
 from armsight.optics import SIDES, Camera, Rig, RigKind
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
@@ -80,8 +80,9 @@ class FrameSources:
     def of_rig(self, rig: Rig, times_s: list[float] | None, *, colour: bool) -> tuple[MomentSource, bool]:
         """Return the pairs of a pair of cameras, else the moments; see pairs."""
         if rig.is_pair:
-            return self.pairs(rig, times_s, colour=colour)
-        return self.moments(times_s, colour=colour), False
+            pairs, overlaid = self.pairs(rig, times_s, colour=colour)
+            return told_apart(pairs, rig), overlaid
+        return told_apart(self.moments(times_s, colour=colour), rig), False
 
     def moments(self, times_s: list[float] | None, *, colour: bool) -> MomentSource:
         """Return the moments of a rig that is no pair. Raises UsageError for what only pairs have."""

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 from armsight import drivers
 from armsight._files import real_path
@@ -28,8 +28,10 @@ from armsight.drivers import (
 )
 from armsight.errors import UsageError
 from armsight.ops.sources.frames import camera_source, is_recording, require_as_recorded
-from armsight.optics import MOST_CAMERAS, SIDES, require_camera_name
+from armsight.optics import MOST_CAMERAS, SIDES, Rig, require_camera_name
 from armsight.store.bags import is_bag
+
+S = TypeVar("S")
 
 VIDEO = "/dev/video"
 
@@ -153,6 +155,13 @@ def open_rig(
 ) -> Moments:
     """Return the moments of a rig's cameras, as named_cameras, cameras_of and open_cameras have them."""
     return open_cameras(cameras_of(names, named_cameras(cameras, left, right)), **more)
+
+
+def told_apart(source: S, rig: Rig) -> S:
+    """Return a source of a rig that tells where frames of a moment are apart, and the rig's file has no timing."""
+    if isinstance(source, Moments):
+        source.untimed = not any(rig.timing)
+    return source
 
 
 def open_cameras(
