@@ -166,7 +166,9 @@ class MeasureResult(Output):
     n_doubtful: Annotated[int, Doc("Pairs that gave a pose that does not fit the claims, or whose run does not.")]
     n_position_only: Annotated[int, Doc("Pairs that gave a position without an orientation.")]
     n_lost: Annotated[int, Doc("Pairs that gave nothing.")]
-    reprojection_rms_px: Annotated[float | None, Doc("RMS of the 2-D residual per light and view, px.")]
+    reprojection_rms_px: Annotated[
+        float | None, Doc("RMS of the 2-D residual per light and view, of those known to 1 px, px.")
+    ]
     ms_per_frame: Annotated[FrameTime, Doc("How long a pair takes.", unit="ms")]
     reasons: Annotated[
         dict[str, int],
@@ -177,6 +179,9 @@ class MeasureResult(Output):
     consistency: Annotated[ConsistencyOutput | None, Doc("Whether residuals, rig and target agree.")] = None
     skew: Annotated[Skew | None, Doc("Time between the frames of live pairs.")] = None
     timing: Annotated[FreeRunning | None, Doc("Where each view was taken at its own time.")] = None
+    n_aside: Annotated[
+        int | None, Doc("Sights known worse than to 1 px, as half-hidden lights, left aside in every RMS.")
+    ] = None
     error: Annotated[str | None, Doc("Why the run ended early.")] = None
     assumed_fps: Annotated[
         float | None, Doc("Frames a second that were assumed, where nothing tells the frames' times.")
@@ -234,6 +239,7 @@ def _rows(done: MeasureResult) -> list[list[str]]:
         [f"ms per {took}", digits(ms.median)],
     ]
     rows += [[f"ms per {one}, 99 %", digits(ms.p99)]] if free is None else []
+    rows += [] if done.n_aside is None else [["half-hidden and such, not in it", str(done.n_aside)]]
     rows += [] if done.assumed_fps is None else [["time", f"assumed at {done.assumed_fps:g} fps"]]
     for name, part in (done.by_camera or {}).items():
         used = f"used in {part.n_used} of {part.n_frames}, {digits(part.rms_px)} px RMS"

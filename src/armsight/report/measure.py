@@ -209,7 +209,7 @@ def _add_residuals(page: Page, run: MeasureRun) -> None:
     page.add(
         "Reprojection",
         "Measured spot minus the model's, per camera. A cloud off the centre or an oblong one says that rig or target "
-        "do not fit the frames.",
+        "do not fit the frames." + _aside(run),
         page.plot(residual_figure({side: r[:, 1:] for side, r in run.residuals.items() if len(r)})),
         table(
             ["camera", "spots", "RMS u, px", "RMS v, px", "mean u, px", "mean v, px", "largest, px"],
@@ -217,6 +217,12 @@ def _add_residuals(page: Page, run: MeasureRun) -> None:
             numbers=range(1, 7),
         ),
     )
+
+
+def _aside(run: MeasureRun) -> str:
+    if not run.n_aside:
+        return ""
+    return f" {run.n_aside:,} sights known worse than to 1 px, as of half-hidden lights, are in none of these figures."
 
 
 def _add_cameras(page: Page, run: MeasureRun) -> None:

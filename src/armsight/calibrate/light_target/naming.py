@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -50,6 +50,11 @@ class Named:
     behind: NDArray[np.bool_]
     information: Array
     misfit: tuple[tuple[int, float], ...]
+
+    def take(self, keep: NDArray[np.bool_]) -> Named:
+        """Return the frames of the mask (g,)."""
+        of = ("number", "rows", "R", "t", "behind", "information")
+        return replace(self, **{name: getattr(self, name)[keep] for name in of})
 
 
 def distances(X: Array) -> Array:

@@ -45,11 +45,15 @@ BEFORE_S = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreeRun:
-    """Poses at the times asked for, the views they come from, their residuals by camera (m, 3): view, u, v in px."""
+    """Poses at the times asked for, the views they come from, their residuals by camera (m, 3): view, u, v in px.
+
+    n_aside: sights that are not among these, as known too badly.
+    """
 
     poses: Sequence[MovingPose]
     views: Sequence[View]
     residuals: dict[str, Array]
+    n_aside: int
     figures: FreeRunning
     consistency: Consistency
 
@@ -187,13 +191,20 @@ def _smoothed(
     ]
     figures = figures_of(setup, smoothed.timing, views, len(starts), chi2, asked, times)
     residuals = _by_camera(setup.rig.names, found)
-    return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures, consistency=check.verdict)
+    return FreeRun(
+        poses=poses,
+        views=views,
+        residuals=residuals,
+        n_aside=int((~found.judged).sum()),
+        figures=figures,
+        consistency=check.verdict,
+    )
 
 
 def _by_camera(names: Sequence[str], found: MotionResiduals) -> dict[str, Array]:
     return {
-        name: np.column_stack([found.view[found.side == side], found.residual_px[found.side == side]])
-        for side, name in enumerate(names)
+        name: np.column_stack([found.view[rows], found.residual_px[rows]])
+        for rows, name in ((found.judged & (found.side == side), name) for side, name in enumerate(names))
     }
 
 
