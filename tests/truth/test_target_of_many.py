@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
 from armsight.calibrate.light_target import LitMoment, TargetResult, calibrate_lights
-from armsight.errors import NotEnoughData, UsageError
+from armsight.errors import Ambiguous, NotEnoughData, UsageError
 from armsight.ops.calibration.spots_of_frames import lights_of_pairs, naming, paired
 from armsight.optics import Camera, MountedCamera, Rig
 from armsight.records import Spots
@@ -114,11 +114,11 @@ NEAR = Rig(
 ANGLES_DEG = np.array([0.0, 50.0, 115.0, 170.0, 235.0, 300.0])
 OUTWARD = np.column_stack([np.cos(np.deg2rad(ANGLES_DEG)), np.sin(np.deg2rad(ANGLES_DEG)), np.zeros(6)])
 RING = 0.04 * OUTWARD + np.outer([0.0, 0.012, -0.008, 0.015, 0.003, -0.012], [0.0, 0.0, 1.0])
-SHINES = np.cos(np.deg2rad(100.0))
+SHINES = np.cos(np.deg2rad(112.0))
 """Cosine to a light's own direction from which a camera sees it: the flange hides the others."""
 
 
-def round_a_flange(rng: np.random.Generator, n: int, rig: Rig = NEAR) -> list[LitMoment]:
+def round_a_flange(rng: np.random.Generator, n: int, rig: Rig = NEAR, ring: np.ndarray = RING) -> list[LitMoment]:
     """Moments of six lights round a flange that is rotated before the cameras; none sees more than four at once."""
     out = []
     upright = Rotation.from_euler("x", 90.0, degrees=True)
@@ -128,13 +128,13 @@ def round_a_flange(rng: np.random.Generator, n: int, rig: Rig = NEAR) -> list[Li
         T = RigidTransform.from_components([*rng.uniform(-0.03, 0.03, 2), FAR_M + rng.uniform(-0.03, 0.03)], turn)
         views = []
         for one in rig.cameras:
-            to_camera = np.asarray(one.T_rig_camera.translation) - T.apply(RING)
+            to_camera = np.asarray(one.T_rig_camera.translation) - T.apply(ring)
             to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
-            lit = (turn.apply(OUTWARD) * to_camera).sum(axis=1) > SHINES
-            uv = pixels(one, T.apply(RING[lit]))[rng.permutation(lit.sum())]
+            lit = (turn.apply(ring / np.linalg.norm(ring, axis=1, keepdims=True)) * to_camera).sum(axis=1) > SHINES
+            uv = pixels(one, T.apply(ring[lit]))[rng.permutation(lit.sum())]
             views.append(Spots.of_centres(uv + rng.normal(0.0, SIGMA_PX, uv.shape), SIGMA_PX**2 * np.eye(2)))
         out.append(LitMoment(name=f"moment {number}", views=tuple(views)))
-    assert max(len(view) for one in out for view in one.views) < len(RING) - 1
+    assert max(len(view) for one in out for view in one.views) < len(ring) - 1
     return out
 
 
@@ -176,3 +176,11 @@ def test_lights_of_which_some_are_never_seen_with_the_others_are_refused() -> No
     seen = round_a_flange(np.random.default_rng(9), 48)
     with refuses(NotEnoughData, ("6 lights", "joined", "three and more of the others")):
         calibrate_lights(NEAR, seen[:12], len(RING), paired=paired, naming=naming)
+
+
+def test_an_even_ring_whose_lights_anybody_could_exchange_is_refused() -> None:
+    angle = np.deg2rad(60.0 * np.arange(6))
+    even = 0.04 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(6)])
+    seen = round_a_flange(np.random.default_rng(1), 48, ring=even)
+    with refuses((Ambiguous, NotEnoughData), "6 lights"):
+        calibrate_lights(NEAR, seen, len(even), paired=paired, naming=naming)

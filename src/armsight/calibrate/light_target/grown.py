@@ -6,16 +6,21 @@ own axes all rays to one more light cross at it, whichever camera had them and w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations, permutations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array, Index
+from armsight.calibrate.light_target.adjustment import Sight
 from armsight.calibrate.light_target.checks import MIN_FRAMES
+from armsight.calibrate.light_target.naming import align, distances, facing, near
+from armsight.fitting.quantiles import chi2_isf
 from armsight.optics import Rig
-from armsight.records import NotSeen, Spots
+from armsight.records import Spots
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -26,22 +31,15 @@ class LitMoment:
     views: tuple[Spots, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NamedSights:
-    """A known target in one moment: T_rig_target (4, 4), and by view its spots and which lights they are."""
-
-    T_rig_target: Array
-    spots: tuple[Spots, ...]
-    names: tuple[tuple[str, ...], ...]
-
-
-Look = Callable[[Sequence[Spots]], NamedSights | NotSeen]
-"""What finds a known target in the views of a moment."""
-
 REACH_PX = 3.0
 """How far a ray may pass a light: a pose by some of the lights is off by more where the others are than at these."""
 LEAST_SINE = 0.05
 """Sine between two rays from which they tell where they cross."""
+BY_CHANCE = 1e-4
+"""Chance that three lights are not taken for themselves."""
+ANOTHER_M = 5e-3
+"""Poses that put a light further apart than this are two."""
+ORDERS = np.array(list(permutations(range(3))), dtype=np.intp)
 MOST_RAYS = 300
 """Rays of which every two are tried; all are held against what they give."""
 
@@ -65,29 +63,77 @@ class Rays:
         return np.asarray((depth > 0.0) & (aside * self.focal_px < REACH_PX * depth))
 
 
-def more_lights(rig: Rig, moments: Sequence[LitMoment], X: Array, n: int, naming: Callable[[Array], Look]) -> Array:
-    """Return the lights X (m, 3) of a target with as many of its others, up to n in all, as the moments tell."""
+class Placed(NamedTuple):
+    """The target in a moment: R (3, 3), t (3,) of it in rig axes, and by view which spots are of known lights."""
+
+    number: int
+    R: Array
+    t: Array
+    taken: tuple[NDArray[np.bool_], ...]
+
+    @property
+    def count(self) -> int:
+        """How many sights it explains."""
+        return int(sum(view.sum() for view in self.taken))
+
+
+def more_lights(rig: Rig, moments: Sequence[LitMoment], X: Array, n: int, sights: Sequence[Sight]) -> Array:
+    """Return the lights X (m, 3) of a target with as many of its others, up to n in all, as the moments tell.
+
+    The first three are seen from the side that z points away from. sights: every three that two cameras place.
+    """
     while len(X) < n:
-        crossing = _crossing(_rays(rig, moments, naming(X)), X)
+        crossing = _crossing(_rays(rig, moments, _placed(rig, moments, X, sights)), X)
         if crossing is None:
             break
         X = np.vstack([X, crossing])
     return X
 
 
-def _rays(rig: Rig, moments: Sequence[LitMoment], look: Look) -> Rays:
+def _placed(rig: Rig, moments: Sequence[LitMoment], X: Array, sights: Sequence[Sight]) -> list[Placed]:
+    """Return the target in the moments that show three of its lights X (m, 3) together, and in one attitude alone."""
+    found: dict[int, list[Placed]] = {}
+    for three in combinations(range(len(X)), 3):
+        Y = X[list(three)]
+        tried, _ = near(sights, distances(Y), np.zeros(3), ORDERS)
+        if not tried:
+            continue
+        P, C = (np.array([getattr(sights[s], of)[c][ORDERS[p]] for s, c, p in tried]) for of in ("xyz_m", "cov_m2"))
+        R, t, chi2 = align(Y, P, np.linalg.inv(C))
+        fits = chi2 < float(chi2_isf(BY_CHANCE, 3))
+        if three == (0, 1, 2):
+            fits &= facing(R, t, Y, np.array([0.0, 0.0, 1.0])) > 0.0
+        for k in np.flatnonzero(fits):
+            number = sights[tried[k][0]].frame
+            found.setdefault(number, []).append(_explained(rig, number, moments[number], X, R[k], t[k]))
+    return [best for each in found.values() if (best := _alone(each, X)) is not None]
+
+
+def _explained(rig: Rig, number: int, moment: LitMoment, X: Array, R: Array, t: Array) -> Placed:
+    images = rig.project(X @ R.T + t)
+    off = [np.linalg.norm(spots.uv_px[:, None] - uv, axis=2) for spots, uv in zip(moment.views, images, strict=True)]
+    return Placed(number, R, t, tuple(np.asarray((far < REACH_PX).any(axis=1)) for far in off))
+
+
+def _alone(each: list[Placed], X: Array) -> Placed | None:
+    """Return the pose that explains most sights; None where another one explains as many."""
+    best = max(each, key=lambda one: one.count)
+    for one in each:
+        elsewhere = np.linalg.norm(X @ (one.R - best.R).T + one.t - best.t, axis=1).max() > ANOTHER_M
+        if elsewhere and one.count == best.count:
+            return None
+    return best
+
+
+def _rays(rig: Rig, moments: Sequence[LitMoment], placed: Sequence[Placed]) -> Rays:
     """Return the rays to all spots that are of no light so far, in moments that show where the target is."""
     centre, along, focal, of, view = [], [], [], [], []
-    for number, moment in enumerate(moments):
-        found = look(moment.views)
-        if isinstance(found, NotSeen):
-            continue
-        R, t = found.T_rig_target[:3, :3], found.T_rig_target[:3, 3]
-        for side, (one, spots, named) in enumerate(zip(rig.cameras, moment.views, found.spots, strict=True)):
-            taken = (spots.uv_px[:, None] == named.uv_px[None]).all(axis=2).any(axis=1)
-            if taken.all():
+    for number, R, t, taken in placed:
+        for side, (one, spots) in enumerate(zip(rig.cameras, moments[number].views, strict=True)):
+            rest = spots.uv_px[~taken[side]]
+            if not len(rest):
                 continue
-            directions = np.column_stack([one.camera.rays(spots.uv_px[~taken]), np.ones((~taken).sum())])
+            directions = np.column_stack([one.camera.rays(rest), np.ones(len(rest))])
             directions = directions[np.isfinite(directions).all(axis=1)]
             rows = one.T_rig_camera.rotation.apply(directions).reshape(-1, 3) @ R
             along.append(rows / np.linalg.norm(rows, axis=1, keepdims=True))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple, TypeAlias
 
@@ -52,7 +52,7 @@ from armsight.calibrate.light_target.checks import (
     require_rigid,
     require_turned,
 )
-from armsight.calibrate.light_target.grown import LitMoment, Look, more_lights
+from armsight.calibrate.light_target.grown import LitMoment, more_lights
 from armsight.calibrate.light_target.naming import Named, find_shape
 from armsight.calibrate.light_target.result import TargetResult
 from armsight.defaults import LIT_LIGHTS
@@ -60,10 +60,20 @@ from armsight.errors import Ambiguous, Inconsistent, UsageError
 from armsight.optics import PackedRig, Rig
 from armsight.records import NotSeen, Spots, Target, spot_target
 
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NamedSights:
+    """A known target in one moment: T_rig_target (4, 4), and by view its spots and which lights they are."""
+
+    T_rig_target: Array
+    spots: tuple[Spots, ...]
+    names: tuple[tuple[str, ...], ...]
+
+
 Pairing: TypeAlias = Callable[[Rig, Spots, Spots], Index]
 """Rows (p, 2) of two views' spots, by a rig of these two as left and right, that may be the same light."""
-Naming: TypeAlias = Callable[[Rig, Target], Look]
-"""What gives that of a known target."""
+Naming: TypeAlias = Callable[[Rig, Target], Callable[[Sequence[Spots]], NamedSights | NotSeen]]
+"""What finds a known target in the views of a moment."""
 
 
 Paired: TypeAlias = dict[int, tuple[int, int, Index]]
@@ -91,7 +101,7 @@ def calibrate_lights(
         labelled = named_by_shape(sights, rejected, len(moments), lights, many=True)
         shape = _shape(rig, moments, of, labelled, lights)
     else:
-        shape = _grown(rig, moments, part, lights, naming)
+        shape = _grown(rig, moments, part, lights, paired, naming)
     if not shape.layout.on_line:
         shape = _completed(rig, moments, shape, naming) or shape
     seen, bundle, labelled = shape.seen, shape.bundle, shape.labelled
@@ -144,13 +154,10 @@ def _part(rig: Rig, moments: Sequence[LitMoment], lights: int, paired: Pairing) 
     return None
 
 
-def _grown(rig: Rig, moments: Sequence[LitMoment], part: Shape, lights: int, naming: Naming) -> Shape:
+def _grown(rig: Rig, moments: Sequence[LitMoment], part: Shape, lights: int, paired: Pairing, naming: Naming) -> Shape:
     """Return all lights from some of them. Raises NotEnoughData where the moments do not tell the others."""
-
-    def look(X: Array) -> Look:
-        return naming(rig, _target(X))
-
-    X = more_lights(rig, moments, part.xyz_m, lights, look)
+    sights, _, _ = _sights(rig, moments, 3, paired)
+    X = more_lights(rig, moments, part.xyz_m, lights, sights)
     if len(X) < lights:
         raise not_grown(len(X), lights)
     shown = _shown(rig, moments, X, naming)

@@ -24,6 +24,7 @@ from armsight.clock import SystemClock
 from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, is_live, moments_of, pairs_of
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
 from armsight.measure.poses.beacon import without_standing
+from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.pipeline import check_size, check_sizes
 from armsight.measure.poses.setup import Setup
@@ -248,7 +249,7 @@ def naming(rig: Rig, target: Target) -> Callable[[Sequence[Spots]], NamedSights 
     setup = Setup(rig=rig, target=target)
 
     def look(views: Sequence[Spots]) -> NamedSights | NotSeen:
-        found = measure_views(setup, 0.0, views)
+        found = measure_spots(setup, 0.0, *views) if rig.is_pair else measure_views(setup, 0.0, views)
         T = found.pose.T_parent_target
         if found.pose.status is not PoseStatus.OK or T is None:
             return found.missed
