@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 INTRO = (
-    "One recording of the moving arm calibrates all of it: both lenses, where the cameras stand to each other and to "
+    "One recording of the moving arm calibrates all of it: the lenses, where the cameras stand to each other and to "
     "the arm's base, their clocks, the lights on the flange, and the arm's zeros and lengths. No board, no stops."
 )
 NOT_THIS_CELL = (

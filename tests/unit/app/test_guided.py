@@ -211,11 +211,9 @@ def test_three_cameras_are_led_to_the_result_of_the_command(tmp_path: Path) -> N
     out, pictures = tmp_path / "rig.yaml", tmp_path / "pictures"
     step = BoardCalibration(board="checkerboard:7x5:0.02", folder=pictures, out=out, sides=station.NAMES)
     assert step.name == "cameras" and step.hint().what is Next.SHOW_BOARD
-    for _ in range(20):
+    for _ in range(12):
         step.accept(station)
-    assert (
-        step.hint().what not in (Next.SHOW_BOARD, Next.JOIN) and "a" not in step.samples[0].detail.split("seen by ")[1]
-    )
+    assert step.hint().what is Next.TO_CELL and step.samples[0].detail.endswith("seen by b, top")
     assert {name for name, _ in step.spread()} >= {"top place", "a focal length"}
     done = step.run(Silent())
     again = calibrate_cameras({name: str(pictures / name) for name in station.NAMES}, step.board)
@@ -225,8 +223,8 @@ def test_three_cameras_are_led_to_the_result_of_the_command(tmp_path: Path) -> N
     first = station.looking(0).inv()
     for c, name in enumerate(station.NAMES):
         true = first.apply(station.places[c] - station.places[0])
-        off_m = np.asarray(rig.T_rig_camera(name).translation) - true
-        assert np.linalg.norm(off_m) < 0.003, name
+        off_m = np.linalg.norm(np.asarray(rig.T_rig_camera(name).translation) - true)
+        assert off_m <= 4.0 * np.linalg.norm([again.solved.covariance.std().get(f"{name}.t{x}", 0.0) for x in "xyz"])
         assert dict(done.rows)[f"{name} place"].endswith("mm")
 
 
