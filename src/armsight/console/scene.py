@@ -60,7 +60,7 @@ POINT_NAME = re.compile(f"{POINT}([0-9]{{1,9}})")
 PATH_COLOUR = "#7a4fb5"
 SEEN_THROUGH = 0.12
 """Opacity of an arm that is looked at from near: curves run within its joints."""
-AROUND = np.array([1.0, -1.25, -1.4])
+AROUND = np.array([1.2, -1.5, -1.7])
 """From the middle of what cameras that are no pair look at to the eye, in their largest distance from it, rig axes: so
 far that the picture of a phone, higher than wide, shows all of them."""
 BACK = 1.2
