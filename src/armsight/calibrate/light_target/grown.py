@@ -72,7 +72,7 @@ class Placed(NamedTuple):
     taken: tuple[NDArray[np.bool_], ...]
 
     @property
-    def count(self) -> int:
+    def n_sights(self) -> int:
         """How many sights it explains."""
         return int(sum(view.sum() for view in self.taken))
 
@@ -117,10 +117,10 @@ def _explained(rig: Rig, number: int, moment: LitMoment, X: Array, R: Array, t: 
 
 def _alone(each: list[Placed], X: Array) -> Placed | None:
     """Return the pose that explains most sights; None where another one explains as many."""
-    best = max(each, key=lambda one: one.count)
+    best = max(each, key=lambda one: one.n_sights)
     for one in each:
         elsewhere = np.linalg.norm(X @ (one.R - best.R).T + one.t - best.t, axis=1).max() > ANOTHER_M
-        if elsewhere and one.count == best.count:
+        if elsewhere and one.n_sights == best.n_sights:
             return None
     return best
 

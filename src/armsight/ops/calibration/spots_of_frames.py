@@ -210,7 +210,8 @@ def lit_pairs(
     names, lefts, rights = zip(*seen, strict=True) if seen else ((), (), ())
     moving = without_standing(lefts)
     others = moving if overlaid else without_standing(rights)
-    return [LitMoment(name=name, views=views) for name, *views in zip(names, moving, others, strict=True)]
+    views = zip(moving, others, strict=True)
+    return [LitMoment(name=name, views=pair) for name, pair in zip(names, views, strict=True)]
 
 
 def lit_moments(
@@ -249,7 +250,7 @@ def naming(rig: Rig, target: Target) -> Callable[[Sequence[Spots]], NamedSights 
     setup = Setup(rig=rig, target=target)
 
     def look(views: Sequence[Spots]) -> NamedSights | NotSeen:
-        found = measure_spots(setup, 0.0, *views) if rig.is_pair else measure_views(setup, 0.0, views)
+        found = measure_spots(setup, 0.0, views[0], views[1]) if rig.is_pair else measure_views(setup, 0.0, views)
         T = found.pose.T_parent_target
         if found.pose.status is not PoseStatus.OK or T is None:
             return found.missed

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtrc, ndtr
 
-from armsight.arrays import Array
+from armsight.arrays import Array, Mask
 from armsight.columns import POSE6
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
@@ -251,7 +251,7 @@ def _space_effects(a: Rig, b: Rig, distance_m: float) -> list[Effect]:
     points = eye.T_rig_camera.apply(rays[np.isfinite(rays).all(axis=1)])
     uv = np.stack(a.project(points), axis=1)  # (n, V, 2)
     sizes = np.array([[one.camera.width, one.camera.height] for one in a.cameras]) - 0.5
-    shown = ((uv > -0.5) & (uv < sizes)).all(axis=2)
+    shown: Mask = np.asarray(((uv > -0.5) & (uv < sizes)).all(axis=2))
     shown[:, 0] = True  # these are its own pixels
     seen = shown[:, 1:].any(axis=1)
     if not seen.any():

@@ -66,7 +66,6 @@ def measure_free(
         done.consistency,
         grounds_of(poses),
         (rms_px, FrameTime(median=ms, p99=None)),
-        n_aside=done.n_aside or None,
         timing=done.figures,
         zoom=zooms_of(zoomed),
         by_camera=None if setup.rig.is_pair else _by_camera(setup, done, [len(stream.t_s) for stream in streams]),
@@ -149,7 +148,6 @@ def _report(
         rig=setup.rig,
         target=setup.target,
         residuals=done.residuals,
-        n_aside=found.n_aside or 0,
         median_ms=found.ms_per_frame.median,
         parent="rig" if world is None else world.parent,
         subtitle=f"{len(poses)} poses over {poses[-1].t_s - poses[0].t_s:.1f} s, from "

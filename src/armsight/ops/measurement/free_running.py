@@ -45,15 +45,11 @@ BEFORE_S = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreeRun:
-    """Poses at the times asked for, the views they come from, their residuals by camera (m, 3): view, u, v in px.
-
-    n_aside: sights that are not among these, as known too badly.
-    """
+    """Poses at the times asked for, the views they come from, their residuals by camera (m, 3): view, u, v in px."""
 
     poses: Sequence[MovingPose]
     views: Sequence[View]
     residuals: dict[str, Array]
-    n_aside: int
     figures: FreeRunning
     consistency: Consistency
 
@@ -191,14 +187,7 @@ def _smoothed(
     ]
     figures = figures_of(setup, smoothed.timing, views, len(starts), chi2, asked, times)
     residuals = _by_camera(setup.rig.names, found)
-    return FreeRun(
-        poses=poses,
-        views=views,
-        residuals=residuals,
-        n_aside=int((~found.judged).sum()),
-        figures=figures,
-        consistency=check.verdict,
-    )
+    return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures, consistency=check.verdict)
 
 
 def _by_camera(names: Sequence[str], found: MotionResiduals) -> dict[str, Array]:

@@ -225,7 +225,8 @@ class Outputs:
             made_with=made_with(setup.rig, setup.target),
             grounds=grounds,
             poses=PoseTrack(poses=tuple(poses)),
-            **({"n_aside": self._aside or None} | more),
+            n_aside=self._aside or None,
+            **more,
         )
 
     def _of_pairs(self) -> tuple[float | None, FrameTime]:
