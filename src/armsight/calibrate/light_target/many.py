@@ -108,16 +108,20 @@ def calibrate_lights(
     require_turned(float(turns(bundle.poses)[0]))
     require_rigid(bundle, epipolar(rig, seen), lights, len(labelled.numbers))
     names = [moment.name for moment in moments]
-    return found_target(rig, shape.layout, bundle, names, labelled.numbers, labelled.rejected)
+    return found_target(rig, shape.layout, bundle, names, labelled.numbers, labelled.rejected, shape.unclear)
 
 
 class Shape(NamedTuple):
-    """Lights of a target as they are known so far, by the moments of labelled and what these saw of them."""
+    """Lights of a target as they are known so far, by the moments of labelled and what these saw of them.
+
+    unclear: how many of the other moments show too little of it.
+    """
 
     layout: Layout
     bundle: LightBundle
     labelled: LabelledFrames
     seen: LightObservations
+    unclear: int = 0
 
     @property
     def xyz_m(self) -> Array:
@@ -283,6 +287,6 @@ def _completed(rig: Rig, moments: Sequence[LitMoment], shape: Shape, naming: Nam
     if len(shown.numbers) < MIN_FRAMES:
         return None
     labelled = replace(shape.labelled, numbers=shown.numbers, rejected=shown.rejected)
-    every = np.ones(len(shown.numbers), bool)
+    every, unclear = np.ones(len(shown.numbers), bool), len(shown.rejected)  # the fit adds others to these
     bundle, used = fit_frames(rig, shape.layout, shown.seen, labelled, every, shape.bundle.values, shown.R, shown.t)
-    return Shape(shape.layout, bundle, replace(labelled, numbers=shown.numbers[used]), shown.seen.take(used))
+    return Shape(shape.layout, bundle, replace(labelled, numbers=shown.numbers[used]), shown.seen.take(used), unclear)
