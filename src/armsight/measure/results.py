@@ -223,7 +223,7 @@ def _rows(done: MeasureResult) -> list[list[str]]:
     one = "pair" if done.by_camera is None else "moment"
     counted, took = ("pairs of frames", "pair, median") if free is None else ("poses asked for", "view")
     counted, took = (counted, took) if done.by_camera is None else ("moments", "moment, median")
-    aside = "" if done.n_aside is None else f", {done.n_aside} half-hidden aside"
+    aside = "" if done.n_aside is None else f", {done.n_aside} known to no 1 px aside"
     rows = [
         [counted, str(done.n_frames)],
         ["pose", str(done.n_ok)],

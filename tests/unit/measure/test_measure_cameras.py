@@ -184,4 +184,4 @@ def test_a_half_hidden_sight_that_claims_little_is_no_part_of_the_residual_that_
     sights = len(LIGHTS) * views - 1
     left_over = np.sqrt(2.0 * (2 * sights - 6) / (2 * sights)) * sigma_px  # six numbers of the pose are taken from it
     assert done.reprojection_rms_px == pytest.approx(left_over, rel=0.15)
-    assert "half-hidden" in str(list(done.summary()))
+    assert "20 known to no 1 px aside" in str(list(done.summary()))
