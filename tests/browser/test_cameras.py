@@ -74,12 +74,15 @@ def test_four_cameras_each_tell_what_they_see_and_one_that_is_lost_stops_no_othe
 def test_its_pages_have_no_serious_fault_and_fit_a_phone(browser: Any, console: Any, cell: str) -> None:
     page = console.opened(browser, f"{cell}/live")
     page.wait_for_selector("[data-testid=camera-c3][data-shown]")
-    for name in ("live", "calibrate", "settings"):
+    for name in ("live", "calibrate", "cell", "settings"):
         page.set_viewport_size({"width": 1400, "height": 900})
         page.goto(f"{cell}/{name}", wait_until="domcontentloaded")
         page.wait_for_selector("[data-testid=state]")
         for scheme in ("light", "dark"):
             assert console.faults(page, scheme) == [], (name, scheme)
+        if name in ("calibrate", "cell"):
+            titles = page.locator("main h3").all_inner_texts()
+            assert [one for one in titles if one.startswith("Camera ")] == [f"Camera {one}" for one in NAMES]
         page.set_viewport_size({"width": 390, "height": 900})
         page.wait_for_function("document.documentElement.scrollWidth <= 390")
     assert "c3=" in page.input_value("[data-testid=field-cameras]")

@@ -103,7 +103,7 @@ def test_a_reload_in_the_middle_of_a_recording_loses_nothing(
     for _ in range(2):
         page.reload()
         page.wait_for_function(
-            "n => Number(document.body.innerText.match(/Recording recording-.*: (\\d+) pairs/)?.[1] || 0) > n",
+            "n => Number(document.body.innerText.match(/Recording recording-.*: (\\d+) of each/)?.[1] || 0) > n",
             arg=before + COUNT,
         )
         before = recorded(page)

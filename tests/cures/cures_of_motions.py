@@ -295,7 +295,7 @@ TRIED = {
         lambda: [checked_limits([[0.0, 1.0]], [0.5]), checked_limits([[0.0, 3.0]], [2.0])],
     ),
     ("control/teach.py", "Give 1 or more (--every)"): (recorder(0), recorder(1)),
-    ("ops/teach.py", "or --from poses.csv"): ("teach -o taught", "teach --from poses.csv -o taught"),
+    ("ops/teaching.py", "Give them, or --from"): ("teach -o taught", "teach --from poses.csv -o taught"),
     ("ops/teaching.py", "Give --world world.yaml, made with"): (f"{TEACH} {VIEWS}", "{} --world cell/world.yaml"),
     ("ops/teaching.py", "--image for a mirror rig, or"): (
         f"{TEACH} --world cell/world.yaml",

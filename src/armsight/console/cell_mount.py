@@ -65,7 +65,8 @@ def _lights(console: Console, target: Target | None) -> Lamp:
     if station is None or not console.current or station.shown is None:
         return Lamp("lights", "idle", texts.STARTING if station is not None else texts.NO_CAMERAS)
     found = dict(zip(station.shown.view.cameras, map(len, station.shown.spots), strict=True))
-    counts = ", ".join(f"{name} {n}" for name, n in found.items()).capitalize()
+    counts = ", ".join(f"{name} {n}" for name, n in found.items())
+    counts = counts.capitalize() if console.pictures == SIDES else counts  # of others the name as it is
     if target is None:
         return Lamp("lights", "idle", texts.LIGHTS_UNKNOWN.format(counts=counts))
     n = len(target.names)

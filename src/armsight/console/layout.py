@@ -20,6 +20,7 @@ from armsight.console.routes import LARGEST_BYTES, logged_in, page_name
 from armsight.console.state import Console
 from armsight.errors import ArmsightError, UsageError
 from armsight.fields import DIGITS, Bounds, bounds_of, known_hints
+from armsight.optics import SIDES
 
 STATIC = "/console/static"
 TICK_S = 0.1
@@ -72,6 +73,13 @@ def canvas_of(side: str, *, testid: str = "", plain: bool = False) -> Element:
     if plain:
         canvas.props["data-plain"] = "true"
     return canvas
+
+
+def named_canvas(side: str, pictures: tuple[str, ...], *, plain: bool = False) -> Element:
+    """Return a camera's picture, under its name where there are other cameras than left and right."""
+    if len(pictures) > 1 and pictures != SIDES:
+        text_of("h3", picture_title(side))
+    return canvas_of(side, plain=plain)
 
 
 @contextmanager

@@ -91,7 +91,7 @@ class Ticks:
         return MM * float(np.linalg.norm(np.array(self.high_mm) - np.array(self.low_mm)))
 
 
-GREY = "#7b8794"
+GREY = "#737f8c"
 """Readable on light and dark paper."""
 LINES = ("#0072B2", "#D55E00", "#009E73")
 """Okabe and Ito's blue, vermillion and green."""

@@ -60,8 +60,9 @@ POINT_NAME = re.compile(f"{POINT}([0-9]{{1,9}})")
 PATH_COLOUR = "#7a4fb5"
 SEEN_THROUGH = 0.12
 """Opacity of an arm that is looked at from near: curves run within its joints."""
-AROUND = np.array([0.7, -0.9, -1.0])
-"""From the middle of what cameras that are no pair look at to the eye, in their largest distance from it, rig axes."""
+AROUND = np.array([1.2, -1.5, -1.7])
+"""From the middle of what cameras that are no pair look at to the eye, in their largest distance from it, rig axes: so
+far that the picture of a phone, higher than wide, shows all of them."""
 BACK = 1.2
 """How far the eye is from the middle of what it looks at from near, in its diagonals."""
 ASIDE = Rotation.from_euler("z", 35.0, degrees=True)
@@ -273,7 +274,7 @@ class Scene:
             for colour, camera in zip(CAMERA_COLOURS, () if rig is None else rig.cameras, strict=False):
                 self._draw_pyramid(camera.T_rig_camera, colour)
                 if rig is not None and not rig.is_pair:
-                    label = self._scene.text(camera.name, f"font-weight: 700; font-size: 12px; color: {colour}")
+                    label = self._scene.text(camera.name, "font-weight: 700; font-size: 12px; color: #14181c")
                     label.move(*camera.T_rig_camera.translation.tolist())
             if rig is not None and rig.kind is RigKind.MIRROR:
                 self._draw_pyramid(RigidTransform.identity(), COLOURS["camera"], 0.4)

@@ -128,7 +128,7 @@ MASK_HELP = "Drag a rectangle over lamps and windows: nothing is looked for insi
 
 RECORD = "Record"
 END_RECORDING = "End recording"
-RECORDING = "Recording {file}: {pairs} pairs"
+RECORDING = "Recording {file}: {n} of each camera"
 RECORDED = "Recorded {file}"
 DROPPED = "{n} dropped, the disk is too slow"
 
@@ -162,9 +162,9 @@ NEXT = {
     "turn_target": "Turn the target about another axis, with its tip resting on the point.",
     "move_robot": "Move the robot to another place and turn its hand, then accept.",
     "turn_hand": "Turn the hand about its own {axis}, both ways, and accept a pose at each end: {share:.0%} of what is "
-    "needed is there. The lights must stay in both pictures.",
-    "record": "Press accept, wave the target through both pictures for 20 seconds, and press accept again.",
-    "record_cell": "Press Record, then move the arm: all joints, through the whole of both pictures.",
+    "needed is there. The lights must stay in the pictures.",
+    "record": "Press accept, wave the target through all pictures for 20 seconds, and press accept again.",
+    "record_cell": "Press Record, then move the arm: all joints, through the whole of all pictures.",
     "lights_back": "Bring all lights back into the {side} picture.",
     "move_joint": "Move joint {axis} more: {share:.0%} of what is needed is there.",
     "to_place": "Bring the lights into the {place} of the {side} picture.",
@@ -320,7 +320,7 @@ SUPERVISION_AT = "{mm:.2f} ± {std:.2f} mm and {deg:.2f} deg off."
 SUPERVISION_BLIND = "Nothing is compared now: {why}"
 ISO = "ISO 9283: accuracy and repeatability of the arm"
 ISO_HELP = (
-    "Jog the target to the middle of both pictures. The arm then visits five poses of a test cube about that place, "
+    "Jog the target to the middle of all pictures. The arm then visits five poses of a test cube about that place, "
     "again and again, and the cameras look at each visit."
 )
 ISO_SIDE = "Side of the cube, mm (empty: the largest)"
@@ -335,8 +335,8 @@ NO_REPORTS = "No report yet."
 
 JOINT_RANGES = "How far each joint may go"
 JOINT_RANGES_HELP = (
-    "The light {light} is followed; it must stay in both pictures. Every joint that is ticked is moved alone, within "
-    "its range; the last ones may be left out, and are held."
+    "The light {light} is followed; it must stay in the pictures of two cameras. Every joint that is ticked is "
+    "moved alone, within its range; the last ones may be left out, and are held."
 )
 SWEEP_JOINT = "Joint {joint} ({name})"
 JOINT, LOWER, UPPER = "Joint", "From", "To"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 INTRO = (
-    "One recording of the moving arm calibrates all of it: both lenses, where the cameras stand to each other and to "
+    "One recording of the moving arm calibrates all of it: the lenses, where the cameras stand to each other and to "
     "the arm's base, their clocks, the lights on the flange, and the arm's zeros and lengths. No board, no stops."
 )
 NOT_THIS_CELL = (
@@ -35,9 +35,10 @@ LAMPS = {
     "arm": "Arm",
 }
 
-PICTURES = "Pictures come, {fps:.0f} pairs a second: {sizes} px."
+PICTURES = "Pictures come, {fps:.0f} of each camera a second: {sizes} px."
 SLOW = (
-    "{fps:.0f} pairs a second are few: clocks and quick motion are told badly. Lower exposure or size, or move slower."
+    "{fps:.0f} pictures of each camera a second are few: clocks and quick motion are told badly. Lower exposure or "
+    "size, or move slower."
 )
 NO_CAMERAS = "No cameras are set up, so nothing can be recorded. Give them on the page Settings."
 NOT_MEASURING = "No pictures come: {why}. Nothing can be recorded. Look at plugs and power; the page Live starts anew."
@@ -93,7 +94,9 @@ NOTHING_RECORDED = "Nothing yet."
 JOINTS_SILENT = "The robot's readings stopped coming: {why}"
 JOINTS_GAP = "Between two readings lay {gap:.1f} s, in which the pictures count for nothing."
 LOG_OF = "log of the joints"
-DROPPED = "{n} pairs of pictures were dropped: disk or processor is too slow. Lower the size or rate where it goes on."
+DROPPED = (
+    "Pictures of {n} moments were dropped: disk or processor is too slow. Lower the size or rate where it goes on."
+)
 PROGRESS = "So far, of what is wanted"
 COVERED = "{side} picture, {place}: lights in {n} pictures"
 COVERAGE = "Pictures in which moving lights were in each ninth of the {side} picture"
@@ -130,8 +133,6 @@ USE_HELP = (
 )
 ROWS = {
     "recorded": "Recorded",
-    "all lights seen, left": "All lights seen, left",
-    "all lights seen, right": "All lights seen, right",
     "tip, as both cameras measure it": "The tip, as both cameras measure it",
     "tip, as the cameras measure it": "The tip, as the cameras measure it",
     "tip, as the arm's joints say": "The tip, as the arm's joints say",

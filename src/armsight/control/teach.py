@@ -234,7 +234,7 @@ class PathRecorder:
             raise NotEnoughData(
                 f"{len(rows)} poses were taught, which are no path",
                 consequence="Nothing is kept",
-                cure="Start recording, and lead the whole target along where both cameras see it",
+                cure="Start recording, and lead the whole target along where the cameras see it",
             )
         tags = [row.tag for row in rows]
         tags[-1] = tags[-1] or last

@@ -166,7 +166,7 @@ class MeasureResult(Output):
     n_doubtful: Annotated[int, Doc("Pairs that gave a pose that does not fit the claims, or whose run does not.")]
     n_position_only: Annotated[int, Doc("Pairs that gave a position without an orientation.")]
     n_lost: Annotated[int, Doc("Pairs that gave nothing.")]
-    reprojection_rms_px: Annotated[float | None, Doc("RMS of the 2-D residual per light and view, px.")]
+    reprojection_rms_px: Annotated[float | None, Doc("RMS of the 2-D residual of lights in views known to 1 px, px.")]
     ms_per_frame: Annotated[FrameTime, Doc("How long a pair takes.", unit="ms")]
     reasons: Annotated[
         dict[str, int],
@@ -177,10 +177,9 @@ class MeasureResult(Output):
     consistency: Annotated[ConsistencyOutput | None, Doc("Whether residuals, rig and target agree.")] = None
     skew: Annotated[Skew | None, Doc("Time between the frames of live pairs.")] = None
     timing: Annotated[FreeRunning | None, Doc("Where each view was taken at its own time.")] = None
+    n_aside: Annotated[int | None, Doc("Sights known worse, as half-hidden lights, that no RMS counts.")] = None
     error: Annotated[str | None, Doc("Why the run ended early.")] = None
-    assumed_fps: Annotated[
-        float | None, Doc("Frames a second that were assumed, where nothing tells the frames' times.")
-    ] = None
+    assumed_fps: Annotated[float | None, Doc("Frames a second, assumed where nothing tells their times.")] = None
     zoom: Annotated[dict[str, ZoomAt] | None, Doc("The cameras that zoom, by left and right.")] = None
     made_with: Annotated[MadeWith | None, Doc("Which rig and target it was.")] = None
     by_camera: Annotated[dict[str, CameraPart] | None, Doc("Of a rig that is no pair: each camera's part.")] = None
@@ -224,13 +223,14 @@ def _rows(done: MeasureResult) -> list[list[str]]:
     one = "pair" if done.by_camera is None else "moment"
     counted, took = ("pairs of frames", "pair, median") if free is None else ("poses asked for", "view")
     counted, took = (counted, took) if done.by_camera is None else ("moments", "moment, median")
+    aside = "" if done.n_aside is None else f", {done.n_aside} known to no 1 px aside"
     rows = [
         [counted, str(done.n_frames)],
         ["pose", str(done.n_ok)],
         ["doubtful", str(done.n_doubtful)],
         ["position only", str(done.n_position_only)],
         ["lost", str(done.n_lost)],
-        ["reprojection, px RMS", digits(done.reprojection_rms_px)],
+        [f"reprojection, px RMS{aside}", digits(done.reprojection_rms_px)],
         [f"ms per {took}", digits(ms.median)],
     ]
     rows += [[f"ms per {one}, 99 %", digits(ms.p99)]] if free is None else []

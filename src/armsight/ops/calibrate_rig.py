@@ -187,6 +187,7 @@ def calibrate_target(
     ----------
     rig, left, right, cameras, image
         As `measure` takes them. Of more cameras than two every sight of a light counts, also that of one camera alone.
+        No two need see all lights together: each is then to be seen beside three others, whichever moments show it.
     lights
         How many there are.
     frames
@@ -201,10 +202,10 @@ def calibrate_target(
     """
     from functools import partial
 
-    from armsight.calibrate.light_target import calibrate_lights, calibrate_target
+    from armsight.calibrate.light_target import calibrate_lights
     from armsight.drivers import AUTOMATIC
     from armsight.measure.settings import SpotSettings
-    from armsight.ops.calibration.spots_of_frames import lit_frames, lit_moments, naming, paired
+    from armsight.ops.calibration.spots_of_frames import lights_of_pairs, lit_moments, lit_pairs, naming, paired
     from armsight.ops.sources.cameras import open_rig
     from armsight.ops.sources.frames import complex_pairs, open_source
     from armsight.records import Silent
@@ -221,8 +222,8 @@ def calibrate_target(
     else:
         source, overlaid = complex_pairs(partial(open_source, image, settings=each), rig)
     with source as pairs:
-        seen = lit_frames(rig, pairs, settings, frames, progress or Silent())
-    return calibrate_target(rig, seen, lights, overlaid=overlaid)
+        seen = lit_pairs(rig, pairs, settings, frames, progress or Silent())
+    return lights_of_pairs(rig, seen, lights, overlaid=overlaid)
 
 
 @action(

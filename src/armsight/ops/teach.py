@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from armsight.defaults import HAND_SPEED_M_S
-from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.file_names import TAUGHT
 from armsight.ops.action import Input, action, action_of
@@ -170,9 +169,7 @@ def teach(
         for pose in read_poses(poses):
             recorder.observe(pose, pose.t_s)
         return parts.Lesson(recorder, out, path_speed_m_s).result("end")
-    if rig is None or target is None or (robot is not None and handeye is None):
-        needed = "--rig, --target" + (" and --handeye" if robot is not None else "")
-        raise UsageError(f"{needed} are needed", consequence="Nothing is taught", cure="Give them, or --from poses.csv")
+    rig, target = parts.require_eyes(rig, target, robot, handeye)
     if robot is None:
         parts.refuse_beside(
             "no --robot", {"handeye": handeye, "arm": arm, "limits": limits, "hand": hand, "follow": follow}

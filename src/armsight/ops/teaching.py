@@ -24,10 +24,12 @@ from armsight.fields import Doc
 from armsight.file_names import PATH, TARGETS, TEACH
 from armsight.kinematics import Arm
 from armsight.measure.consistency.live_cameras import WatchedTracker
+from armsight.measure.poses.moments import require_rotation
 from armsight.measure.poses.pipeline import Setup
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.servo.run_servo import ServoOutput
-from armsight.records import Progress, TargetPose, TaughtPath
+from armsight.optics import Rig
+from armsight.records import Progress, Target, TargetPose, TaughtPath
 from armsight.records.output import Output, output
 from armsight.shown import Shown
 from armsight.store import World, write_poses
@@ -87,21 +89,33 @@ class TeachResult(Output):
         write_json(folder / TEACH, self.to_dict())
 
 
+NOT_TAUGHT = "Nothing is taught"
+
+
 def require_speed(path_speed_m_s: float | None) -> None:
     """Raise UsageError for what is no speed."""
     if path_speed_m_s is not None and not (math.isfinite(path_speed_m_s) and path_speed_m_s > 0.0):
         raise UsageError(
             f"--path-speed {path_speed_m_s:g} is no speed",
-            consequence="Nothing is taught",
+            consequence=NOT_TAUGHT,
             cure="Give m/s, more than zero",
         )
+
+
+def require_eyes(rig: Rig | None, target: Target | None, robot: object, handeye: object) -> tuple[Rig, Target]:
+    """Return rig and target; raise UsageError where one is missing, or the target shows no rotation."""
+    if rig is None or target is None or (robot is not None and handeye is None):
+        needed = "--rig, --target" + (" and --handeye" if robot is not None else "")
+        raise UsageError(f"{needed} are needed", consequence=NOT_TAUGHT, cure="Give them, or --from poses.csv")
+    require_rotation(target, NOT_TAUGHT)
+    return rig, target
 
 
 def refuse_beside(what: str, others: Mapping[str, object]) -> None:
     """Raise UsageError for options that mean nothing beside another."""
     given = ", ".join(f"--{name}" for name, value in others.items() if value is not None)
     if given:
-        raise UsageError(f"with {what}, {given} means nothing", consequence="Nothing is taught", cure="Leave it out")
+        raise UsageError(f"with {what}, {given} means nothing", consequence=NOT_TAUGHT, cure="Leave it out")
 
 
 def at_tip(tip_m: Array | None) -> RigidTransform:
@@ -181,7 +195,7 @@ def require_moments(moments: tuple[MomentSource, bool] | None) -> tuple[MomentSo
     if moments is None:
         raise UsageError(
             "which cameras see the target is not said",
-            consequence="Nothing is taught",
+            consequence=NOT_TAUGHT,
             cure="Give --left and --right, --camera NAME=SRC for each of another rig, --image for a mirror rig, or "
             "--from poses.csv",
         )

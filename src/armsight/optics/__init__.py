@@ -22,6 +22,7 @@ from armsight.optics.triangulate import (
     epipolar_distance,
     triangulate,
     triangulate_closed,
+    triangulate_views,
 )
 from armsight.optics.zoom import LeftOut, ZoomLens, ZoomSetting, ZoomState
 from armsight.optics.zoom_rig import RigAtZoom, Zooms, at_zoom, with_zoom

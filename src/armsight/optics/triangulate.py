@@ -121,6 +121,19 @@ def _triangulate(
         _covariances("covariance_left_px2", covariance_left_px2, n),
         _covariances("covariance_right_px2", covariance_right_px2, n),
     )
+    return _rows(packed, uv, cov, likeliest=likeliest)
+
+
+def triangulate_views(rig: Rig, uv_px: Array, covariance_px2: Array) -> Triangulation:
+    """Return the points of greatest likelihood by all cameras of a rig, as `triangulate` does by two.
+
+    uv_px (n, V, 2), covariance_px2 (n, V, 2, 2): infinite where a camera does not show the point; two at least do.
+    """
+    return _rows(PackedRig.of(rig), uv_px, covariance_px2, likeliest=True)
+
+
+def _rows(packed: PackedRig, uv: Array, cov: Array, *, likeliest: bool) -> Triangulation:
+    n = len(uv)
     xyz, covariance, chi2 = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n)
     chi2.fill(np.nan)
     verdict = np.zeros(n, np.int8)

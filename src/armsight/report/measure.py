@@ -201,6 +201,9 @@ def _thinning_note(n: int) -> str:
 def _add_residuals(page: Page, run: MeasureRun) -> None:
     if not any(len(rows) for rows in run.residuals.values()):
         return
+    aside = f" {run.n_aside:,} sights known worse than to 1 px, as half-hidden lights, are left aside." * (
+        run.n_aside > 0
+    )
     rows = []
     for side, row in run.residuals.items():
         if len(row):
@@ -209,7 +212,7 @@ def _add_residuals(page: Page, run: MeasureRun) -> None:
     page.add(
         "Reprojection",
         "Measured spot minus the model's, per camera. A cloud off the centre or an oblong one says that rig or target "
-        "do not fit the frames.",
+        f"do not fit the frames.{aside}",
         page.plot(residual_figure({side: r[:, 1:] for side, r in run.residuals.items() if len(r)})),
         table(
             ["camera", "spots", "RMS u, px", "RMS v, px", "mean u, px", "mean v, px", "largest, px"],

@@ -39,7 +39,8 @@ class MeasureRun:
     """A finished (or broken off) measurement.
 
     poses: one per pair of frames, in order, in the frame parent. residuals: per camera (m, 3): frame, and measured
-    minus projected u, v in px. samples: images to show. truth: the true pose per frame, in the same frame.
+    minus projected u, v in px, of all sights but n_aside, known too badly to judge by. samples: images to show. truth:
+    the true pose per frame, in the same frame.
     facts: more lines for the table of inputs. consistency: what the check of the residuals says; None where there was
     none. by_camera: each one's part, of a rig that is no pair. timed: whether the times of the frames are known and not
     assumed. stills: whether they are single shots, with no track. T_parent_rig: where the cameras are in the
@@ -61,6 +62,7 @@ class MeasureRun:
     facts: Sequence[tuple[str, str]] = ()
     assumptions: Sequence[str] = ()
     consistency: ConsistencyOutput | None = None
+    n_aside: int = 0
     by_camera: Mapping[str, CameraPart] = field(default_factory=dict)
     T_parent_rig: RigidTransform | None = None
     timed: bool = True

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
@@ -119,6 +120,29 @@ def three(seed, *, top_m=0.0, order=("a", "b", "top")):
     return Rig(cameras=tuple(cameras), covariance=known).only(*order)
 
 
+def measured_off(a, b):
+    """How far all cameras of b that see a point of a plane 1 m before a's first one put it from there, RMS."""
+    off = []
+    for u, v in np.stack(np.meshgrid(np.linspace(0, 639, 9), np.linspace(0, 479, 9)), axis=-1).reshape(-1, 2):
+        point = np.array([(u - 320.0) / 500.0, (v - 240.0) / 500.0, 1.0])
+        seen = [np.array([u, v]), *(picture(one, point) for one in a.cameras[1:])]
+        shown = [k for k, uv in enumerate(seen) if k == 0 or ((uv > -0.5) & (uv < [639.5, 479.5])).all()]
+        if len(shown) > 1:
+            found = least_squares(
+                lambda x, shown=shown, seen=seen: np.concatenate([picture(b.cameras[k], x) - seen[k] for k in shown]),
+                point,
+                xtol=1e-15,
+            )
+            off.append(np.sum((found.x - point) ** 2))
+    return np.sqrt(np.mean(off))
+
+
+def picture(one, point):
+    """A point in a camera's picture; a's first camera holds the axes."""
+    x, y, z = one.T_rig_camera.inv().apply(point)
+    return np.array([320.0 + 500.0 * x / z, 240.0 + 500.0 * y / z])
+
+
 def test_rigs_of_several_cameras_are_compared_by_name_whatever_their_order(tmp_path):
     for name, rig in (
         ("a", three(1)),
@@ -132,9 +156,11 @@ def test_rigs_of_several_cameras_are_compared_by_name_whatever_their_order(tmp_p
     moved = compare(a=tmp_path / "a.yaml", b=tmp_path / "moved.yaml")
     assert moved.agree is False and names_it(moved.verdict, "top.tx")
     effects = {one.name: one.value for one in moved.effects}
-    far = next(value for name, value in effects.items() if name.startswith("a, top: points measured at 1 m, RMS"))
-    near = next(value for name, value in effects.items() if name.startswith("a, b: points measured at 1 m, RMS"))
+    far, near = (effects[f"a, {name}: points measured at 1 m, RMS"] for name in ("top", "b"))
     assert 2.0 * near < far < 0.02  # 2 mm across sight lines that cross at half a radian
+    whole = effects["points measured at 1 m, RMS"]
+    assert names_it(moved.verdict, f"points measured at 1 m, RMS {1e3 * whole:.3g} mm")  # the rig's, of no pair
+    assert whole == pytest.approx(measured_off(three(1), three(3, top_m=0.002)), rel=1e-4)
     with refuses(Inconsistent, "a, top", "a, b, top"):
         compare(a=tmp_path / "a.yaml", b=tmp_path / "two.yaml")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -25,9 +26,11 @@ from armsight.console import texts
 from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
 from armsight.ops.calibrate_cameras import calibrate_stereo
+from armsight.ops.calibrate_rig import calibrate_cameras
 from armsight.optics import Camera, MountedCamera, Rig, RigKind
 from armsight.records import JointReading, PoseStatus, Silent, Spots, TargetPose
 from armsight.records.result_parts import Verdict
+from armsight.store import read_rig
 from armsight.store.handeye_file import read_handeye, read_tip
 from refusals import refuses
 
@@ -159,6 +162,70 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
     assert verdict.file.exists()
     assert verdict.report is not None
     assert verdict.report.exists()
+
+
+class ThreeCameras:
+    """Stands for a station of three cameras round a board that a hand turns, of which two at a time see it."""
+
+    NAMES = ("a", "b", "top")
+    FOCAL_PX, SQUARE_M = 560.0, 0.02
+
+    def __init__(self) -> None:
+        squares = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((40, 40)))
+        self.sheet = np.pad(200.0 * squares + 25.0, 40, constant_values=225.0).astype(np.uint8)
+        middle = 0.5 * np.array(self.sheet.shape[::-1])
+        scale = self.SQUARE_M / 40.0
+        self.to_m = np.array([[scale, 0.0, -scale * middle[0]], [0.0, scale, -scale * middle[1]], [0.0, 0.0, 1.0]])
+        self.places = np.array([[-0.12, 0.0, 0.0], [0.12, 0.0, 0.0], [0.0, -0.15, 0.02]])
+        self.rng, self.taken = np.random.default_rng(2), 0
+
+    def looking(self, c: int) -> Rotation:
+        """Return the rotation of a camera's axes, z to the place where the board is."""
+        z = np.array([0.0, 0.0, 0.42]) - self.places[c]
+        z /= np.linalg.norm(z)
+        x = np.cross([0.0, 1.0, 0.0], z)
+        x /= np.linalg.norm(x)
+        return Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z]))
+
+    def save(self, files: dict[str, Path]) -> None:
+        i, self.taken = self.taken, self.taken + 1
+        turn = Rotation.from_euler("xyz", [*self.rng.uniform(-28.0, 28.0, 2), self.rng.uniform(-30, 30)], degrees=True)
+        at = np.array([*self.rng.uniform(-0.09, 0.09, 2), self.rng.uniform(0.36, 0.48)])
+        K = np.array([[self.FOCAL_PX, 0.0, 322.0], [0.0, self.FOCAL_PX, 238.0], [0.0, 0.0, 1.0]])
+        twice = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+        for c, name in enumerate(self.NAMES):
+            R = (self.looking(c).inv() * turn).as_matrix()
+            t = self.looking(c).inv().apply(at - self.places[c])
+            H = twice @ K @ np.column_stack([R[:, 0], R[:, 1], t]) @ self.to_m
+            large = cv2.warpPerspective(self.sheet, H, (1280, 960), flags=cv2.INTER_LINEAR, borderValue=225)
+            image = cv2.GaussianBlur(large.reshape(480, 2, 640, 2).mean(axis=(1, 3)), (0, 0), 0.8)
+            if i % 4 == c:  # a hand is before it
+                image = np.full_like(image, 90.0)
+            files[name].parent.mkdir(parents=True, exist_ok=True)
+            noisy = image + self.rng.normal(0.0, 2.0, image.shape)
+            cv2.imwrite(str(files[name]), np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+
+
+def test_three_cameras_are_led_to_the_result_of_the_command(tmp_path: Path) -> None:
+    station: Any = ThreeCameras()
+    out, pictures = tmp_path / "rig.yaml", tmp_path / "pictures"
+    step = BoardCalibration(board="checkerboard:7x5:0.02", folder=pictures, out=out, sides=station.NAMES)
+    assert step.name == "cameras" and step.hint().what is Next.SHOW_BOARD
+    for _ in range(12):
+        step.accept(station)
+    assert step.hint().what is Next.TO_CELL and step.samples[0].detail.endswith("seen by b, top")
+    assert {name for name, _ in step.spread()} >= {"top place", "a focal length"}
+    done = step.run(Silent())
+    again = calibrate_cameras({name: str(pictures / name) for name in station.NAMES}, step.board)
+    assert done.verdict.level in ("good", "care") and done.verdict.to_dict() == again.verdict_.to_dict()
+    assert done.report is not None and done.report.exists()
+    rig = read_rig(out, any_cameras=True)
+    first = station.looking(0).inv()
+    for c, name in enumerate(station.NAMES):
+        true = first.apply(station.places[c] - station.places[0])
+        off_m = np.linalg.norm(np.asarray(rig.T_rig_camera(name).translation) - true)
+        assert off_m <= 4.0 * np.linalg.norm([again.solved.covariance.std().get(f"{name}.t{x}", 0.0) for x in "xyz"])
+        assert dict(done.rows)[f"{name} place"].endswith("mm")
 
 
 def turns(n: int, seed: int) -> Rotation:

@@ -7,11 +7,19 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tests.truth import camera_ring
 from tests.truth.test_views import setup_of
 
+from armsight.calibrate.identify.chain import Axis
+from armsight.calibrate.identify.rough_arm import RoughArm, View
 from armsight.clock import ManualClock
 from armsight.errors import NotEnoughData
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pipeline import Setup
-from armsight.ops.identification.beacon_observer import LOST_FRAMES, CameraBeaconObserver, beacon_note, beacon_of
+from armsight.ops.identification.beacon_observer import (
+    LOST_FRAMES,
+    CameraBeaconObserver,
+    beacon_note,
+    beacon_of,
+    reach_m,
+)
 from armsight.ops.identification.solve import beacons
 from armsight.optics import Camera, converged_rig
 from armsight.records import Frame, Spots, spot_target
@@ -53,6 +61,21 @@ def test_one_light_of_four_is_followed_where_the_first_is_hidden_at_times() -> N
     left, right = RIG.project(truth)
     assert np.abs(np.array([one.uv_px for one in by_frame.values()]) - np.stack([left, right], axis=1)).max() < 0.3
     assert names_it(beacon_note(name, 4)[0], "4 lights", name)
+
+
+def test_a_beacon_is_in_view_where_all_within_reach_of_it_is() -> None:
+    """Against the projection of a sphere about it; the margin holds what the slope of the projection leaves."""
+    axis = Axis(point_m=np.array([0.05, 0.0, 0.7]), direction=np.array([0.0, 0.0, 1.0]), revolute=True)
+    arm = RoughArm(axes=(axis,), beacon_m=np.array([0.32, 0.0, 0.7]), sigma_px=0.1)
+    q, reach = np.linspace(-np.pi, np.pi, 361), reach_m(spot_target({"A": (0.0, 0.0, 0.0), "B": (0.0, 0.04, 0.0)}))
+    away = np.random.default_rng(1).standard_normal((300, 3))
+    away *= 0.04 / np.linalg.norm(away, axis=1, keepdims=True)
+    centres = np.column_stack([0.05 + 0.27 * np.cos(q), 0.27 * np.sin(q), np.full(len(q), 0.7)])
+    uv = np.stack([RIG.project((centres[:, None] + away).reshape(-1, 3))[s].reshape(len(q), -1, 2) for s in (0, 1)])
+    inside = np.minimum(uv, np.array([1279.0, 719.0]) - uv).min(axis=(0, 2, 3))
+    seen = View.of(arm, RIG, reach).seen(q[:, None])
+    assert (inside[seen] > 5.0).all() and seen[inside > 40.0].all() and 60 < seen.sum() < 300
+    assert seen.sum() < 0.9 * View.of(arm, RIG).seen(q[:, None]).sum()
 
 
 def test_a_target_of_one_light_is_as_before() -> None:

@@ -31,7 +31,7 @@ from armsight.ops.requests.motion import RobotJob
 from armsight.ops.saving import write_with_page
 from armsight.ops.simulation.scenarios import load_scenario
 from armsight.optics import SIDES
-from armsight.records import Frame, Target, TargetKind, board_target, unmeasured_target
+from armsight.records import Frame, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.store import (
     read_rig,
     read_target,
@@ -309,6 +309,22 @@ def test_a_target_without_a_light_to_follow_is_refused_before_anything_moves(tar
     (tmp_path / "target.yaml").write_text(one)
     plan = cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True).plan
     assert len(plan.sweeps) == 3
+
+
+def test_sweeps_keep_the_whole_target_in_the_pictures(tmp_path: Path) -> None:
+    """Which of its lights the beacon is, only a target tells that stays in view; the page proposes the same sweeps."""
+    cell = Cell(tmp_path)
+
+    def proposed(reach_m: float) -> int:
+        write_target(
+            tmp_path / "target.yaml", spot_target({"A": (0.0,) * 3, "B": (reach_m, 0.0, 0.0), "C": (0.0, 0.1, 0.0)})
+        )
+        return len(cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True).plan.sweeps)
+
+    assert proposed(0.3) == 3
+    with refuses(NotEnoughData, "not surely", "start"):  # B is out of a picture if it is to the side of A
+        proposed(0.6)
+    assert not cell.asked
 
 
 def test_nothing_moves_unless_confirmed_or_where_it_cannot(tmp_path: Path) -> None:

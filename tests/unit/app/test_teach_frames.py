@@ -14,7 +14,7 @@ from armsight.errors import UsageError
 from armsight.ops.sources.pace import pace_of
 from armsight.ops.teach import teach
 from armsight.ops.teaching import AS_MEASURED
-from armsight.records import PoseStatus, TargetPose
+from armsight.records import PoseStatus, TargetPose, spot_target
 from armsight.store import read_poses, write_poses, write_text
 from refusals import refuses
 from robot_runs import acted
@@ -33,6 +33,15 @@ def test_cameras_whose_place_is_not_told_teach_nothing(tmp_path: Path) -> None:
     with refuses(UsageError, "cameras stand") as refused:
         acted(teach, rig=cell.rig, target=cell.target, left="left", right="right", out=tmp_path / "out")
     assert "--world" in str(refused.value) and not (tmp_path / "out").exists()
+
+
+def test_one_light_teaches_nothing(tmp_path: Path) -> None:
+    cell = armsight.simulate("hand-cell", frames=1, room="dark")
+    one = spot_target({"A": (0.0, 0.0, 0.0)})
+    given = {"rig": cell.rig, "target": one, "left": "left", "right": "right", "out": tmp_path / "out"}
+    with refuses(UsageError, "1 light", "rotation", "Nothing is taught"):
+        acted(teach, world=np.eye(4), **given)
+    assert not (tmp_path / "out").exists()
 
 
 def test_poses_without_a_world_are_not_called_world(tmp_path: Path) -> None:

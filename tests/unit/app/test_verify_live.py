@@ -13,10 +13,11 @@ import pytest
 
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
-from armsight.errors import DeviceFailed, NotEnoughData
+from armsight.errors import DeviceFailed, NotEnoughData, UsageError
 from armsight.ops.simulation.scenarios import load_scenario
 from armsight.ops.verification.supervising import Supervised
 from armsight.ops.verify import supervise
+from armsight.records import spot_target
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import arm_from_mapping, write_arm
 from armsight.store.recording import Recording
@@ -92,6 +93,14 @@ def test_a_good_arm_raises_nothing_though_it_moves(tmp_path: Path) -> None:
     assert done["n"] == 60 and done["n_compared"] >= 58 and done["missed"] == 0
     assert done["errors"]["max_m"] < 5e-4
     assert len((tmp_path / "out" / "errors.csv").read_text().splitlines()) == 61
+
+
+def test_two_lights_which_show_no_rotation_are_refused_before_anything_is_opened(tmp_path: Path) -> None:
+    cell = Cell(tmp_path, [])
+    write_target(tmp_path / "target.yaml", spot_target({"A": (0.0, 0.0, 0.0), "B": (0.1, 0.0, 0.0)}))
+    with refuses(UsageError, "2 lights", "rotation", "supervised", "three lights"):
+        cell.run(stop_m=2e-3, frames=5)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

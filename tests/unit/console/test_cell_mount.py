@@ -104,3 +104,13 @@ def test_files_that_are_wrong_or_gone_are_told_and_a_mended_one_is_seen(tmp_path
     assert lamp_of(console, "target").level == "bad" and "target.yaml" in lamp_of(console, "target").words
     cell(tmp_path)
     assert lamp_of(console, "arm").level == lamp_of(console, "target").level == "good"
+
+
+def test_lamps_tell_cameras_by_their_own_names(tmp_path: Path) -> None:
+    cell(tmp_path)
+    kept = CellFile(cameras={"Top-Left": "a", "c1": "b"}, target="target.yaml", arm="arm.yaml")
+    seen = station(4, 3)
+    seen.shown.view.cameras = dict(zip(("Top-Left", "c1"), seen.shown.view.cameras.values(), strict=True))
+    console = Console(folder=tmp_path, cell=kept, station=seen, robot=robot(6))
+    assert names_it(lamp_of(console, "lights").words, "Top-Left 4", "c1 3")
+    assert names_it(lamp_of(console, "cameras").words, "Top-Left", "c1")

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
-from tests.truth.camera_ring import pose, ring
+from tests.truth.camera_ring import LIGHTS, pose, ring
 from tests.truth.ring_of_cameras import SIZE, waved
 from tests.truth.ring_of_cameras import Ring as FilmOfBoard
 from tests.truth.ring_of_cameras import ring as board_ring
@@ -19,8 +19,13 @@ from tests.truth.test_views import draw, setup_of
 
 import armsight
 from armsight.errors import Inconsistent, UsageError
+from armsight.measure.consistency.findings import Consistency
+from armsight.measure.poses.from_spots import measure_spots
+from armsight.measure.poses.views import measure_views
+from armsight.measure.results import grounds_of
+from armsight.ops.measurement.outputs import Outputs
 from armsight.optics import Camera, MountedCamera
-from armsight.records import PoseStatus
+from armsight.records import PoseStatus, Spots
 from armsight.store import read_poses
 from armsight_sim.boards import Board, board_light, corner_rays
 from armsight_sim.lens import Lens
@@ -158,3 +163,25 @@ def test_what_a_rig_of_four_cannot_take_is_refused(seen: tuple[Path, list[np.nda
         cv2.imwrite(str(small / path.name), cv2.resize(cv2.imread(str(path), 0), None, fx=0.5, fy=0.5))
     with refuses(Inconsistent, "c1"):
         armsight.measure(setup.rig, setup.target, cameras={**given, "c1": str(small)})
+
+
+@pytest.mark.parametrize("views", [2, 3])
+def test_a_half_hidden_sight_that_claims_little_is_no_part_of_the_residual_that_is_told(views: int) -> None:
+    world, rng, sigma_px = ring(views), np.random.default_rng(7), 0.05
+    setup, T, poses = setup_of(world), pose(np.random.default_rng(1), tilt_rad=0.1), []
+    outputs = Outputs(None, names=setup.rig.names)
+    for number in range(20):
+        uv = world.pixels(LIGHTS @ T[:3, :3].T + T[:3, 3])
+        uv += rng.normal(0.0, sigma_px, uv.shape)
+        cov = np.tile(sigma_px**2 * np.eye(2), (len(LIGHTS), views, 1, 1))
+        uv[2, 0] += (3.0, -2.0)
+        cov[2, 0] = 4.0**2 * np.eye(2)
+        seen = [Spots.of_centres(uv[:, s], cov[:, s]) for s in range(views)]
+        found = measure_spots(setup, float(number), *seen) if views == 2 else measure_views(setup, float(number), seen)
+        poses.append(outputs.add(found))
+    done = outputs.summary(setup, poses, Consistency(verdict="unchecked", frames=20), grounds_of(poses))
+    assert done.n_ok == done.n_aside == 20
+    sights = len(LIGHTS) * views - 1
+    left_over = np.sqrt(2.0 * (2 * sights - 6) / (2 * sights)) * sigma_px  # six numbers of the pose are taken from it
+    assert done.reprojection_rms_px == pytest.approx(left_over, rel=0.15)
+    assert "20 known to no 1 px aside" in str(list(done.summary()))

@@ -118,7 +118,7 @@ class CellStep:
             rows.append((f"joint {name}", f"{now / factor:.0f} of {wanted / factor:.0f} {unit}"))
         if watch.n_pictures:
             rows += [
-                (f"all lights seen, {side}", f"{watch.seen_share(side):.0%} of the pictures") for side in self.sides
+                (f"All lights seen, {side}", f"{watch.seen_share(side):.0%} of the pictures") for side in self.sides
             ]
         return tuple(rows)
 

@@ -33,7 +33,9 @@ class TimingStep:
         """The recording, once there is one."""
         if self._recording is None:
             return ()
-        return (Sample(name=self._recording.name, detail=f"{self._pairs} pairs, {self._seconds:.0f} s"),)
+        return (
+            Sample(name=self._recording.name, detail=f"{self._pairs} pictures of each camera, {self._seconds:.0f} s"),
+        )
 
     def hint(self) -> Hint:
         """Return whether to record, or to calibrate."""

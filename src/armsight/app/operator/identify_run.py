@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.live.station import MeasurementProcess
 from armsight.app.operator.job_runner import BackgroundJob, SessionRobot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
-from armsight.app.operator.station_observer import StationObserver, around_px
+from armsight.app.operator.station_observer import StationObserver
 from armsight.arrays import Array
 from armsight.calibrate.identify import Identification
 from armsight.calibrate.identify.result import PlanOutput, ProposedPlanOutput
@@ -21,6 +21,7 @@ from armsight.columns import DH_ROW
 from armsight.control.joint_sweep import Pace
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, link_frames
+from armsight.ops.identification.beacon_observer import reach_m
 from armsight.ops.identification.left_out import consequence, in_radians
 from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_observed
 from armsight.ops.measurement.run import target_of
@@ -152,7 +153,7 @@ def _identify(
 ) -> Identification | ProposedPlanOutput:
     sweeps, known, light = prepared(asked, robot, propose=propose)
     pace = Pace(speed=_pace(asked, robot.session.override), frames_per_reading=asked.frames)
-    sweeps = replace(sweeps, pace=pace, around_px=around_px(station.shown, light))
+    sweeps = replace(sweeps, pace=pace)
     observer = StationObserver(station, known.rig, light, clock)
     with moved:
         return identify_observed(sweeps, known, person, moved, observer, clock, progress)
@@ -188,6 +189,7 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
         readings=asked.readings,
         propose=propose,
         left_out=asked.left_out,
+        around_m=reach_m(target),
     )
     placed = _placed(asked, arm, robot.joints())
     if placed is None and propose:

@@ -28,8 +28,6 @@ LEAST_CYCLE_S = 0.02
 """Readings are looked at by a thread of Python beside a page: it may miss some."""
 FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
 """How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
-SPARE = 1.25
-"""A target seems larger where it comes nearer, or is turned to the camera."""
 
 
 class Snapshots:
@@ -203,16 +201,3 @@ def _followed(view: SideView, before_px: Array, passed_s: float) -> Array | None
     if not len(away) or away[0] > gate or (len(away) > 1 and away[1] < 2.0 * gate):
         return None
     return np.asarray(positions[np.argmin(np.linalg.norm(positions - before_px, axis=1))])
-
-
-def around_px(shown: Snapshot | None, light: str) -> float:
-    """Return how far the target's other lights are from this one in the pictures of now, with SPARE; 0 unseen.
-
-    Where they stay in the pictures too, a light is told by its name all the way.
-    """
-    far = [0.0]
-    for view in () if shown is None else shown.view.cameras.values():
-        own = _named(view, light)
-        if own is not None:
-            far += [float(np.hypot(spot.u_px - own[0], spot.v_px - own[1])) for spot in view.spots if spot.name]
-    return SPARE * max(far)

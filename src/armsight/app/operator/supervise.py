@@ -17,10 +17,13 @@ from armsight.control.session.operator_session import Person
 from armsight.defaults import BLIND_S, JOINT_STD, LATENCY_STD_S
 from armsight.errors import NotEnoughData, StaleData, UsageError
 from armsight.fields import Bounds
+from armsight.measure.poses.moments import require_rotation
+from armsight.ops.measurement.run import target_of
 from armsight.ops.saving import write_with_page
+from armsight.ops.verification.live import NOT_SUPERVISED
 from armsight.ops.verification.supervising import Judge
 from armsight.records import PoseStatus, TargetPose
-from armsight.store.cell_file import CellFile
+from armsight.store.cell_file import CellFile, cell_path
 from armsight.units import DEG, MM
 from armsight.verify.live import VerifyLiveOutput, live_output
 from armsight.verify.supervision import Compared, Level, Limits, PredictedPose, Seen
@@ -133,6 +136,9 @@ class StationSupervisor(StationFollower):
 def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> PredictedPose:
     if cell.on_robot:
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
+    target = cell_path(folder, cell.target, "target")
+    if target is not None:
+        require_rotation(target_of(target), NOT_SUPERVISED)
     arm, T_world_rig = read_placement(folder, cell).on_robot(robot.session.arm, "Nothing is supervised")
     return PredictedPose(arm=arm, T_parent_rig=T_world_rig, joint_std=JOINT_STD, time_std_s=LATENCY_STD_S)
 

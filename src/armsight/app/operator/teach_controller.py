@@ -11,7 +11,9 @@ from armsight.app.operator.station_observer import Snapshots, StationFollower
 from armsight.clock import Clock
 from armsight.control.teach import CarriedRig, PathRecorder, RigPose, StandingRig, Teaching
 from armsight.errors import NotEnoughData
-from armsight.ops.teaching import Lesson, at_tip
+from armsight.measure.poses.moments import require_rotation
+from armsight.ops.measurement.run import target_of
+from armsight.ops.teaching import NOT_TAUGHT, Lesson, at_tip
 from armsight.records.motion import JointHistory
 from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import read_tip
@@ -35,9 +37,12 @@ class TeachController(StationFollower):
         clock: Clock,
     ) -> None:
         """station: asked anew each time, as it may be replaced. Raises BadFile; NotEnoughData where the cameras'
-        position is not known."""
+        position is not known, UsageError of a target without rotation."""
         super().__init__(Snapshots(station, clock), robot)
         self.out = folder / FOLDER
+        target = cell_path(folder, cell.target, "target")
+        if target is not None:
+            require_rotation(target_of(target), NOT_TAUGHT)
         tip = cell_path(folder, cell.tip, "tip")
         T_target_tip = at_tip(None if tip is None else read_tip(tip).tip_m)
         rig_pose = _rig_pose(folder, cell, robot, self._history)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.arrays import Array
 from armsight.calibrate.identify.chain import KEYS, assign_frames, degeneracy_notes, deviations, propagate_covariance
-from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, prior_information
+from armsight.calibrate.identify.rough_arm import RoughArm, View, prior_information
 from armsight.defaults import SWEEP_READINGS
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.poses import skew
@@ -113,19 +113,19 @@ def propose_sweeps(
     *,
     readings: int = SWEEP_READINGS,
     base: Array | None = None,
-    around_px: float = 0.0,
+    around_m: float = 0.0,
 ) -> Plan:
     """Return the sweeps that tell the arm best, and the standard deviations to expect of the table they give.
 
-    limits (n, 2), start (n,): in rad or m, joint by joint. base (4, 4): as identify takes it. around_px: how far
-    what belongs to the beacon, such as a target's other lights, reaches round it in the images. Raises UsageError,
+    limits (n, 2), start (n,): in rad or m, joint by joint. base (4, 4): as identify takes it. around_m: how far
+    what belongs to the beacon, such as a target's other lights, reaches round it. Raises UsageError,
     Inconsistent, NotEnoughData where the beacon is not in two cameras' images at the start, Degenerate where a joint
     cannot be moved in view.
     """
     low_high, q0 = checked_limits(limits, start)
     if len(q0) != len(arm.axes):
         raise UsageError(f"the arm has {len(arm.axes)} joints, the limits {len(q0)}")
-    view = View.of(arm, rig, MARGIN_PX + around_px)
+    view = View.of(arm, rig, around_m)
     if not view.seen(q0[None])[0]:
         raise NotEnoughData(
             "the beacon is not surely in both images at the start pose"

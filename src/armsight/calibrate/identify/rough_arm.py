@@ -67,36 +67,36 @@ def known_arm(arm: Arm, T_rig_world: Array, sigma_px: float) -> RoughArm:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """Where two cameras see a roughly known arm's beacon, beyond margin_px from the images' edges; sizes (v, 2) px."""
+    """Where two cameras see a roughly known arm's beacon, and all within around_m of it; sizes (v, 2) px."""
 
     arm: RoughArm
     rig: PackedRig
     sizes: Array
-    margin_px: float = MARGIN_PX
+    around_m: float = 0.0
 
     @classmethod
-    def of(cls, arm: RoughArm, rig: Rig, margin_px: float = MARGIN_PX) -> View:
+    def of(cls, arm: RoughArm, rig: Rig, around_m: float = 0.0) -> View:
         """Return the view of a rig's cameras."""
         sizes = np.array([[one.camera.width, one.camera.height] for one in rig.cameras], dtype=float)
-        return cls(arm=arm, rig=PackedRig.of(rig), sizes=sizes, margin_px=margin_px)
+        return cls(arm=arm, rig=PackedRig.of(rig), sizes=sizes, around_m=around_m)
 
     def seen(self, q: Array) -> NDArray[np.bool_]:
         """Return for poses (m, n) whether the beacon is surely in two cameras' images, by SURE standard deviations of
         what is known."""
-        uv, G = pixel_slopes(self.arm.model, self.rig, q)
+        uv, G, D = pixel_slopes(self.arm.model, self.rig, q)
         spread = np.zeros(uv.shape)
         if self.arm.covariance is not None:
             C = self.arm.covariance
             # cov(uv) = G C G', of each coordinate by itself
             spread = np.sqrt(np.maximum(np.einsum("mia,ab,mib->mi", G, C, G, optimize=True), 0.0)).reshape(uv.shape)
-        edge = SURE * spread + self.margin_px
+        edge = SURE * spread + (MARGIN_PX + self.around_m * np.linalg.norm(D, axis=3))
         with np.errstate(invalid="ignore"):
             inside = (uv > edge) & (uv < self.sizes - 1.0 - edge)
         return np.asarray(inside.all(axis=2).sum(axis=1) >= FEWEST_VIEWS)
 
     def slopes(self, q: Array) -> Array:
         """Return the derivatives (m, 2 v, P) of the pixels that cameras show at q (m, n), 0 of what none shows."""
-        uv, G = pixel_slopes(self.arm.model, self.rig, q)
+        uv, G, _ = pixel_slopes(self.arm.model, self.rig, q)
         if len(self.sizes) > FEWEST_VIEWS:  # of two cameras both see what is planned
             with np.errstate(invalid="ignore"):
                 out = ~((uv > 0.0) & (uv < self.sizes - 1.0)).all(axis=2)
@@ -121,14 +121,15 @@ class View:
         return None
 
 
-def pixel_slopes(model: ChainModel, rig: PackedRig, q: Array) -> tuple[Array, Array]:
-    """Return pixels (m, v, 2) of the beacon at q (m, n), and their derivatives (m, 2 v, P); NaN behind a camera."""
+def pixel_slopes(model: ChainModel, rig: PackedRig, q: Array) -> tuple[Array, Array, Array]:
+    """Return pixels (m, v, 2) of the beacon at q (m, n), their derivatives by the parameters (m, 2 v, P) and by its
+    place (m, v, 2, 3); NaN behind a camera."""
     X, J = model.predict(np.zeros(len(model.names)), q)
     # d uv / d p = d uv / d X  d X / d p
     v = len(rig.k)
     uv, D = np.empty((len(q), v, 2)), np.empty((len(q), v, 2, 3))
     see_many(rig.k, rig.R, rig.t, X, uv, D)
-    return uv, D.reshape(len(q), 2 * v, 3) @ J
+    return uv, D.reshape(len(q), 2 * v, 3) @ J, D
 
 
 def prior_information(model: ChainModel) -> Array:

@@ -88,9 +88,18 @@ def calibrate_target(
 
 
 def found_target(
-    rig: Rig, layout: Layout, bundle: LightBundle, frames: Sequence[str], used: NDArray[np.intp], rejected: Rejected
+    rig: Rig,
+    layout: Layout,
+    bundle: LightBundle,
+    frames: Sequence[str],
+    used: NDArray[np.intp],
+    rejected: Rejected,
+    unclear: int = 0,
 ) -> TargetResult:
-    """Return the target of a fit to the used of the frames, which are named. Raises Degenerate for lights on a line."""
+    """Return the target of a fit to the used of the frames, which are named. Raises Degenerate for lights on a line.
+
+    unclear: of the rejected, those that show too little of it.
+    """
     covariance = _covariance(layout, bundle)
     X = layout.spots(bundle.values)
     names = tuple(LETTERS[: len(X)])
@@ -110,6 +119,7 @@ def found_target(
             scale=float(np.sqrt(bundle.scale2)),
             rig_share=None if rig.covariance is None else _share(layout, bundle, covariance),
             rotation_excitation_rms_rad=turns(bundle.poses),
+            n_unclear=unclear,
             advice=(),
         )
     )

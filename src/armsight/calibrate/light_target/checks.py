@@ -59,13 +59,26 @@ def few_frames(
     why = f"; the first of the others: {rejected[0][1]}" if rejected else ""
     seen = "all lights in the image twice, neither path dark" if overlaid else "all lights seen by both cameras"
     if many:
-        seen = "in three moments and more all lights towards two cameras that stand near each other"
+        seen = (
+            "in three moments and more the same lights, three at least, towards two cameras that stand near each other"
+        )
     swapped = "; where all are there, check which source is the left one" if n == 0 and not (overlaid or many) else ""
     views = "two" if many else "both"
     return NotEnoughData(
         f"{n} of {total} frames show {lights} lights in {views} views, of which {MIN_FRAMES} are the fewest{why}",
         consequence="The target is not calibrated",
         cure=f"Record 10 frames and more, the target turned to several sides, {seen}{swapped}",
+    )
+
+
+def not_grown(n: int, lights: int) -> NotEnoughData:
+    """Return the refusal of lights of which some cannot be joined to the others."""
+    return NotEnoughData(
+        f"no two cameras see all {lights} lights in {MIN_FRAMES} moments, and only {n} of them are joined to one "
+        "another by the moments that show some",
+        consequence="The target is not calibrated",
+        cure="Record moments in which each light is seen together with three and more of the others, the target turned "
+        "to several sides; check the number of lights",
     )
 
 

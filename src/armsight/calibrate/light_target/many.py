@@ -1,16 +1,18 @@
 """A lit target's geometry from any number of cameras, which need not see its lights together: every sight counts.
 
-Moments in which two cameras see all lights name them and tell their shape, as a pair's do. By that shape the lights of
-all moments are named in all views, as in measuring, and all sights make one bundle: a light that one camera alone sees
-has no point, and counts.
+Moments in which two cameras see all lights name them and tell their shape, as a pair's do. Where too few do, some of
+the lights are found in this way, and the others by the rays to them (`grown`). By the shape the lights of all moments
+are named in all views, as in measuring, and all sights make one bundle: a light that one camera alone sees has no
+point, and counts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,24 +45,20 @@ from armsight.calibrate.light_target.calibrate import (
 )
 from armsight.calibrate.light_target.checks import (
     MIN_FRAMES,
+    few_frames,
+    not_grown,
     on_one_line,
     require_lights,
     require_rigid,
     require_turned,
 )
+from armsight.calibrate.light_target.grown import LitMoment, more_lights
+from armsight.calibrate.light_target.naming import Named, find_shape
 from armsight.calibrate.light_target.result import TargetResult
 from armsight.defaults import LIT_LIGHTS
-from armsight.errors import UsageError
+from armsight.errors import Ambiguous, Inconsistent, UsageError
 from armsight.optics import PackedRig, Rig
 from armsight.records import NotSeen, Spots, Target, spot_target
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LitMoment:
-    """All spots of one moment by camera, in the rig's order; name: how the moment is called to people."""
-
-    name: str
-    views: tuple[Spots, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,6 +74,10 @@ Pairing: TypeAlias = Callable[[Rig, Spots, Spots], Index]
 """Rows (p, 2) of two views' spots, by a rig of these two as left and right, that may be the same light."""
 Naming: TypeAlias = Callable[[Rig, Target], Callable[[Sequence[Spots]], NamedSights | NotSeen]]
 """What finds a known target in the views of a moment."""
+
+
+Paired: TypeAlias = dict[int, tuple[int, int, Index]]
+"""By which two cameras a moment's lights are placed, and which of their spots are paired."""
 
 
 def calibrate_lights(
@@ -94,28 +96,87 @@ def calibrate_lights(
             cure="Give the rig.yaml of two cameras and more, and frames of each",
         )
     sights, of, rejected = _sights(rig, moments, lights, paired)
-    labelled = named_by_shape(sights, rejected, len(moments), lights, many=True)
+    part = _part(rig, moments, lights, paired) if len(sights) < MIN_FRAMES else None
+    if part is None:
+        labelled = named_by_shape(sights, rejected, len(moments), lights, many=True)
+        shape = _shape(rig, moments, of, labelled, lights)
+    else:
+        shape = _grown(rig, moments, part, lights, paired, naming)
+    if not shape.layout.on_line:
+        shape = _completed(rig, moments, shape, naming) or shape
+    seen, bundle, labelled = shape.seen, shape.bundle, shape.labelled
+    require_turned(float(turns(bundle.poses)[0]))
+    require_rigid(bundle, epipolar(rig, seen), lights, len(labelled.numbers))
+    names = [moment.name for moment in moments]
+    return found_target(rig, shape.layout, bundle, names, labelled.numbers, labelled.rejected, shape.unclear)
+
+
+class Shape(NamedTuple):
+    """Lights of a target as they are known so far, by the moments of labelled and what these saw of them.
+
+    unclear: how many of the other moments show too little of it.
+    """
+
+    layout: Layout
+    bundle: LightBundle
+    labelled: LabelledFrames
+    seen: LightObservations
+    unclear: int = 0
+
+    @property
+    def xyz_m(self) -> Array:
+        """The lights (n, 3)."""
+        return self.layout.spots(self.bundle.values)
+
+
+def _shape(rig: Rig, moments: Sequence[LitMoment], of: Paired, labelled: LabelledFrames, lights: int) -> Shape:
+    """Return the lights by which moments are labelled, by two cameras in each. Raises as clear_frames, fit_frames."""
     flat = on_one_line(labelled.named)
     keep = np.ones(len(labelled.numbers), bool) if flat else clear_frames(labelled)
-    order = _order(rig, labelled, keep, flat=flat)
+    order = _order(rig, labelled.named, keep, flat=flat)
     layout = line_layout(lights) if flat else plane_layout(lights)
     seen = _observations(rig, moments, of, labelled, order)
     bundle, used = fit_frames(rig, layout, seen, labelled, keep, *guess(layout, labelled.named, order))
-    numbers, rejected = labelled.numbers[used], labelled.rejected
-    complete = None if flat else _completed(rig, moments, layout, bundle, naming)
-    if complete is not None and len(complete[0]) >= MIN_FRAMES:
-        again, seen, rejected, R, t = complete
-        labelled = replace(labelled, numbers=again, rejected=rejected)
-        bundle, used = fit_frames(rig, layout, seen, labelled, np.ones(len(again), bool), bundle.values, R, t)
-        numbers = again[used]
-    require_turned(float(turns(bundle.poses)[0]))
-    require_rigid(bundle, epipolar(rig, seen.take(used)), lights, int(used.sum()))
-    return found_target(rig, layout, bundle, [moment.name for moment in moments], numbers, rejected)
+    return Shape(layout, bundle, replace(labelled, numbers=labelled.numbers[used]), seen.take(used))
 
 
-def _sights(
-    rig: Rig, moments: Sequence[LitMoment], n: int, paired: Pairing
-) -> tuple[list[Sight], dict[int, tuple[int, int, Index]], Rejected]:
+def _part(rig: Rig, moments: Sequence[LitMoment], lights: int, paired: Pairing) -> Shape | None:
+    """Return as many of the lights as two cameras see together in MIN_FRAMES moments, which show them by one shape."""
+    for n in range(lights - 1, 2, -1):
+        sights, of, _ = _sights(rig, moments, n, paired)
+        if len(sights) < MIN_FRAMES:
+            continue
+        named = find_shape(sights)
+        if n == 3:  # three other lights may be the mirror image of these
+            named = named.take(named.behind == (named.behind.mean() > 0.5))
+        if len(named.number) < MIN_FRAMES or on_one_line(named):
+            continue
+        numbers = np.array([sights[s].frame for s in named.number], dtype=np.intp)
+        labelled = LabelledFrames(named=named, numbers=numbers, rejected=[], overlaid=True)
+        with suppress(Ambiguous, Inconsistent):
+            return _shape(rig, moments, of, labelled, n)
+    return None
+
+
+def _grown(rig: Rig, moments: Sequence[LitMoment], part: Shape, lights: int, paired: Pairing, naming: Naming) -> Shape:
+    """Return all lights from some of them. Raises NotEnoughData where the moments do not tell the others."""
+    sights, _, _ = _sights(rig, moments, 3, paired)
+    X = more_lights(rig, moments, part.xyz_m, lights, sights)
+    if len(X) < lights:
+        raise not_grown(len(X), lights)
+    shown = _shown(rig, moments, X, naming)
+    if len(shown.numbers) < MIN_FRAMES:
+        raise few_frames(len(shown.numbers), len(moments), lights, shown.rejected, many=True)
+    named = replace(part.labelled.named, X=X, R=shown.R, t=shown.t)
+    labelled = replace(part.labelled, named=named, numbers=shown.numbers, rejected=shown.rejected)
+    layout, keep = plane_layout(lights), np.ones(len(shown.numbers), bool)
+    order = _order(rig, named, keep, flat=False)
+    seen = LightObservations(uv_px=shown.seen.uv_px[:, order], cov_px2=shown.seen.cov_px2[:, order])
+    bundle, used = fit_frames(rig, layout, seen, labelled, keep, *guess(layout, named, order))
+    return Shape(layout, bundle, replace(labelled, numbers=labelled.numbers[used]), seen.take(used))
+
+
+def _sights(rig: Rig, moments: Sequence[LitMoment], n: int, paired: Pairing) -> tuple[list[Sight], Paired, Rejected]:
     """Return the moments in which two cameras see all lights, by which two and which of their spots are paired.
 
     Of several such pairs that of the widest angle is taken.
@@ -123,7 +184,7 @@ def _sights(
     axes = PackedRig.of(rig).R[:, 2]
     pairs = sorted(combinations(range(len(rig.cameras)), 2), key=lambda p: float(abs(axes[p[0]] @ axes[p[1]])))
     sights: list[Sight] = []
-    of: dict[int, tuple[int, int, Index]] = {}
+    of: Paired = {}
     why = dict.fromkeys(range(len(moments)), f"no two cameras see all {n} lights")
     for a, b in pairs:
         two = pair_of(rig, a, b)
@@ -143,9 +204,8 @@ def _sights(
     return sights, of, [(number, why[number]) for number in range(len(moments)) if number not in of]
 
 
-def _order(rig: Rig, labelled: LabelledFrames, keep: NDArray[np.bool_], *, flat: bool) -> Index:
+def _order(rig: Rig, named: Named, keep: NDArray[np.bool_], *, flat: bool) -> Index:
     """Return the order of the shape's lights that makes them A, B, C ... by where the first camera would see them."""
-    named = labelled.named
     X, T = named.X, rig.cameras[0].T_rig_camera.inv()
     at = np.einsum("gij,nj->gni", named.R[keep], X) + named.t[keep][:, None]
     at = T.apply(at.reshape(-1, 3)).reshape(at.shape)
@@ -170,7 +230,7 @@ def _blank(g: int, n: int, V: int) -> tuple[Array, Array]:
 def _observations(
     rig: Rig,
     moments: Sequence[LitMoment],
-    of: dict[int, tuple[int, int, Index]],
+    of: Paired,
     labelled: LabelledFrames,
     order: Index,
 ) -> LightObservations:
@@ -184,14 +244,25 @@ def _observations(
     return LightObservations(uv_px=uv, cov_px2=cov)
 
 
-def _completed(
-    rig: Rig, moments: Sequence[LitMoment], layout: Layout, bundle: LightBundle, naming: Naming
-) -> tuple[Index, LightObservations, Rejected, Array, Array]:
-    """Return the moments that show the target as it is known so far, all sights of its lights, why the others do not,
-    and R (g, 3, 3), t (g, 3) of it."""
-    X = layout.spots(bundle.values)
+class Shown(NamedTuple):
+    """Moments that show a target, by their numbers (g,), all sights of its lights, why the others do not, and R (g, 3,
+    3), t (g, 3) of it."""
+
+    numbers: Index
+    seen: LightObservations
+    rejected: Rejected
+    R: Array
+    t: Array
+
+
+def _target(X: Array) -> Target:
+    return spot_target({name: tuple(xyz) for name, xyz in zip(LETTERS, X.tolist(), strict=False)})
+
+
+def _shown(rig: Rig, moments: Sequence[LitMoment], X: Array, naming: Naming) -> Shown:
+    """Return the moments that show the lights X (n, 3)."""
     names = LETTERS[: len(X)]
-    look = naming(rig, spot_target({name: tuple(xyz) for name, xyz in zip(names, X.tolist(), strict=True)}))
+    look = naming(rig, _target(X))
     numbers, rejected, R, t = [], [], [], []
     uv, cov = _blank(len(moments), len(X), len(rig.cameras))
     for number, moment in enumerate(moments):
@@ -206,5 +277,16 @@ def _completed(
         R.append(found.T_rig_target[:3, :3])
         t.append(found.T_rig_target[:3, 3])
     kept = np.array(numbers, dtype=np.intp)
-    sights = LightObservations(uv_px=uv[kept], cov_px2=cov[kept])
-    return kept, sights, rejected, np.array(R).reshape(-1, 3, 3), np.array(t).reshape(-1, 3)
+    seen = LightObservations(uv_px=uv[kept], cov_px2=cov[kept])
+    return Shown(kept, seen, rejected, np.array(R).reshape(-1, 3, 3), np.array(t).reshape(-1, 3))
+
+
+def _completed(rig: Rig, moments: Sequence[LitMoment], shape: Shape, naming: Naming) -> Shape | None:
+    """Return the target by all moments that show it as it is known so far; None where these are too few."""
+    shown = _shown(rig, moments, shape.xyz_m, naming)
+    if len(shown.numbers) < MIN_FRAMES:
+        return None
+    labelled = replace(shape.labelled, numbers=shown.numbers, rejected=shown.rejected)
+    every, unclear = np.ones(len(shown.numbers), bool), len(shown.rejected)  # the fit adds others to these
+    bundle, used = fit_frames(rig, shape.layout, shown.seen, labelled, every, shape.bundle.values, shown.R, shown.t)
+    return Shape(shape.layout, bundle, replace(labelled, numbers=shown.numbers[used]), shown.seen.take(used), unclear)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -50,6 +50,11 @@ class Named:
     behind: NDArray[np.bool_]
     information: Array
     misfit: tuple[tuple[int, float], ...]
+
+    def take(self, keep: NDArray[np.bool_]) -> Named:
+        """Return the frames of the mask (g,)."""
+        of = ("number", "rows", "R", "t", "behind", "information")
+        return replace(self, **{name: getattr(self, name)[keep] for name in of})
 
 
 def distances(X: Array) -> Array:
@@ -119,7 +124,7 @@ def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Arra
 
 
 def _name_all(sights: Sequence[Sight], X: Array, variances: Array, perms: Index) -> Named:
-    tried, misfit = _near(sights, distances(X), variances, perms)
+    tried, misfit = near(sights, distances(X), variances, perms)
     n = len(X)
     P = np.array([sights[s].xyz_m[c][perms[p]] for s, c, p in tried]).reshape(-1, n, 3)
     W = np.linalg.inv(np.array([sights[s].cov_m2[c][perms[p]] for s, c, p in tried]).reshape(-1, n, 3, 3))
@@ -141,7 +146,7 @@ def _name_all(sights: Sequence[Sight], X: Array, variances: Array, perms: Index)
     )
 
 
-def _near(
+def near(
     sights: Sequence[Sight], d: Array, variances: Array, perms: Index
 ) -> tuple[list[tuple[int, int, int]], tuple[tuple[int, float], ...]]:
     """Return (sight, choice, naming) whose distances come near d (m,), and for sights without any by how much not."""

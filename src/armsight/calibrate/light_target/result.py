@@ -53,6 +53,7 @@ class TargetResult(Output, Saveable):
     minus seen, NaN where a camera did not see a light; left_out_px: the same, each frame by the shape that the others
     give. scale: residuals over the spots' own standard deviations; above 1 the covariance is widened by it. rig_share:
     part of the standard deviation that comes from the rig's calibration, None where the rig has no covariance.
+    n_unclear: of the rejected, moments that show too little of the target to speak for or against it.
     rotation_excitation_rms_rad (3,): root mean square turns between frames about their principal axes, falling.
     """
 
@@ -67,6 +68,7 @@ class TargetResult(Output, Saveable):
     scale: float
     rig_share: float | None
     rotation_excitation_rms_rad: Array
+    n_unclear: int = 0
     advice: Annotated[tuple[str, ...], Doc("What would make the result surer.")]
 
     def __post_init__(self) -> None:
@@ -89,6 +91,11 @@ class TargetResult(Output, Saveable):
     @figure("Distances of the lights by pair of names.")
     def distances_m(self) -> dict[str, LightDistance]:
         return distances_of(self.names, self.xyz_m, self.covariance.matrix)
+
+    @property
+    def many_rejected(self) -> bool:
+        """Whether more frames than by chance do not fit the target."""
+        return len(self.rejected) - self.n_unclear > MANY_REJECTED * self.n_frames
 
     @figure("Pairs that the result rests on.")
     def n_used(self) -> int:
@@ -120,7 +127,7 @@ class TargetResult(Output, Saveable):
             f"The lights' distances are known to {worst_mm:.2g} mm (one standard deviation) from {self.n_used} frames."
         )
         weak = self.n_used < GOOD_FRAMES or self.rotation_excitation_rms_rad[1] < GOOD_TURN_RAD
-        doubted = self.scale > LARGE_SCALE or len(self.rejected) > MANY_REJECTED * self.n_frames
+        doubted = self.scale > LARGE_SCALE or self.many_rejected
         if weak or doubted:
             headline = "Spots do not fit" if doubted else "Weak"
             return Verdict(level="care", headline=headline, reasons=[said], next=[f"{one}." for one in self.advice])
@@ -188,7 +195,7 @@ def advise(done: TargetResult) -> TargetResult:
             f"residuals are {done.scale:.2g} times the spots' own standard deviations: the calibration, blur or "
             "shiny lights"
         )
-    if len(done.rejected) > MANY_REJECTED * done.n_frames:
+    if done.many_rejected:
         advice.append(
             f"{len(done.rejected)} of {done.n_frames} frames were left out: cover reflections, show all lights"
         )

@@ -15,8 +15,8 @@ from armsight.console import texts, texts_cell
 from armsight.console.layout import (
     TICK_S,
     button,
-    canvas_of,
     card,
+    named_canvas,
     notice,
     report_link,
     say,
@@ -119,7 +119,7 @@ class _Step:
         with ui.element("div").classes("columns" if len(self._console.pictures) <= len(SIDES) else "pictures"):
             for side in self._console.pictures:
                 with ui.element("div"):
-                    canvas_of(side, plain=True)
+                    named_canvas(side, self._console.pictures, plain=True)
                     if side in self._runner.state.coverage:
                         with ui.element("div").classes("coverage"):
                             self._cells[side] = [text_of("span", "0") for _ in range(CELLS)]

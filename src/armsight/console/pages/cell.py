@@ -16,8 +16,8 @@ from armsight.console.cell_mount import Lamp, mount_lamps
 from armsight.console.layout import (
     SIGNS,
     button,
-    canvas_of,
     file_name,
+    named_canvas,
     notice,
     say,
     set_attribute,
@@ -107,7 +107,7 @@ class _CellPage:
         with ui.element("div").classes("columns"):
             for side in self._step.sides:
                 with ui.element("div"):
-                    canvas_of(side)
+                    named_canvas(side, self._step.sides)
                     with ui.element("div").classes("coverage") as grid:
                         name = texts.COVERAGE.format(side=shared.SIDES.get(side, side))
                         grid.props.update({"role": "group", "aria-label": name})

@@ -246,7 +246,7 @@ def _record(console: Console) -> Callable[[], None]:
         if state.failure:
             set_text(said, state.failure)
         elif state.file is not None:
-            text = texts.RECORDING.format(file=state.file.name, pairs=state.n_pairs)
+            text = texts.RECORDING.format(file=state.file.name, n=state.n_pairs)
             set_text(said, f"{text}; {texts.DROPPED.format(n=state.n_dropped)}" if state.n_dropped else text)
         elif console.last_recording is not None:
             set_text(said, texts.RECORDED.format(file=console.last_recording))

@@ -14,6 +14,7 @@ from armsight.measure.motion.estimate import Start
 from armsight.measure.motion.kernels.state import N
 from armsight.measure.motion.kernels.views import observe
 from armsight.measure.motion.states import MotionState, View
+from armsight.measure.poses.outcome import judged_by
 from armsight.optics import PackedRig
 
 VIEW_CHANCE = 1e-6
@@ -28,7 +29,7 @@ SPELL_VIEWS, SPELL_SHARE = 9, 0.5
 class MotionResiduals:
     """Of m spots: view (m,) and side (m,) they are of, residual_px (m, 2) measured less expected, chi2 and dof (m,).
 
-    dof: of two coordinates, what the motion did not take from the spot itself.
+    dof: of two coordinates, what the motion did not take from the spot itself. judged (m,): see judged_by.
     """
 
     view: Index
@@ -36,6 +37,7 @@ class MotionResiduals:
     residual_px: Array
     chi2: Array
     dof: Array
+    judged: Mask
 
     def outliers(self, n_views: int) -> Mask:
         """Tell which views lie further from the motion than chance and the recording's own scatter explain."""
@@ -53,6 +55,7 @@ class MotionResiduals:
             residual_px=self.residual_px[rows],
             chi2=self.chi2[rows],
             dof=self.dof[rows],
+            judged=self.judged[rows],
         )
 
     def chi2_per_dof(self, first: int = 0, end: int | None = None) -> float | None:
@@ -69,17 +72,18 @@ def motion_residuals(
 
     positions_m (m, 3): of the lights in the target's frame.
     """
-    rows, residual, chi2, dof = [], [], [], []
+    rows, residual, chi2, dof, judged = [], [], [], [], []
     uv, H = np.empty(2), np.zeros((2, N))
     for number, (view, state) in enumerate(zip(views, states, strict=True)):
         if state is None:
             continue
-        s = view.side
+        s, judged_of = view.side, judged_by(view.cov_px2)
         for i, light in enumerate(view.lights.tolist()):
             if not observe(state.x, packed.camera(s), positions_m[light], view.tau_s[i], uv, H):
                 continue
             r, weight = view.uv_px[i] - uv, np.linalg.inv(view.cov_px2[i])
             rows.append((number, s))
+            judged.append(judged_of[i])
             residual.append(r)
             chi2.append(float(r @ weight @ r))
             dof.append(max(2.0 - float(np.trace(weight @ H @ state.C @ H.T)), 0.0))
@@ -90,6 +94,7 @@ def motion_residuals(
         residual_px=np.array(residual).reshape(-1, 2),
         chi2=np.array(chi2),
         dof=np.array(dof),
+        judged=np.array(judged, dtype=bool),
     )
 
 

@@ -27,8 +27,10 @@ from armsight.measure.poses.tracking import MAX_GAP_S, half_window_px
 from armsight.measure.poses.views import measure_views
 from armsight.measure.spots import find_candidates, track_spots
 from armsight.optics import RigKind
-from armsight.records import Frame, NotSeen, PoseStatus, Spots
+from armsight.records import Frame, NotSeen, PoseStatus, Spots, Target
 
+FEWEST_FOR_ROTATION = 3
+"""Lights below which a target shows no rotation."""
 IDLE_LOOKS, LOOK_AGAIN = 24, 30
 """Moments, one after the other, in which a camera that took no part is searched as a whole; and then one of so many."""
 
@@ -124,6 +126,17 @@ def require_views(setup: Setup, n: int) -> None:
             "one camera does not place a light by itself: it may be anywhere along its ray",
             consequence="One camera measures boards, and four lights and more at known places",
             cure="Give two cameras and more, a printed board, or a target of four lights and more",
+        )
+
+
+def require_rotation(target: Target, consequence: str) -> None:
+    """Raise UsageError for a target that is never seen with a rotation, for what needs whole poses."""
+    if not target.is_board and len(target.names) < FEWEST_FOR_ROTATION:
+        raise UsageError(
+            f"a target of {len(target.names)} light{'s' * (len(target.names) > 1)} shows no rotation, and whole poses "
+            "are needed",
+            consequence=consequence,
+            cure="Give a target of three lights and more, or a printed board",
         )
 
 

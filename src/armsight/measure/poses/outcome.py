@@ -102,10 +102,27 @@ class Measured:
         views = np.nonzero(self.sights)[1]
         return np.asarray(self.pose.residual_px.reshape(-1, 2)[views == s])
 
+    def judged_px(self, s: int) -> Array:
+        """Return of the residuals of view s those by which a run is judged: see judged_by."""
+        residuals = self.residuals_px(s)
+        counts = judged_by(self.spots[s].covariance_px2)
+        return residuals[counts] if len(residuals) == len(counts) else residuals
+
     @property
     def missed(self) -> NotSeen:
         """Why the pose is not whole."""
         return NotSeen(self.pose.why, self.cause)
+
+
+JUDGED_PX = 1.0
+"""Standard deviation up to which a sight counts for what a run leaves, as its user reads it: half-hidden lights claim
+some px, leave as many where all is right, and weigh a thousandth of a whole one in the pose."""
+
+
+def judged_by(covariance_px2: Array) -> Mask:
+    """Return which sights of covariance_px2 (n, 2, 2) are known to JUDGED_PX in their worst direction."""
+    uu, uv, vv = covariance_px2[:, 0, 0], covariance_px2[:, 0, 1], covariance_px2[:, 1, 1]
+    return np.asarray(0.5 * (uu + vv) + np.hypot(0.5 * (uu - vv), uv) <= JUDGED_PX**2)
 
 
 def lost_moment(t_s: float, seen: tuple[Spots, ...], missed: NotSeen, track: Track | None = None) -> Measured:

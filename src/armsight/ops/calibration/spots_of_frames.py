@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import TypeVar
@@ -11,11 +12,19 @@ from typing import TypeVar
 import numpy as np
 
 from armsight.arrays import Array, Index
-from armsight.calibrate.light_target import LitFrame, LitMoment, NamedSights
+from armsight.calibrate.light_target import (
+    LitFrame,
+    LitMoment,
+    NamedSights,
+    TargetResult,
+    calibrate_lights,
+    calibrate_target,
+)
 from armsight.clock import SystemClock
 from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, is_live, moments_of, pairs_of
-from armsight.errors import Cancelled, UsageError
+from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
 from armsight.measure.poses.beacon import without_standing
+from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.pipeline import check_size, check_sizes
 from armsight.measure.poses.setup import Setup
@@ -172,11 +181,27 @@ def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots, *, overla
     return LitFrame(name=name, left=left.take(index[:, 0]), right=right.take(index[:, 1]))
 
 
-def lit_frames(
+def lights_of_pairs(rig: Rig, pairs: Sequence[LitMoment], lights: int, *, overlaid: bool) -> TargetResult:
+    """Return where the lights of a target are, by the pairs that show all of them twice; of too few by every sight.
+
+    overlaid: see pair_spots. Raises as calibrate_target.
+    """
+    packed = PackedRig.of(rig)
+    frames = [lit_frame(packed, one.name, *one.views, overlaid=overlaid) for one in pairs]
+    try:
+        return calibrate_target(rig, frames, lights, overlaid=overlaid)
+    except NotEnoughData:
+        if not overlaid:
+            with suppress(DataRefused):
+                return calibrate_lights(rig, pairs, lights, paired=paired, naming=naming)
+        raise
+
+
+def lit_pairs(
     rig: Rig, pairs: MomentSource, settings: SpotSettings, limit: int | None, progress: Progress
-) -> list[LitFrame]:
+) -> list[LitMoment]:
     """Return the lights in pairs of frames, those that stand still left out. Raises DataRefused, Cancelled."""
-    packed, seen, overlaid = PackedRig.of(rig), [], False
+    seen, overlaid = [], False
     for left, right in _counted(pairs_of(pairs), pairs.total, limit, progress):
         check_sizes(rig, (left, right), OTHER_FRAMES)
         overlaid = left is right
@@ -185,7 +210,8 @@ def lit_frames(
     names, lefts, rights = zip(*seen, strict=True) if seen else ((), (), ())
     moving = without_standing(lefts)
     others = moving if overlaid else without_standing(rights)
-    return [lit_frame(packed, *frame, overlaid=overlaid) for frame in zip(names, moving, others, strict=True)]
+    views = zip(moving, others, strict=True)
+    return [LitMoment(name=name, views=pair) for name, pair in zip(names, views, strict=True)]
 
 
 def lit_moments(
@@ -224,7 +250,7 @@ def naming(rig: Rig, target: Target) -> Callable[[Sequence[Spots]], NamedSights 
     setup = Setup(rig=rig, target=target)
 
     def look(views: Sequence[Spots]) -> NamedSights | NotSeen:
-        found = measure_views(setup, 0.0, views)
+        found = measure_spots(setup, 0.0, views[0], views[1]) if rig.is_pair else measure_views(setup, 0.0, views)
         T = found.pose.T_parent_target
         if found.pose.status is not PoseStatus.OK or T is None:
             return found.missed

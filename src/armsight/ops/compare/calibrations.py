@@ -11,12 +11,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtrc, ndtr
 
-from armsight.arrays import Array
+from armsight.arrays import Array, Mask
 from armsight.columns import POSE6
 from armsight.errors import Inconsistent
 from armsight.fields import Doc
 from armsight.kinematics import Arm, pose
-from armsight.optics import Camera, LensKind, Rig, shared_point, triangulate
+from armsight.optics import Camera, LensKind, Rig, shared_point, triangulate_views
 from armsight.records import NamedCovariance
 from armsight.records.output import Output, output
 from armsight.records.result_parts import Difference
@@ -102,6 +102,8 @@ def compare_rigs(a: Path, b: Path, distance_m: float | None = None) -> Compared:
         others += [value for _, value, _ in _intrinsics(*cameras[::-1], "")]
         effects += _shift_effects(first.camera(name), second.camera(name), f"{name}: ")
     pair = first.is_pair
+    if len(first.cameras) > 2:  # what the rig as a whole comes to, before its pairs
+        effects += _space_effects(first, second, distance_m or _in_sight_m(first))
     for name in first.names[1:]:
         one, other = _two(first, name), _two(second, name)
         T_a, T_b = (rig.T_rig_left.inv() * rig.T_rig_right for rig in (one, other))
@@ -239,18 +241,25 @@ def _shift_effects(a: Camera, b: Camera, prefix: str) -> list[Effect]:
 
 
 def _space_effects(a: Rig, b: Rig, distance_m: float) -> list[Effect]:
-    """Return how far B measures points from where A does, on a plane before the left camera that both cameras see."""
-    uv = _pixels(a.left)
-    rays = np.column_stack([a.left.rays(uv), np.ones(len(uv))]) * distance_m
-    points = a.T_rig_left.apply(rays[np.isfinite(rays).all(axis=1)])
-    left, right = a.project(points)
-    size = np.array([a.right.width, a.right.height]) - 0.5
-    seen = np.isfinite(right).all(axis=1) & (right > -0.5).all(axis=1) & (right < size).all(axis=1)
+    """Return how far B measures points from where A does, on a plane before the first camera that another one sees.
+
+    Each is measured by all cameras that see it, and told in the axes of the first one.
+    """
+    eye = a.cameras[0]
+    grid = _pixels(eye.camera)
+    rays = np.column_stack([eye.camera.rays(grid), np.ones(len(grid))]) * distance_m
+    points = eye.T_rig_camera.apply(rays[np.isfinite(rays).all(axis=1)])
+    uv = np.stack(a.project(points), axis=1)  # (n, V, 2)
+    sizes = np.array([[one.camera.width, one.camera.height] for one in a.cameras]) - 0.5
+    shown: Mask = np.asarray(((uv > -0.5) & (uv < sizes)).all(axis=2))
+    shown[:, 0] = True  # these are its own pixels
+    seen = shown[:, 1:].any(axis=1)
     if not seen.any():
         return []
-    noise = np.eye(2)
-    measured = triangulate(b, left[seen], right[seen], noise, noise).xyz_m
-    off = np.linalg.norm(b.T_rig_left.inv().apply(measured) - a.T_rig_left.inv().apply(points[seen]), axis=1)
+    noise = np.where(shown[seen][:, :, None, None], np.eye(2), np.inf)
+    measured = triangulate_views(b, uv[seen], noise).xyz_m
+    off = b.cameras[0].T_rig_camera.inv().apply(measured) - eye.T_rig_camera.inv().apply(points[seen])
+    off = np.linalg.norm(off, axis=1)
     where = f"at {distance_m:.3g} m"
     return [
         Effect(name=f"points measured {where}, RMS", value=float(np.sqrt(np.nanmean(off**2))), unit="m"),

@@ -36,6 +36,11 @@ def beacon_settings(target: Target, mask: Image | None) -> SpotSettings:
     return SpotSettings(colour=target.colour, mask=None if mask is None else mask > 0)
 
 
+def reach_m(target: Target) -> float:
+    """Return how far the target's other lights are from the beacon: only while all stay in view is it told by name."""
+    return float(np.linalg.norm(target.xyz_m - target.xyz_m[0], axis=1).max())
+
+
 class SeenBeacon(NamedTuple):
     """One light: its place (3,) in the rig's axes, its pixels (v, 2) by camera, NaN where it is not seen, and their
     standard deviation, that of the worst direction."""

@@ -24,7 +24,7 @@ from armsight.errors import ArmsightError, Cancelled, DataRefused, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.moments import require_views
 from armsight.measure.poses.pipeline import Setup
-from armsight.ops.identification.beacon_observer import CameraBeaconObserver, beacon_note, beacon_settings
+from armsight.ops.identification.beacon_observer import CameraBeaconObserver, beacon_note, beacon_settings, reach_m
 from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.ops.identification.solve import solve_sweeps
 from armsight.ops.identify import SweepReadings
@@ -68,7 +68,7 @@ class Known:
 class LiveSweeps:
     """The sweeps of a robot that is moved before live cameras; limits (n, 2) are of all joints, in rad or m.
 
-    left_out: joints from 1, held where they are. around_px: as propose_sweeps takes it. propose: tell the plan only.
+    left_out: joints from 1, held where they are. around_m: as propose_sweeps takes it. propose: tell the plan only.
     out: arm.yaml, beside which what was read is written; None: nothing is.
     """
 
@@ -79,7 +79,7 @@ class LiveSweeps:
     sigma: float | None = None
     method: str = "ml"
     propose: bool = False
-    around_px: float = 0.0
+    around_m: float = 0.0
     out: Path | None = None
 
     def file(self, ending: str) -> Path | None:
@@ -112,6 +112,7 @@ def identify_live(
     swept_joints(len(sweeps.limits), sweeps.left_out)  # refused before anything is opened
     _check(sweeps, known)
     setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, mask))
+    sweeps = replace(sweeps, around_m=reach_m(target))
     require_views(setup, len(known.rig.cameras))
     robot, moments = devices or open_devices(link, known.rig.names, sources, settings, target, clock)
     prepare(progress, views=not known.rig.is_pair)  # a controller that waits for compilers gives the link up
@@ -153,7 +154,7 @@ def identify_observed(
             arm, notes = _probed(job, person, robot, sweeper, rig)
     if not (known.model is not None and job.propose):
         start = sweeper.standing
-    plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base, around_px=job.around_px)
+    plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base, around_m=job.around_m)
     notes = [*([consequence(m + len(held), job.left_out)] if len(held) else []), *notes]
     planned = plan_output(plan, notes)
     person.show(planned)

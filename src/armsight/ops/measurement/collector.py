@@ -124,6 +124,7 @@ class Collector:
             rig=self._setup.rig,
             target=self._setup.target,
             residuals={side: np.vstack(rows) for side, rows in self._residuals.items() if rows},
+            n_aside=summary.n_aside or 0,
             samples=[sample for pair in self._samples.values() for sample in pair],
             timed=about.assumed_fps is None and not about.stills,
             stills=about.stills,
@@ -146,7 +147,7 @@ class Collector:
     def _keep_residuals(self, number: int, measured: Measured) -> None:
         most = 0
         for s, rows in enumerate(self._residuals.values()):
-            vectors = measured.residuals_px(s)
+            vectors = measured.judged_px(s)
             if len(vectors):
                 rows.append(np.column_stack([np.full(len(vectors), float(number)), -vectors]))
             most = max(most, len(vectors))

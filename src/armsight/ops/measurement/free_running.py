@@ -196,8 +196,8 @@ def _smoothed(
 
 def _by_camera(names: Sequence[str], found: MotionResiduals) -> dict[str, Array]:
     return {
-        name: np.column_stack([found.view[found.side == side], found.residual_px[found.side == side]])
-        for side, name in enumerate(names)
+        name: np.column_stack([found.view[rows], found.residual_px[rows]])
+        for rows, name in ((found.judged & (found.side == side), name) for side, name in enumerate(names))
     }
 
 

@@ -78,6 +78,7 @@ class Outputs:
         self._kinds: Counter[Unseen] = Counter()
         self._squares_px2 = 0.0
         self._residuals = 0
+        self._aside = 0
         self._std = array("d")  # per full pose: six totals, six of what repeats
 
     def again(self) -> Self:
@@ -141,8 +142,12 @@ class Outputs:
             variances = np.concatenate([np.diag(pose.covariance), np.diag(repeats).clip(min=0.0)])
             self._std.extend(np.sqrt(variances).tolist())
         self._candidates.update(candidates_of(measured))
-        self._squares_px2 += float(pose.residual_px @ pose.residual_px)
-        self._residuals += len(pose.residual_px)
+        judged = [measured.judged_px(s) for s in range(len(measured.spots))]
+        count = sum(part.size for part in judged)
+        left_over = pose.residual_px if count == len(pose.residual_px) else np.concatenate(judged).ravel()
+        self._squares_px2 += float(left_over @ left_over)
+        self._residuals += count
+        self._aside += (len(pose.residual_px) - count) // 2
         return pose
 
     def row(self, pose: TargetPose, points: Points | None, cause: Unseen, velocity: Velocity = (None, None)) -> None:
@@ -220,6 +225,7 @@ class Outputs:
             made_with=made_with(setup.rig, setup.target),
             grounds=grounds,
             poses=PoseTrack(poses=tuple(poses)),
+            n_aside=self._aside or None,
             **more,
         )
 

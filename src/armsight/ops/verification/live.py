@@ -14,6 +14,7 @@ from armsight.drivers import CameraSettings, Robot, RobotTraits, Views, moments_
 from armsight.drivers.trackers.source import TrackedBody, open_tracker
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
+from armsight.measure.poses.moments import require_rotation, require_views
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.ops.measurement.run import target_of
@@ -192,10 +193,17 @@ def doubts(
     return notes
 
 
+NOT_SUPERVISED = "Nothing is supervised: no picture could be held against the joints"
+
+
 def setup_of(rig: Path, target: Path) -> Setup:
-    """Return cameras and lights of files, as a live run measures them. Raises BadFile."""
+    """Return cameras and lights of files, as a live run measures them. Raises BadFile, and UsageError where they give
+    no whole pose."""
     seen, lights = read_rig(rig, any_cameras=True), target_of(target)
-    return Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
+    require_rotation(lights, NOT_SUPERVISED)
+    setup = Setup(rig=seen, target=lights, settings=SpotSettings(colour=lights.colour), pace=live_pace())
+    require_views(setup, len(seen.cameras))
+    return setup
 
 
 SIM = "sim:"
