@@ -31,19 +31,21 @@ from armsight.verify import Align, Measured, Paired, Reported
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import pair, pair_at
 
-KINDS = ("points", "observed", "pairs")
+KINDS = ("points", "observed", "pairs", "visits")
 STILL_RAD_S = 2e-3
 """A joint that turns slower rests: at one metre it moves its tool by 2 mm a second."""
 STILL_M_S = 2e-3
 STILL_ROWS = 3
 """Rows of one rest that are worth a mean."""
+SAME_POSE = 5e-3
+"""Rests whose joints read no more apart (rad or m) are visits of one pose."""
 
 
 @output
 class JoinResult(TextOutput):
     """armsight join."""
 
-    kind: Annotated[str, Doc("The table written: points, observed or pairs.")]
+    kind: Annotated[str, Doc("The table written: points, observed, pairs or visits.")]
     by: Annotated[str, Doc("time, or order where one side has no times.")]
     offset_s: Annotated[float | None, Doc("Added to measured times it gives the robot's, s; null by order.")]
     offset_std_s: Annotated[float | None, Doc("Its standard deviation, s; null where it was stated, or by order.")]
@@ -113,7 +115,8 @@ def joint_log(path: Path, arm: Arm, table: TableFormat) -> Reported:
 class Join:
     """What is joined: measured rows, what the robot told over time, and its arm, where joints are told.
 
-    kind: of KINDS; inside: of pairs, the camera is on the hand; offset_s: stated; still: a row for each rest.
+    kind: of KINDS; inside: of pairs, the camera is on the hand; offset_s: stated; still: a row for each rest, as visits
+    are always.
     """
 
     kind: str
@@ -132,13 +135,14 @@ class Join:
         else:
             origin = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
             paired = pair(self.arm, self.reported, seen, origin, Align.BOTH)
-        rows = _rests(paired) if self.still else [np.array([i]) for i in range(len(paired.measured))]
+        resting = self.still or self.kind == "visits"
+        rows = _rests(paired) if resting else [np.array([i]) for i in range(len(paired.measured))]
         if not rows:
             raise NotEnoughData(
                 f"none of {len(self.file.measured)} measured rows has its place among the robot's",
                 consequence="Nothing is written",
                 cure="Leave --still away, or let the arm rest"
-                if self.still
+                if resting
                 else "Check that both files are of one run",
             )
         clock = paired.clock
@@ -176,21 +180,21 @@ class Join:
         at_s = None if paired.at_s is None else np.array([paired.at_s[group].mean() for group in rows])
         q = q if at_s is None else self.reported.in_their_turn(q, at_s)
         names, columns = [*(f"q{i + 1}" for i in range(q.shape[1])), *POSITION], [q, xyz]
-        if R is not None and self.kind == "points":
+        if R is not None and self.kind != "observed":
             names, columns = [*names, *QUATERNION], [*columns, R.as_quat(canonical=True)]
-        if at_s is not None and self.kind == "points":  # calibrate arm takes neighbours in time as what they are
+        if at_s is not None and self.kind != "observed":  # calibrate arm takes neighbours in time as what they are
             names, columns = [*names, "t_s"], [*columns, at_s[:, None]]
         if covariance is not None:
             C = covariance[:, :3, :3]
             names = [*names, *POSITION_COVARIANCE]
             columns = [*columns, np.sqrt(np.diagonal(C, axis1=1, axis2=2)), C[:, (0, 0, 1), (1, 2, 2)]]
+        words = _visits(q) if self.kind == "visits" else {}
         labels = [measured.point[group[0]] for group in rows]
-        named = any(labels)
-        lines = [",".join([*names, *(["point"] if named else [])])]
+        words |= {"point": labels} if any(labels) else {}
+        lines = [",".join([*names, *words])]
         values = np.concatenate(columns, axis=1)
-        lines += [
-            f"{cells(row)},{word(label)}" if named else cells(row) for row, label in zip(values, labels, strict=True)
-        ]
+        told = zip(*words.values(), strict=True) if words else [()] * len(rows)
+        lines += [",".join([cells(row), *map(word, more)]) for row, more in zip(values, told, strict=True)]
         return "\n".join(lines) + "\n"
 
 
@@ -209,6 +213,18 @@ def _rests(paired: Paired) -> list[NDArray[np.intp]]:
     ends = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
     spans = [np.arange(first, last) for first, last in zip(ends[::2], ends[1::2], strict=True)]
     return [span for span in spans if len(span) >= STILL_ROWS]
+
+
+def _visits(q: Array) -> dict[str, list[str]]:
+    """Return of which pose each rest (n, joints) is a visit, rest1 the first, and which visit of it."""
+    first: list[Array] = []
+    pose, visit = [], []
+    for row in q:
+        same = next((k for k, other in enumerate(first) if np.abs(row - other).max() < SAME_POSE), len(first))
+        first += [row] if same == len(first) else []
+        pose.append(f"rest{same + 1}")
+        visit.append(str(pose.count(pose[-1])))
+    return {"pose": pose, "visit": visit}
 
 
 def _covariances(file: MeasuredFile, paired: Paired, rows: list[NDArray[np.intp]]) -> Array | None:
