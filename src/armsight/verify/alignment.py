@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ENOUGH, is_tool_turn, mounts_by_turns, placed
-from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData
 from armsight.fitting.quantiles import MEDIAN_3
 from armsight.units import DEG, MM
 from armsight.verify.model import Model, ModelFit, Mounts, fit_model, mount_names, nothing_more
@@ -86,7 +86,12 @@ def align(F: Array, measured: Measured, nominal: Mounts, how: Align) -> Aligned:
     _check_count(measured, how)
     guess, kept = _start(F, measured, nominal, how)
     free = free_names(measured, how)
-    fitted = fit_model(Model(measured=measured.take(kept), expected=nothing_more(F[kept])), guess, free)
+    try:
+        fitted = fit_model(Model(measured=measured.take(kept), expected=nothing_more(F[kept])), guess, free)
+    except NotConverged:  # of what is not of this arm
+        start = Mounts.of(guess, len(measured.labels))
+        _check_misfit(_sizes(F, measured, start)[kept], measured.take(kept))
+        raise
     for _ in range(TRIM_ROUNDS):
         model = Model(measured=measured, expected=nothing_more(F))
         residual, _ = model.linearised(fitted.p)
@@ -253,10 +258,21 @@ def _check_sense(
     """Raise Inconsistent where the best fit misses by much of what the tool moved: mirrored, inverted, foreign."""
     part, G = measured.take(kept), F[kept]
     position = np.linalg.norm(fitted.residual[:, :3], axis=1)
-    spread = float(np.median(np.linalg.norm(part.xyz_m - np.median(part.xyz_m, axis=0), axis=1)))
     error = float(np.quantile(position, 0.5))
-    if error > 0.01 * spread:
+    if error > 0.01 * _spread_m(part):
         _check_mirrored(G, part, nominal, error, how)
+    _check_misfit(position, part)
+    if part.rotation is not None:
+        _check_turns(G, part, fitted)
+
+
+def _spread_m(measured: Measured) -> float:
+    return float(np.median(np.linalg.norm(measured.xyz_m - np.median(measured.xyz_m, axis=0), axis=1)))
+
+
+def _check_misfit(position: Array, measured: Measured) -> None:
+    """Raise Inconsistent where half of the errors (m,) are a large share of how far the tool moved."""
+    error, spread = float(np.quantile(position, 0.5)), _spread_m(measured)
     if error > SENSELESS * spread:
         raise Inconsistent(
             f"the best fit misses half of the positions by {error / MM:.3g} mm or more, and the tool moved by "
@@ -265,8 +281,6 @@ def _check_sense(
             cure="Give the file of this arm, and `--align both` where base or tool are not known; look for readings "
             "and positions out of step, another unit of the joints, another arm's rows",
         )
-    if part.rotation is not None:
-        _check_turns(G, part, fitted)
 
 
 def _check_mirrored(F: Array, measured: Measured, nominal: Mounts, error: float, how: Align) -> None:
