@@ -147,3 +147,12 @@ def visited():
     at = LEAD_S + STEP_S * np.arange(CYCLES * 3) + 0.5
     there = TRACKER_BASE @ flange(visiting(at) + off) @ FLANGE_BODY
     return take_of(T, seed=3), there
+
+
+def rested(q, rest_s=1.2, move_s=0.6):
+    """A take of an arm that goes from each of these readings (n, 6) to the next and rests there."""
+    t = np.arange(int((len(q) * (rest_s + move_s) - move_s) * RATE)) / RATE
+    k = np.minimum((t / (rest_s + move_s)).astype(int), len(q) - 1)
+    share = np.clip((t - k * (rest_s + move_s) - rest_s) / move_s, 0.0, 1.0)
+    s = 0.5 - 0.5 * np.cos(np.pi * share)[:, None]
+    return take_of(TRACKER_BASE @ flange(q[k] * (1.0 - s) + q[np.minimum(k + 1, len(q) - 1)] * s) @ FLANGE_BODY, seed=5)

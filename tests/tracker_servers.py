@@ -72,6 +72,7 @@ class Motive(threading.Thread):
         self.socket.settimeout(0.05)
         self.socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
         self.port = self.socket.getsockname()[1]
+        self.group = GROUP, self.port + 1
         self.ending = threading.Event()
         self.k = 0
 
@@ -90,7 +91,7 @@ class Motive(threading.Thread):
                 self.send(asker, 5, self.definitions())
                 streaming = asker
             if streaming and self.k < N:
-                self.send((GROUP, self.port + 1) if self.multicast else streaming, 7, self.frame(self.k))
+                self.send(self.group if self.multicast else streaming, 7, self.frame(self.k))
                 self.k += 1
 
     def send(self, to, kind, content):

@@ -132,5 +132,6 @@ def join(
         raise UsageError(f"{measured} has no rotations, and pairs need them", cure="Give poses, not points")
     told = flange_poses(robot_stream, tables) if joints is None else joint_log(joints, arm, tables)
     inside = kind == "pairs" and in_hand
-    work = Join(kind=kind, file=file, reported=told, arm=arm, inside=inside, offset_s=offset_s, still=still)
+    resting = still or kind == "visits"
+    work = Join(kind=kind, file=file, reported=told, arm=arm, inside=inside, offset_s=offset_s, still=resting)
     return work.result(None if out is None else Path(out))

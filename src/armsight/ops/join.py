@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.arrays import Array
 from armsight.calibrate.handeye import PosePairs
 from armsight.columns import POSITION, QUATERNION
-from armsight.errors import NotEnoughData, UsageError
+from armsight.errors import Ambiguous, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
 from armsight.records.output import output
@@ -27,16 +27,12 @@ from armsight.store.interpret import TableFormat
 from armsight.store.tables import Columns, cells, read_columns, word
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_reported_joints
 from armsight.units import MS
+from armsight.ops.rests import rests_of_measured, rests_of_robot, spans
 from armsight.verify import Align, Measured, Paired, Reported
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import pair, pair_at
 
 KINDS = ("points", "observed", "pairs", "visits")
-STILL_RAD_S = 2e-3
-"""A joint that turns slower rests: at one metre it moves its tool by 2 mm a second."""
-STILL_M_S = 2e-3
-STILL_ROWS = 3
-"""Rows of one rest that are worth a mean."""
 SAME_POSE = 5e-3
 """Rests whose joints read no more apart (rad or m) are visits of one pose."""
 
@@ -115,8 +111,7 @@ def joint_log(path: Path, arm: Arm, table: TableFormat) -> Reported:
 class Join:
     """What is joined: measured rows, what the robot told over time, and its arm, where joints are told.
 
-    kind: of KINDS; inside: of pairs, the camera is on the hand; offset_s: stated; still: a row for each rest, as visits
-    are always.
+    kind: of KINDS; inside: of pairs, the camera is on the hand; offset_s: stated; still: a row for each rest.
     """
 
     kind: str
@@ -129,20 +124,21 @@ class Join:
 
     def result(self, out: Path | None) -> JoinResult:
         """Find the time offset and the rows that belong together, by order where one side has no times."""
-        seen = _inverse(self.file.measured) if self.inside else self.file.measured  # the camera seen by the target
-        if self.offset_s is not None:
-            paired = pair_at(self.arm, self.reported, seen, self.offset_s)
-        else:
-            origin = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
-            paired = pair(self.arm, self.reported, seen, origin, Align.BOTH)
-        resting = self.still or self.kind == "visits"
-        rows = _rests(paired) if resting else [np.array([i]) for i in range(len(paired.measured))]
+        if self.still and self.reported.t_s is None and self.file.measured.t_s is not None:
+            return self._by_rests(out)
+        try:
+            paired = self._paired()
+        except Ambiguous:  # poses visited in turn: any of their visits may be the first
+            if self.still and self.reported.q is not None:
+                return self._by_rests(out)
+            raise
+        rows = _rests(paired) if self.still else [np.array([i]) for i in range(len(paired.measured))]
         if not rows:
             raise NotEnoughData(
                 f"none of {len(self.file.measured)} measured rows has its place among the robot's",
                 consequence="Nothing is written",
                 cure="Leave --still away, or let the arm rest"
-                if resting
+                if self.still
                 else "Check that both files are of one run",
             )
         clock = paired.clock
@@ -161,6 +157,26 @@ class Join:
             file=None if out is None else str(out),
             content=self._table(paired, rows),
         )
+
+    def _paired(self) -> Paired:
+        seen = _inverse(self.file.measured) if self.inside else self.file.measured  # the camera seen by the target
+        if self.offset_s is not None:
+            return pair_at(self.arm, self.reported, seen, self.offset_s)
+        origin = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
+        return pair(self.arm, self.reported, seen, origin, Align.BOTH)
+
+    def _by_rests(self, out: Path | None) -> JoinResult:
+        """Join the rests of what was measured, in their order, with those of the robot or a program's points."""
+        reported, file = rests_of_robot(self.reported), rests_of_measured(self.file)
+        n, wanted = len(file.measured), len(reported)
+        if n != wanted or not n:
+            raise Inconsistent(
+                f"what was measured rests {n} times, and the robot's file has {wanted} "
+                + ("points" if self.reported.t_s is None else "rests"),
+                consequence="Which of them belong together is not known; nothing is written",
+                cure="Leave the same out of both, such as a rest at home before and after; rest for a second at each",
+            )
+        return replace(self, file=file, reported=reported, still=False).result(out)
 
     def _table(self, paired: Paired, rows: list[NDArray[np.intp]]) -> str:
         """Return the table asked for: one row for each group of rows, their mean."""
@@ -209,10 +225,7 @@ def _rests(paired: Paired) -> list[NDArray[np.intp]]:
     """Return the rows of each rest of the arm, in which no joint moves."""
     if paired.speed is None:
         raise UsageError("--still needs joint readings with times", cure="Give --joints, both files with t_s")
-    still = np.abs(paired.speed).max(axis=1) < min(STILL_RAD_S, STILL_M_S)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    spans = [np.arange(first, last) for first, last in zip(ends[::2], ends[1::2], strict=True)]
-    return [span for span in spans if len(span) >= STILL_ROWS]
+    return spans(np.abs(paired.speed).max(axis=1) < STILL_RAD_S, STILL_ROWS)
 
 
 def _visits(q: Array) -> dict[str, list[str]]:

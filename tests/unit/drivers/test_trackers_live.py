@@ -77,10 +77,12 @@ def test_what_names_no_tracker_is_refused(text, kind, words):
         pass
 
 
-@pytest.mark.parametrize(("multicast", "end", "to"), [(True, ":unicast", "this computer"), (False, "", "the group 239")])
-def test_motive_that_sends_elsewhere_is_refused_with_where_frames_were_awaited(multicast, end, to):
+@pytest.mark.parametrize(("further", "end", "to"), [(1, ":unicast", "this computer"), (2, "", "the group 239.255.42.99")])
+def test_motive_that_sends_elsewhere_is_refused_with_where_frames_were_awaited(further, end, to, monkeypatch):
     pytest.importorskip("natnet")
-    server = Motive(multicast=multicast)
+    monkeypatch.setattr("armsight.drivers.trackers.natnet.ANSWER_S", 2.0)
+    server = Motive(multicast=True)
+    server.group = server.group[0], server.port + further
     server.start()
     try:
         text = f"natnet:127.0.0.1:{server.port}{end}"

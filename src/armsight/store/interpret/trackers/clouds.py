@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from armsight.arrays import Array, Index, Mask
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 
-RIGID_M, LEAST_ODD_M, ODD = 3e-3, 1e-4, 4.0
+RIGID_M, LEAST_ODD_M, ODD = 3e-3, 1e-4, 8.0
 """A marker farther off its shape's point is not that marker, and its frame is lost. Eight markers on a box, filmed by a
 motion capture laboratory, are 0.26 mm (RMS) off; those on a person, taken as one body, 170 mm. Within that, so many
 times what the worst marker of the better frames is off, which an exchange of neighbours exceeds sooner."""
