@@ -67,7 +67,10 @@ def take_of(T, rate=RATE, lost=(), seed=1):
     for xyz in markers.values():
         xyz[list(lost)] = np.nan
     R = Rotation.from_rotvec(rng.normal(0.0, NOISE_RAD, t.shape)) * R
-    still = (Rotation.concatenate([Rotation.from_rotvec([0.1, 0.2, 0.3])] * len(t)), np.tile([0.3, 0.2, 0.9], (len(t), 1)))
+    still = (
+        Rotation.concatenate([Rotation.from_rotvec([0.1, 0.2, 0.3])] * len(t)),
+        np.tile([0.3, 0.2, 0.9], (len(t), 1)),
+    )
     return Take(rate=rate, bodies={"Flange": (R, t), "Wand": still}, markers=markers)
 
 

@@ -38,7 +38,7 @@ def motive(take):
         what += ["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"]
         axes += [*"XYZWXYZ", ""]
     for k, name in enumerate(take.markers):
-        kinds, what, axes = kinds + ["Marker"] * 3, what + ["Position"] * 3, axes + [*"XYZ"]
+        kinds, what, axes = kinds + ["Marker"] * 3, what + ["Position"] * 3, [*axes, *"XYZ"]
         names, ids, parents = names + [name] * 3, ids + [f"B{k:X}02"] * 3, parents + [name.partition(":")[0]] * 3
     said = {"Format Version": "1.25", "Take Name": "Take 2026-01-05", "Capture Frame Rate": f"{take.rate:.6f}"}
     said |= {"Export Frame Rate": f"{take.rate:.6f}", "Capture Start Time": "2026-01-05 10.00.00.000 AM"}
@@ -119,8 +119,8 @@ def trc(take):
     lines.append(["Frame#", "Time", *(cell for name in take.markers for cell in (name, "", ""))])
     lines.append(["", "", *(f"{axis}{k + 1}" for k in range(len(take.markers)) for axis in "XYZ")])
     lines.append([])
-    for k in range(take.n):
-        lines.append([str(k + 1), *cells(k / take.rate), *cells([1e3 * xyz[k] for xyz in take.markers.values()])])
+    rows = 1e3 * np.stack(list(take.markers.values()), axis=1)
+    lines += [[str(k + 1), *cells(k / take.rate), *cells(row)] for k, row in enumerate(rows)]
     return text(lines, "\t", "\r\n")
 
 

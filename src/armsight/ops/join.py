@@ -17,6 +17,7 @@ from armsight.columns import POSITION, QUATERNION
 from armsight.errors import Ambiguous, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
+from armsight.ops.rests import STILL_RAD_S, STILL_ROWS, rests_of_measured, rests_of_robot, spans
 from armsight.records.output import output
 from armsight.records.result_parts import RejectedRow
 from armsight.shown import REJECTED_SHOWN, Shown, digits
@@ -27,7 +28,6 @@ from armsight.store.interpret import TableFormat
 from armsight.store.tables import Columns, cells, read_columns, word
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_reported_joints
 from armsight.units import MS
-from armsight.ops.rests import rests_of_measured, rests_of_robot, spans
 from armsight.verify import Align, Measured, Paired, Reported
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import pair, pair_at

@@ -99,9 +99,7 @@ def _joined(seen: Measured, groups: list[NDArray[np.intp]]) -> list[NDArray[np.i
             turned = (
                 0.0
                 if seen.rotation is None
-                else float(
-                    np.linalg.norm(_mean(seen.rotation[group]) - _mean(seen.rotation[out[-1]])) / np.sqrt(2.0)
-                )
+                else float(np.linalg.norm(_mean(seen.rotation[group]) - _mean(seen.rotation[out[-1]])) / np.sqrt(2.0))
             )
             if turned < SAME_RAD:
                 out[-1] = np.concatenate([out[-1], group])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ENOUGH, is_tool_turn, mounts_by_turns, placed
-from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData
+from armsight.errors import DataRefused, Degenerate, Inconsistent, NotConverged, NotEnoughData
 from armsight.fitting.quantiles import MEDIAN_3
 from armsight.units import DEG, MM
 from armsight.verify.model import Model, ModelFit, Mounts, fit_model, mount_names, nothing_more
@@ -38,6 +38,8 @@ SENSELESS = 0.1
 """Errors of a larger share of how far the tool moved are not of this arm: 2 degrees of all zeros give 0.02 to 0.04."""
 MIRRORED = 0.3
 """A reflection that leaves less than this share of the error is what happened."""
+TOOL_M, TOOL_SHARE = 1e-3, 0.3
+"""Errors (RMS) from which on a tool that was not laid is asked for, and the share that it leaves where it is off."""
 STARTS_M = 0.25
 """Positions of an unknown tool that are tried, to either side of the flange."""
 
@@ -326,6 +328,30 @@ def _check_turns(F: Array, measured: Measured, fitted: ModelFit) -> None:
         consequence="Nothing is verified",
         cure="Check the order of the quaternion's columns and which frame they turn; leave them out to compare places",
     )
+
+
+def check_tool(F: Array, measured: Measured, nominal: Mounts, how: Align, left: ModelFit) -> None:
+    """Raise Inconsistent where the tool was not laid and explains the errors that are left of rows."""
+    left_m = _rms_m(left)
+    if "tool" in how.parts or left_m < TOOL_M:
+        return
+    try:
+        free = align(F, measured, nominal, Align.TOOL if how is Align.NONE else Align.BOTH).fitted
+    except DataRefused:
+        return
+    if _rms_m(free) < TOOL_SHARE * left_m:
+        tools = zip(nominal.tools, free.mounts(measured.labels).tools, strict=True)
+        off_m = max(float(np.linalg.norm((was.inv() * found).translation)) for was, found in tools)
+        raise Inconsistent(
+            f"the tool is {off_m / MM:.3g} mm from where the arm's file has it: the errors are {left_m / MM:.3g} mm "
+            f"(RMS), and {_rms_m(free) / MM:.3g} mm with the tool laid where it fits best",
+            consequence="They would be laid to the arm; nothing is verified",
+            cure="Give --align both, or the arm with its tool in its file",
+        )
+
+
+def _rms_m(fitted: ModelFit) -> float:
+    return float(np.sqrt((fitted.residual[:, :3] ** 2).sum(axis=1).mean()))
 
 
 def undetermined(aligned: Aligned, measured: Measured, how: Align) -> tuple[str, ...]:

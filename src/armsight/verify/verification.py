@@ -18,12 +18,12 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm, fk, fk_jacobian, solve_numeric_many
 from armsight.records.output import Output, output
 from armsight.units import MM
-from armsight.verify.alignment import Align, Aligned, align, gross, realign, undetermined
+from armsight.verify.alignment import Align, Aligned, align, check_tool, gross, realign, undetermined
 from armsight.verify.cause import Cause, find_cause
 from armsight.verify.effects import Kind
 from armsight.verify.evidence import Case, blocks, poses_of
 from armsight.verify.explanations import deciding_poses
-from armsight.verify.model import Model, ModelFit, Mounts, nothing_more
+from armsight.verify.model import Model, Mounts, nothing_more
 from armsight.verify.pairing import (
     CLOCK_ROUNDS,
     CLOCK_SETTLED,
@@ -45,8 +45,6 @@ CONFIGURATION_RAD = 0.1
 
 FLAT = 0.01
 """Positions that spread less square to a plane than this share of their spread in it do not tell left from right."""
-TOOL_M, TOOL_SHARE = 1e-3, 0.3
-"""Errors (RMS) from which on the tool is asked for, and the share of them that it leaves where it is the cause."""
 SAME_RAD = 1e-3
 """Joint values (rad or m) rounded to this are the same command."""
 
@@ -157,7 +155,9 @@ def _explained(
     """Return the alignment of known rows, what their errors come from, and the joint positions that would decide."""
     aligned = _aligned(arm, paired, known, nominal, how)
     cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
-    _check_tool(paired, known, nominal, how, aligned, cause)
+    if cause is not None and cause.cause not in ("none", "measurement", "several joints"):
+        left = aligned.fitted if cause.fitted is None else cause.fitted
+        check_tool(paired.F[known], paired.measured.take(known), nominal, how, left)
     restored = _restored(arm, paired, known, aligned, cause)
     if restored is None:
         return aligned, cause, deciding
@@ -175,38 +175,6 @@ def _aligned(arm: Arm | None, paired: Paired, known: NDArray[np.intp], nominal: 
     if exceeded(np.linalg.norm(aligned.fitted.residual[:, :3], axis=1)) > MOST_SHARE * spread_m(measured.xyz_m):
         _check_senses(arm, paired, known)
     return aligned
-
-
-def _check_tool(
-    paired: Paired, known: NDArray[np.intp], nominal: Mounts, how: Align, aligned: Aligned, cause: Cause | None
-) -> None:
-    """Raise Inconsistent where the tool was not laid, and it explains what neither a joint nor the measurement does."""
-    if cause is None or "tool" in how.parts or cause.cause in ("none", "measurement", "several joints"):
-        return
-    left_m = _rms_m(aligned.fitted if cause.fitted is None else cause.fitted)
-    if left_m < TOOL_M:
-        return
-    try:
-        free = align(
-            paired.F[known], paired.measured.take(known), nominal, Align.TOOL if how is Align.NONE else Align.BOTH
-        )
-    except DataRefused:
-        return
-    off_m = max(
-        float(np.linalg.norm((was.inv() * found).translation))
-        for was, found in zip(nominal.tools, free.fitted.mounts(paired.measured.labels).tools, strict=True)
-    )
-    if _rms_m(free.fitted) < TOOL_SHARE * left_m:
-        raise Inconsistent(
-            f"the tool is {off_m / MM:.3g} mm from where the arm's file has it: the errors are {left_m / MM:.3g} mm "
-            f"(RMS), and {_rms_m(free.fitted) / MM:.3g} mm with the tool laid where it fits best",
-            consequence="They would be laid to the arm; nothing is verified",
-            cure="Leave --align away or give --align both, or give the arm with its tool in its file",
-        )
-
-
-def _rms_m(fitted: ModelFit) -> float:
-    return float(np.sqrt((fitted.residual[:, :3] ** 2).sum(axis=1).mean()))
 
 
 def _check_senses(arm: Arm | None, paired: Paired, known: NDArray[np.intp]) -> None:

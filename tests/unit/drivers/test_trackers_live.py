@@ -77,7 +77,9 @@ def test_what_names_no_tracker_is_refused(text, kind, words):
         pass
 
 
-@pytest.mark.parametrize(("further", "end", "to"), [(1, ":unicast", "this computer"), (2, "", "the group 239.255.42.99")])
+@pytest.mark.parametrize(
+    ("further", "end", "to"), [(1, ":unicast", "this computer"), (2, "", "the group 239.255.42.99")]
+)
 def test_motive_that_sends_elsewhere_is_refused_with_where_frames_were_awaited(further, end, to, monkeypatch):
     pytest.importorskip("natnet")
     monkeypatch.setattr("armsight.drivers.trackers.natnet.ANSWER_S", 2.0)

@@ -87,9 +87,7 @@ def body_of_cloud(cloud: Cloud, where: str) -> CloudBody:
             f"taken as lost; mostly it is {mostly}"
         )
     if few.any():
-        notes.append(
-            f"{few.sum()} frames whose markers would look the same if they were exchanged: taken as lost"
-        )
+        notes.append(f"{few.sum()} frames whose markers would look the same if they were exchanged: taken as lost")
     return CloudBody(xyz_m=xyz, quat_xyzw=quat, notes=tuple(notes))
 
 
@@ -150,6 +148,8 @@ def _alike(shape: Array, limit: float) -> tuple[int, ...] | None:
         if np.linalg.norm(shape[apart] - place, axis=1).min(initial=np.inf) > 2.0 * limit:
             apart.append(k)
     places, n = shape[apart], len(apart)
+    if n < 3:
+        return tuple(range(len(shape)))[::-1]
     d = np.linalg.norm(places[:, None] - places, axis=2)
     own = np.sort(d, axis=1)
     may = np.abs(own[:, None] - own).max(axis=2, initial=0.0) <= 2.0 * limit  # (n, n): who can stand for whom
