@@ -38,8 +38,9 @@ SENSELESS = 0.1
 """Errors of a larger share of how far the tool moved are not of this arm: 2 degrees of all zeros give 0.02 to 0.04."""
 MIRRORED = 0.3
 """A reflection that leaves less than this share of the error is what happened."""
-TOOL_M, TOOL_SHARE = 1e-3, 0.3
-"""Errors (RMS) from which on a tool that was not laid is asked for, and the share that it leaves where it is off."""
+TOOL_M, TOOL_SHARE = 5e-3, 0.3
+"""How far a tool that was not laid is off at least where it is named, since lengths within what arms are made to may be
+taken up by a tool a millimetre or two off; and the share of the errors that it leaves then."""
 STARTS_M = 0.25
 """Positions of an unknown tool that are tried, to either side of the flange."""
 
@@ -333,15 +334,15 @@ def _check_turns(F: Array, measured: Measured, fitted: ModelFit) -> None:
 def check_tool(F: Array, measured: Measured, nominal: Mounts, how: Align, left: ModelFit) -> None:
     """Raise Inconsistent where the tool was not laid and explains the errors that are left of rows."""
     left_m = _rms_m(left)
-    if "tool" in how.parts or left_m < TOOL_M:
+    if "tool" in how.parts or left_m < TOOL_SHARE * TOOL_M:
         return
     try:
         free = align(F, measured, nominal, Align.TOOL if how is Align.NONE else Align.BOTH).fitted
     except DataRefused:
         return
-    if _rms_m(free) < TOOL_SHARE * left_m:
-        tools = zip(nominal.tools, free.mounts(measured.labels).tools, strict=True)
-        off_m = max(float(np.linalg.norm((was.inv() * found).translation)) for was, found in tools)
+    tools = zip(nominal.tools, free.mounts(measured.labels).tools, strict=True)
+    off_m = max(float(np.linalg.norm((was.inv() * found).translation)) for was, found in tools)
+    if off_m > TOOL_M and _rms_m(free) < TOOL_SHARE * left_m:
         raise Inconsistent(
             f"the tool is {off_m / MM:.3g} mm from where the arm's file has it: the errors are {left_m / MM:.3g} mm "
             f"(RMS), and {_rms_m(free) / MM:.3g} mm with the tool laid where it fits best",
