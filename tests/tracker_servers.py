@@ -57,16 +57,22 @@ class Qtm(threading.Thread):
         return struct.pack("<qII", 1_000_000 + 10_000 * k, k, 1) + component
 
 
-class Motive(threading.Thread):
-    """NatNet 3.1 to each that asks: number, size, content; frames follow the definitions."""
+GROUP = "239.255.42.99"
 
-    def __init__(self, rotations=R, places_m=T_M):
+
+class Motive(threading.Thread):
+    """NatNet 3.1: number, size, content; frames follow the definitions, to each that asks or to a group."""
+
+    def __init__(self, rotations=R, places_m=T_M, *, multicast=False):
         super().__init__(daemon=True)
+        self.multicast = multicast
         self.R, self.t = rotations, places_m
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.settimeout(0.05)
+        self.socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
         self.port = self.socket.getsockname()[1]
+        self.group = GROUP, self.port + 1
         self.ending = threading.Event()
         self.k = 0
 
@@ -85,7 +91,7 @@ class Motive(threading.Thread):
                 self.send(asker, 5, self.definitions())
                 streaming = asker
             if streaming and self.k < N:
-                self.send(streaming, 7, self.frame(self.k))
+                self.send(self.group if self.multicast else streaming, 7, self.frame(self.k))
                 self.k += 1
 
     def send(self, to, kind, content):

@@ -123,8 +123,6 @@ WHY_NOT: Mapping[str | tuple[str, str], str] = {
     "demo": "`simulate` and `measure` do it; the command is for a first look",
     "calibrate cell-plan": "a plan for one recording, which is a file: run the command",
     "robot run": "a motion from a file, once: run the command",
-    ("convert arm", "--nominal"): "a sheet for whoever types it into a controller: run the command",
-    ("convert arm", "--to"): "a sheet for whoever types it into a controller: run the command",
     **{
         ("verify", flag): "for the plant's systems, which want a process that stays: run the command"
         for flag in (

@@ -21,6 +21,15 @@ UNTRIED = 0
 """Cures that name a flag, a command or a unit and are followed nowhere yet. Lower it when entries are added."""
 
 FOLLOWED_IN = {
+    "test_an_arm_is_calibrated_by_a_program_and_a_take_of_its_rests": [
+        "ops/join.py: Leave the same out of both",
+        "verify/pairing.py: `armsight join --still` makes one row of each rest",
+    ],
+    "test_a_robots_program_is_the_commanded_side": ["store/interpret/read.py: A program's points have no times"],
+    "test_a_shape_that_looks_like_itself_from_another_side_is_refused": [
+        "store/interpret/trackers/clouds.py: Name with --body those of its markers"
+    ],
+    "test_its_cures_verify": ["verify/alignment.py: Give --align both, or the arm with its tool in its file"],
     "test_the_old_layout_is_read": ["ops/calibration/board_images.py: perhaps --board"],
     "test_touched_points_are_named_and_touching_is_the_cure": [
         "calibrate/arm/points.py: armsight measure",

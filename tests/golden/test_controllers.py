@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+import armsight
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Coupling, fk, preset
-from armsight.ops.arm_files import convert_arm
 from armsight.ops.controllers import CONTROLLERS, controller_sheet
 from armsight.store.arm_file import write_arm
 
@@ -190,7 +190,7 @@ def test_another_arm_is_refused(to, model, nominal, error, match, tmp_path):
     path = tmp_path / "arm.yaml"
     write_arm(path, placed(preset(model)))
     with pytest.raises(error, match=match) as found:
-        convert_arm(str(path), tmp_path / "out.txt", to=to, nominal=nominal)
+        armsight.convert(path, tmp_path / "out.txt", to=to, nominal=nominal)
     assert found.value.cure
     assert not (tmp_path / "out.txt").exists()
 
@@ -199,7 +199,7 @@ def test_a_sheet_is_not_written_over_a_model(tmp_path):
     path = tmp_path / "arm.yaml"
     write_arm(path, placed(preset("kr6")))
     with pytest.raises(UsageError, match="model"):
-        convert_arm(str(path), tmp_path / "new.yaml", to="kuka", nominal="kr6")
-    done = convert_arm(str(path), tmp_path / "krc.txt", to="kuka", nominal="kr6")
+        armsight.convert(path, tmp_path / "new.yaml", to="kuka", nominal="kr6")
+    done = armsight.convert(path, tmp_path / "krc.txt", to="kuka", nominal="kr6")
     assert (tmp_path / "krc.txt").read_text().startswith("# KUKA")
     assert done.lost_most_m < 1e-6

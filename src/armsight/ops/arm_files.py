@@ -67,11 +67,6 @@ def arm_notes(arm: Arm) -> tuple[str, ...]:
     return (*told, arm.source) if told and arm.source.startswith("URDF") else told
 
 
-def given_arm(arm: Path | str | None) -> Arm | None:
-    """Return the arm of load_arm, None where none is given."""
-    return None if arm is None else load_arm(str(arm))
-
-
 def load_arm(text: str, nominal: Arm | None = None) -> Arm:
     """Return the arm of an arm.yaml, a .urdf, a factory calibration or a preset's name.
 
@@ -167,7 +162,7 @@ def convert_arm(
     *,
     convention: str | None = None,
     only_rigid: bool = False,
-    nominal: str | None = None,
+    nominal: Arm | None = None,
     to: str | None = None,
 ) -> ConvertArmOutput:
     """Write the arm as arm.yaml, URDF or MJCF, by the name's ending, or as its controller takes it.
@@ -175,10 +170,9 @@ def convert_arm(
     convention: standard or craig (arm.yaml only). only_rigid: the nearest rigid arm in an arm.yaml too; the others hold
     no other. nominal: the arm as its maker draws it. to: a name of CONTROLLERS.
     """
-    drawn = given_arm(nominal)
-    model = load_arm(source, drawn)
+    model = load_arm(source, nominal)
     if to is not None:
-        return for_controller(model, drawn, to, out)
+        return for_controller(model, nominal, to, out)
     suffix = out.suffix.lower()
     if convention is not None:
         if convention not in ("standard", "craig"):

@@ -35,6 +35,7 @@ Size: TypeAlias = Annotated[
 ]
 Approximate: TypeAlias = Annotated[bool, Doc("Take the nearest lens, however far another model is from it.")]
 Out: TypeAlias = Annotated[Path, Doc("File to write."), OUT]
+Nominal: TypeAlias = Annotated[ArmLike, Doc("The arm as its maker draws it and its controller has it.")]
 
 RIG_KEYS = {"cam1", "cameraMatrix2", "M2", "K2", "R", "T"}
 """Of these each says that a file of another program is of two cameras."""
@@ -210,9 +211,7 @@ def arm(
     ] = False,
     tip: Tip = None,
     base: Base = None,
-    nominal: Annotated[
-        str | None, Doc("The arm as its maker draws it and its controller has it."), Flag(metavar="ARM")
-    ] = None,
+    nominal: Nominal = None,
     to: Annotated[str | None, Doc("What is typed into its controller: kuka, ur, fanuc, abb, staubli.")] = None,
 ) -> ConvertArmOutput:
     """Convert an arm: arm.yaml and URDF, to MJCF, conventions of Denavit and Hartenberg, for a controller.
@@ -237,6 +236,7 @@ def convert(
     size: tuple[int, int] | None = None,
     unit_m: UnitLength = None,
     convention: Literal["standard", "craig"] | None = None,
+    nominal: Nominal = None,
     names: FrameNames | None = None,
     table: TableFormat | None = None,
 ) -> Output:
@@ -250,13 +250,16 @@ def convert(
         The file; for a rig of ROS left, right, and maybe a launch file of TF.
     to
         Cameras and rigs: a kind of `armsight convert --list`; hand-eye: easy_handeye, easy_handeye2, tf; recordings:
-        files, rosbag2. Arms, poses and tables by the name's ending.
+        files, rosbag2; arms: kuka, ur, fanuc, abb, staubli, what is typed into such a controller. Arms, poses and
+        tables by the name's ending.
     kind
         What it is, where the file does not tell.
     size, unit_m
         Of an OpenCV file that leaves them open.
     convention
         Of an arm.yaml.
+    nominal
+        Of an arm: as its maker draws it and its controller has it. A Universal Robot's calibration.conf needs it too.
     names
         Of frames in TF.
     table
@@ -284,13 +287,13 @@ def convert(
     outs = [as_path(one, "out") for one in (out if isinstance(out, list | tuple) else [out])]
     with ExitStack() as undo:
         files = each_file("source", source, {}, undo)
-        chosen = kind or _kind(source, files)
+        chosen = kind or ("arm" if nominal is not None else _kind(source, files))
         if chosen == "rig":
             return rig(files, outs, to=to, size=as_size(size), unit_m=unit_m)
         if chosen == "camera":
             return camera(files[0], outs[0], to=to, size=as_size(size))
         if chosen == "arm":
-            return arm(fspath(files[0]), outs[0], convention=convention, to=to)
+            return arm(fspath(files[0]), outs[0], convention=convention, nominal=nominal, to=to)
         if chosen == "handeye":
             names = names or FrameNames()
             frames = {"base": names.base, "flange": names.flange, "target": names.target}
@@ -306,6 +309,7 @@ def _kind(source: object, files: Sequence[Path]) -> str:
     """Return which kind of thing is converted, by its content."""
     from armsight.measure.track import PoseTrack
     from armsight.optics import Rig
+    from armsight.store.factory_arms import is_factory_file
     from armsight.store.yamls import read_yaml
 
     if isinstance(source, Rig) or len(files) > 1:
@@ -313,6 +317,8 @@ def _kind(source: object, files: Sequence[Path]) -> str:
     suffix = files[0].suffix.lower()
     if suffix in OF_ENDING:
         return OF_ENDING[suffix]
+    if is_factory_file(files[0]):
+        return "arm"
     if suffix not in (".yaml", ".yml"):
         return "poses" if isinstance(source, PoseTrack) else "table"
     content = read_yaml(files[0])

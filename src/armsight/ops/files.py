@@ -76,8 +76,8 @@ def join(
     *,
     out: Annotated[Path | None, Doc("The table to write."), Flag("-o --out", needed=True)] = None,
     kind: Annotated[
-        Literal["points", "observed", "pairs"],
-        Doc("points (for calibrate arm), observed (robot-world) or pairs (hand-eye)."),
+        Literal["points", "observed", "pairs", "visits"],
+        Doc("points (for calibrate arm), observed (robot-world), pairs (hand-eye) or visits (verify: ISO 9283)."),
         Flag("--as", read=str),
     ] = "points",
     joints: Annotated[AsFile, Doc("The controller's joint log, with t_s on its own clock.")] = None,
@@ -101,7 +101,8 @@ def join(
     measured
         Poses or points with times: a PoseTrack, (t_s, T), columns, or a file.
     kind
-        Which table: points (for calibrate_arm), observed (calibrate_robot_world) or pairs (calibrate_hand_eye).
+        Which table: points (for calibrate_arm), observed (calibrate_robot_world), pairs (calibrate_hand_eye) or visits
+        (verify): a row for each rest with pose and visit, rests with the same joints being of one pose.
     joints, arm
         The controller's readings (t_s, q) on its own clock, and the arm; nominal is enough.
 
@@ -131,5 +132,6 @@ def join(
         raise UsageError(f"{measured} has no rotations, and pairs need them", cure="Give poses, not points")
     told = flange_poses(robot_stream, tables) if joints is None else joint_log(joints, arm, tables)
     inside = kind == "pairs" and in_hand
-    work = Join(kind=kind, file=file, reported=told, arm=arm, inside=inside, offset_s=offset_s, still=still)
+    resting = still or kind == "visits"
+    work = Join(kind=kind, file=file, reported=told, arm=arm, inside=inside, offset_s=offset_s, still=resting)
     return work.result(None if out is None else Path(out))

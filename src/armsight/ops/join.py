@@ -14,9 +14,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.arrays import Array
 from armsight.calibrate.handeye import PosePairs
 from armsight.columns import POSITION, QUATERNION
-from armsight.errors import NotEnoughData, UsageError
+from armsight.errors import Ambiguous, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.kinematics import Arm
+from armsight.ops.rests import STILL_RAD_S, STILL_ROWS, rests_of_measured, rests_of_robot, spans
 from armsight.records.output import output
 from armsight.records.result_parts import RejectedRow
 from armsight.shown import REJECTED_SHOWN, Shown, digits
@@ -31,19 +32,16 @@ from armsight.verify import Align, Measured, Paired, Reported
 from armsight.verify.model import Mounts
 from armsight.verify.pairing import pair, pair_at
 
-KINDS = ("points", "observed", "pairs")
-STILL_RAD_S = 2e-3
-"""A joint that turns slower rests: at one metre it moves its tool by 2 mm a second."""
-STILL_M_S = 2e-3
-STILL_ROWS = 3
-"""Rows of one rest that are worth a mean."""
+KINDS = ("points", "observed", "pairs", "visits")
+SAME_POSE = 5e-3
+"""Rests whose joints read no more apart (rad or m) are visits of one pose."""
 
 
 @output
 class JoinResult(TextOutput):
     """armsight join."""
 
-    kind: Annotated[str, Doc("The table written: points, observed or pairs.")]
+    kind: Annotated[str, Doc("The table written: points, observed, pairs or visits.")]
     by: Annotated[str, Doc("time, or order where one side has no times.")]
     offset_s: Annotated[float | None, Doc("Added to measured times it gives the robot's, s; null by order.")]
     offset_std_s: Annotated[float | None, Doc("Its standard deviation, s; null where it was stated, or by order.")]
@@ -126,12 +124,14 @@ class Join:
 
     def result(self, out: Path | None) -> JoinResult:
         """Find the time offset and the rows that belong together, by order where one side has no times."""
-        seen = _inverse(self.file.measured) if self.inside else self.file.measured  # the camera seen by the target
-        if self.offset_s is not None:
-            paired = pair_at(self.arm, self.reported, seen, self.offset_s)
-        else:
-            origin = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
-            paired = pair(self.arm, self.reported, seen, origin, Align.BOTH)
+        if self.still and self.reported.t_s is None and self.file.measured.t_s is not None:
+            return self._by_rests(out)
+        try:
+            paired = self._paired()
+        except Ambiguous:  # poses visited in turn: any of their visits may be the first
+            if self.still and self.reported.q is not None:
+                return self._by_rests(out)
+            raise
         rows = _rests(paired) if self.still else [np.array([i]) for i in range(len(paired.measured))]
         if not rows:
             raise NotEnoughData(
@@ -158,6 +158,26 @@ class Join:
             content=self._table(paired, rows),
         )
 
+    def _paired(self) -> Paired:
+        seen = _inverse(self.file.measured) if self.inside else self.file.measured  # the camera seen by the target
+        if self.offset_s is not None:
+            return pair_at(self.arm, self.reported, seen, self.offset_s)
+        origin = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
+        return pair(self.arm, self.reported, seen, origin, Align.BOTH)
+
+    def _by_rests(self, out: Path | None) -> JoinResult:
+        """Join the rests of what was measured, in their order, with those of the robot or a program's points."""
+        reported, file = rests_of_robot(self.reported), rests_of_measured(self.file)
+        n, wanted = len(file.measured), len(reported)
+        if n != wanted or not n:
+            raise Inconsistent(
+                f"what was measured rests {n} times, and the robot's file has {wanted} "
+                + ("points" if self.reported.t_s is None else "rests"),
+                consequence="Which of them belong together is not known; nothing is written",
+                cure="Leave the same out of both, such as a rest at home before and after; rest for a second at each",
+            )
+        return replace(self, file=file, reported=reported, still=False).result(out)
+
     def _table(self, paired: Paired, rows: list[NDArray[np.intp]]) -> str:
         """Return the table asked for: one row for each group of rows, their mean."""
         covariance = _covariances(self.file, paired, rows)
@@ -176,21 +196,21 @@ class Join:
         at_s = None if paired.at_s is None else np.array([paired.at_s[group].mean() for group in rows])
         q = q if at_s is None else self.reported.in_their_turn(q, at_s)
         names, columns = [*(f"q{i + 1}" for i in range(q.shape[1])), *POSITION], [q, xyz]
-        if R is not None and self.kind == "points":
+        if R is not None and self.kind != "observed":
             names, columns = [*names, *QUATERNION], [*columns, R.as_quat(canonical=True)]
-        if at_s is not None and self.kind == "points":  # calibrate arm takes neighbours in time as what they are
+        if at_s is not None and self.kind != "observed":  # calibrate arm takes neighbours in time as what they are
             names, columns = [*names, "t_s"], [*columns, at_s[:, None]]
         if covariance is not None:
             C = covariance[:, :3, :3]
             names = [*names, *POSITION_COVARIANCE]
             columns = [*columns, np.sqrt(np.diagonal(C, axis1=1, axis2=2)), C[:, (0, 0, 1), (1, 2, 2)]]
+        words = _visits(q) if self.kind == "visits" else {}
         labels = [measured.point[group[0]] for group in rows]
-        named = any(labels)
-        lines = [",".join([*names, *(["point"] if named else [])])]
+        words |= {"point": labels} if any(labels) else {}
+        lines = [",".join([*names, *words])]
         values = np.concatenate(columns, axis=1)
-        lines += [
-            f"{cells(row)},{word(label)}" if named else cells(row) for row, label in zip(values, labels, strict=True)
-        ]
+        told = zip(*words.values(), strict=True) if words else [()] * len(rows)
+        lines += [",".join([cells(row), *map(word, more)]) for row, more in zip(values, told, strict=True)]
         return "\n".join(lines) + "\n"
 
 
@@ -205,10 +225,19 @@ def _rests(paired: Paired) -> list[NDArray[np.intp]]:
     """Return the rows of each rest of the arm, in which no joint moves."""
     if paired.speed is None:
         raise UsageError("--still needs joint readings with times", cure="Give --joints, both files with t_s")
-    still = np.abs(paired.speed).max(axis=1) < min(STILL_RAD_S, STILL_M_S)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    spans = [np.arange(first, last) for first, last in zip(ends[::2], ends[1::2], strict=True)]
-    return [span for span in spans if len(span) >= STILL_ROWS]
+    return spans(np.abs(paired.speed).max(axis=1) < STILL_RAD_S, STILL_ROWS)
+
+
+def _visits(q: Array) -> dict[str, list[str]]:
+    """Return of which pose each rest (n, joints) is a visit, rest1 the first, and which visit of it."""
+    first: list[Array] = []
+    pose, visit = [], []
+    for row in q:
+        same = next((k for k, other in enumerate(first) if np.abs(row - other).max() < SAME_POSE), len(first))
+        first += [row] if same == len(first) else []
+        pose.append(f"rest{same + 1}")
+        visit.append(str(pose.count(pose[-1])))
+    return {"pose": pose, "visit": visit}
 
 
 def _covariances(file: MeasuredFile, paired: Paired, rows: list[NDArray[np.intp]]) -> Array | None:

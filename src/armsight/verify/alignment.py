@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.fit import ENOUGH, is_tool_turn, mounts_by_turns, placed
-from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.errors import DataRefused, Degenerate, Inconsistent, NotConverged, NotEnoughData
 from armsight.fitting.quantiles import MEDIAN_3
 from armsight.units import DEG, MM
 from armsight.verify.model import Model, ModelFit, Mounts, fit_model, mount_names, nothing_more
@@ -38,6 +38,9 @@ SENSELESS = 0.1
 """Errors of a larger share of how far the tool moved are not of this arm: 2 degrees of all zeros give 0.02 to 0.04."""
 MIRRORED = 0.3
 """A reflection that leaves less than this share of the error is what happened."""
+TOOL_M, TOOL_SHARE = 5e-3, 0.3
+"""How far a tool that was not laid is off at least where it is named, since lengths within what arms are made to may be
+taken up by a tool a millimetre or two off; and the share of the errors that it leaves then."""
 STARTS_M = 0.25
 """Positions of an unknown tool that are tried, to either side of the flange."""
 
@@ -86,7 +89,12 @@ def align(F: Array, measured: Measured, nominal: Mounts, how: Align) -> Aligned:
     _check_count(measured, how)
     guess, kept = _start(F, measured, nominal, how)
     free = free_names(measured, how)
-    fitted = fit_model(Model(measured=measured.take(kept), expected=nothing_more(F[kept])), guess, free)
+    try:
+        fitted = fit_model(Model(measured=measured.take(kept), expected=nothing_more(F[kept])), guess, free)
+    except NotConverged:  # of what is not of this arm
+        start = Mounts.of(guess, len(measured.labels))
+        _check_misfit(_sizes(F, measured, start)[kept], measured.take(kept))
+        raise
     for _ in range(TRIM_ROUNDS):
         model = Model(measured=measured, expected=nothing_more(F))
         residual, _ = model.linearised(fitted.p)
@@ -253,10 +261,21 @@ def _check_sense(
     """Raise Inconsistent where the best fit misses by much of what the tool moved: mirrored, inverted, foreign."""
     part, G = measured.take(kept), F[kept]
     position = np.linalg.norm(fitted.residual[:, :3], axis=1)
-    spread = float(np.median(np.linalg.norm(part.xyz_m - np.median(part.xyz_m, axis=0), axis=1)))
     error = float(np.quantile(position, 0.5))
-    if error > 0.01 * spread:
+    if error > 0.01 * _spread_m(part):
         _check_mirrored(G, part, nominal, error, how)
+    _check_misfit(position, part)
+    if part.rotation is not None:
+        _check_turns(G, part, fitted)
+
+
+def _spread_m(measured: Measured) -> float:
+    return float(np.median(np.linalg.norm(measured.xyz_m - np.median(measured.xyz_m, axis=0), axis=1)))
+
+
+def _check_misfit(position: Array, measured: Measured) -> None:
+    """Raise Inconsistent where half of the errors (m,) are a large share of how far the tool moved."""
+    error, spread = float(np.quantile(position, 0.5)), _spread_m(measured)
     if error > SENSELESS * spread:
         raise Inconsistent(
             f"the best fit misses half of the positions by {error / MM:.3g} mm or more, and the tool moved by "
@@ -265,8 +284,6 @@ def _check_sense(
             cure="Give the file of this arm, and `--align both` where base or tool are not known; look for readings "
             "and positions out of step, another unit of the joints, another arm's rows",
         )
-    if part.rotation is not None:
-        _check_turns(G, part, fitted)
 
 
 def _check_mirrored(F: Array, measured: Measured, nominal: Mounts, error: float, how: Align) -> None:
@@ -312,6 +329,30 @@ def _check_turns(F: Array, measured: Measured, fitted: ModelFit) -> None:
         consequence="Nothing is verified",
         cure="Check the order of the quaternion's columns and which frame they turn; leave them out to compare places",
     )
+
+
+def check_tool(F: Array, measured: Measured, nominal: Mounts, how: Align, left: ModelFit) -> None:
+    """Raise Inconsistent where the tool was not laid and explains the errors that are left of rows."""
+    left_m = _rms_m(left)
+    if "tool" in how.parts or left_m < TOOL_SHARE * TOOL_M:
+        return
+    try:
+        free = align(F, measured, nominal, Align.TOOL if how is Align.NONE else Align.BOTH).fitted
+    except DataRefused:
+        return
+    tools = zip(nominal.tools, free.mounts(measured.labels).tools, strict=True)
+    off_m = max(float(np.linalg.norm((was.inv() * found).translation)) for was, found in tools)
+    if off_m > TOOL_M and _rms_m(free) < TOOL_SHARE * left_m:
+        raise Inconsistent(
+            f"the tool is {off_m / MM:.3g} mm from where the arm's file has it: the errors are {left_m / MM:.3g} mm "
+            f"(RMS), and {_rms_m(free) / MM:.3g} mm with the tool laid where it fits best",
+            consequence="They would be laid to the arm; nothing is verified",
+            cure="Give --align both, or the arm with its tool in its file",
+        )
+
+
+def _rms_m(fitted: ModelFit) -> float:
+    return float(np.sqrt((fitted.residual[:, :3] ** 2).sum(axis=1).mean()))
 
 
 def undetermined(aligned: Aligned, measured: Measured, how: Align) -> tuple[str, ...]:

@@ -52,6 +52,9 @@ UNTOLD_M = 5e-3
 """Errors of position (RMS) that are laid to a measurement whose standard deviations nobody says are smaller."""
 NO_ERROR_M = 1e-8
 """Smaller errors are rounding."""
+ROUNDED, UNSEEN = 1e-9, "nothing shows it"
+"""Share of what the other joints do that is rounding; why a joint is not judged that moves nothing: its axis goes
+through the point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,7 +124,11 @@ def find_cause(case: Case, aligned: ModelFit, speed: Array | None, acceleration:
     if why:
         return Cause(cause="undecided", joints=judged, sentence=why, measurement_share=share)
     # base or tool take up a joint's zero, not what changes with its reading or its direction
-    offered = [e for e in effects(case.bare, case.q, speed, acceleration) if able[e.joint] or e.kind is not Kind.ZERO]
+    offered = [
+        e
+        for e in effects(case.bare, case.q, speed, acceleration)
+        if able[e.joint] or (e.kind is not Kind.ZERO and judged[e.joint].why != UNSEEN)
+    ]
     trial = _best_effect(case, aligned, offered)
     cause = _decide(case, aligned, trial, judged, share)
     played = trial.before.backlash(offered, np.flatnonzero(able))
@@ -148,6 +155,7 @@ def judge(case: Case, aligned: ModelFit) -> tuple[JointVerdict, ...]:
         U, s, _ = np.linalg.svd(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300), full_matrices=False)
         basis = U[:, s > 1e-9 * s[0]]
     parts = {name.split(".")[0].split(":")[0] for name in case.free}
+    least = ROUNDED * np.linalg.norm(evidence.joints, axis=(0, 1)).max()
     found = []
     for i in range(case.bare.n):
         column = evidence.joints[:, :, i].ravel()
@@ -155,12 +163,10 @@ def judge(case: Case, aligned: ModelFit) -> tuple[JointVerdict, ...]:
         size = float(np.linalg.norm(column))
         if np.ptp(case.q[:, i]) < still(case.bare)[i]:
             found.append(JointVerdict(judged=False, why="it hardly moved"))
-        elif not size > 0.0 or np.linalg.norm(own) < APART * size:
-            why = (
-                f"what its zero does, the free {' and '.join(sorted(parts))} do as well"
-                if parts
-                else "nothing shows it"
-            )
+        elif size <= least:
+            found.append(JointVerdict(judged=False, why=UNSEEN))
+        elif np.linalg.norm(own) < APART * size:
+            why = f"what its zero does, the free {' and '.join(sorted(parts))} do as well"
             found.append(JointVerdict(judged=False, why=why))
         else:
             found.append(JointVerdict(judged=True))

@@ -77,7 +77,7 @@ class GeometryPrior:
         for _ in range(ROUNDS):
             X = _stacked(*(noise.whiten(c) for c in (bare.linear.fixed, bare.joints, bare.geometry)))
             y = noise.whiten(bare.linear.residual).ravel()
-            size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+            size = _sizes(X)
             A = (X / size).T @ (X / size)
             H = A + np.diag(1.0 / (variance * size**2) + RIDGE)
             theta = np.linalg.solve(H, (X / size).T @ y) / size
@@ -103,7 +103,7 @@ class GeometryPrior:
         w = self.weight[:, None, None]
         X = _stacked(*(w * c for c in columns))
         y = (found.linear.residual * w[:, :, 0]).ravel()
-        size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+        size = _sizes(X)
         X = X / size
         n = self.case.bare.n
         at = len(self.case.free) + np.arange(n)
@@ -188,6 +188,12 @@ def _stacked(*columns: Array) -> Array:
     """Return columns (m, rows, k) side by side, (m rows, K)."""
     each = np.concatenate(columns, axis=2)
     return np.asarray(each.reshape(-1, each.shape[2]))
+
+
+def _sizes(X: Array) -> Array:
+    """Return the columns' lengths (K,), 1 of what moves nothing, such as a joint whose axis goes through the point."""
+    size = np.asarray(np.linalg.norm(X, axis=0))
+    return np.where(size > 0.0, size, 1.0)
 
 
 def _wide(case: Case, found: Evidence) -> Array:

@@ -145,7 +145,8 @@ def _by_order(arm: Arm | None, reported: Reported, measured: Measured) -> Paired
         raise Inconsistent(
             f"{last} measured rows and {len(reported)} of the arm, at least one side without t_s",
             consequence="Which rows belong together is not known; nothing is verified",
-            cure="Give one row of the arm for each measured row, in the same order, or t_s in both files",
+            cure="Give one row of the arm for each measured row, in the same order, or t_s in both files; where it "
+            "rested at each, `armsight join --still` makes one row of each rest of a recording",
         )
     notes = (
         () if last == len(reported) else (f"the arm's file has {len(reported) - last} rows more; they are not used",)

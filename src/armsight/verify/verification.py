@@ -18,7 +18,7 @@ from armsight.fields import Doc
 from armsight.kinematics import Arm, fk, fk_jacobian, solve_numeric_many
 from armsight.records.output import Output, output
 from armsight.units import MM
-from armsight.verify.alignment import Align, Aligned, align, gross, realign, undetermined
+from armsight.verify.alignment import Align, Aligned, align, check_tool, gross, realign, undetermined
 from armsight.verify.cause import Cause, find_cause
 from armsight.verify.effects import Kind
 from armsight.verify.evidence import Case, blocks, poses_of
@@ -155,6 +155,9 @@ def _explained(
     """Return the alignment of known rows, what their errors come from, and the joint positions that would decide."""
     aligned = _aligned(arm, paired, known, nominal, how)
     cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
+    if cause is not None and cause.cause not in ("none", "measurement", "several joints"):
+        left = aligned.fitted if cause.fitted is None else cause.fitted
+        check_tool(paired.F[known], paired.measured.take(known), nominal, how, left)
     restored = _restored(arm, paired, known, aligned, cause)
     if restored is None:
         return aligned, cause, deciding

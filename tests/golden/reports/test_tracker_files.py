@@ -148,3 +148,20 @@ def test_orders_of_qtm_by_a_rotation_of_our_own(tmp_path):
     want = Rotation.from_euler("XYZ", angles, degrees=True)
     for pose, R in zip(read_poses(path), want, strict=True):
         np.testing.assert_allclose(pose.T_parent_target[:3, :3], R.as_matrix(), atol=1e-12)
+
+
+def test_a_table_of_pandas_with_its_index_and_a_matrix_of_nine_cells(tmp_path):
+    """to_csv writes the index under no name; nine cells are rows or columns, and no rotation tells which."""
+    path, R = tmp_path / "a.csv", Rotation.from_rotvec([[0.1, 0.2, 0.3 * k] for k in range(4)]).as_matrix()
+    rows = [f"{k},{k / 10},{k}.5,2.0,3.0,{','.join(map(str, R[k].ravel()))}" for k in range(4)]
+    path.write_text("\n".join([",time,x_m,y_m,z_m," + ",".join(f"r{k}" for k in range(9)), *rows]) + "\n")
+    with refuses(BadFile, "r11"):
+        read_measured(path)
+    cells = ",".join(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+    path.write_text("\n".join([f",time,x_m,y_m,z_m,{cells}", *rows]) + "\n")  # the cure
+    np.testing.assert_allclose(read_measured(path).measured.rotation, R, atol=1e-12)
+    quat = [
+        f"{k},{k / 10},{k}.5,2.0,3.0,{','.join(map(str, q))}" for k, q in enumerate(Rotation.from_matrix(R).as_quat())
+    ]
+    path.write_text("\n".join([",time,pos_x,pos_y,pos_z,rot_x,rot_y,rot_z,rot_w", *quat]) + "\n")  # no angles: rot_w
+    np.testing.assert_allclose(read_measured(path).measured.rotation, R, atol=1e-12)

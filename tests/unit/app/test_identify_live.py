@@ -24,7 +24,7 @@ from armsight.errors import (
     StaleData,
     UsageError,
 )
-from armsight.ops.arm_files import given_arm
+from armsight.ops.arm_files import load_arm
 from armsight.ops.identification.left_out import FirstJoints, read_limits
 from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_live, open_devices
 from armsight.ops.requests.motion import RobotJob
@@ -107,7 +107,8 @@ class Cell:
         rig, target, world = (self.folder / f"{name}.yaml" for name in ("rig", "target", "world"))
         out = self.folder / "arm.yaml"
         sweeps = LiveSweeps(**({"limits": LIMITS, "pace": Pace(speed=1.0, frames_per_reading=1), "out": out} | more))
-        known = Known(rig=read_rig(rig), world=read_world(world), model=given_arm(model), nominal=given_arm(nominal))
+        arms = [None if one is None else load_arm(str(one)) for one in (model, nominal)]
+        known = Known(rig=read_rig(rig), world=read_world(world), model=arms[0], nominal=arms[1])
         done = identify_live(
             sweeps,
             known,

@@ -18,13 +18,22 @@ from tracker_servers import LOST, T_M, Motive, N, Qtm, R
 STD = {"std_m": 3e-4, "std_rad": 5e-3}
 
 
-@pytest.fixture(params=["qtm", "natnet"])
+SERVERS = {
+    "qtm": (Qtm, {}, ""),
+    "natnet, unicast": (Motive, {}, ":unicast"),
+    "natnet, multicast": (Motive, {"multicast": True}, ""),
+}
+
+
+@pytest.fixture(params=SERVERS)
 def tracker(request):
     """A maker's server, and what names it."""
-    pytest.importorskip({"qtm": "qtm_rt", "natnet": "natnet"}[request.param])
-    server = {"qtm": Qtm, "natnet": Motive}[request.param]()
+    server, how, end = SERVERS[request.param]
+    maker = request.param.partition(",")[0]
+    pytest.importorskip({"qtm": "qtm_rt", "natnet": "natnet"}[maker])
+    server = server(**how)
     server.start()
-    yield request.param, f"{request.param}:127.0.0.1:{server.port}{':unicast' if request.param == 'natnet' else ''}"
+    yield maker, f"{maker}:127.0.0.1:{server.port}{end}"
     server.ending.set()
     server.join(10.0)
     server.socket.close()
@@ -66,6 +75,25 @@ def test_what_names_no_tracker_is_refused(text, kind, words):
     pytest.importorskip("qtm_rt")
     with refuses(kind, words), open_tracker(text, body="", **STD):
         pass
+
+
+@pytest.mark.parametrize(
+    ("further", "end", "to"), [(1, ":unicast", "this computer"), (2, "", "the group 239.255.42.99")]
+)
+def test_motive_that_sends_elsewhere_is_refused_with_where_frames_were_awaited(further, end, to, monkeypatch):
+    pytest.importorskip("natnet")
+    monkeypatch.setattr("armsight.drivers.trackers.natnet.ANSWER_S", 2.0)
+    server = Motive(multicast=True)
+    server.group = server.group[0], server.port + further
+    server.start()
+    try:
+        text = f"natnet:127.0.0.1:{server.port}{end}"
+        with refuses(DeviceNotFound, "no frame", to, ":unicast"), open_tracker(text, body="Flange", **STD):
+            pass
+    finally:
+        server.ending.set()
+        server.join(10.0)
+        server.socket.close()
 
 
 class Still:

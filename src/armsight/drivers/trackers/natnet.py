@@ -2,7 +2,8 @@
 
 Rigid bodies in m, quaternions X, Y, Z, W, and whether each is tracked in this frame; names stand in the model
 definitions, by number (NatNet SDK; the package natnet). The time is the frame's, s of Motive. Motive sends to a group
-of computers (multicast) or, where that is set, to each that asks (unicast).
+of computers (multicast 239.255.42.99, on the port after that of commands) or, where that is set, to each that asks
+(unicast).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class NatNetStream(BodyStream):
         self._host, self._port = host_and_port(device.removesuffix(UNICAST), COMMAND_PORT)
         self._client: Any = None
         self._number: int | None = None
-        self._described = threading.Event()
+        self._described, self._streams = threading.Event(), threading.Event()
         self._bodies: dict[int, str] = {}
 
     def _opened(self) -> None:
@@ -43,6 +44,7 @@ class NatNetStream(BodyStream):
             server_ip_address=self._host,
             local_ip_address=_own_address(self._host, self._port),
             command_port=self._port,
+            data_port=self._port + 1,
             use_multicast=not self._unicast,
         )
         try:
@@ -58,12 +60,16 @@ class NatNetStream(BodyStream):
             raise self._silent("it does not say which bodies it has")
         numbers = list(self._bodies)
         self._number = numbers[self.chosen(list(self._bodies.values()))]
+        if not self._streams.wait(ANSWER_S):
+            to = "this computer" if self._unicast else f"the group {client.multicast_address}, port {client.data_port}"
+            raise self._silent(f"it names its bodies, and sends no frame to {to}")
 
     def _silent(self, error: object) -> DeviceNotFound:
         return DeviceNotFound(
             f"Motive at {self._host}:{self._port} does not stream: {error or type(error).__name__}",
             consequence="Nothing was done",
-            cure=f"Set Motive's streaming to NatNet and this network; {UNICAST} where it sends to each that asks",
+            cure=f"Set Motive's streaming to NatNet and this network, and its data port to the one after its command "
+            f"port; {UNICAST} where it sends to each that asks",
         )
 
     def _describe(self, described: Any) -> None:
@@ -71,6 +77,7 @@ class NatNetStream(BodyStream):
         self._described.set()
 
     def _take(self, frame: Any) -> None:
+        self._streams.set()
         if self._number is None:
             return
         t_s, sequence = frame.suffix.timestamp, frame.prefix.frame_number

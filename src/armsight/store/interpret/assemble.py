@@ -314,7 +314,10 @@ def _grid(found: Found, cells: Mapping[str, Column]) -> tuple[Array, bool]:
     for key, column in cells.items():
         row, column_index = int(key[0]) - base, int(key[-1]) - base
         if len(key) != 2 or not (0 <= row <= 3 and 0 <= column_index <= 3):
-            raise BadFile(f"{found.where}: the column {column.meaning.name!r} is no cell of a matrix of 4 x 4")
+            raise BadFile(
+                f"{found.where}: the column {column.meaning.name!r} is no cell of a matrix of 4 x 4",
+                cure="Name cells by row and column, r11, r12, ... r33: nine in a row may be rows or columns",
+            )
         M[:, row, column_index] = column.values
     finite = M[np.isfinite(M).all(axis=(1, 2))]
     if np.abs(finite[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(initial=0.0) > 1e-9:

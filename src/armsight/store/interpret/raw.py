@@ -18,7 +18,8 @@ REMARKS = ("#", "%", "//")
 class RawTable:
     """where: the file. how: what kind it was found to be, in words. names: of the columns, () where it has none.
     columns: the cells (k lists of n). lines: (n,) the line that each row came from, from 1. csv: whether the file
-    has its cells as a CSV of ours, by commas. notes: what was understood, in words. tracked: a tracker wrote it."""
+    has its cells as a CSV of ours, by commas. notes: what was understood, in words. tracked: a tracker wrote it.
+    listed: a robot's program, whose points have no times."""
 
     where: str
     how: str
@@ -28,6 +29,7 @@ class RawTable:
     csv: bool = False
     notes: tuple[str, ...] = ()
     tracked: bool = False
+    listed: bool = False
 
     def __len__(self) -> int:
         return len(self.lines)

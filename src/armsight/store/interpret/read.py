@@ -140,6 +140,13 @@ def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str], of_
         cure += "for robot-world with --as observed"
     elif raw.tracked and len(role.frames) > 1:
         cure = "A tracker's file is one of the two: give it as --camera-stream, and the robot's as --robot-stream"
+    elif raw.listed and missing == ["t_s"]:
+        cure = (
+            "A program's points have no times: armsight join --robot-stream PROGRAM --measured FILE --as pairs joins "
+        )
+        cure += (
+            "poses in their order, --joints PROGRAM --arm ARM joint values; --still makes rows of a recording's rests"
+        )
     elif role.time == "wanted" and missing == ["t_s"]:
         cure = "Times are needed here: add a column t_s in seconds"
     elif any(name.startswith("q") and name[1:].isdecimal() for name in missing):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ EPOCHS = ((1e17, 1e-9, "ns"), (1e14, 1e-6, "us"), (1e11, 1e-3, "ms"))
 UNUSED = "columns not used: "
 _NAME_CELL = re.compile(r"(.*?)name(\[?\d+\]?)")
 _OURS_Q = re.compile(r"q[1-9]\d*")
+_ROT = re.compile(r"(?P<lead>(?:.*[^a-z])?)(?P<stem>rot_?|r_?)(?P<axis>[xyzw])", re.IGNORECASE)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -127,7 +128,7 @@ def _joint_state_names(raw: RawTable) -> tuple[str, ...]:
     for k, name in enumerate(raw.names):
         match = _NAME_CELL.fullmatch(name)
         position = f"{match[1]}position{match[2]}" if match else ""
-        if position in names and raw.columns[k]:
+        if match and position in names and raw.columns[k]:
             joint = raw.columns[k][0]
             if any(cell != joint for cell in raw.columns[k]):
                 raise BadFile(f"{raw.where}: the column {name} names several joints")
@@ -142,10 +143,22 @@ def _meanings(raw: RawTable, names: Sequence[str], role: Role, format_: TableFor
     for k, name in enumerate(names):
         if name == SKIPPED or name in role.extras or name in role.words:
             continue
-        found = meaning(name, format_, frames=pairs, joints=joints)
+        found = meaning(_as_quaternion(name, names), format_, frames=pairs, joints=joints)
         if found is not None and _belongs(found, role):
-            out[k] = found
+            out[k] = replace(found, name=name)
     return out
+
+
+def _as_quaternion(name: str, names: Sequence[str]) -> str:
+    """Return a name, that of a quaternion's entry where rot_x, rot_y, rot_z are no angles: rot_w is beside them."""
+    match = _ROT.fullmatch(name)
+    if match is None or not all(f"{match['lead']}{match['stem']}{axis}" in names for axis in _axes_like(match["axis"])):
+        return name
+    return f"{match['lead']}q{match['axis'].lower()}"
+
+
+def _axes_like(axis: str) -> str:
+    return "XYZW" if axis.isupper() else "xyzw"
 
 
 def _belongs(found: Meaning, role: Role) -> bool:

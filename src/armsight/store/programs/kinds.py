@@ -232,7 +232,7 @@ def _raw(found: Listed, points: Sequence[Point], kind: ProgramKind, how: str) ->
         rows = [(*point.xyz, *point.turn) for point in points]
     columns = tuple(list(column) for column in zip(*rows, strict=True))
     lines = _ascending([point.line for point in points])
-    return RawTable(where=found.where, how=how, names=names, columns=columns, lines=lines)
+    return RawTable(where=found.where, how=how, names=names, columns=columns, lines=lines, listed=True)
 
 
 def _ascending(lines: Sequence[int]) -> tuple[int, ...]:

@@ -13,11 +13,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array, Index, Mask
-from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 
-RIGID_M = 3e-3
+RIGID_M, LEAST_ODD_M, ODD = 3e-3, 1e-4, 8.0
 """A marker farther off its shape's point is not that marker, and its frame is lost. Eight markers on a box, filmed by a
-motion capture laboratory, are 0.26 mm (RMS) off; those on a person, taken as one body, 170 mm."""
+motion capture laboratory, are 0.26 mm (RMS) off; those on a person, taken as one body, 170 mm. Within that, so many
+times what the worst marker of the better frames is off, which an exchange of neighbours exceeds sooner."""
 MOST_LOST = 0.2
 """Where a larger share of the frames does not fit one shape, it is none."""
 NARROWEST = 0.05
@@ -48,7 +49,7 @@ def body_of_cloud(cloud: Cloud, where: str) -> CloudBody:
     """Return markers as a body: origin in their middle, x from the first to the second, z across the first three.
 
     Of markers on a line the next is taken. Raises NotEnoughData below three, Degenerate on a line, Inconsistent where
-    they do not keep their distances.
+    they do not keep their distances, Ambiguous where markers may be exchanged and their distances do not show it.
     """
     if len(cloud.names) < 3:
         raise NotEnoughData(
@@ -60,10 +61,14 @@ def body_of_cloud(cloud: Cloud, where: str) -> CloudBody:
     shape = _shape(cloud, seen, where)
     R, t, good = _laid(shape, seen, cloud.xyz_m)
     off = np.where(seen, np.linalg.norm(cloud.xyz_m - (np.einsum("nij,kj->nki", R, shape) + t[:, None]), axis=2), 0.0)
-    odd = good & (off.max(axis=1) > RIGID_M)
+    worst = off.max(axis=1)
+    limit = float(np.clip(ODD * np.quantile(worst[good], 1.0 - MOST_LOST), LEAST_ODD_M, RIGID_M))
+    odd = good & (worst > limit)
     if odd.sum() > MOST_LOST * good.sum():
-        raise _not_rigid(cloud, seen, where, float(np.median(off[good].max(axis=1))))
+        raise _not_rigid(cloud, seen, where, float(np.median(worst[good])))
     good &= ~odd
+    few = good & _exchangeable(shape, seen, cloud.names, limit, where)
+    good &= ~few
     rms = float(np.sqrt(np.mean(off[good[:, None] & seen] ** 2)))
     axes = _axes(shape, cloud.names, where)  # (3, 3), columns
     middle = shape.mean(axis=0)
@@ -76,11 +81,13 @@ def body_of_cloud(cloud: Cloud, where: str) -> CloudBody:
         f"their middle, x from the first to the second"
     ]
     if odd.any():
-        worst = cloud.names[int(np.argmax((off[odd] > RIGID_M).sum(axis=0)))]
+        mostly = cloud.names[int(np.argmax((off[odd] > limit).sum(axis=0)))]
         notes.append(
-            f"{odd.sum()} frames in which a marker is more than {1e3 * RIGID_M:g} mm off the body's shape: "
-            f"taken as lost; mostly it is {worst}"
+            f"{odd.sum()} frames in which a marker is more than {1e3 * limit:.2g} mm off the body's shape: "
+            f"taken as lost; mostly it is {mostly}"
         )
+    if few.any():
+        notes.append(f"{few.sum()} frames whose markers would look the same if they were exchanged: taken as lost")
     return CloudBody(xyz_m=xyz, quat_xyzw=quat, notes=tuple(notes))
 
 
@@ -114,6 +121,54 @@ def _shape(cloud: Cloud, seen: Mask, where: str) -> Array:
             cure="Leave them out of --body",
         )
     return np.asarray(shape)
+
+
+def _exchangeable(shape: Array, seen: Mask, names: Sequence[str], limit: float, where: str) -> Mask:
+    """Return in which frames (n,) the markers seen can be exchanged, so that the body is rotated and nothing shows it.
+
+    Raises Ambiguous where that holds of all markers together.
+    """
+    order = _alike(shape, limit)
+    if order is not None:
+        raise Ambiguous(
+            f"{where}: the markers {', '.join(names)[:200]} have the same distances, to {1e3 * limit:.2g} mm, when "
+            f"{', '.join(names[k] for k in order)[:200]} are in their places",
+            consequence="Where the tracker exchanges them the body is rotated, and nothing shows it",
+            cure="Name with --body those of its markers that no rotation lays on each other, or one marker for its "
+            "position alone; fix a further marker off the symmetry for the next recording",
+        )
+    masks, which = np.unique(seen, axis=0, return_inverse=True)
+    return np.array([_alike(shape[mask], limit) is not None for mask in masks])[which.ravel()]
+
+
+def _alike(shape: Array, limit: float) -> tuple[int, ...] | None:
+    """Return an order of markers that a rotation lays on the shape (k, 3) as well as their own, None without one."""
+    apart: list[int] = []  # of markers that stand for each other within the limit one is enough
+    for k, place in enumerate(shape):
+        if np.linalg.norm(shape[apart] - place, axis=1).min(initial=np.inf) > 2.0 * limit:
+            apart.append(k)
+    places, n = shape[apart], len(apart)
+    if n < 3:
+        return tuple(range(len(shape)))[::-1]
+    d = np.linalg.norm(places[:, None] - places, axis=2)
+    own = np.sort(d, axis=1)
+    may = np.abs(own[:, None] - own).max(axis=2, initial=0.0) <= 2.0 * limit  # (n, n): who can stand for whom
+    orders: list[tuple[int, ...]] = [()]
+    while orders and not np.array_equal(may, np.eye(n)):
+        order = orders.pop()
+        k = len(order)
+        if k < n:
+            fits = [j for j in np.flatnonzero(may[k]).tolist() if j not in order]
+            orders += [(*order, j) for j in fits if (np.abs(d[k, :k] - d[j, list(order)]) <= 2.0 * limit).all()]
+            continue
+        R, t, good = _laid(places, np.ones((1, n), bool), places[list(order)][None])
+        there = places @ R[0].T + t[0]
+        off, moved = (np.linalg.norm(there - other, axis=1).max() for other in (places[list(order)], places))
+        if good[0] and off <= limit < moved:
+            exchanged = np.arange(len(shape))
+            exchanged[apart] = np.array(apart)[list(order)]
+            return tuple(exchanged.tolist())
+    return None
 
 
 def _evenly(index: Index) -> Index:
