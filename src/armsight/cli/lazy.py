@@ -92,7 +92,7 @@ class _Conversion:
         if value is None:
             return () if param.multiple or param.nargs == -1 else None
         kind, info = param.type_descriptor.annotation, param.type_descriptor.parameter_info
-        if isinstance(info.parser, Quantity):
+        if isinstance(value, str | float) and not param.multiple and isinstance(info.parser, Quantity):
             return info.parser(value)
         if isinstance(value, str) and info.parser is None:
             if kind is str or (get_origin(kind) is Literal and value in get_args(kind)):
