@@ -53,12 +53,16 @@ def spots() -> None:
 
 
 def poses() -> None:
-    """Compile what comes after the spots: pairs, names, poses and the check of a run."""
+    """Compile what comes after the spots of a pair: names, poses and the check of a run."""
+    compile_beside()
+    _far_away()
+
+
+def views() -> None:
+    """Compile the poses of other rigs than pairs, and what Python calls for points."""
     from armsight.optics import Camera, PackedRig, epipolar_distance, parallel_rig, triangulate, triangulate_closed
     from armsight.optics.triangulate import epipolar_chi2
 
-    compile_beside()
-    _far_away()
     compile_views()
     camera = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0)
     rig = parallel_rig(camera, 0.1)
@@ -72,11 +76,17 @@ def poses() -> None:
 
 
 def boards() -> None:
-    """Compile the fits of a board's corners and dots, and the lattice of circles."""
-    from armsight.measure.boards import find_board, warm_up
-    from armsight.store import parse_board
+    """Compile the fits of a board's corners and dots."""
+    from armsight.measure.boards import warm_up
 
     warm_up()
+
+
+def circles() -> None:
+    """Compile the lattice of circles."""
+    from armsight.measure.boards import find_board
+    from armsight.store import parse_board
+
     y, x = np.mgrid[0:180, 0:220]
     dots = [np.hypot(x - 40 - 44 * column, y - 44 - 44 * row) < 13 for row in range(3) for column in range(4)]
     image = cv2.GaussianBlur(np.where(np.any(dots, axis=0), 30, 230).astype(np.uint8), (0, 0), 1.0)
@@ -292,7 +302,9 @@ def together() -> None:
 GROUPS: Mapping[str, Callable[[], None]] = {
     "spots": spots,
     "poses": poses,
+    "views": views,
     "boards": boards,
+    "circles": circles,
     "cameras": cameras,
     "light target": light_target,
     "hand-eye": handeye,
@@ -308,8 +320,8 @@ GROUPS: Mapping[str, Callable[[], None]] = {
 """What is compiled, by command; each alone, or in this order."""
 
 SHARES = (
-    ("spots", "boards", "room", "simulator", "hand-eye"),
-    ("poses", "cameras", "light target", "kinematics", "arm", "identify", "motion", "guard"),
+    ("spots", "boards", "circles", "room", "simulator", "hand-eye"),
+    ("poses", "views", "cameras", "light target", "kinematics", "arm", "identify", "motion", "guard"),
 )
 """The groups of each process, of like length; the rest follows when both are done. No kernel that Python calls belongs
 to both: tests/unit/app/test_compilation.py."""

@@ -101,6 +101,7 @@ PLACES_WITHIN = np.array([(0.3, 0.3), (0.3, 0.7), (0.7, 0.3), (0.7, 0.7)])[:, No
 def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> None:
     """Raise BadImage where corners (n, 2) px are not those of columns x rows neighbouring squares' corners."""
     grid = np.rint(board.xyz_m[:, :2] / board.pitch_m)
+    guess = np.ascontiguousarray(guess)  # one compilation serves all
     smooth, _ = fit_map(grid, guess)
     if alternating_share(image, board, smooth) < ALTERNATE:
         raise unused_image(
