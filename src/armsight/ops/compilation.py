@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Lock
 
@@ -103,22 +104,14 @@ def cameras() -> None:
     board = parse_board("checkerboard:7x5:0.03")
     rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.1)
     seen: tuple[list[BoardView], list[BoardView]] = ([], [])
+    view = partial(BoardView, sigma_px=0.05, width=SIZE[0], height=SIZE[1])
     for number in range(12):
         turn = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3))
         middle = [rng.uniform(-0.05, 0.15), rng.uniform(-0.1, 0.1), rng.uniform(0.45, 0.6)]
         xyz_m = turn.apply(board.xyz_m - board.xyz_m.mean(0)) + middle
         for side, uv_px in enumerate(rig.project(xyz_m)):
             noisy = uv_px + rng.normal(0.0, 0.05, uv_px.shape)
-            seen[side].append(
-                BoardView(
-                    uv_px=noisy,
-                    index=np.arange(len(noisy)),
-                    sigma_px=0.05,
-                    width=SIZE[0],
-                    height=SIZE[1],
-                    source=str(number),
-                )
-            )
+            seen[side].append(view(uv_px=noisy, index=np.arange(len(noisy)), source=str(number)))
     calibrate_stereo(*seen, board)
 
 
@@ -388,12 +381,7 @@ def _far_away() -> None:
     left, right = rig.project(turn.apply(np.array(list(xyz_m.values()))) + np.array([0.05, 0.0, 3.0]))
     for off_px in (0.0, 1.0):
         left[0, 1] += off_px
-        measure_spots(
-            setup,
-            0.0,
-            Spots.of_centres(left, VARIANCE_PX2),
-            Spots.of_centres(right, VARIANCE_PX2),
-        )
+        measure_spots(setup, 0.0, *(Spots.of_centres(uv_px, VARIANCE_PX2) for uv_px in (left, right)))
 
 
 class _Lines(Silent):

@@ -101,7 +101,6 @@ PLACES_WITHIN = np.array([(0.3, 0.3), (0.3, 0.7), (0.7, 0.3), (0.7, 0.7)])[:, No
 def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> None:
     """Raise BadImage where corners (n, 2) px are not those of columns x rows neighbouring squares' corners."""
     grid = np.rint(board.xyz_m[:, :2] / board.pitch_m)
-    guess = np.ascontiguousarray(guess)  # one compilation serves all
     smooth, _ = fit_map(grid, guess)
     if alternating_share(image, board, smooth) < ALTERNATE:
         raise unused_image(
@@ -109,7 +108,7 @@ def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> N
             cure="Count the inner corners again, or show the whole board, sharp and evenly lit",
         )
     for side, axis, line in outer_lines(board):
-        if off_line(grid, guess, axis, line) > OFF_LINE:
+        if off_line(grid, np.ascontiguousarray(guess), axis, line) > OFF_LINE:
             raise too_few(
                 f"{source}: the {side} of {board.columns}x{board.rows} inner corners is not where the others put it"
             )
