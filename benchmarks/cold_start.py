@@ -74,11 +74,11 @@ def cold(names: list[str]) -> tuple[list[float], dict[str, list[list[float]]]]:
     return [after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall, own, number], kernels
 
 
-def seconds(module: str, *words: object, cache: str | None = None) -> list[float]:
-    """Return processor and wall seconds of `python -m module words`."""
+def seconds(*words: object, cache: str | None = None) -> list[float]:
+    """Return processor and wall seconds of `python words`."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(
-        [sys.executable, "-m", module, *map(str, words)],
+        [sys.executable, *map(str, words)],
         env=os.environ | ({"NUMBA_CACHE_DIR": cache} if cache else {}),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -91,25 +91,28 @@ def seconds(module: str, *words: object, cache: str | None = None) -> list[float
 def ahead(*words: str) -> list[float]:
     """Return processor and wall seconds of compiling ahead with an empty cache."""
     with tempfile.TemporaryDirectory() as cache:
-        return seconds("armsight.ops.compilation", *words, cache=cache)
+        return seconds("-m", "armsight.ops.compilation", *words, cache=cache)
 
 
 def compiled() -> list[list[object]]:
-    """Return what commands take where they have run before, the best of RUNS each."""
+    """Return what commands take where they have run before, in turn, the best of RUNS each."""
     with tempfile.TemporaryDirectory() as name:
         cell, out, cache = Path(name) / "cell", Path(name) / "out", f"{name}/cache"
-        seconds("armsight.ops.compilation", "demo", cache=cache)
-        seconds("armsight", "simulate", "hand-cell", "--frames", PAIRS, "-o", cell, cache=cache)
+        seconds("-m", "armsight.ops.compilation", "demo", cache=cache)
+        seconds("-m", "armsight", "simulate", "hand-cell", "--frames", PAIRS, "-o", cell, cache=cache)
         files = [f"--{what}={cell / what}.yaml" for what in ("rig", "target")]
         views = [f"--{side}={cell / side}/*.png" for side in ("left", "right")]
         commands = {
             "armsight --help": ["--help"],
             f"armsight measure, {PAIRS} pairs": ["measure", *files, *views, "-o", out, "--overwrite"],
         }
-        return [
-            [name, *min((seconds("armsight", *words, cache=cache) for _ in range(RUNS)), key=lambda both: both[1])]
-            for name, words in commands.items()
-        ]
+        runs = {name: ["-m", "armsight", *words] for name, words in commands.items()}
+        runs["importing numpy, scipy, numba, OpenCV"] = ["-c", "import numpy, scipy.spatial.transform, numba, cv2"]
+        found: dict[str, list[list[float]]] = {name: [] for name in runs}
+        for _ in range(RUNS):
+            for name, words in runs.items():
+                found[name].append(seconds(*words, cache=cache))
+        return [[name, *map(min, zip(*times, strict=True))] for name, times in found.items()]
 
 
 def main() -> None:

@@ -31,7 +31,12 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=1000)
     parser.add_argument("--quick", action="store_true", help="200 pairs, 40 of them distinct")
     options = parser.parse_args()
-    pairs, distinct = (200, 40) if options.quick else (options.pairs, min(DISTINCT, options.pairs))
+    print(machine())
+    measured(*((200, 40) if options.quick else (options.pairs, min(DISTINCT, options.pairs))))
+
+
+def measured(pairs: int, distinct: int) -> None:
+    """Print what measuring so many pairs takes, so many of them distinct."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_folder(folder, pairs, distinct)
@@ -45,7 +50,6 @@ def main() -> None:
     last = next(mb for mb, written in samples if written >= 0.99 * rows)
     most = max(mb for mb, _ in samples)
     rate, cpu_ms = pairs / seconds, (summary["cpu_s"] - start["cpu_s"]) / pairs * 1e3
-    print(machine())
     table(
         "armsight measure on a folder of PNG pairs, 1280x720",
         ["", "value"],

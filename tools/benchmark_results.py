@@ -4,7 +4,8 @@
     python tools/benchmark_results.py pose pose.txt
 
 writes benchmarks/results/pose.yaml: for each run its command, date, machine and commit, and its tables as CSV. Earlier
-figures of the same benchmark go; git keeps them. `make docs` makes the page; docs/benchmarks.md has the headlines.
+figures of the same benchmark go; git keeps them. `make docs` makes the page; docs/benchmarks.md has the headlines, and
+begins with the table of `summary`, which is written into it as well.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ import yaml
 
 HOME = Path(__file__).resolve().parent.parent
 RESULTS = HOME / "benchmarks" / "results"
+HEADLINES = HOME / "docs" / "benchmarks.md"
+SUMMARY = re.compile(r"(?<=<!-- summary -->\n).*?(?=<!-- end of summary -->)", re.S)
 MACHINE = re.compile(r"(\d{4}-\d\d-\d\d), ([^\n;]*)")
 HEAD = """\
 # Tables of benchmarks
@@ -44,6 +47,7 @@ def main() -> None:
     ).stdout.strip()
     command = f"python benchmarks/{given.name}.py {given.options}".strip()
     (RESULTS / f"{given.name}.yaml").write_text(dumped(command, text, commit), encoding="utf-8")
+    HEADLINES.write_text(with_summary(HEADLINES.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def dumped(command: str, printed: str, commit: str) -> str:
@@ -101,6 +105,13 @@ def page() -> str:
             parts += [f"{one['title']}\n\n{markdown(one['rows'])}\n" for one in run["tables"]]
         parts += [f"{note}\n" for note in content.get("notes", ())]
     return "\n".join(parts)
+
+
+def with_summary(page: str) -> str:
+    """Return the page of headlines with the table of `summary` as it was printed last."""
+    (run,) = results()["summary"]["runs"]
+    text = f"{run['date']}, {run['machine']}:\n\n{markdown(run['tables'][0]['rows'])}\n"
+    return SUMMARY.sub(lambda _: text, page)
 
 
 def markdown(rows: str) -> str:

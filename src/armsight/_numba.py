@@ -14,16 +14,21 @@ import gc
 from collections.abc import Callable
 from types import FunctionType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from numba import njit, prange, types
-from numba.core import compiler, errors, event
+from numba.core import compiler, errors, event, ir
 from numba.core.codegen import JITCodeLibrary
+from numba.core.cpu_options import FastMathOptions
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.registry import CPUDispatcher
+from numba.core.targetconfig import ConfigStack
+from numba.core.types.functions import BaseFunction
+from numba.core.typing import templates
 
 from armsight._kernel_cache import keep
 
-RULES: Any = {"nogil": True, "error_model": "numpy", "_nrt": True}
+RULES: Any = {"nogil": True, "error_model": "numpy", "_nrt": True, "no_cfunc_wrapper": True}
 EXACT: Any = {"fastmath": False}
 """These and _nrt are said and not left out: numba lets a function inherit the rules of the one that it is first
 compiled for, so that the last digits would hang on which kernel comes first."""
@@ -77,7 +82,7 @@ class _InnerCompiler(_FunctionCompiler):  # type: ignore[misc]
         )
         if result.typing_error is not None:
             raise result.typing_error
-        if not flags.nrt:
+        if not (flags.nrt or self.py_func.__module__.startswith("numba.")):
             _require_no_arrays(result)
         key = object()  # what callers find the function by, where numba has the wrapper for Python
         context.insert_user_function(key, result.fndesc, [library])
@@ -133,8 +138,72 @@ class InnerKernel(CPUDispatcher):
         return self._from_python(*args)
 
 
-class _NoGarbageCollection(event.Listener):
-    """The compiler makes millions of small objects that live until it ends: looking for garbage costs a tenth of it."""
+def _decorator(template: Any) -> Callable[..., Any]:
+    """Return what makes a dispatcher of a function by which numba implements one of its own, as an inner kernel."""
+
+    def decorate(**options: Any) -> Any:
+        if not PLAIN.issuperset(options):
+            return NUMBAS_DECORATOR(template)(**options)
+        return lambda function: InnerKernel(function, {"nopython": True, **options})
+
+    return decorate
+
+
+def _typed(function: Any, context: Any, args: Any, kws: Any) -> Any:
+    """Return the signature of a call of one of numba's functions, as numba finds it, each only once.
+
+    numba asks for it anew at each call in each kernel, and twice: it tries ten candidates for the sum of two numbers.
+    With it belongs what implements it, by the rules of the kernel that calls.
+    """
+    flags = ConfigStack.top_or_none()
+    rules = None if flags is None else _rules(flags)
+    if rules is None or not all(one.is_precise() for one in (*args, *kws.values())):
+        return NUMBAS_TYPING(function, context, args, kws)
+    known = KNOWN.setdefault(function, {})
+    key = context, rules, tuple(args), tuple(kws.items())
+    if key not in known:
+        signature = NUMBAS_TYPING(function, context, args, kws)
+        known[key] = signature, function.get_impl_key(signature)
+    signature, implementation = known[key]
+    function._impl_keys[signature.args] = implementation
+    return signature
+
+
+def _rules(flags: Any) -> frozenset[Any] | None:
+    """Return the options that are set, to be compared quickly; None where one is of a kind that cannot be."""
+    found = set[Any]()
+    for name, value in flags._values.items():
+        if isinstance(value, FastMathOptions):
+            found.add((name, frozenset(value.flags)))
+        elif isinstance(value, bool | str):
+            found.add((name, value))
+        elif value != DEFAULTS[name]:
+            return None
+    return frozenset(found)
+
+
+def _listed(instruction: Any, value: Any) -> list[Any]:
+    """Return the variables in a part of an instruction, as numba does: most parts are one, or hold none."""
+    kind = type(value)
+    if kind in WITHOUT_VARIABLES:
+        return []
+    return [value] if kind is ir.Var else NUMBAS_LISTING(instruction, value)  # type: ignore[no-any-return]
+
+
+KNOWN = WeakKeyDictionary[Any, dict[Any, tuple[Any, Any]]]()
+PLAIN = frozenset({"nopython", "no_cpython_wrapper", "no_cfunc_wrapper", "fastmath", "forceobj", "boundscheck"})
+WITHOUT_VARIABLES = frozenset({ir.Loc, str, int, bool, float, type(None)})
+OVERLOADS: Any = templates._OverloadFunctionTemplate
+NUMBAS_DECORATOR: Any = OVERLOADS._get_jit_decorator
+NUMBAS_TYPING: Any = BaseFunction.get_call_type
+NUMBAS_LISTING: Any = ir.Inst._rec_list_vars
+
+
+class _Quickly(event.Listener):
+    """While a kernel is compiled numba does the same with less work.
+
+    The compiler makes millions of small objects that live until it ends: looking for garbage costs a tenth of it.
+    """
 
     def __init__(self) -> None:
         self.depth = 0
@@ -144,15 +213,23 @@ class _NoGarbageCollection(event.Listener):
         if self.depth == 0:
             self.was_on = gc.isenabled()
             gc.disable()
+            self._set(_decorator, _typed, _listed)
         self.depth += 1
 
     def on_end(self, _: event.Event) -> None:
         self.depth -= 1
-        if self.depth == 0 and self.was_on:
-            gc.enable()
+        if self.depth == 0:
+            self._set(NUMBAS_DECORATOR, NUMBAS_TYPING, NUMBAS_LISTING)
+            if self.was_on:
+                gc.enable()
+
+    def _set(self, decorator: Any, typing: Any, listing: Any) -> None:
+        OVERLOADS._get_jit_decorator = decorator
+        BaseFunction.get_call_type = typing  # type: ignore[method-assign]
+        ir.Inst._rec_list_vars = listing  # type: ignore[method-assign]
 
 
-event.register("numba:compile", _NoGarbageCollection())  # called with the compiler's lock held
+event.register("numba:compile", _Quickly())  # called with the compiler's lock held
 
 
 def _kept(**options: Any) -> Callable[[Callable[..., Any]], CPUDispatcher]:

@@ -21,7 +21,15 @@ import armsight_lab
 import armsight_sim
 from armsight import _kernel_cache
 from armsight._kernel_cache import KernelCache
-from armsight._numba import InnerKernel, borrowing_kernel, fast_kernel, inner_kernel, kernel, lean_kernel
+from armsight._numba import (
+    InnerKernel,
+    borrowing_kernel,
+    fast_kernel,
+    inner_kernel,
+    kernel,
+    lean_kernel,
+    sum_kernel,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 BARE = re.compile(r"\b(njit|numba\.jit|guvectorize)\b")
@@ -162,9 +170,26 @@ def test_a_plain_kernel_reckons_alike_whichever_kernel_is_compiled_first() -> No
     np.testing.assert_array_equal(out, a * b + c)
 
 
-def printed(folder: Path) -> str:
+@sum_kernel
+def reordered_sum(a: Any) -> Any:
+    return a.sum()
+
+
+@kernel
+def plain_sum(a: Any) -> Any:
+    return a.sum()
+
+
+def test_a_function_of_numba_keeps_to_the_rules_of_the_kernel_that_calls_it() -> None:
+    a = np.random.default_rng(2).normal(size=4097)
+    reordered = reordered_sum(a)
+    assert plain_sum(a) == sum(a.tolist()) != reordered
+    assert np.isclose(reordered, plain_sum(a), rtol=1e-9, atol=1e-9)
+
+
+def printed(folder: Path, code: str = "from planted.outer import outer; print(outer(1.0))") -> str:
     """Return what a process prints that calls the planted kernel."""
-    command = [sys.executable, "-W", "error", "-c", "from planted.outer import outer; print(outer(1.0))"]
+    command = [sys.executable, "-W", "error", "-c", code]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
 
 
@@ -194,10 +219,28 @@ def test_a_change_in_any_file_that_is_compiled_in_counts_in_the_next_process(tmp
     assert printed(tmp_path) == "12.0"
 
 
+def test_a_kept_kernel_is_called_without_the_compiler_and_goes_into_other_kernels(tmp_path: Path) -> None:
+    package = tmp_path / "planted"
+    package.mkdir()
+    head = "import numpy as np\nfrom armsight._numba import kernel\n"
+    (package / "__init__.py").write_text("")
+    (package / "outer.py").write_text(
+        f"{head}\n\n@kernel\ndef outer(x):\n    a = np.empty(3)\n    a[:] = x\n    return a\n"
+    )
+    (package / "other.py").write_text(
+        f"{head}from planted.outer import outer\n\n\n@kernel\ndef other(x):\n    return 2.0 * outer(x).sum()\n"
+    )
+    show = "import sys\nfrom planted.outer import outer\nprint(outer(1.5), 'numba.np.linalg' in sys.modules)"
+    assert printed(tmp_path, show) == "[1.5 1.5 1.5] True"
+    assert printed(tmp_path, show) == "[1.5 1.5 1.5] False"
+    both = "from planted.outer import outer\nouter(1.5)\nfrom planted.other import other\nprint(other(1.5))"
+    assert printed(tmp_path, both) == "9.0"
+
+
 def test_where_nothing_can_be_written_kernels_are_compiled_without_keeping(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(KernelCache._impl_class, "_locator_classes", [])  # as where numba finds no folder to write to
     _kernel_cache._warn_once.cache_clear()
     with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR") as told:
         unkept = [kernel(function) for function in (lambda x: x + 1.0, lambda x: x + 2.0)]
+        assert [function(1.0) for function in unkept] == [2.0, 3.0]
     assert len(told) == 1
-    assert [function(1.0) for function in unkept] == [2.0, 3.0]

@@ -87,6 +87,8 @@ def test_every_benchmark_with_figures_has_a_headline_a_script_and_tables() -> No
     results = tool.results()
     page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
     assert set(re.findall(r"benchmark-tables\.md#(\w+)", page)) == set(results)
+    assert tool.with_summary(page) == page  # the table of the last run
+    assert tool.with_summary(page.replace("Pinocchio", "Another", 1)) == page
     scripts = {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
     assert set(results) - scripts == {"public_data"}  # read by hand
     made = tool.page()

@@ -8,15 +8,18 @@ import inspect
 import math
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import typer
+from typer._coercion import build_runtime_param
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info
 from typer.models import CommandInfo
 
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.flags import Quantity
 
 ALSO = {("calibrate", "cell", "--plan"): "cell-plan"}
 """Group, command and flag that stand for another command of the group, whose flags are then read."""
@@ -77,6 +80,28 @@ class Group(TyperGroup):
         super().format_help(ctx, formatter)
 
 
+class _Conversion:
+    """Typer's conversion of what is given for a parameter; pydantic, which takes long to load, only where it is needed.
+
+    It is not for what is not given, for text, choices as they are written, paths that typer does not look at, and
+    numbers that are read with their unit.
+    """
+
+    def coerce(self, value: Any, *, param: Any, ctx: Any) -> Any:
+        """Return the value. Raises typer.BadParameter."""
+        if value is None:
+            return () if param.multiple or param.nargs == -1 else None
+        kind, info = param.type_descriptor.annotation, param.type_descriptor.parameter_info
+        if isinstance(value, str | float) and not param.multiple and isinstance(info.parser, Quantity):
+            return info.parser(value)
+        if isinstance(value, str) and info.parser is None:
+            if kind is str or (get_origin(kind) is Literal and value in get_args(kind)):
+                return value
+            if kind is Path and not (info.exists or info.resolve_path or info.allow_dash or info.path_type):
+                return Path(value)
+        return build_runtime_param(param.type_descriptor).coerce(value, param=param, ctx=ctx)
+
+
 class LazyCommand(TyperCommand):
     """A command whose flags are made when it is asked for: those of all would take longer than printing the help.
 
@@ -108,6 +133,8 @@ class LazyCommand(TyperCommand):
             made = get_command_from_info(
                 CommandInfo(name=self.name, callback=run), pretty_exceptions_short=False, rich_markup_mode="rich"
             )
+            for one in made.params:
+                one._runtime_param = _Conversion()  # type: ignore[attr-defined]  # what typer makes when it needs it
             self._params, self.callback = made.params, made.callback
         return self._params
 

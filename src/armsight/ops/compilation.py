@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Lock
 
@@ -53,12 +54,16 @@ def spots() -> None:
 
 
 def poses() -> None:
-    """Compile what comes after the spots: pairs, names, poses and the check of a run."""
+    """Compile what comes after the spots of a pair: names, poses and the check of a run."""
+    compile_beside()
+    _far_away()
+
+
+def views() -> None:
+    """Compile the poses of other rigs than pairs, and what Python calls for points."""
     from armsight.optics import Camera, PackedRig, epipolar_distance, parallel_rig, triangulate, triangulate_closed
     from armsight.optics.triangulate import epipolar_chi2
 
-    compile_beside()
-    _far_away()
     compile_views()
     camera = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0)
     rig = parallel_rig(camera, 0.1)
@@ -72,11 +77,17 @@ def poses() -> None:
 
 
 def boards() -> None:
-    """Compile the fits of a board's corners and dots, and the lattice of circles."""
-    from armsight.measure.boards import find_board, warm_up
-    from armsight.store import parse_board
+    """Compile the fits of a board's corners and dots."""
+    from armsight.measure.boards import warm_up
 
     warm_up()
+
+
+def circles() -> None:
+    """Compile the lattice of circles."""
+    from armsight.measure.boards import find_board
+    from armsight.store import parse_board
+
     y, x = np.mgrid[0:180, 0:220]
     dots = [np.hypot(x - 40 - 44 * column, y - 44 - 44 * row) < 13 for row in range(3) for column in range(4)]
     image = cv2.GaussianBlur(np.where(np.any(dots, axis=0), 30, 230).astype(np.uint8), (0, 0), 1.0)
@@ -93,22 +104,14 @@ def cameras() -> None:
     board = parse_board("checkerboard:7x5:0.03")
     rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.1)
     seen: tuple[list[BoardView], list[BoardView]] = ([], [])
+    view = partial(BoardView, sigma_px=0.05, width=SIZE[0], height=SIZE[1])
     for number in range(12):
         turn = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3))
         middle = [rng.uniform(-0.05, 0.15), rng.uniform(-0.1, 0.1), rng.uniform(0.45, 0.6)]
         xyz_m = turn.apply(board.xyz_m - board.xyz_m.mean(0)) + middle
         for side, uv_px in enumerate(rig.project(xyz_m)):
             noisy = uv_px + rng.normal(0.0, 0.05, uv_px.shape)
-            seen[side].append(
-                BoardView(
-                    uv_px=noisy,
-                    index=np.arange(len(noisy)),
-                    sigma_px=0.05,
-                    width=SIZE[0],
-                    height=SIZE[1],
-                    source=str(number),
-                )
-            )
+            seen[side].append(view(uv_px=noisy, index=np.arange(len(noisy)), source=str(number)))
     calibrate_stereo(*seen, board)
 
 
@@ -292,7 +295,9 @@ def together() -> None:
 GROUPS: Mapping[str, Callable[[], None]] = {
     "spots": spots,
     "poses": poses,
+    "views": views,
     "boards": boards,
+    "circles": circles,
     "cameras": cameras,
     "light target": light_target,
     "hand-eye": handeye,
@@ -308,8 +313,8 @@ GROUPS: Mapping[str, Callable[[], None]] = {
 """What is compiled, by command; each alone, or in this order."""
 
 SHARES = (
-    ("spots", "boards", "room", "simulator", "hand-eye"),
-    ("poses", "cameras", "light target", "kinematics", "arm", "identify", "motion", "guard"),
+    ("spots", "boards", "circles", "room", "simulator", "hand-eye"),
+    ("poses", "views", "cameras", "light target", "kinematics", "arm", "identify", "motion", "guard"),
 )
 """The groups of each process, of like length; the rest follows when both are done. No kernel that Python calls belongs
 to both: tests/unit/app/test_compilation.py."""
@@ -376,12 +381,7 @@ def _far_away() -> None:
     left, right = rig.project(turn.apply(np.array(list(xyz_m.values()))) + np.array([0.05, 0.0, 3.0]))
     for off_px in (0.0, 1.0):
         left[0, 1] += off_px
-        measure_spots(
-            setup,
-            0.0,
-            Spots.of_centres(left, VARIANCE_PX2),
-            Spots.of_centres(right, VARIANCE_PX2),
-        )
+        measure_spots(setup, 0.0, *(Spots.of_centres(uv_px, VARIANCE_PX2) for uv_px in (left, right)))
 
 
 class _Lines(Silent):

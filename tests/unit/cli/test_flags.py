@@ -8,11 +8,15 @@ from typing import Annotated, Any
 
 import pytest
 import typer
+from typer._coercion import build_runtime_param
 from typer.testing import CliRunner
 
 from armsight.cli.command import Group, command
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.commands import app
+from armsight.cli.examples import every_command
 from armsight.cli.flags import PartialRequest
+from armsight.cli.lazy import _Conversion
 from armsight.errors import UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.flags import Table
@@ -106,3 +110,28 @@ def test_the_help_tells_meaning_unit_and_default_and_the_first_text_of_a_flag_of
     text = " ".join(taken("--help")[0].output.split())
     assert "--plate-mm" in text and "[default: 3.0]" in text and "M|MM" in text
     assert "How long." in text and "Another text." not in text and "untold" not in text
+
+
+def outcome(conversion: Any, value: Any, param: Any) -> tuple[type, str]:
+    try:
+        made = conversion.coerce(value, param=param, ctx=None)
+    except Exception as error:  # whatever it is, typer ends with the same
+        return type(error), str(error)
+    return type(made), repr(made)
+
+
+def test_flags_are_read_as_typer_reads_them() -> None:
+    """Whether or not pydantic is loaded for it."""
+    given, read = ("", "x", "3", "-1.5", "2 mm", "camera:0", "likelihood", "-"), 0
+    for name, _ in every_command(app):
+        with typer.main.get_command(app).make_context("armsight", name.split()[:1], resilient_parsing=True) as ctx:
+            found: Any = ctx.command
+            for word in name.split():
+                found = found.get_command(ctx, word)
+        for one in found.params:
+            many = one.multiple or one.nargs != 1
+            for value in (None, *([text] if many else text for text in given)):
+                expected = outcome(build_runtime_param(one.type_descriptor), value, one)
+                assert outcome(one.get_runtime_param(), value, one) == expected, (name, one.name, value)
+                read += isinstance(one.get_runtime_param(), _Conversion)
+    assert read > 1000

@@ -108,7 +108,7 @@ def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> N
             cure="Count the inner corners again, or show the whole board, sharp and evenly lit",
         )
     for side, axis, line in outer_lines(board):
-        if off_line(grid, guess, axis, line) > OFF_LINE:
+        if off_line(grid, np.ascontiguousarray(guess), axis, line) > OFF_LINE:
             raise too_few(
                 f"{source}: the {side} of {board.columns}x{board.rows} inner corners is not where the others put it"
             )
