@@ -28,10 +28,13 @@ REACH = 0.5
 LAST_HALF_PX = 24.0
 """Largest half window in px of the last fit: a larger one adds time, no accuracy."""
 ROUGH = (8.0, 0.05, TRIALS)
-FITS = (ROUGH, ROUGH, (LAST_HALF_PX, LAST_STEP_PX, TRIALS))
+Fits = tuple[tuple[float, float, int], ...]
+FITS: Fits = (ROUGH, ROUGH, (LAST_HALF_PX, LAST_STEP_PX, TRIALS))
 """Each fit's largest half window, the step in px that is its last, and how often the model is evaluated. A window's
 middle is where the fit before put the corner, and moves the next one by some hundredths of its own error: after two
 small windows the last is the same to 1e-5 px, wherever the search began."""
+FROM_SADDLES = FITS[1:]
+"""Saddles of the image itself are where a first small window would put them."""
 EXPLAINED = 0.6
 """A true corner's window is explained to 0.95 and better by the model, a corner beside one to less than this."""
 SURE = 0.9
@@ -75,7 +78,7 @@ def find_checkerboard(image: Image, board: Target, source: str, detector: str) -
     coarse = grid_at_a_glance(image, board.columns, board.rows) if quick or detector == "auto" else None
     if coarse is not None:
         try:
-            return refine_corners(image, board, number_corners(image, board, coarse), source)
+            return refine_corners(image, board, number_corners(image, board, coarse), source, FROM_SADDLES)
         except BadImage:
             if quick:
                 raise
@@ -165,14 +168,14 @@ def _squares_alike(board: Target) -> Mask:
     return np.asarray(np.add.outer(np.arange(board.rows - 1), np.arange(board.columns - 1)) % 2 == 0)
 
 
-def refine_corners(image: Image, board: Target, guess: Array, source: str) -> BoardView:
-    """Fit every corner three times, the last in a large window, and keep what passes the checks."""
+def refine_corners(image: Image, board: Target, guess: Array, source: str, fits: Fits = FITS) -> BoardView:
+    """Fit every corner several times, the last in a large window, and keep what passes the checks."""
     grid, sign = grid_of(board), parity_of(board)
     refuse_miscount(image, board, guess, source)
     if not _first_square_is_black(image, board, guess):
         sign = -sign
     uv, like = guess, ALONE
-    for effort in FITS:
+    for effort in fits:
         smooth, distance = fit_map(grid, uv)
         size = _square_px(smooth, grid)
         start = np.where((distance > OFF_GRID * size)[:, None], smooth(grid), uv)
