@@ -27,7 +27,7 @@ GOES_ON = 0.5
 
 
 def grid_at_a_glance(image: Image, columns: int, rows: int) -> Array | None:
-    """Return the corners (n, 2) to a part of a pixel, row by row, of a whole grid in the smallest copy that shows one."""
+    """Return the corners (n, 2), row by row, of a whole grid in the smallest copy that shows one, to a part of a px."""
     for factor in _factors(image):
         uv = _complete_grid(_calmed(image if factor == 1 else shrunk(image, factor)), columns, rows)
         if uv is not None:

@@ -18,7 +18,7 @@ STEP = 2
 APART = 2
 """A saddle is the strongest within so many pixels."""
 FURTHEST = 1.5
-"""... and lies no further off its pixel than this, in px: what is further off than a neighbour has a place of its own."""
+"""... and lies no further off its pixel, in px: what is further off than a neighbour has a place of its own."""
 RING = 16
 """Places on the ring: two edges that cross are told from one another to ten degrees of slant."""
 RADIUS = 3.0

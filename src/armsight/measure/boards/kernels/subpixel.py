@@ -11,7 +11,7 @@ from math import atan2, ceil, floor, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, inner_sum_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2
 from armsight.measure.boards.kernels.edge_models import CHUNK, LARGEST, N_CORNER, N_DOT, ROWS, accumulate, set_aside
@@ -91,7 +91,7 @@ def _descend(kind, n, p, reach, last_px, most, H, window, flat, W):
     return cost
 
 
-@inner_kernel
+@inner_sum_kernel
 def _levels(v, n):
     """Return the mean and standard deviation of n samples."""
     mean = 0.0
