@@ -243,10 +243,9 @@ class _System:
         cost = self.cost + np.einsum("gq,kq->k", at**2, precision) + np.einsum("kf,kf->k", g, step)
         cost -= np.einsum("kgq,kgq->k", pull, Di_p[..., 0])
         noise2 = np.maximum(cost, 1e-300) / self.dof
-        logdet = np.linalg.slogdet(D)[1].sum(axis=1) - D.shape[1] * np.log(precision).sum(axis=1)
-        logdet += np.linalg.slogdet(S * np.outer(scale, scale))[1]
-        C = noise2[:, None, None] * inverse
-        return _Solved(worse=logdet + self.dof * np.log(noise2), step=step, C=C, noise2=noise2)
+        worse = np.linalg.slogdet(D)[1].sum(axis=1) - D.shape[1] * np.log(precision).sum(axis=1)
+        worse += np.linalg.slogdet(S * np.outer(scale, scale))[1] + self.dof * np.log(noise2)
+        return _Solved(worse=worse, step=step, C=noise2[:, None, None] * inverse, noise2=noise2)
 
     def best(self) -> Array:
         """Return the likeliest ratios (q,), looked for one after the other, twice."""
@@ -260,8 +259,7 @@ class _System:
     def averaged(self, best: Array) -> tuple[Array, Array, Array]:
         """Return step and covariance over all ratios about the best, weighed by likelihood, and the deviations (q,)."""
         # those that are zero stay zero
-        near = product(*[FINE if ratio > 0.0 else np.ones(1) for ratio in best])
-        ratios = best * np.array([*near])
+        ratios = best * np.array([*product(*[FINE if ratio > 0.0 else np.ones(1) for ratio in best])])
         found = self.solved(ratios)
         weight = np.exp(-0.5 * (found.worse - found.worse.min()))
         weight = weight / weight.sum()

@@ -45,7 +45,7 @@ def _sharpened(image: Image, uv: Array, reach: int) -> Array:
     margin = reach + 2 * STEP
     low = np.maximum(uv.min(axis=0).astype(np.intp) - margin, 0)
     high = uv.max(axis=0).astype(np.intp) + margin + 2
-    return saddles_near(_calmed(image[low[1] : high[1], low[0] : high[0]]), uv - low, reach) + low
+    return np.asarray(saddles_near(_calmed(image[low[1] : high[1], low[0] : high[0]]), uv - low, reach) + low)
 
 
 def _factors(image: Image) -> list[int]:
