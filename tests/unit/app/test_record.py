@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -114,6 +116,18 @@ def test_live_frames_that_find_no_room_are_dropped_and_counted(tmp_path: Path, m
     assert (recorder.written, recorder.dropped) == (5, 7)
     with Recording(tmp_path / "a.mcap") as recording:
         assert sum("7 pairs dropped" in event.message for event in recording.events()) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere all threads of a process share one priority")
+@pytest.mark.parametrize("live", [True, False])
+def test_live_frames_are_compressed_behind_what_measures_them(tmp_path: Path, *, live: bool) -> None:
+    def niceness() -> int:
+        return os.getpriority(os.PRIO_PROCESS, 0)
+
+    with Recorder(RecordingWriter(tmp_path / "a.mcap"), ImageFormat.PNG, live=live) as recorder:
+        own = niceness()
+        assert recorder._pool.submit(niceness).result() == min(own + live * recorder_module.BEHIND, 19)
+        assert niceness() == own
 
 
 def test_live_frames_that_would_wait_too_long_are_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

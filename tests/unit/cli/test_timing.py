@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
@@ -11,8 +12,11 @@ import cv2
 import numpy as np
 import pytest
 
+from armsight.errors import BadFile, Cancelled
 from armsight.ops.calibration import spots_of_frames
-from armsight.records import Frame
+from armsight.ops.calibration.spots_of_frames import side_by_side
+from armsight.records import Frame, Progress, Silent, SpotTrack
+from refusals import refuses
 
 Run = Callable[..., Any]
 FOCAL, CX, CY, WIDTH, HEIGHT, BASELINE = 400.0, 160.3, 119.6, 320, 240, 0.1  # of the scene's rig
@@ -130,3 +134,31 @@ def test_live_cameras_are_read_side_by_side_for_a_while(
     shift = got["delay_s"] + 1e-6 * got["drift_ppm"] * got["middle_s"]  # the stamps have the frames' own times
     assert abs(shift) < max(2e-4, 4.0 * got["std_middle_s"])
     assert got["std_middle_s"] < 1e-3
+
+
+class Told(Silent):
+    """Keeps what is told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        self.notes.append(note)
+
+
+def test_cameras_side_by_side_end_together_and_the_first_shows_how_far_they_are() -> None:
+    begun, told = threading.Event(), Told()
+
+    def look(name: str, text: str, progress: Progress) -> SpotTrack:
+        progress.update(1.0, 2.0, f"{name} of {text}")
+        if name == "left":
+            assert begun.wait(60.0)
+            raise BadFile("a.mp4 breaks off")
+        begun.set()
+        while not progress.cancelled():  # as one that reads for hours
+            begun.wait()
+        raise Cancelled("stopped")
+
+    with refuses(BadFile, "a.mp4"):
+        side_by_side(look, {"left": "a.mp4", "right": "b.mp4"}, told)
+    assert told.notes == ["left of a.mp4"]

@@ -83,7 +83,7 @@ def pair_effects(observations: Observations, fit: Fit) -> PairEffects | None:
         model = _Model.of(observations, fit, names, effect)
         system = model.system(replace(start, own=np.zeros((observations.n_views, len(effect)))))
         best = system.best()
-        gain = system.solved(np.zeros(len(effect))).worse - system.solved(best).worse
+        gain = float(system.solved(np.zeros((1, len(effect)))).worse[0] - system.solved(best[None]).worse[0])
         if gain > chdtri(len(effect), BY_CHANCE) and (found is None or gain > found[0]):
             found = gain, kind, model, best
     if found is None:
@@ -197,13 +197,13 @@ class _Model:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Solved:
-    """-2 log of the restricted likelihood; the step (F,) of the free parameters and its covariance (F, F); the variance
-    of the points' noise over what they are believed to have."""
+    """For each of k sets of variances -2 log of the restricted likelihood (k,); the step (k, F) of the free parameters
+    and its covariance (k, F, F); the variance (k,) of the points' noise over what they are believed to have."""
 
-    worse: float
+    worse: Array
     step: Array
     C: Array
-    noise2: float
+    noise2: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -224,25 +224,28 @@ class _System:
     poses: tuple[Array, Array]
 
     def solved(self, ratio: Array) -> _Solved:
-        """Return the answer for effects of variances ratio (q,) times `size`, in units of the points' noise."""
-        used = ratio > 0.0
-        precision = 1.0 / (ratio[used] * self.size[used])
+        """Return the answers for effects of variances ratio (k, q) times `size`, each zero in all k or in none, in
+        units of the points' noise."""
+        used = ratio[0] > 0.0
+        precision = 1.0 / (ratio[:, used] * self.size[used])  # (k, u)
+        mixed, at = self.mixed[:, :, used], self.at[:, used]
         # a random effect is a parameter with a prior of mean zero: eliminated pair by pair, as the poses are
-        D = self.own[:, used][:, :, used] + np.diag(precision)  # (G, q, q)
-        pull = self.pull[:, used] + self.at[:, used] * precision
-        Di_M, Di_p = np.linalg.solve(D, self.mixed[:, :, used].transpose(0, 2, 1)), np.linalg.solve(D, pull[..., None])
-        S = self.S - np.einsum("gfq,gqh->fh", self.mixed[:, :, used], Di_M)
-        g = self.g - np.einsum("gfq,gq->f", self.mixed[:, :, used], Di_p[..., 0])
+        D = self.own[:, used][:, :, used] + (precision[:, :, None] * np.eye(used.sum()))[:, None]  # (k, G, u, u)
+        pull = self.pull[:, used] + at * precision[:, None]  # (k, G, u)
+        Di_M, Di_p = np.linalg.solve(D, mixed.transpose(0, 2, 1)), np.linalg.solve(D, pull[..., None])
+        rows = mixed.swapaxes(0, 1).reshape(len(self.S), -1)  # (F, G u)
+        S = self.S - rows @ Di_M.reshape(len(ratio), -1, len(self.S))
+        g = self.g - Di_p.reshape(len(ratio), -1) @ rows.T
         # px, m and rad differ by orders of magnitude: in units of each one's own influence rounding is alike for all
         scale = 1.0 / np.sqrt(np.diag(self.S))
         inverse = np.linalg.inv(S * np.outer(scale, scale)) * np.outer(scale, scale)
-        step = -inverse @ g
-        cost = self.cost + float(np.einsum("gq,q->", self.at[:, used] ** 2, precision)) + float(g @ step)
-        cost -= float(np.einsum("gq,gq->", pull, Di_p[..., 0]))
-        noise2 = max(cost, 1e-300) / self.dof
-        logdet = float(np.linalg.slogdet(D)[1].sum()) - len(D) * float(np.log(precision).sum())
-        logdet += float(np.linalg.slogdet(S * np.outer(scale, scale))[1])
-        return _Solved(worse=logdet + self.dof * float(np.log(noise2)), step=step, C=noise2 * inverse, noise2=noise2)
+        step = -(inverse @ g[..., None])[..., 0]
+        cost = self.cost + np.einsum("gq,kq->k", at**2, precision) + np.einsum("kf,kf->k", g, step)
+        cost -= np.einsum("kgq,kgq->k", pull, Di_p[..., 0])
+        noise2 = np.maximum(cost, 1e-300) / self.dof
+        worse = np.linalg.slogdet(D)[1].sum(axis=1) - D.shape[1] * np.log(precision).sum(axis=1)
+        worse += np.linalg.slogdet(S * np.outer(scale, scale))[1] + self.dof * np.log(noise2)
+        return _Solved(worse=worse, step=step, C=noise2[:, None, None] * inverse, noise2=noise2)
 
     def best(self) -> Array:
         """Return the likeliest ratios (q,), looked for one after the other, twice."""
@@ -250,23 +253,20 @@ class _System:
         for _ in range(2):
             for k in range(len(best)):
                 tries = [np.where(np.arange(len(best)) == k, ratio, best) for ratio in COARSE]
-                best = min(tries, key=lambda ratio: self.solved(ratio).worse)
+                best = min(tries, key=lambda ratio: float(self.solved(ratio[None]).worse[0]))
         return best
 
     def averaged(self, best: Array) -> tuple[Array, Array, Array]:
         """Return step and covariance over all ratios about the best, weighed by likelihood, and the deviations (q,)."""
         # those that are zero stay zero
-        near = product(*[FINE if ratio > 0.0 else np.ones(1) for ratio in best])
-        ratios = [best * np.array(factors) for factors in near]
-        found = [self.solved(ratio) for ratio in ratios]
-        worse = np.array([one.worse for one in found])
-        weight = np.exp(-0.5 * (worse - worse.min()))
+        ratios = best * np.array([*product(*[FINE if ratio > 0.0 else np.ones(1) for ratio in best])])
+        found = self.solved(ratios)
+        weight = np.exp(-0.5 * (found.worse - found.worse.min()))
         weight = weight / weight.sum()
-        steps = np.array([one.step for one in found])
-        step = weight @ steps
-        spread = steps - step
-        C = np.einsum("k,kab->ab", weight, np.array([one.C for one in found])) + (spread.T * weight) @ spread
-        variance = weight @ (np.array(ratios) * np.array([one.noise2 for one in found])[:, None])
+        step = weight @ found.step
+        spread = found.step - step
+        C = np.einsum("k,kab->ab", weight, found.C) + (spread.T * weight) @ spread
+        variance = weight @ (ratios * found.noise2[:, None])
         return step, 0.5 * (C + C.T), np.sqrt(variance * self.size)
 
     def effects(self, step: Array, ratio: Array) -> Array:

@@ -319,8 +319,8 @@ class ServoSource:
     def _elsewhere(self, q: Array, T_base_flange: Array) -> Array:
         """Return where the rig is (n + 1, 4, 4) were each joint reversed, or the hand-eye calibration inverted."""
         opposite = np.tile(q, (len(q), 1)) + np.diag(2.0 * (self._q_begun - q))
-        reversed_ = [self._flange(one) @ self._T_parent_camera for one in opposite]
-        return np.array([*reversed_, T_base_flange @ self._T_camera_parent])
+        reversed_ = self._flange(opposite) @ self._T_parent_camera
+        return np.concatenate([reversed_, (T_base_flange @ self._T_camera_parent)[None]])
 
     def _middle(self, names: tuple[str, ...]) -> Array | None:
         """Return the middle (3,) of lights in target axes; None where some were not told apart."""

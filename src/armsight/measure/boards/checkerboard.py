@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,10 +30,13 @@ REACH = 0.5
 LAST_HALF_PX = 24.0
 """Largest half window in px of the last fit: a larger one adds time, no accuracy."""
 ROUGH = (8.0, 0.05, TRIALS)
-FITS = (ROUGH, ROUGH, (LAST_HALF_PX, LAST_STEP_PX, TRIALS))
+Fits = tuple[tuple[float, float, int], ...]
+FITS: Fits = (ROUGH, ROUGH, (LAST_HALF_PX, LAST_STEP_PX, TRIALS))
 """Each fit's largest half window, the step in px that is its last, and how often the model is evaluated. A window's
 middle is where the fit before put the corner, and moves the next one by some hundredths of its own error: after two
 small windows the last is the same to 1e-5 px, wherever the search began."""
+FROM_SADDLES = FITS[1:]
+"""Saddles of the image itself are where a first small window would put them."""
 EXPLAINED = 0.6
 """A true corner's window is explained to 0.95 and better by the model, a corner beside one to less than this."""
 SURE = 0.9
@@ -75,7 +80,7 @@ def find_checkerboard(image: Image, board: Target, source: str, detector: str) -
     coarse = grid_at_a_glance(image, board.columns, board.rows) if quick or detector == "auto" else None
     if coarse is not None:
         try:
-            return refine_corners(image, board, number_corners(image, board, coarse), source)
+            return refine_corners(image, board, number_corners(image, board, coarse), source, FROM_SADDLES)
         except BadImage:
             if quick:
                 raise
@@ -165,21 +170,22 @@ def _squares_alike(board: Target) -> Mask:
     return np.asarray(np.add.outer(np.arange(board.rows - 1), np.arange(board.columns - 1)) % 2 == 0)
 
 
-def refine_corners(image: Image, board: Target, guess: Array, source: str) -> BoardView:
-    """Fit every corner three times, the last in a large window, and keep what passes the checks."""
+def refine_corners(image: Image, board: Target, guess: Array, source: str, fits: Fits = FITS) -> BoardView:
+    """Fit every corner several times, the last in a large window, and keep what passes the checks."""
     grid, sign = grid_of(board), parity_of(board)
     refuse_miscount(image, board, guess, source)
     if not _first_square_is_black(image, board, guess):
         sign = -sign
     uv, like = guess, ALONE
-    for effort in FITS:
+    for effort in fits:
         smooth, distance = fit_map(grid, uv)
-        size = _square_px(smooth, grid)
+        slopes = smooth.derivatives(grid)
+        size = _square_px(slopes[0])
         start = np.where((distance > OFF_GRID * size)[:, None], smooth(grid), uv)
-        uv, covariance, quality, like = _fit(image, smooth, grid, start, sign, effort, like)
+        uv, covariance, quality, like = _fit(image, slopes, start, sign, effort, like)
         like = np.where((quality[:, 0] > SURE)[:, None], like, np.nan)
     smooth, distance = fit_map(grid, uv)
-    size = _square_px(smooth, grid)
+    size = _square_px(smooth.derivatives(grid)[0])
     contrast = quality[:, 1]
     limit = np.clip(SCATTER * median(distance), SMOOTH * size, OFF_GRID * size)
     good = (quality[:, 0] > EXPLAINED) & (distance < limit)
@@ -200,23 +206,24 @@ def refine_corners(image: Image, board: Target, guess: Array, source: str) -> Bo
     )
 
 
-def _square_px(smooth: GridMap, grid: Array) -> Array:
-    """Return the shorter side (n,) of a square at each corner in px."""
-    E, _ = smooth.derivatives(grid)
+def _square_px(E: Array) -> Array:
+    """Return the shorter side (n,) in px of a square at each corner, of the map's slopes E (n, 2, 2)."""
     return np.asarray(np.linalg.norm(E, axis=1).min(axis=1))
 
 
 def _fit(
     image: Image,
-    smooth: GridMap,
-    grid: Array,
+    slopes: tuple[Array, Array],
     guess: Array,
     sign: Array,
     effort: tuple[float, float, int],
     like: Array = ALONE,
 ) -> tuple[Array, Array, Array, Array]:
-    """Return the fitted corners (n, 2), covariances (n, 2, 2), quality (n, 4) and parameters (n, 10)."""
-    E, Q = smooth.derivatives(grid)
+    """Return the fitted corners (n, 2), covariances (n, 2, 2), quality (n, 4) and parameters (n, 10).
+
+    slopes: of the map there, as GridMap.derivatives gives them.
+    """
+    E, Q = slopes
     half_px, last_px, most = effort
     reach = np.minimum(REACH, half_px / np.linalg.norm(E, axis=1).max(axis=1))
     fitted: tuple[Array, Array, Array, Array] = fit_corners(
@@ -259,12 +266,12 @@ def _refuse(
     inner = grid[(grid < grid.max(axis=0)).all(axis=1)]
     usual = _step(image, smooth(inner + 0.5), _sign_at(inner, sign))
     clear, contrast = median(quality[good, 0]), median(quality[good, 1])
-    for side, more in _beyond(board).items():
-        step = _step_behind(image, grid.max(axis=0), smooth, more, sign)
+    for side, (more, behind, parity) in _beyond(board.columns, board.rows).items():
+        step = _step(image, smooth(behind), sign[0] * parity)
         if step < ALTERNATING * usual:
             continue
         there, unknown = smooth(more), np.isnan(step)
-        uv, _, beyond, _ = _fit(image, smooth, more, there, _sign_at(more, sign), BEYOND)
+        uv, _, beyond, _ = _fit(image, smooth.derivatives(more), there, _sign_at(more, sign), BEYOND)
         like = np.linalg.norm(uv - there, axis=1) < OFF_GRID * median(size)
         like &= (beyond[:, 0] > (0.5 * (END_OF_BOARD + clear) if unknown else EXPLAINED)) & (
             beyond[:, 1] > 0.5 * contrast
@@ -285,14 +292,6 @@ def _refuse(
             )
 
 
-def _step_behind(image: Image, last: Array, smooth: GridMap, more: Array, sign: Array) -> float:
-    """Return _step of the squares behind one more row of corners (m, 2), were there one; last (2,): the last corner."""
-    outwards = np.rint(more[0] - np.clip(more[0], 0, last))
-    along = more[(np.where(outwards == 0.0, more, 0.0) < last).all(axis=1)]
-    behind = along + np.minimum(outwards, 0.0)  # a square is named by its corner nearest to the origin
-    return _step(image, smooth(along + np.where(outwards == 0.0, 0.5, BEHIND * outwards)), _sign_at(behind, sign))
-
-
 def _step(image: Image, uv: Array, sign: Array) -> float:
     """Return how much brighter the image is at the pixels (n, 2) of sign +1 than at the others; NaN for none."""
     seen = ((uv >= -0.5) & (uv < [image.shape[1] - 0.5, image.shape[0] - 0.5])).all(axis=1)
@@ -302,16 +301,26 @@ def _step(image: Image, uv: Array, sign: Array) -> float:
     return float(level[bright].mean() - level[~bright].mean())
 
 
-def _beyond(board: Target) -> dict[str, Array]:
-    """Return the grid coordinates of the corners that one more row or column would have, by the side's name."""
-    c, r = board.columns, board.rows
-    i, j = np.arange(r, dtype=float), np.arange(c, dtype=float)
-    return {
-        "one more column before the first": np.stack([np.full(r, -1.0), i], axis=1),
-        "one more column after the last": np.stack([np.full(r, float(c)), i], axis=1),
-        "one more row before the first": np.stack([j, np.full(c, -1.0)], axis=1),
-        "one more row after the last": np.stack([j, np.full(c, float(r))], axis=1),
+@cache
+def _beyond(columns: int, rows: int) -> dict[str, tuple[Array, Array, Array]]:
+    """Return the grid coordinates (m, 2) of the corners that one more row or column would have, by the side's name; and
+    of the squares behind them, were there one: where they are looked at (k, 2), and +1 where they have the colour of
+    the first corner's own, else -1, (k,)."""
+    i, j = np.arange(rows, dtype=float), np.arange(columns, dtype=float)
+    lines = {
+        "one more column before the first": np.stack([np.full(rows, -1.0), i], axis=1),
+        "one more column after the last": np.stack([np.full(rows, float(columns)), i], axis=1),
+        "one more row before the first": np.stack([j, np.full(columns, -1.0)], axis=1),
+        "one more row after the last": np.stack([j, np.full(columns, float(rows))], axis=1),
     }
+    last, sides = np.array([columns - 1.0, rows - 1.0]), {}
+    for side, more in lines.items():
+        outwards = np.rint(more[0] - np.clip(more[0], 0, last))
+        along = more[(np.where(outwards == 0.0, more, 0.0) < last).all(axis=1)]
+        behind = along + np.where(outwards == 0.0, 0.5, BEHIND * outwards)
+        # a square is named by its corner nearest to the origin
+        sides[side] = more, behind, _sign_at(along + np.minimum(outwards, 0.0), np.ones(1))
+    return sides
 
 
 def _sign_at(grid: Array, sign: Array) -> Array:

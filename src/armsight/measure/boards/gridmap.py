@@ -12,7 +12,13 @@ import numpy as np
 
 from armsight.arrays import Array, Image, Index
 from armsight.errors import BadImage, unused_image
-from armsight.measure.boards.kernels.gridmap import fit_grid_map, map_derivatives, map_points, off_line
+from armsight.measure.boards.kernels.gridmap import (
+    fit_grid_map,
+    map_derivatives,
+    map_points,
+    nearest_levels,
+    off_line,
+)
 from armsight.records import BoardView, Target
 from armsight.records.views import symmetries
 
@@ -145,6 +151,4 @@ def alternating_share(image: Image, board: Target, smooth: GridMap) -> float:
 
 def levels_at(image: Image | Array, uv: Array) -> Array:
     """Return the grey levels (n,) at the pixels nearest to uv (n, 2)."""
-    at = np.rint(uv).astype(np.intp)
-    row, column = at[:, 1].clip(0, image.shape[0] - 1), at[:, 0].clip(0, image.shape[1] - 1)
-    return np.asarray(image[row, column], np.float64)
+    return np.asarray(nearest_levels(image, np.ascontiguousarray(uv)))

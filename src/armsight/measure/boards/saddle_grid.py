@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from armsight.arrays import Array, Image, Index
-from armsight.measure.boards.kernels.saddles import grow_grids, saddle_corners, saddle_pixels
+from armsight.measure.boards.kernels.saddles import STEP, grow_grids, saddle_corners, saddle_pixels, saddles_near
 
 SMALLEST_SIDE_PX = 100
 """The shorter side of the smallest copy that is looked at: a board's squares are then of five pixels and more."""
@@ -27,14 +27,25 @@ GOES_ON = 0.5
 
 
 def grid_at_a_glance(image: Image, columns: int, rows: int) -> Array | None:
-    """Return the corners (n, 2) to about a pixel, row by row, of a whole grid in the smallest copy that shows one."""
+    """Return the corners (n, 2), row by row, of a whole grid in the smallest copy that shows one, to a part of a px."""
     for factor in _factors(image):
-        small = image if factor == 1 else shrunk(image, factor)
-        calm = np.asarray(cv2.GaussianBlur(small, (5, 5), BLUR_PX), dtype=np.uint8)
-        uv = _complete_grid(calm, columns, rows)
+        uv = _complete_grid(_calmed(image if factor == 1 else shrunk(image, factor)), columns, rows)
         if uv is not None:
-            return (uv + 0.5) * factor - 0.5
+            return uv if factor == 1 else _sharpened(image, (uv + 0.5) * factor - 0.5, factor)
     return None
+
+
+def _calmed(image: Image) -> Image:
+    """Return the image without the noise of its pixels."""
+    return np.asarray(cv2.GaussianBlur(image, (5, 5), BLUR_PX), dtype=np.uint8)
+
+
+def _sharpened(image: Image, uv: Array, reach: int) -> Array:
+    """Return corners (n, 2), known to so many px, as the saddles of the image itself."""
+    margin = reach + 2 * STEP
+    low = np.maximum(uv.min(axis=0).astype(np.intp) - margin, 0)
+    high = uv.max(axis=0).astype(np.intp) + margin + 2
+    return np.asarray(saddles_near(_calmed(image[low[1] : high[1], low[0] : high[0]]), uv - low, reach) + low)
 
 
 def _factors(image: Image) -> list[int]:

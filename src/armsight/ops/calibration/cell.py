@@ -21,7 +21,7 @@ from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm
 from armsight.ops.action import Given
-from armsight.ops.calibration.spots_of_frames import SpotSearch, spots_of_frames
+from armsight.ops.calibration.spots_of_frames import SpotSearch, side_by_side, spots_of_frames
 from armsight.ops.flags import point_of
 from armsight.ops.given import as_arm
 from armsight.ops.sources.cameras import named_cameras
@@ -169,14 +169,16 @@ def spots_and_sizes(
     search: SpotSearch, sources: Mapping[str, str], progress: Progress
 ) -> tuple[dict[str, SpotTrack], Sequence[Size]]:
     """Return the spots in frames by camera, and the sizes of their images. Raises UsageError, Inconsistent."""
-    tracks, found = {}, []
-    for name, text in sources.items():
-        seen: list[Size] = []
-        tracks[name] = spots_of_frames(search, name, text, progress, _one_size(seen))
-        if not seen:
-            raise UsageError(f"{text} holds no frames", cure="Give the frames of the recording")
-        found.append(seen[0])
-    return tracks, found
+    seen: dict[str, list[Size]] = {name: [] for name in sources}
+
+    def look(name: str, text: str, progress: Progress) -> SpotTrack:
+        return spots_of_frames(search, name, text, progress, _one_size(seen[name]))
+
+    tracks = side_by_side(look, sources, progress)
+    for name, sizes in seen.items():
+        if not sizes:
+            raise UsageError(f"{sources[name]} holds no frames", cure="Give the frames of the recording")
+    return tracks, [sizes[0] for sizes in seen.values()]
 
 
 def _one_size(seen: list[Size]) -> Callable[[Frame], None]:

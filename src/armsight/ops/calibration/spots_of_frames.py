@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from threading import Event
 from typing import TypeVar
 
 import numpy as np
@@ -127,9 +128,9 @@ def seen_tracks(
     live = [is_live(text) for text in texts.values()]
     if any(live):
         _require_all(live)
-        return _waved(texts, rig, search, progress)
+        return _of_rig(texts, rig, replace(search, origin_s=SystemClock().now_s()), progress)
     search = replace(search, origin_of=texts[rig.names[0]])
-    return {name: _seen(text, name, rig, search, progress) for name, text in texts.items()}
+    return _of_rig(texts, rig, search, progress)
 
 
 def _require_all(live: Sequence[bool]) -> None:
@@ -144,32 +145,47 @@ def _require_all(live: Sequence[bool]) -> None:
         )
 
 
-class _Behind(Silent):
-    """Shows nothing of a second job beside the first one, and stops with it."""
+class _OneOfMany(Silent):
+    """What one of several jobs side by side is asked: all stop together, and the first shows how far they are."""
 
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
+    def __init__(self, progress: Progress, ended: Event, *, shown: bool) -> None:
+        self._progress, self._ended, self._shown = progress, ended, shown
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        """Show how far the first job is."""
+        if self._shown:
+            self._progress.update(done, total, note)
 
     def cancelled(self) -> bool:
-        """Tell whether the first job was to stop."""
-        return self._progress.cancelled()
+        """Tell whether all were to stop, or have: the spots of some cameras are of no use."""
+        return self._ended.is_set() or self._progress.cancelled()
 
 
-def _waved(texts: Mapping[str, str], rig: Rig, search: SpotSearch, progress: Progress) -> dict[str, SpotTrack]:
-    """Return the spots of live cameras, read side by side; their stamps count from one moment."""
-    search = replace(search, origin_s=SystemClock().now_s())
+def side_by_side(
+    look: Callable[[str, str, Progress], SpotTrack], texts: Mapping[str, str], progress: Progress
+) -> dict[str, SpotTrack]:
+    """Return what look(name, text, progress) finds in each camera's source, all read at once."""
+    ended = Event()
     with ThreadPoolExecutor(len(texts)) as pool:
-        sides = {
-            name: pool.submit(_seen, text, name, rig, search, _Behind(progress) if k else progress)
-            for k, (name, text) in enumerate(texts.items())
-        }
-        return {name: one.result() for name, one in sides.items()}
+        try:
+            jobs = {
+                name: pool.submit(look, name, text, _OneOfMany(progress, ended, shown=k == 0))
+                for k, (name, text) in enumerate(texts.items())
+            }
+            return {name: job.result() for name, job in jobs.items()}
+        finally:
+            ended.set()
 
 
-def _seen(text: str, side: str, rig: Rig, search: SpotSearch, progress: Progress) -> SpotTrack:
-    return spots_of_frames(
-        search, side, text, progress, lambda frame: check_size(rig, side, frame, "No timing is given")
-    )
+def _of_rig(texts: Mapping[str, str], rig: Rig, search: SpotSearch, progress: Progress) -> dict[str, SpotTrack]:
+    """Return the spots of a rig's cameras, whose frames must be of their sizes; stamps count from one moment."""
+
+    def look(side: str, text: str, progress: Progress) -> SpotTrack:
+        return spots_of_frames(
+            search, side, text, progress, lambda frame: check_size(rig, side, frame, "No timing is given")
+        )
+
+    return side_by_side(look, texts, progress)
 
 
 # The lights of a target in pairs of frames.

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -41,6 +44,19 @@ SYNC_S = 1.0
 takes as long as the disk likes."""
 
 
+BEHIND = 5
+"""By so much nicer are threads that compress live frames: what measures them gets three quarters of a core that both
+want. A picture may be compressed a little later, and not be measured later."""
+
+
+def _behind() -> None:
+    """Let what measures have the processor first, where a system gives each thread a priority of its own."""
+    if sys.platform == "linux":
+        with suppress(OSError):
+            own = os.getpriority(os.PRIO_PROCESS, 0)
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), own + BEHIND)
+
+
 @dataclass(frozen=True, slots=True)
 class _Waiting:
     """The frames of a moment by camera, or what else is to be written."""
@@ -73,7 +89,7 @@ class Recorder:
         self._live = live
         self._clock = clock or SystemClock()
         self._sync_s = sync_s
-        self._pool = ThreadPoolExecutor(workers or cores(), thread_name_prefix="encode")
+        self._pool = ThreadPoolExecutor(workers or cores(), "encode", initializer=_behind if live else None)
         self._waiting: deque[_Waiting] = deque()
         self._bytes = 0
         self._pace_s = 0.0

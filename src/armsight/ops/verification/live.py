@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import cast
 import numpy as np
 
 from armsight.clock import Clock
+from armsight.control.loop import quiet_interpreter
 from armsight.drivers import CameraSettings, Robot, RobotTraits, Views, moments_of
 from armsight.drivers.trackers.source import TrackedBody, open_tracker
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
@@ -32,6 +34,10 @@ from armsight.store.rigs import World
 from armsight.units import DEG, MM
 from armsight.verify.live import LiveLog, VerifyLiveOutput
 from armsight.verify.supervision import Limits
+
+YOUNG = 1
+"""What was made since the last moments is looked through for garbage between two of them, in a tenth of a millisecond;
+all that a process holds would take a tenth of a second, within one."""
 
 
 def supervise_until_ended(
@@ -68,11 +74,13 @@ def supervise_until_ended(
 
 
 def _take_pairs(run: Supervision, ended: Callable[[], bool]) -> None:
-    with closing(moments_of(cast("Iterable[Views | TrackedBody]", run.devices.pairs))) as moments:
+    moments = moments_of(cast("Iterable[Views | TrackedBody]", run.devices.pairs))
+    with quiet_interpreter(), closing(moments):
         for moment in moments:
             run.take(moment)
             if ended():
                 return
+            gc.collect(YOUNG)
     raise DeviceFailed("the cameras ended", consequence="Nobody watches the arm any more", cure="Check them")
 
 

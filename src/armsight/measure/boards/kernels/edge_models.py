@@ -141,7 +141,7 @@ def _squares(W, n, H, g):
     return total
 
 
-@inner_kernel
+@inner_sum_kernel
 def set_aside(n, p, window, flat):
     """Keep the first of n pixels of a corner's window where an edge is near; fill flat (5, 5); return how many.
 
@@ -151,18 +151,22 @@ def set_aside(n, p, window, flat):
     c1, s1, c2, s2 = cos(p[2]), sin(p[2]), cos(p[3]), sin(p[3])
     near_1, near_2 = FLAT * p[4] + FLAT_PX, FLAT * p[5] + FLAT_PX
     n_x = n_y = n_s = n_v = xx = xy = xs = xv = yy = ys = yv = sv = vv = 0.0
-    kept = 0
+    # sums first, without a branch: of vector instructions
     for i in range(n):
         x, y, v = window[i], window[LARGEST + i], window[2 * LARGEST + i]
         across_1, across_2 = c1 * y - s1 * x, c2 * y - s2 * x
-        if abs(across_1) > near_1 and abs(across_2) > near_2:
-            s = copysign(1.0, across_1 * across_2)
-            n_x, n_y, n_s, n_v = n_x + x, n_y + y, n_s + s, n_v + v
-            xx, xy, xs, xv = xx + x * x, xy + x * y, xs + x * s, xv + x * v
-            yy, ys, yv, sv, vv = yy + y * y, ys + y * s, yv + y * v, sv + s * v, vv + v * v
-        else:
-            window[kept], window[LARGEST + kept], window[2 * LARGEST + kept] = x, y, v
-            kept += 1
+        far = 1.0 if abs(across_1) > near_1 and abs(across_2) > near_2 else 0.0
+        s = copysign(far, across_1 * across_2)
+        x_far, y_far, v_far = far * x, far * y, far * v
+        n_x, n_y, n_s, n_v = n_x + x_far, n_y + y_far, n_s + s, n_v + v_far
+        xx, xy, xs, xv = xx + x_far * x, xy + x_far * y, xs + x * s, xv + x_far * v
+        yy, ys, yv, sv, vv = yy + y_far * y, ys + y * s, yv + y_far * v, sv + s * v, vv + v_far * v
+    kept = 0
+    for i in range(n):
+        x, y = window[i], window[LARGEST + i]
+        window[kept], window[LARGEST + kept] = x, y
+        window[2 * LARGEST + kept] = window[2 * LARGEST + i]
+        kept += 0 if abs(c1 * y - s1 * x) > near_1 and abs(c2 * y - s2 * x) > near_2 else 1
     one = 1.0 * (n - kept)
     for a, row in enumerate(
         (

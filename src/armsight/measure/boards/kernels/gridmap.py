@@ -216,6 +216,17 @@ def map_derivatives(H, cubic, centre, half, grid):
 
 
 @kernel
+def nearest_levels(image, uv):
+    """Return the grey levels (n,) of image (h, w) at the pixels nearest to uv (n, 2); beyond its edge those at it."""
+    h, w = image.shape
+    out = np.empty(len(uv))
+    for i in range(len(uv)):
+        row, column = int(np.rint(uv[i, 1])), int(np.rint(uv[i, 0]))
+        out[i] = image[min(max(row, 0), h - 1), min(max(column, 0), w - 1)]
+    return out
+
+
+@kernel
 def off_line(grid, uv, axis, at):
     """Return how far the points of a line of a grid (n, 2), those whose coordinate along an axis is place, are in the
     image (n, 2) from where the map of the others has them: the median, in squares.

@@ -17,6 +17,8 @@ STEP = 2
 """Pixels between the grey levels of which second differences are taken."""
 APART = 2
 """A saddle is the strongest within so many pixels."""
+FURTHEST = 1.5
+"""... and lies no further off its pixel, in px: what is further off than a neighbour has a place of its own."""
 RING = 16
 """Places on the ring: two edges that cross are told from one another to ten degrees of slant."""
 RADIUS = 3.0
@@ -114,6 +116,28 @@ def _saddle_point(image, col, row):
     return STEP * (xy * y - yy * x) / det, STEP * (xy * x - xx * y) / det
 
 
+@kernel
+def saddles_near(image, guess, reach):
+    """Return the strongest saddle (n, 2) of image (h, w) uint8 within so many px of each place of guess (n, 2), to a
+    part of a pixel; the place itself where there is none.
+    """
+    out, response = guess.copy(), np.empty(2 * (reach + STEP) + 1, np.int32)
+    for i in range(len(guess)):
+        left, top = int(np.rint(guess[i, 0])) - reach - STEP, int(np.rint(guess[i, 1])) - reach - STEP
+        part = image[max(top, 0) : max(top + len(response), 0), max(left, 0) : max(left + len(response), 0)]
+        best, at_row, at_col = 0, 0, 0
+        for row in range(STEP, part.shape[0] - STEP):
+            _row_of_saddles(part, row, response)
+            for col in range(STEP, part.shape[1] - STEP):
+                if response[col] > best:
+                    best, at_row, at_col = response[col], row, col
+        if best > 0:
+            du, dv = _saddle_point(part, at_col, at_row)
+            if abs(du) < FURTHEST and abs(dv) < FURTHEST:
+                out[i, 0], out[i, 1] = max(left, 0) + at_col + du, max(top, 0) + at_row + dv
+    return out
+
+
 @inner_kernel
 def _edges_of(ring, angles):
     """Fill angles (4,) with where the ring's levels cross the middle; return the contrast, positive where the sector
@@ -162,8 +186,7 @@ def saddle_corners(image, pixels):
     n = 0
     for i in range(len(pixels)):
         du, dv = _saddle_point(image, pixels[i, 0], pixels[i, 1])
-        # what is further off than a neighbour has a place of its own
-        if abs(du) > 1.5 or abs(dv) > 1.5:
+        if abs(du) > FURTHEST or abs(dv) > FURTHEST:
             continue
         u, v = pixels[i, 0] + du, pixels[i, 1] + dv
         if not (MARGIN <= u < image.shape[1] - MARGIN and MARGIN <= v < image.shape[0] - MARGIN):

@@ -11,7 +11,7 @@ from math import atan2, ceil, floor, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inner_kernel, inner_sum_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import copy_1, copy_2
 from armsight.measure.boards.kernels.edge_models import CHUNK, LARGEST, N_CORNER, N_DOT, ROWS, accumulate, set_aside
@@ -91,7 +91,7 @@ def _descend(kind, n, p, reach, last_px, most, H, window, flat, W):
     return cost
 
 
-@inner_kernel
+@inner_sum_kernel
 def _levels(v, n):
     """Return the mean and standard deviation of n samples."""
     mean = 0.0
@@ -136,6 +136,8 @@ def _sample(image, u, v, E, Q, reach, hole, window):
     sx, sy, tx, ty = E[1, 1] * by_det, -E[0, 1] * by_det, -E[1, 0] * by_det, E[0, 0] * by_det
     bx = abs(E[0, 0]) * reach + abs(E[0, 1]) * reach
     by = abs(E[1, 0]) * reach + abs(E[1, 1]) * reach
+    # by names of their own: an array's entries are read anew for each pixel, since what is filled might be they
+    u_ss, u_st, u_tt, v_ss, v_st, v_tt = Q[0, 0], Q[0, 1], Q[0, 2], Q[1, 0], Q[1, 1], Q[1, 2]
     n = 0
     for row in range(max(0, int(v - by)), min(h, int(v + by) + 2), step):
         dy = row - v
@@ -155,8 +157,8 @@ def _sample(image, u, v, E, Q, reach, hole, window):
             dx = first + k - u
             s = sx * dx + sy * dy
             t = tx * dx + ty * dy
-            x[k] = dx - 0.5 * (Q[0, 0] * s * s + 2.0 * Q[0, 1] * s * t + Q[0, 2] * t * t)
-            y[k] = dy - 0.5 * (Q[1, 0] * s * s + 2.0 * Q[1, 1] * s * t + Q[1, 2] * t * t)
+            x[k] = dx - 0.5 * (u_ss * s * s + 2.0 * u_st * s * t + u_tt * t * t)
+            y[k] = dy - 0.5 * (v_ss * s * s + 2.0 * v_st * s * t + v_tt * t * t)
             level[k] = here[k]
         n += count if hole < 0.0 else _ring(window, n, count, (sx, sy, tx, ty), hole, reach)
     return n
