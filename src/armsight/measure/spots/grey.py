@@ -30,9 +30,8 @@ from armsight.measure.spots.kernels.area import (
 from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import whiten_clipped
 from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, locate, locate_near
-from armsight.measure.spots.kernels.measure_areas import measure_others, measure_round, pack_results
+from armsight.measure.spots.kernels.measure_areas import measure_areas
 from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
-from armsight.measure.spots.kernels.processed import add_background_variance
 from armsight.records import Spots, trusted
 
 Rejected = tuple[tuple[float, float, str], ...]
@@ -134,12 +133,7 @@ def measured(
     grey: Image, settings: SpotSettings, areas: Array, state: NDArray[np.int64], survey: Array
 ) -> tuple[tuple[Array, ...], Array]:
     """Return the spots' columns and the refusals of the located areas."""
-    n = len(areas)
-    fits, rows = np.empty((n, col.FIT)), np.empty((n, col.MOST_LIGHTS, col.SPOT))
-    if measure_round(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows):
-        measure_others(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows)
-    add_background_variance(grey, settings.options, areas, state, survey, rows)
-    *columns, refused = pack_results(settings.options, areas, state, rows)
+    *columns, refused = measure_areas(grey, settings.mask_bytes, settings.options, areas, state, survey)
     return tuple(columns), refused
 
 

@@ -5,15 +5,18 @@ That is the noise's constant and shot parts, and the background's slope.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
-from armsight.measure.spots.kernels.area import add_prior, prior_square
+from armsight.measure.spots.kernels.area import add_prior, prior_square, prior_weight
 from armsight.measure.spots.kernels.columns import copy_to
 from armsight.measure.spots.kernels.light_models import (
     CLIPPED_PIXEL,
     ELLIPSE,
+    JOINT,
     grid_of,
     is_feasible,
     light,
@@ -220,25 +223,45 @@ def fit_model(kind, p, n, patch, count, residuals):
     return rss - extra if kind == ELLIPSE else -1.0  # its centre is settled long before what clipping hides
 
 
+class Evaluated(NamedTuple):
+    """A model at a patch: J (n, pixels), light m, residuals (ny, nx), special (see evaluate); H (n, n) with priors."""
+
+    grid: Any
+    J: Any
+    m: Any
+    residuals: Any
+    special: Any
+    H: Any
+
+
 @inner_kernel
-def evaluate_patch(kind, p, n, patch, residuals):
-    """Return light and derivatives of a patch, and its pixels; fill residuals (ny, nx). See evaluate."""
-    grid = patch_grid(patch)
-    J = np.empty((n, patch.values.size))
-    m = np.empty(patch.values.size)
-    special = unused(patch.use)
-    r = residuals.reshape(-1)
-    evaluate(kind, p, n, patch, special, grid, J, m, r)
-    differentiate(kind, p, n, special, grid, J, m, r)
-    return J, m, grid
+def evaluate_patch(kind, p, n, patch):
+    """Return a model of parameters p (n,) Evaluated at a patch."""
+    there = Evaluated(
+        patch_grid(patch),
+        np.empty((n, patch.values.size)),
+        np.empty(patch.values.size),
+        np.empty(patch.values.shape),
+        unused(patch.use),
+        np.empty((n, n)),
+    )
+    r = there.residuals.reshape(-1)
+    evaluate(kind, p, n, patch, there.special, there.grid, there.J, there.m, r)
+    differentiate(kind, p, n, there.special, there.grid, there.J, there.m, r)
+    gram(there.J, n, there.H)
+    height = p[4] if kind == JOINT else p[3]
+    for i in range(n):
+        there.H[i, i] += prior_weight(kind, i, height)
+    return there
 
 
 @lean_kernel
-def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
+def weighted_information(there, n, u, v, G, tilt, out3):
     """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
 
     tilt (n + 3, 2): see leastsquares.uncertainty, about (u, v).
     """
+    grid, J, m, residuals, _, _ = there
     work = grid.work[0]
     for a in range(n):
         products(J[a], m, work)

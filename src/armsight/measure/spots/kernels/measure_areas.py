@@ -29,10 +29,10 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.columns import Picture, copy_to
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch
+from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch, evaluate_patch
 from armsight.measure.spots.kernels.model_selection import refit, select_model, write_spots
 from armsight.measure.spots.kernels.patch import make_patch, new_patch, shape_of
-from armsight.measure.spots.kernels.processed import is_off_centroid, robust_covariance
+from armsight.measure.spots.kernels.processed import add_background_variance, is_off_centroid, robust_covariance
 from armsight.measure.spots.kernels.round_gaussian import (
     COV,
     DOF,
@@ -148,18 +148,33 @@ def mark_crowded(comps, state):
 
 
 @kernel
-def measure_round(image, mask, options, comps, state, survey, fits, rows):
+def measure_areas(image, mask, options, comps, state, survey):
+    """Measure the lights of all accepted areas; return the spots' columns and what was refused, as pack_results does.
+
+    state: what becomes of each area is written into it.
+    """
+    picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
+    only = int(options[col.O_MODEL])
+    n = comps.shape[0]
+    fits = np.empty((n, col.FIT))
+    rows = np.empty((n, col.MOST_LIGHTS, col.SPOT))
+    hot = np.empty((2 * n, 2), np.int64)
+    hot = hot[: hot_pixels(comps, state, hot)]
+    mark_crowded(comps, state)
+    if measure_round(picture, only, hot, comps, state, survey, fits, rows) > 0:
+        measure_others(picture, only, hot, comps, state, survey, fits, rows)
+    add_background_variance(picture, comps, state, survey, rows)
+    return pack_results(options, comps, state, rows)
+
+
+@inner_kernel
+def measure_round(picture, only, hot, comps, state, survey, fits, rows):
     """Fit a round Gaussian to each accepted area that stands alone; return how many areas are left PENDING.
 
     fits (n, FIT) takes the fits, rows (n, MOST_LIGHTS, SPOT) the measured lights, state what became of the area.
     """
-    h, w = image.shape
-    picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
-    only = int(options[col.O_MODEL])
+    h, w = picture.grey.shape
     n = comps.shape[0]
-    hot = np.empty((2 * n, 2), np.int64)
-    hot = hot[: hot_pixels(comps, state, hot)]
-    mark_crowded(comps, state)
     start = np.empty(5)
     prior = np.empty(4)
     result = np.empty(RESULT)
@@ -189,7 +204,7 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
         if state[i, col.CROWDED] == 0 and only != ONLY_ELLIPSE and comp[col.SLOPE] < 0.0:
             round_start(comp, background_of(comp, survey, w, h), picture.saturation, start)
             # mostly false, which spares looking for such pixels
-            clipped = comp[col.CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot)
+            clipped = comp[col.CLIPPED] > 0.0 or picture.mask.size > 0 or is_hot_near(comp, hot)
             fine = fit_round(picture, hot, clipped, start, prior, work, result)
             if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
                 write_round(result, i, rows[i, 0])
@@ -205,15 +220,11 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
     return pending
 
 
-@kernel
-def measure_others(image, mask, options, comps, state, survey, fits, rows):
+@inner_kernel
+def measure_others(picture, only, hot, comps, state, survey, fits, rows):
     """Fit the areas left PENDING with the models that their shape suggests, and refine the crowded ones."""
-    h, w = image.shape
-    picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
-    only = int(options[col.O_MODEL])
+    h, w = picture.grey.shape
     n = comps.shape[0]
-    hot = np.empty((2 * n, 2), np.int64)
-    hot = hot[: hot_pixels(comps, state, hot)]
     noise = survey[2 * col.GRID, col.NOISE]
     outline = np.empty(9)
     for i in range(n):
@@ -229,19 +240,20 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
         # why it is refused if no model fits
         state[i, col.STATUS] = SATURATED if comp[col.CLIPPED] > 0.5 * comp[col.AREA] else FAILED
         if size > 0:
-            lights = write_spots(kind, size, fits[i], patch, rss, rows[i], i)
+            there = evaluate_patch(kind, fits[i], size, patch)
+            lights = write_spots(kind, size, fits[i], patch, there, rss, rows[i], i)
             state[i, col.LIGHTS] = lights
             if lights > 0:
                 state[i, col.STATUS] = check_fit(comp, rows[i], lights, comp[col.CLIPPED] > 0.0, noise)
             # residuals still hang together: more lights than were told apart, and each centre is pulled by the rest
             if lights > 1 and run > 2.0 * MISFIT:
                 state[i, col.STATUS] = UNRESOLVED
-        single = state[i, col.STATUS] == ACCEPTED and state[i, col.LIGHTS] == 1 and comp[col.SLOPE] >= 0.0
-        if single and (
-            is_off_centroid(comp, rows[i, 0])
-            or not robust_covariance(kind, size, fits[i], patch, comp, noise, rows[i, 0])
-        ):
-            state[i, col.STATUS] = FAILED
+            single = state[i, col.STATUS] == ACCEPTED and lights == 1 and comp[col.SLOPE] >= 0.0
+            if single and (
+                is_off_centroid(comp, rows[i, 0])
+                or not robust_covariance(kind, size, patch, there, comp, noise, rows[i, 0])
+            ):
+                state[i, col.STATUS] = FAILED
         if state[i, col.STATUS] != ACCEPTED and comp[col.SLOPE] >= 0.0:
             shape_of(patch, comp, comp[col.LEVEL], background, outline)
             write_centroid(comp, outline, rows[i, 0], i)
@@ -298,7 +310,7 @@ def refine(picture, comps, state, i, hot, noise, fits, rows):
     if rss < 0.0:
         return
     trial = np.empty((col.MOST_LIGHTS, col.SPOT))
-    lights = write_spots(kind, size, p, patch, rss, trial, i)
+    lights = write_spots(kind, size, p, patch, evaluate_patch(kind, p, size, patch), rss, trial, i)
     # else the fit that there is stays
     if (
         lights == state[i, col.LIGHTS]
@@ -353,7 +365,7 @@ def noise_of(row, g):
     return max(a, PIXEL_VARIANCE)
 
 
-@kernel
+@inner_kernel
 def pack_results(options, comps, state, rows):
     """Return uv (n, 2), covariance (n, 2, 2), peak, size, model and owner (n,) of the spots, and refused (m, 3).
 

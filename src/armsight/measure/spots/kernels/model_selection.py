@@ -16,15 +16,12 @@ from armsight.measure.spots.kernels.area import (
     AS_STREAK,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
-    prior_weight,
 )
 from armsight.measure.spots.kernels.columns import copy_to
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.leastsquares import (
     MISFIT,
-    evaluate_patch,
     fit_model,
-    gram,
     remaining_square,
     uncertainty,
     variance_inflation,
@@ -248,23 +245,16 @@ def select_model(comp, background, patch, noise, only, best):
 
 
 @inner_kernel
-def write_spots(kind, n, p, patch, rss, rows, source):
-    """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance)."""
-    H = np.empty((n, n))
+def write_spots(kind, n, p, patch, there, rss, rows, source):
+    """Write the lights of a fitted model, Evaluated there, into rows (.., SPOT); return how many (0: no covariance)."""
     G = np.empty((n, n))
     sums = np.empty(3)
-    residuals = np.empty(patch.values.shape)
     tilt = np.empty((n + 3, 2))
     count = used(patch.use)
     lights = (n - 2) // 3 if kind == JOINT else 1
-    J, m, grid = evaluate_patch(kind, p, n, patch, residuals)
-    gram(J, n, H)
-    height = p[4] if kind == JOINT else p[3]
-    for i in range(n):
-        H[i, i] += prior_weight(kind, i, height)
     first = 2 if kind == JOINT else 1
-    weighted_information(J, m, grid, residuals, n, p[first], p[first + 1], G, tilt, sums)
-    wider, rss, noise = residual_noise(residuals, patch, p[first], p[first + 1], n, count, rss, lights)
+    weighted_information(there, n, p[first], p[first + 1], G, tilt, sums)
+    wider, rss, noise = residual_noise(there.residuals, patch, p[first], p[first + 1], n, count, rss, lights)
     order = np.empty(n, np.int64)
     H2 = np.empty((n, n))
     G2 = np.empty((n, n))
@@ -276,7 +266,7 @@ def write_spots(kind, n, p, patch, rss, rows, source):
         centre_first(first, n, order)
         for i in range(n):
             for j in range(n):
-                H2[i, j] = H[order[i], order[j]]
+                H2[i, j] = there.H[order[i], order[j]]
                 G2[i, j] = G[order[i], order[j]]
             copy_to(tilt[order[i]], tilt2[i])
         row = rows[k]
