@@ -171,6 +171,7 @@ def measure_areas(image, mask, options, comps, state, survey):
 def measure_round(picture, only, hot, comps, state, survey, fits, rows):
     """Fit a round Gaussian to each accepted area that stands alone; return how many areas are left PENDING.
 
+    Their SIZE is 5 where a round light was fitted, whose residuals hang together, and else 0.
     fits (n, FIT) takes the fits, rows (n, MOST_LIGHTS, SPOT) the measured lights, state what became of the area.
     """
     h, w = picture.grey.shape
@@ -201,21 +202,24 @@ def measure_round(picture, only, hot, comps, state, survey, fits, rows):
             fits[i, col.MOST_PARAMETERS + k] = prior[k]
         # lights before a room are all left to measure_others, whose covariance is of the residuals as they are
         # (processed)
+        fine = False
         if state[i, col.CROWDED] == 0 and only != ONLY_ELLIPSE and comp[col.SLOPE] < 0.0:
             round_start(comp, background_of(comp, survey, w, h), picture.saturation, start)
             # mostly false, which spares looking for such pixels
             clipped = comp[col.CLIPPED] > 0.0 or picture.mask.size > 0 or is_hot_near(comp, hot)
             fine = fit_round(picture, hot, clipped, start, prior, work, result)
+            if fine:
+                store_fit(result, fits[i])
             if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
                 write_round(result, i, rows[i, 0])
-                store_fit(result, fits[i])
                 state[i, col.SIZE] = 5
                 state[i, col.KIND] = 0
                 state[i, col.LIGHTS] = 1
                 if check_fit(comp, rows[i], state[i, col.LIGHTS], comp[col.CLIPPED] > 0.0, noise) == ACCEPTED:
                     continue
+                fine = False
         state[i, col.STATUS] = PENDING
-        state[i, col.SIZE] = 0
+        state[i, col.SIZE] = 5 if fine else 0
         pending += 1
     return pending
 
@@ -234,7 +238,7 @@ def measure_others(picture, only, hot, comps, state, survey, fits, rows):
         patch = new_patch(comp, h, w)
         make_patch(picture, comps, state, i, hot, np.int64(0), patch)
         background = background_of(comp, survey, w, h)
-        kind, size, rss, run = select_model(comp, background, patch, noise, only, fits[i])
+        kind, size, rss, run = select_model(comp, background, patch, noise, only, state[i, col.SIZE] > 0, fits[i])
         state[i, col.KIND] = kind
         state[i, col.SIZE] = size
         # why it is refused if no model fits
