@@ -14,7 +14,7 @@ from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.kernels import rig_covariance
 from armsight.measure.poses.setup import SLACK_PX
 from armsight.optics import PackedRig
-from armsight.records import NotSeen, Points, PoseStatus, Spots, TargetPose, frozen_array, trusted
+from armsight.records import NotSeen, Points, PoseStatus, Spots, TargetPose, changed, frozen_array, trusted
 
 PARENT = "rig"
 
@@ -317,8 +317,7 @@ def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
 
 def with_covariance(solved: PoseSolution, C: Array) -> PoseSolution:
     """Return a solved pose with another covariance (6, 6), which is used by nobody else."""
-    fields = {name: getattr(solved.pose, name) for name in TargetPose.__slots__}
-    return replace(solved, pose=trusted(TargetPose, **(fields | {"covariance": C})))
+    return changed(solved, pose=changed(solved.pose, covariance=C))
 
 
 def lost(t_s: float, why: str) -> TargetPose:

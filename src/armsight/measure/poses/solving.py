@@ -78,7 +78,7 @@ def views_of(setup: Setup, spots: Sequence[Spots]) -> Views:
     """Return the spots of a pair's views, in doubt by what perspective may do to outlines of unknown size."""
     radius_m = setup.model.radius_m
     views = Views(*stack_spots(spots), _radii(radius_m, spots))
-    if radius_m <= 0.0:
+    if radius_m <= 0.0 and any(OUTLINE in one.model for one in spots):
         add_outline_shift(setup.packed.k, spots, views.cov_px2)
     return views
 

@@ -5,8 +5,6 @@ That is the noise's constant and shot parts, and the background's slope.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
@@ -223,41 +221,24 @@ def fit_model(kind, p, n, patch, count, residuals):
     return rss - extra if kind == ELLIPSE else -1.0  # its centre is settled long before what clipping hides
 
 
-class Evaluated(NamedTuple):
-    """A model at a patch: J (n, pixels), light m, residuals (ny, nx), special (see evaluate); H (n, n) with priors."""
-
-    grid: Any
-    J: Any
-    m: Any
-    residuals: Any
-    special: Any
-    H: Any
-
-
 @inner_kernel
 def evaluate_patch(kind, p, n, patch):
-    """Return a model of parameters p (n,) Evaluated at a patch."""
-    there = Evaluated(
-        patch_grid(patch),
-        np.empty((n, patch.values.size)),
-        np.empty(patch.values.size),
-        np.empty(patch.values.shape),
-        unused(patch.use),
-        np.empty((n, n)),
-    )
-    r = there.residuals.reshape(-1)
-    evaluate(kind, p, n, patch, there.special, there.grid, there.J, there.m, r)
-    differentiate(kind, p, n, there.special, there.grid, there.J, there.m, r)
-    gram(there.J, n, there.H)
-    height = p[4] if kind == JOINT else p[3]
+    """Return a model at a patch: its Grid, J (n, pixels), light m, residuals (ny, nx), special pixels (see evaluate),
+    and H (n, n) with the priors."""
+    grid, special, pixels = patch_grid(patch), unused(patch.use), patch.values.size
+    J, m, residuals, H = np.empty((n, pixels)), np.empty(pixels), np.empty(patch.values.shape), np.empty((n, n))
+    r = residuals.reshape(-1)
+    evaluate(kind, p, n, patch, special, grid, J, m, r)
+    differentiate(kind, p, n, special, grid, J, m, r)
+    gram(J, n, H)
     for i in range(n):
-        there.H[i, i] += prior_weight(kind, i, height)
-    return there
+        H[i, i] += prior_weight(kind, i, p[4] if kind == JOINT else p[3])
+    return grid, J, m, residuals, special, H
 
 
 @lean_kernel
 def weighted_information(there, n, u, v, G, tilt, out3):
-    """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
+    """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of what evaluate_patch returned.
 
     tilt (n + 3, 2): see leastsquares.uncertainty, about (u, v).
     """

@@ -13,16 +13,16 @@ from armsight.measure.spots.kernels.area import (
     AS_CENTROID,
     AS_GAUSSIAN,
     FAILED,
-    HOT,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
     SATURATED,
-    SMALL,
     UNRESOLVED,
     boxes_overlap,
     check_fit,
     fit_margin,
     hot_pixels,
+    is_hot_near,
+    mark_crowded,
     ring_prior,
     round_start,
     slope_prior,
@@ -107,44 +107,6 @@ def background_of(comp, survey, w, h):
     j = int(comp[col.SUM_X] / comp[col.WEIGHT]) * col.GRID // w
     # an area lies above its background; below a threshold given by hand the survey's may be higher
     return min(survey[col.GRID + i, j], comp[col.LEVEL])
-
-
-@lean_kernel
-def is_hot_near(comp, hot):
-    """Tell whether a hot pixel may lie in the component's window."""
-    # the fit moves and widens its window while it runs
-    reach = 1.5 * fit_margin(comp)
-    for k in range(hot.shape[0]):
-        x = hot[k, 0]
-        y = hot[k, 1]
-        if (
-            comp[col.X_MIN] - reach < x < comp[col.X_MAX] + reach
-            and comp[col.Y_MIN] - reach < y < comp[col.Y_MAX] + reach
-        ):
-            return True
-    return False
-
-
-@inner_kernel
-def mark_crowded(comps, state):
-    """Set CROWDED where another area's bounds meet the window of a component's fit."""
-    n = comps.shape[0]
-    relevant = np.empty(n, np.int64)
-    count = 0
-    for i in range(n):
-        state[i, col.CROWDED] = 0
-        if state[i, col.STATUS] != HOT and state[i, col.STATUS] != SMALL:
-            relevant[count] = i
-            count += 1
-    for a in range(count):
-        i = relevant[a]
-        if state[i, col.STATUS] != ACCEPTED:
-            continue
-        reach = fit_margin(comps[i])
-        for b in range(count):
-            if b != a and boxes_overlap(comps[i], comps[relevant[b]], reach):
-                state[i, col.CROWDED] = 1
-                break
 
 
 @kernel
@@ -371,9 +333,10 @@ def noise_of(row, g):
 
 @inner_kernel
 def pack_results(options, comps, state, rows):
-    """Return uv (n, 2), covariance (n, 2, 2), peak, size, model and owner (n,) of the spots, and refused (m, 3).
+    """Return uv (n, 2), covariance (n, 2, 2) and looks (4, n) of the spots, and refused (m, 3).
 
-    A spot's owner is that of its area; refused are u, v and the number of the reason.
+    looks: peak, size, model and owner, that of a spot's area; refused: u, v and the number of the reason. Few arrays:
+    handing one to Python takes as long as filling it.
     """
     spots = np.empty((comps.shape[0] * col.MOST_LIGHTS, col.SPOT))
     refused = np.empty((comps.shape[0], 3))
@@ -392,10 +355,7 @@ def pack_results(options, comps, state, rows):
     g = options[col.O_GAIN] if options[col.O_GAIN] >= 0.0 else shot_gain(spots, n)
     uv = np.empty((n, 2))
     covariance = np.empty((n, 2, 2))
-    peak = np.empty(n)
-    size = np.empty(n)
-    model = np.empty(n, np.int64)
-    owner = np.empty(n, np.int64)
+    looks = np.empty((4, n))
     for k in range(n):
         row = spots[k]
         a = noise_of(row, g)
@@ -405,8 +365,8 @@ def pack_results(options, comps, state, rows):
         covariance[k, 0, 1] = a * row[col.S_CH + 1] + g * row[col.S_CG + 1]
         covariance[k, 1, 0] = covariance[k, 0, 1]
         covariance[k, 1, 1] = a * row[col.S_CH + 2] + g * row[col.S_CG + 2] + row[col.S_FLOOR]
-        peak[k] = row[col.S_PEAK]
-        size[k] = row[col.S_SIZE]
-        model[k] = int(row[col.S_MODEL])
-        owner[k] = state[int(row[col.S_OF]), col.OWNER]
-    return uv, covariance, peak, size, model, owner, refused[:m].copy()
+        looks[0, k] = row[col.S_PEAK]
+        looks[1, k] = row[col.S_SIZE]
+        looks[2, k] = row[col.S_MODEL]
+        looks[3, k] = state[int(row[col.S_OF]), col.OWNER]
+    return uv, covariance, looks, refused[:m].copy()

@@ -293,7 +293,11 @@ def select_model(comp, background, patch, noise, only, refused, best):
 
 @inner_kernel
 def write_spots(kind, n, p, patch, there, rss, rows, source):
-    """Write the lights of a fitted model, Evaluated there, into rows (.., SPOT); return how many (0: no covariance)."""
+    """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance).
+
+    there: as evaluate_patch returns it.
+    """
+    _, _, _, residuals, _, H = there
     G = np.empty((n, n))
     sums = np.empty(3)
     tilt = np.empty((n + 3, 2))
@@ -301,7 +305,7 @@ def write_spots(kind, n, p, patch, there, rss, rows, source):
     lights = (n - 2) // 3 if kind == JOINT else 1
     first = 2 if kind == JOINT else 1
     weighted_information(there, n, p[first], p[first + 1], G, tilt, sums)
-    wider, rss, noise = residual_noise(there.residuals, patch, p[first], p[first + 1], n, count, rss, lights)
+    wider, rss, noise = residual_noise(residuals, patch, p[first], p[first + 1], n, count, rss, lights)
     order = np.empty(n, np.int64)
     H2 = np.empty((n, n))
     G2 = np.empty((n, n))
@@ -313,7 +317,7 @@ def write_spots(kind, n, p, patch, there, rss, rows, source):
         centre_first(first, n, order)
         for i in range(n):
             for j in range(n):
-                H2[i, j] = there.H[order[i], order[j]]
+                H2[i, j] = H[order[i], order[j]]
                 G2[i, j] = G[order[i], order[j]]
             copy_to(tilt[order[i]], tilt2[i])
         row = rows[k]

@@ -43,8 +43,9 @@ TINY_PX = 1.2
 @inner_kernel
 def centre_influence(kind, n, there, influence):
     """Fill influence (2, ny, nx) with the shift of the centre in px per grey level at each pixel; False for none."""
+    _, J, _, _, special, H = there
     C = np.empty((n, n))
-    if not invert_spd(there.H, C):
+    if not invert_spd(H, C):
         return False
     # d parameters = C J d values, one step of Gauss and Newton from the minimum; the centre's rows of it
     first = 2 if kind == JOINT else 1
@@ -53,8 +54,8 @@ def centre_influence(kind, n, there, influence):
         for i in range(of_pixel.shape[0]):
             of_pixel[i] = 0.0
         for k in range(n):
-            add_scaled(there.J[k], of_pixel, C[first + a, k])
-        for k in there.special:
+            add_scaled(J[k], of_pixel, C[first + a, k])
+        for k in special:
             of_pixel[k] = 0.0
     return True
 
@@ -89,10 +90,10 @@ def is_off_centroid(comp, row):
 
 @inner_kernel
 def robust_covariance(kind, n, patch, there, comp, noise, row):
-    """Replace the covariance of a spot's row, its model Evaluated there, by the sandwich of its antisymmetric
-    residuals; False where these are too few."""
+    """Replace the covariance of a spot's row by the sandwich of its antisymmetric residuals; False where these are too
+    few. there: as evaluate_patch returns it."""
     box, values, use = patch
-    residuals = there.residuals
+    residuals = there[3]
     radius = sqrt(comp[col.AREA] / pi)
     away2 = centroid_distance2(comp, row)
     antisymmetric = np.empty(values.shape)
