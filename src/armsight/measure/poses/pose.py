@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -170,7 +171,8 @@ def solve_pose(
     if cov.shape[1] != TWO:
         residual = residual[np.isfinite(cov[..., 0, 0])]
         placed = np.isfinite(P[:, 0])
-        names, cov, P, S = tuple(np.array(names)[placed].tolist()), cov[placed], P[placed], S[placed]
+        if not placed.all():
+            names, cov, P, S = tuple(compress(names, placed.tolist())), cov[placed], P[placed], S[placed]
     if state == rig_covariance.UNLIKE:
         return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
     if state == rig_covariance.UNCERTAIN:
