@@ -131,6 +131,15 @@ def drop_worst(residuals, use, rss, noise):
 
 
 @lean_kernel
+def dominated(r, most):
+    """Tell whether a residual's square is more than most: a hot pixel may be what is wrong."""
+    over = 0
+    for i in range(r.shape[0]):
+        over += r[i] * r[i] > most
+    return over > 0
+
+
+@lean_kernel
 def add_light(residuals, x0, y0, p, n):
     """Extend a joint model by a light where the residuals, summed over 3 x 3 pixels, are largest; return the new n."""
     best = -1.0
@@ -203,7 +212,7 @@ def fit_disc(comp, background, shape, patch, count, only, best):
     """
     order = np.empty(3, np.int64)
     first = order_of_trial(comp, shape, np.int64(1), only, order) > 0 and order[0] == ELLIPSE
-    if comp[col.AREA] < LEAST_DISC or not first:
+    if comp[col.AREA] < LEAST_DISC or comp[col.CLIPPED] > 0.0 or not first:
         return -1.0, 0.0
     p = np.zeros(col.MOST_PARAMETERS)
     peaks = np.empty((col.MOST_LIGHTS, 3))
@@ -212,15 +221,13 @@ def fit_disc(comp, background, shape, patch, count, only, best):
     m = np.empty(patch.values.size)
     r = residuals.reshape(-1)
     rss_round = evaluate(np.int64(JOINT), best, np.int64(5), patch, unused(patch.use), patch_grid(patch), J, m, r)
-    if not residual_autocorrelation(residuals)[1] > PLAINLY * MISFIT:
+    if not residual_autocorrelation(residuals)[1] > PLAINLY * MISFIT or dominated(r, DOMINANT / PLAINLY * rss_round):
         return -1.0, 0.0
-    for i in range(r.shape[0]):
-        if PLAINLY * r[i] * r[i] > DOMINANT * rss_round:  # a hot pixel may be what is wrong
-            return -1.0, 0.0
     n, rss, run = start_and_fit(
         np.int64(ELLIPSE), np.int64(1), comp, shape, background, peaks, patch, count, p, residuals
     )
-    if not (rss >= 0.0 and run < MISFIT and bic(rss, count, n) < bic(rss_round / PLAINLY, count, 5)):
+    likelier = rss >= 0.0 and bic(rss, count, n) < bic(rss_round / PLAINLY, count, 5)
+    if not (likelier and run < MISFIT) or dominated(r, DOMINANT * rss):
         return -1.0, 0.0
     copy_to(p, best)
     return rss, run
