@@ -59,7 +59,10 @@ def calibrated(views: int, seed: int = 1) -> tuple[Rig, np.ndarray]:
     while len(poses) < 60 * (views > 1) + 20 * views:
         near = views == 1 or len(poses) >= 60
         of = max(len(poses) - 60, 0) // 20 if near else rng.integers(views)
-        own = boards.moved(np.eye(4), np.r_[0, 0, 0, rng.uniform(-0.5, 0.5, 3)])
+        turn = rng.uniform(-0.5, 0.5, 3)
+        if views == 2 and not near:  # 115 degrees apart: only a board that faces neither is seen by both
+            turn[1] += 2.0 * of - 1.0
+        own = boards.moved(np.eye(4), np.r_[0, 0, 0, turn])
         middle = [*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.4, 0.6)] if near else [*rng.uniform(-0.5, 0.5, 2), 1.2]
         own[:3, 3] = middle - own[:3, :3] @ boards.BOARD.xyz_m.mean(axis=0)
         pose = T[of] @ own

@@ -3,6 +3,7 @@
 from armsight.records.by_value import ByValue, Saveable
 from armsight.records.camera import AT_ONCE, CameraTiming, LinearNoise, NoiseModel
 from armsight.records.checks import (
+    changed,
     checked_array,
     checked_poses,
     checked_rows,

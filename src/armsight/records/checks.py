@@ -14,6 +14,7 @@ from numbers import Integral, Real
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy import ndarray
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent, UsageError, not_one_of
@@ -219,12 +220,18 @@ def trusted(kind: type[Record], **fields: object) -> Record:
     For what was just computed and is used by nobody else: float64, of the right shape and finite by construction. In
     a loop of hundreds of frames a second the constructor's copies and checks cost as much as the measurement itself.
     """
-    record = object.__new__(kind)
+    record, put = object.__new__(kind), object.__setattr__
     for name, value in fields.items():
-        if isinstance(value, np.ndarray):
+        if isinstance(value, ndarray):
             value.setflags(write=False)
-        object.__setattr__(record, name, value)
+        put(record, name, value)
     return record
+
+
+def changed(record: Record, **fields: object) -> Record:
+    """Return a record with some of its fields changed, none checked anew; see trusted."""
+    names: tuple[str, ...] = record.__slots__  # type: ignore[attr-defined]
+    return trusted(type(record), **({name: getattr(record, name) for name in names} | fields))
 
 
 # What a record's field may hold, said once beside the field: `speed_m_s: Positive = 0.1`. Files follow it too.

@@ -96,7 +96,8 @@ class MotionState:
             kernels.state_at(x, tau, out)
             D = F @ C @ F.T
             kernels.add_jerk(D, -tau, self.jerk, angular_ratio * self.jerk)
-        return trusted(MotionState, t_s=t_s, x=out, C=D, jerk=self.jerk, by_timing=F @ self.by_timing)
+        by_timing = F @ self.by_timing if self.by_timing.size else NO_TIMING
+        return trusted(MotionState, t_s=t_s, x=out, C=D, jerk=self.jerk, by_timing=by_timing)
 
 
 def state_of(t_s: float, T: Array, covariance: Array) -> tuple[Array, Array]:

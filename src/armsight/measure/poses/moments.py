@@ -7,7 +7,6 @@ refused here.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from armsight.measure.poses.tracking import MAX_GAP_S, half_window_px
 from armsight.measure.poses.views import measure_views
 from armsight.measure.spots import find_candidates, track_spots
 from armsight.optics import RigKind
-from armsight.records import Frame, NotSeen, PoseStatus, Spots, Target
+from armsight.records import Frame, NotSeen, PoseStatus, Spots, Target, changed
 
 FEWEST_FOR_ROTATION = 3
 """Lights below which a target shows no rotation."""
@@ -183,7 +182,7 @@ def _by_windows(
             there = np.ascontiguousarray(at[s][lights[measured.sights[:, s]]])
             innovation = max(innovation, kernels.largest_innovation(spots.uv_px, there))
     window = half_window_px(measured.spots, innovation)
-    return replace(measured, tracked=True, track=replace(measured.track, half_window_px=window))
+    return changed(measured, tracked=True, track=changed(measured.track, half_window_px=window))
 
 
 def _predicted(setup: Setup, track: Track, after_s: float) -> Array:

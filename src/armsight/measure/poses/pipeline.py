@@ -241,18 +241,19 @@ def check_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
 def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
     """Return the pose from windows around the predicted spots; None where not every one of them is found and fits."""
     n, packed = len(track.names), setup.packed
-    predicted, (at_left, at_right) = np.empty((n, 3)), (at := np.empty((2, n, 2)))
+    predicted, at = np.empty((n, 3)), np.empty((2, n, 2))
     dt = t_s - track.t_s
     if not kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, dt, predicted, at):
         return None
     if setup.overlaid:
-        both = _in_windows(left, np.concatenate([at_left, at_right]), track.half_window_px, setup.sides[0])
+        both = _in_windows(left, at.reshape(2 * n, 2), track.half_window_px, setup.sides[0])
         left_seen, right_seen = (
             (None, None) if both is None else (both.take(list(range(n))), both.take(list(range(n, 2 * n))))
         )
     else:
-        left_seen = _in_windows(left, at_left, track.half_window_px, setup.sides[0])
-        right_seen = None if left_seen is None else _in_windows(right, at_right, track.half_window_px, setup.sides[1])
+        left_seen, right_seen = setup.pace.both(
+            lambda side: _in_windows((left, right)[side], at[side], track.half_window_px, setup.sides[side])
+        )
     if left_seen is None or right_seen is None:
         return None
     seen = solve_seen(setup, t_s, track.names, left_seen, right_seen, (left, right))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.kernels import rig_covariance
 from armsight.measure.poses.setup import SLACK_PX
 from armsight.optics import PackedRig
-from armsight.records import NotSeen, Points, PoseStatus, Spots, TargetPose, frozen_array, trusted
+from armsight.records import NotSeen, Points, PoseStatus, Spots, TargetPose, changed, frozen_array, trusted
 
 PARENT = "rig"
 
@@ -170,7 +171,8 @@ def solve_pose(
     if cov.shape[1] != TWO:
         residual = residual[np.isfinite(cov[..., 0, 0])]
         placed = np.isfinite(P[:, 0])
-        names, cov, P, S = tuple(np.array(names)[placed].tolist()), cov[placed], P[placed], S[placed]
+        if not placed.all():
+            names, cov, P, S = tuple(compress(names, placed.tolist())), cov[placed], P[placed], S[placed]
     if state == rig_covariance.UNLIKE:
         return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
     if state == rig_covariance.UNCERTAIN:
@@ -317,8 +319,7 @@ def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
 
 def with_covariance(solved: PoseSolution, C: Array) -> PoseSolution:
     """Return a solved pose with another covariance (6, 6), which is used by nobody else."""
-    fields = {name: getattr(solved.pose, name) for name in TargetPose.__slots__}
-    return replace(solved, pose=trusted(TargetPose, **(fields | {"covariance": C})))
+    return changed(solved, pose=changed(solved.pose, covariance=C))
 
 
 def lost(t_s: float, why: str) -> TargetPose:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
 
 from armsight.arrays import Array, Index
 from armsight.measure.poses.correspondence import OUTLINE
+from armsight.measure.poses.kernels.completion import gather
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.solving import Views, outline_shifts, take_spots
-from armsight.records import Spots, trusted
+from armsight.records import Spots, changed
 
 
 class Sights(NamedTuple):
@@ -41,15 +43,12 @@ class Sights(NamedTuple):
 
     def named(self, setup: Setup, rows: Index, start: Array) -> tuple[tuple[str, ...], Views]:
         """Return the names and the spots of the lights that some view shows: rows (m, v) as Hypothesis has them."""
-        names, none = setup.model.names, rows < 0
-        unseen = np.asarray(none.all(axis=1))
-        if unseen.any():
-            rows, none = rows[~unseen], none[~unseen]
-            names = tuple(name for name, out in zip(names, unseen.tolist(), strict=True) if not out)
-        at = rows + self.first[:-1]
-        at[none] = 0
-        uv, cov, radius = self.uv_px[at], self.cov_px2[at], self.radius_m[at]
-        uv[none], cov[none], radius[none] = np.nan, np.inf, 0.0
+        names, seen = setup.model.names, rows.max(axis=1) >= 0
+        if not seen.all():
+            rows, names = rows[seen], tuple(compress(names, seen.tolist()))
+        n, v = rows.shape
+        uv, cov, radius = np.empty((n, v, 2)), np.empty((n, v, 2, 2)), np.empty((n, v))
+        gather(rows, (self.uv_px, self.cov_px2, self.radius_m), self.first, uv, cov, radius)
         start = np.array(start)
         start.setflags(write=False)  # as UNKNOWN: one compilation serves both
         return names, Views(uv, cov, radius, start)
@@ -63,8 +62,7 @@ class Sights(NamedTuple):
                 out.append(take_spots(spots, at))
                 continue
             shown = spots.take(np.maximum(at, 0)) if len(spots) else _NO_SPOT.take(np.zeros(len(at), np.intp))
-            fields = {name: getattr(shown, name) for name in Spots.__slots__}
-            out.append(trusted(Spots, **(fields | {"size_px": np.where(none, 0.0, shown.size_px)})))
+            out.append(changed(shown, size_px=np.where(none, 0.0, shown.size_px)))
         return tuple(out)
 
 

@@ -79,7 +79,10 @@ def views_of(setup: Setup, spots: Sequence[Spots]) -> Views:
     radius_m = setup.model.radius_m
     views = Views(*stack_spots(spots), _radii(radius_m, spots))
     if radius_m <= 0.0:
-        add_outline_shift(setup.packed.k, spots, views.cov_px2)
+        for side, one in enumerate(spots):
+            if OUTLINE in one.model:
+                shift2 = np.array(outline_shifts(one, float(setup.packed.k[side][0])))
+                views.cov_px2[:, side] += shift2[:, None, None] * np.eye(2)
     return views
 
 
@@ -157,14 +160,6 @@ OUTLINE_SHARE = 0.35
 WRONG_SIZE = 1.6
 BLOOM_PX = 2.0
 """Ratio and px by which flat lights may look larger or smaller than their diameter says: tilt, blur and bloom."""
-
-
-def add_outline_shift(k: Array, views: Sequence[Spots], cov: Array) -> None:
-    """Widen cov (n, v, 2, 2) by how far the perspective may shift a flat light's outline that is not corrected for."""
-    for side, spots in enumerate(views):
-        for i, shift2 in enumerate(outline_shifts(spots, float(k[side][0]))):
-            cov[i, side, 0, 0] += shift2
-            cov[i, side, 1, 1] += shift2
 
 
 def outline_shifts(spots: Spots, focal_px: float) -> list[float]:

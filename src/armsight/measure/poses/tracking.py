@@ -184,7 +184,7 @@ def next_track(
 
 def half_window_px(views: Sequence[Spots], innovation_px: float | None) -> int:
     """Return the half window for such spots, which were that far from where they were expected (None: nowhere)."""
-    reach = SPOT_REACH * float(max(size for spots in views for size in spots.size_px.tolist()))
+    reach = SPOT_REACH * max(max(spots.size_px.tolist(), default=0.0) for spots in views)
     if innovation_px is None:
         innovation_px = FIRST_WINDOW_PX
     return ceil(reach + min(LEAST_WINDOW_PX + 2.0 * innovation_px, FIRST_WINDOW_PX))

@@ -30,9 +30,8 @@ from armsight.measure.spots.kernels.area import (
 from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import whiten_clipped
 from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, locate, locate_near
-from armsight.measure.spots.kernels.measure_areas import measure_others, measure_round, pack_results
+from armsight.measure.spots.kernels.measure_areas import measure_areas
 from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
-from armsight.measure.spots.kernels.processed import add_background_variance
 from armsight.records import Spots, trusted
 
 Rejected = tuple[tuple[float, float, str], ...]
@@ -124,23 +123,20 @@ def track_grey(image: Image, predicted: Array, half_window_px: float, settings: 
     grey = searchable(image, settings)
     half = int(half_window_px + 0.5)
     areas, state, survey, cut = locate_near(grey, settings.mask_bytes, settings.options, predicted, half)
-    columns, refused = measured(grey, settings, areas, state, survey)
+    uv, covariance, looks, refused = measured(grey, settings, areas, state, survey)
     if len(cut):
         refused = np.concatenate([refused, cut])
-    return record(columns, refused), columns[5].astype(np.intp, copy=False)
+    return record(uv, covariance, looks, refused), looks[3].astype(np.intp)
 
 
 def measured(
     grey: Image, settings: SpotSettings, areas: Array, state: NDArray[np.int64], survey: Array
-) -> tuple[tuple[Array, ...], Array]:
-    """Return the spots' columns and the refusals of the located areas."""
-    n = len(areas)
-    fits, rows = np.empty((n, col.FIT)), np.empty((n, col.MOST_LIGHTS, col.SPOT))
-    if measure_round(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows):
-        measure_others(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows)
-    add_background_variance(grey, settings.options, areas, state, survey, rows)
-    *columns, refused = pack_results(settings.options, areas, state, rows)
-    return tuple(columns), refused
+) -> tuple[Array, Array, Array, Array]:
+    """Return the spots of the located areas as record takes them."""
+    spots: tuple[Array, Array, Array, Array] = measure_areas(
+        grey, settings.mask_bytes, settings.options, areas, state, survey
+    )
+    return spots
 
 
 def searchable(image: Image, settings: SpotSettings) -> Image:
@@ -199,10 +195,10 @@ def rejections(refused: NDArray[np.float64]) -> Rejected:
     return tuple(zip(u, v, map(REASONS.__getitem__, map(int, why)), strict=True))
 
 
-def record(columns: tuple[Array, ...], refused: Array) -> Spots:
-    """Return the record of the kernels' columns."""
-    uv, covariance, peak, size, model, _ = columns
-    names = tuple(map(MODEL_NAMES.__getitem__, model.tolist()))
+def record(uv: Array, covariance: Array, looks: Array, refused: Array) -> Spots:
+    """Return the record of what the kernels measured; see pack_results."""
+    peak, size, model, _ = looks
+    names = tuple([MODEL_NAMES[int(one)] for one in model.tolist()])
     return trusted(
         Spots,
         uv_px=uv,

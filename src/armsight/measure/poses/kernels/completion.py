@@ -48,6 +48,22 @@ def add_image(rig, T, X, p, s, covariance, C, uv, S, work):
 
 
 @kernel
+def gather(rows, spots, first, uv, cov, radius):
+    """Fill uv (n, v, 2), cov (n, v, 2, 2), radius (n, v) of the sights rows (n, v): NaN, infinite, 0 where it is -1.
+
+    spots: of all views one after the other, uv (k, 2), cov (k, 2, 2), radius (k,); first (v + 1,): where each begins.
+    """
+    for n in range(rows.shape[0]):
+        for s in range(rows.shape[1]):
+            there, at = rows[n, s] >= 0, rows[n, s] + first[s]
+            radius[n, s] = spots[2][at] if there else 0.0
+            for i in range(2):
+                uv[n, s, i] = spots[0][at, i] if there else np.nan
+                for j in range(2):
+                    cov[n, s, i, j] = spots[1][at, i, j] if there else np.inf
+
+
+@kernel
 def complete(rig, X, T, C, covariance, spots, near, rows):
     """Add to rows (n, v), -1 for none, each view's one spot near a light X (n, 3) under the pose T, C; tell if any was.
 

@@ -104,6 +104,44 @@ def check_fit(comp, rows, lights, saturated, noise):
 
 
 @lean_kernel
+def is_hot_near(comp, hot):
+    """Tell whether a hot pixel may lie in the component's window."""
+    # the fit moves and widens its window while it runs
+    reach = 1.5 * fit_margin(comp)
+    for k in range(hot.shape[0]):
+        x = hot[k, 0]
+        y = hot[k, 1]
+        if (
+            comp[col.X_MIN] - reach < x < comp[col.X_MAX] + reach
+            and comp[col.Y_MIN] - reach < y < comp[col.Y_MAX] + reach
+        ):
+            return True
+    return False
+
+
+@inner_kernel
+def mark_crowded(comps, state):
+    """Set CROWDED where another area's bounds meet the window of a component's fit."""
+    n = comps.shape[0]
+    relevant = np.empty(n, np.int64)
+    count = 0
+    for i in range(n):
+        state[i, col.CROWDED] = 0
+        if state[i, col.STATUS] != HOT and state[i, col.STATUS] != SMALL:
+            relevant[count] = i
+            count += 1
+    for a in range(count):
+        i = relevant[a]
+        if state[i, col.STATUS] != ACCEPTED:
+            continue
+        reach = fit_margin(comps[i])
+        for b in range(count):
+            if b != a and boxes_overlap(comps[i], comps[relevant[b]], reach):
+                state[i, col.CROWDED] = 1
+                break
+
+
+@lean_kernel
 def hot_pixels(comps, state, hot):
     """Fill hot (2 n, 2) with the pixels x, y of the areas that are hot pixels; return how many."""
     n = np.int64(0)

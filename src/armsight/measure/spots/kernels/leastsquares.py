@@ -9,11 +9,12 @@ import numpy as np
 
 from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
-from armsight.measure.spots.kernels.area import add_prior, prior_square
+from armsight.measure.spots.kernels.area import add_prior, prior_square, prior_weight
 from armsight.measure.spots.kernels.columns import copy_to
 from armsight.measure.spots.kernels.light_models import (
     CLIPPED_PIXEL,
     ELLIPSE,
+    JOINT,
     grid_of,
     is_feasible,
     light,
@@ -221,24 +222,27 @@ def fit_model(kind, p, n, patch, count, residuals):
 
 
 @inner_kernel
-def evaluate_patch(kind, p, n, patch, residuals):
-    """Return light and derivatives of a patch, and its pixels; fill residuals (ny, nx). See evaluate."""
-    grid = patch_grid(patch)
-    J = np.empty((n, patch.values.size))
-    m = np.empty(patch.values.size)
-    special = unused(patch.use)
+def evaluate_patch(kind, p, n, patch):
+    """Return a model at a patch: its Grid, J (n, pixels), light m, residuals (ny, nx), special pixels (see evaluate),
+    and H (n, n) with the priors."""
+    grid, special, pixels = patch_grid(patch), unused(patch.use), patch.values.size
+    J, m, residuals, H = np.empty((n, pixels)), np.empty(pixels), np.empty(patch.values.shape), np.empty((n, n))
     r = residuals.reshape(-1)
     evaluate(kind, p, n, patch, special, grid, J, m, r)
     differentiate(kind, p, n, special, grid, J, m, r)
-    return J, m, grid
+    gram(J, n, H)
+    for i in range(n):
+        H[i, i] += prior_weight(kind, i, p[4] if kind == JOINT else p[3])
+    return grid, J, m, residuals, special, H
 
 
 @lean_kernel
-def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
-    """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
+def weighted_information(there, n, u, v, G, tilt, out3):
+    """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of what evaluate_patch returned.
 
     tilt (n + 3, 2): see leastsquares.uncertainty, about (u, v).
     """
+    grid, J, m, residuals, _, _ = there
     work = grid.work[0]
     for a in range(n):
         products(J[a], m, work)

@@ -254,8 +254,9 @@ def edge_cut(d, s, height, share, slope):
     """Fill slope = dm / dd by the density that it holds; beyond FAR it is zero, and the share one or zero."""
     for i in range(d.shape[0]):
         far = abs(d[i]) > FAR * s
-        share[i] = (1.0 if d[i] > 0.0 else 0.0) if far else share[i]
-        slope[i] = 0.0 if far else slope[i] * (height / s)
+        inside, here, steep = 1.0 if d[i] > 0.0 else 0.0, share[i], slope[i] * (height / s)
+        share[i] = inside if far else here  # what is read before it is chosen from is chosen in vector code
+        slope[i] = 0.0 if far else steep
 
 
 @lean_sum_kernel

@@ -13,26 +13,26 @@ from armsight.measure.spots.kernels.area import (
     AS_CENTROID,
     AS_GAUSSIAN,
     FAILED,
-    HOT,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
     SATURATED,
-    SMALL,
     UNRESOLVED,
     boxes_overlap,
     check_fit,
     fit_margin,
     hot_pixels,
+    is_hot_near,
+    mark_crowded,
     ring_prior,
     round_start,
     slope_prior,
 )
 from armsight.measure.spots.kernels.columns import Picture, copy_to
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch
+from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch, evaluate_patch
 from armsight.measure.spots.kernels.model_selection import refit, select_model, write_spots
 from armsight.measure.spots.kernels.patch import make_patch, new_patch, shape_of
-from armsight.measure.spots.kernels.processed import is_off_centroid, robust_covariance
+from armsight.measure.spots.kernels.processed import add_background_variance, is_off_centroid, robust_covariance
 from armsight.measure.spots.kernels.round_gaussian import (
     COV,
     DOF,
@@ -109,57 +109,35 @@ def background_of(comp, survey, w, h):
     return min(survey[col.GRID + i, j], comp[col.LEVEL])
 
 
-@lean_kernel
-def is_hot_near(comp, hot):
-    """Tell whether a hot pixel may lie in the component's window."""
-    # the fit moves and widens its window while it runs
-    reach = 1.5 * fit_margin(comp)
-    for k in range(hot.shape[0]):
-        x = hot[k, 0]
-        y = hot[k, 1]
-        if (
-            comp[col.X_MIN] - reach < x < comp[col.X_MAX] + reach
-            and comp[col.Y_MIN] - reach < y < comp[col.Y_MAX] + reach
-        ):
-            return True
-    return False
-
-
-@inner_kernel
-def mark_crowded(comps, state):
-    """Set CROWDED where another area's bounds meet the window of a component's fit."""
-    n = comps.shape[0]
-    relevant = np.empty(n, np.int64)
-    count = 0
-    for i in range(n):
-        state[i, col.CROWDED] = 0
-        if state[i, col.STATUS] != HOT and state[i, col.STATUS] != SMALL:
-            relevant[count] = i
-            count += 1
-    for a in range(count):
-        i = relevant[a]
-        if state[i, col.STATUS] != ACCEPTED:
-            continue
-        reach = fit_margin(comps[i])
-        for b in range(count):
-            if b != a and boxes_overlap(comps[i], comps[relevant[b]], reach):
-                state[i, col.CROWDED] = 1
-                break
-
-
 @kernel
-def measure_round(image, mask, options, comps, state, survey, fits, rows):
-    """Fit a round Gaussian to each accepted area that stands alone; return how many areas are left PENDING.
+def measure_areas(image, mask, options, comps, state, survey):
+    """Measure the lights of all accepted areas; return the spots' columns and what was refused, as pack_results does.
 
-    fits (n, FIT) takes the fits, rows (n, MOST_LIGHTS, SPOT) the measured lights, state what became of the area.
+    state: what becomes of each area is written into it.
     """
-    h, w = image.shape
     picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
     only = int(options[col.O_MODEL])
     n = comps.shape[0]
+    fits = np.empty((n, col.FIT))
+    rows = np.empty((n, col.MOST_LIGHTS, col.SPOT))
     hot = np.empty((2 * n, 2), np.int64)
     hot = hot[: hot_pixels(comps, state, hot)]
     mark_crowded(comps, state)
+    if measure_round(picture, only, hot, comps, state, survey, fits, rows) > 0:
+        measure_others(picture, only, hot, comps, state, survey, fits, rows)
+    add_background_variance(picture, comps, state, survey, rows)
+    return pack_results(options, comps, state, rows)
+
+
+@inner_kernel
+def measure_round(picture, only, hot, comps, state, survey, fits, rows):
+    """Fit a round Gaussian to each accepted area that stands alone; return how many areas are left PENDING.
+
+    Their SIZE is 5 where a round light was fitted, whose residuals hang together, and else 0.
+    fits (n, FIT) takes the fits, rows (n, MOST_LIGHTS, SPOT) the measured lights, state what became of the area.
+    """
+    h, w = picture.grey.shape
+    n = comps.shape[0]
     start = np.empty(5)
     prior = np.empty(4)
     result = np.empty(RESULT)
@@ -186,34 +164,33 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
             fits[i, col.MOST_PARAMETERS + k] = prior[k]
         # lights before a room are all left to measure_others, whose covariance is of the residuals as they are
         # (processed)
+        fine = False
         if state[i, col.CROWDED] == 0 and only != ONLY_ELLIPSE and comp[col.SLOPE] < 0.0:
             round_start(comp, background_of(comp, survey, w, h), picture.saturation, start)
             # mostly false, which spares looking for such pixels
-            clipped = comp[col.CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot)
+            clipped = comp[col.CLIPPED] > 0.0 or picture.mask.size > 0 or is_hot_near(comp, hot)
             fine = fit_round(picture, hot, clipped, start, prior, work, result)
+            if fine:
+                store_fit(result, fits[i])
             if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
                 write_round(result, i, rows[i, 0])
-                store_fit(result, fits[i])
                 state[i, col.SIZE] = 5
                 state[i, col.KIND] = 0
                 state[i, col.LIGHTS] = 1
                 if check_fit(comp, rows[i], state[i, col.LIGHTS], comp[col.CLIPPED] > 0.0, noise) == ACCEPTED:
                     continue
+                fine = False
         state[i, col.STATUS] = PENDING
-        state[i, col.SIZE] = 0
+        state[i, col.SIZE] = 5 if fine else 0
         pending += 1
     return pending
 
 
-@kernel
-def measure_others(image, mask, options, comps, state, survey, fits, rows):
+@inner_kernel
+def measure_others(picture, only, hot, comps, state, survey, fits, rows):
     """Fit the areas left PENDING with the models that their shape suggests, and refine the crowded ones."""
-    h, w = image.shape
-    picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
-    only = int(options[col.O_MODEL])
+    h, w = picture.grey.shape
     n = comps.shape[0]
-    hot = np.empty((2 * n, 2), np.int64)
-    hot = hot[: hot_pixels(comps, state, hot)]
     noise = survey[2 * col.GRID, col.NOISE]
     outline = np.empty(9)
     for i in range(n):
@@ -223,25 +200,26 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
         patch = new_patch(comp, h, w)
         make_patch(picture, comps, state, i, hot, np.int64(0), patch)
         background = background_of(comp, survey, w, h)
-        kind, size, rss, run = select_model(comp, background, patch, noise, only, fits[i])
+        kind, size, rss, run = select_model(comp, background, patch, noise, only, state[i, col.SIZE] > 0, fits[i])
         state[i, col.KIND] = kind
         state[i, col.SIZE] = size
         # why it is refused if no model fits
         state[i, col.STATUS] = SATURATED if comp[col.CLIPPED] > 0.5 * comp[col.AREA] else FAILED
         if size > 0:
-            lights = write_spots(kind, size, fits[i], patch, rss, rows[i], i)
+            there = evaluate_patch(kind, fits[i], size, patch)
+            lights = write_spots(kind, size, fits[i], patch, there, rss, rows[i], i)
             state[i, col.LIGHTS] = lights
             if lights > 0:
                 state[i, col.STATUS] = check_fit(comp, rows[i], lights, comp[col.CLIPPED] > 0.0, noise)
             # residuals still hang together: more lights than were told apart, and each centre is pulled by the rest
             if lights > 1 and run > 2.0 * MISFIT:
                 state[i, col.STATUS] = UNRESOLVED
-        single = state[i, col.STATUS] == ACCEPTED and state[i, col.LIGHTS] == 1 and comp[col.SLOPE] >= 0.0
-        if single and (
-            is_off_centroid(comp, rows[i, 0])
-            or not robust_covariance(kind, size, fits[i], patch, comp, noise, rows[i, 0])
-        ):
-            state[i, col.STATUS] = FAILED
+            single = state[i, col.STATUS] == ACCEPTED and lights == 1 and comp[col.SLOPE] >= 0.0
+            if single and (
+                is_off_centroid(comp, rows[i, 0])
+                or not robust_covariance(kind, size, patch, there, comp, noise, rows[i, 0])
+            ):
+                state[i, col.STATUS] = FAILED
         if state[i, col.STATUS] != ACCEPTED and comp[col.SLOPE] >= 0.0:
             shape_of(patch, comp, comp[col.LEVEL], background, outline)
             write_centroid(comp, outline, rows[i, 0], i)
@@ -298,7 +276,7 @@ def refine(picture, comps, state, i, hot, noise, fits, rows):
     if rss < 0.0:
         return
     trial = np.empty((col.MOST_LIGHTS, col.SPOT))
-    lights = write_spots(kind, size, p, patch, rss, trial, i)
+    lights = write_spots(kind, size, p, patch, evaluate_patch(kind, p, size, patch), rss, trial, i)
     # else the fit that there is stays
     if (
         lights == state[i, col.LIGHTS]
@@ -353,11 +331,12 @@ def noise_of(row, g):
     return max(a, PIXEL_VARIANCE)
 
 
-@kernel
+@inner_kernel
 def pack_results(options, comps, state, rows):
-    """Return uv (n, 2), covariance (n, 2, 2), peak, size, model and owner (n,) of the spots, and refused (m, 3).
+    """Return uv (n, 2), covariance (n, 2, 2) and looks (4, n) of the spots, and refused (m, 3).
 
-    A spot's owner is that of its area; refused are u, v and the number of the reason.
+    looks: peak, size, model and owner, that of a spot's area; refused: u, v and the number of the reason. Few arrays:
+    handing one to Python takes as long as filling it.
     """
     spots = np.empty((comps.shape[0] * col.MOST_LIGHTS, col.SPOT))
     refused = np.empty((comps.shape[0], 3))
@@ -376,10 +355,7 @@ def pack_results(options, comps, state, rows):
     g = options[col.O_GAIN] if options[col.O_GAIN] >= 0.0 else shot_gain(spots, n)
     uv = np.empty((n, 2))
     covariance = np.empty((n, 2, 2))
-    peak = np.empty(n)
-    size = np.empty(n)
-    model = np.empty(n, np.int64)
-    owner = np.empty(n, np.int64)
+    looks = np.empty((4, n))
     for k in range(n):
         row = spots[k]
         a = noise_of(row, g)
@@ -389,8 +365,8 @@ def pack_results(options, comps, state, rows):
         covariance[k, 0, 1] = a * row[col.S_CH + 1] + g * row[col.S_CG + 1]
         covariance[k, 1, 0] = covariance[k, 0, 1]
         covariance[k, 1, 1] = a * row[col.S_CH + 2] + g * row[col.S_CG + 2] + row[col.S_FLOOR]
-        peak[k] = row[col.S_PEAK]
-        size[k] = row[col.S_SIZE]
-        model[k] = int(row[col.S_MODEL])
-        owner[k] = state[int(row[col.S_OF]), col.OWNER]
-    return uv, covariance, peak, size, model, owner, refused[:m].copy()
+        looks[0, k] = row[col.S_PEAK]
+        looks[1, k] = row[col.S_SIZE]
+        looks[2, k] = row[col.S_MODEL]
+        looks[3, k] = state[int(row[col.S_OF]), col.OWNER]
+    return uv, covariance, looks, refused[:m].copy()

@@ -16,17 +16,17 @@ from armsight.measure.spots.kernels.area import (
     AS_STREAK,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
-    prior_weight,
 )
 from armsight.measure.spots.kernels.columns import copy_to
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.leastsquares import (
     MISFIT,
-    evaluate_patch,
+    evaluate,
     fit_model,
-    gram,
+    patch_grid,
     remaining_square,
     uncertainty,
+    unused,
     variance_inflation,
     weighted_information,
 )
@@ -56,6 +56,11 @@ WIDE_PATCH = 3000
 is that large and no disc is a lamp."""
 FLAT_CLIPPED = 3.0
 """Clipped pixels of a light before a room from which a flat one is tried even where a round one fits."""
+LEAST_DISC = 40.0
+"""Pixels above the threshold from which a light may be told for a disc by a round fit's residuals: of fewer, a single
+one may hold DOMINANT of what a round light leaves."""
+PLAINLY = 2.0
+"""By how much the limits must be exceeded for that: in run, share of one pixel, squares."""
 DOMINANT = 0.2
 """Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
 
@@ -126,6 +131,15 @@ def drop_worst(residuals, use, rss, noise):
 
 
 @lean_kernel
+def dominated(r, most):
+    """Tell whether a residual's square is more than most: a hot pixel may be what is wrong."""
+    over = 0
+    for i in range(r.shape[0]):
+        over += r[i] * r[i] > most
+    return over > 0
+
+
+@lean_kernel
 def add_light(residuals, x0, y0, p, n):
     """Extend a joint model by a light where the residuals, summed over 3 x 3 pixels, are largest; return the new n."""
     best = -1.0
@@ -190,11 +204,48 @@ def refit(kind, n, patch, count, p, residuals):
 
 
 @inner_kernel
-def select_model(comp, background, patch, noise, only, best):
-    """Fit the models that the shape suggests; fill best; return kind, n (0: none), squares, run."""
+def fit_disc(comp, background, shape, patch, count, only, best):
+    """Fit an ellipse to what a round light, in best, plainly is not; fill best; return squares (-1: not sure) and run.
+
+    The round light was fitted to a window of its own. Fitted to this patch it would leave hardly less than it does
+    there: where that is beyond all limits by far, and the ellipse fits, no other model is tried.
+    """
+    order = np.empty(3, np.int64)
+    first = order_of_trial(comp, shape, np.int64(1), only, order) > 0 and order[0] == ELLIPSE
+    if comp[col.AREA] < LEAST_DISC or comp[col.CLIPPED] > 0.0 or not first:
+        return -1.0, 0.0
+    p = np.zeros(col.MOST_PARAMETERS)
+    peaks = np.empty((col.MOST_LIGHTS, 3))
+    residuals = np.empty(patch.values.shape)
+    J = np.empty((5, patch.values.size))
+    m = np.empty(patch.values.size)
+    r = residuals.reshape(-1)
+    rss_round = evaluate(np.int64(JOINT), best, np.int64(5), patch, unused(patch.use), patch_grid(patch), J, m, r)
+    if not residual_autocorrelation(residuals)[1] > PLAINLY * MISFIT or dominated(r, DOMINANT / PLAINLY * rss_round):
+        return -1.0, 0.0
+    n, rss, run = start_and_fit(
+        np.int64(ELLIPSE), np.int64(1), comp, shape, background, peaks, patch, count, p, residuals
+    )
+    likelier = rss >= 0.0 and bic(rss, count, n) < bic(rss_round / PLAINLY, count, 5)
+    if not (likelier and run < MISFIT) or dominated(r, DOMINANT * rss):
+        return -1.0, 0.0
+    copy_to(p, best)
+    return rss, run
+
+
+@inner_kernel
+def select_model(comp, background, patch, noise, only, refused, best):
+    """Fit the models that the shape suggests; fill best; return kind, n (0: none), squares, run.
+
+    refused: a round light is in best whose residuals hang together.
+    """
     count = used(patch.use)
     shape = np.empty(9)
     shape_of(patch, comp, comp[col.LEVEL], background, shape)
+    if refused:
+        rss, run = fit_disc(comp, background, shape, patch, count, only, best)
+        if rss >= 0.0:
+            return ELLIPSE, 8, rss, run
     p = np.zeros(col.MOST_PARAMETERS)
     more = np.zeros(col.MOST_PARAMETERS)
     residuals = np.zeros(patch.values.shape)
@@ -248,22 +299,19 @@ def select_model(comp, background, patch, noise, only, best):
 
 
 @inner_kernel
-def write_spots(kind, n, p, patch, rss, rows, source):
-    """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance)."""
-    H = np.empty((n, n))
+def write_spots(kind, n, p, patch, there, rss, rows, source):
+    """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance).
+
+    there: as evaluate_patch returns it.
+    """
+    _, _, _, residuals, _, H = there
     G = np.empty((n, n))
     sums = np.empty(3)
-    residuals = np.empty(patch.values.shape)
     tilt = np.empty((n + 3, 2))
     count = used(patch.use)
     lights = (n - 2) // 3 if kind == JOINT else 1
-    J, m, grid = evaluate_patch(kind, p, n, patch, residuals)
-    gram(J, n, H)
-    height = p[4] if kind == JOINT else p[3]
-    for i in range(n):
-        H[i, i] += prior_weight(kind, i, height)
     first = 2 if kind == JOINT else 1
-    weighted_information(J, m, grid, residuals, n, p[first], p[first + 1], G, tilt, sums)
+    weighted_information(there, n, p[first], p[first + 1], G, tilt, sums)
     wider, rss, noise = residual_noise(residuals, patch, p[first], p[first + 1], n, count, rss, lights)
     order = np.empty(n, np.int64)
     H2 = np.empty((n, n))

@@ -16,13 +16,12 @@ from math import pi, sqrt
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel, lean_kernel
+from armsight._numba import inner_kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.spots.kernels import columns as col
-from armsight.measure.spots.kernels.area import ACCEPTED, prior_weight
+from armsight.measure.spots.kernels.area import ACCEPTED
 from armsight.measure.spots.kernels.blobs import RING_SAMPLES, RING_X, RING_Y
 from armsight.measure.spots.kernels.columns import insertion_sort
-from armsight.measure.spots.kernels.leastsquares import evaluate_patch, gram, unused
 from armsight.measure.spots.kernels.light_models import JOINT, add_scaled
 from armsight.measure.spots.kernels.patch import antisymmetric_part, used
 
@@ -42,13 +41,10 @@ TINY_PX = 1.2
 
 
 @inner_kernel
-def centre_influence(kind, n, p, J, use, influence):
+def centre_influence(kind, n, there, influence):
     """Fill influence (2, ny, nx) with the shift of the centre in px per grey level at each pixel; False for none."""
-    H = np.empty((n, n))
+    _, J, _, _, special, H = there
     C = np.empty((n, n))
-    gram(J, n, H)
-    for i in range(n):
-        H[i, i] += prior_weight(kind, i, p[4] if kind == JOINT else p[3])
     if not invert_spd(H, C):
         return False
     # d parameters = C J d values, one step of Gauss and Newton from the minimum; the centre's rows of it
@@ -59,7 +55,7 @@ def centre_influence(kind, n, p, J, use, influence):
             of_pixel[i] = 0.0
         for k in range(n):
             add_scaled(J[k], of_pixel, C[first + a, k])
-        for k in unused(use):
+        for k in special:
             of_pixel[k] = 0.0
     return True
 
@@ -93,20 +89,19 @@ def is_off_centroid(comp, row):
 
 
 @inner_kernel
-def robust_covariance(kind, n, p, patch, comp, noise, row):
+def robust_covariance(kind, n, patch, there, comp, noise, row):
     """Replace the covariance of a spot's row by the sandwich of its antisymmetric residuals; False where these are too
-    few."""
+    few. there: as evaluate_patch returns it."""
     box, values, use = patch
+    residuals = there[3]
     radius = sqrt(comp[col.AREA] / pi)
     away2 = centroid_distance2(comp, row)
-    residuals = np.empty(values.shape)
     antisymmetric = np.empty(values.shape)
     influence = np.empty((2, values.shape[0], values.shape[1]))
     out = np.empty(3)
-    J, _, _ = evaluate_patch(kind, p, n, patch, residuals)
     _, pixels = antisymmetric_part(residuals, use, row[col.S_U] - box[0], row[col.S_V] - box[2], antisymmetric)
     count = used(use)
-    if not pixels > n + 4 or not centre_influence(kind, n, p, J, use, influence):
+    if not pixels > n + 4 or not centre_influence(kind, n, there, influence):
         return False
     sandwich(antisymmetric, influence, out)
     clipped = comp[col.CLIPPED] / comp[col.AREA]
@@ -203,13 +198,12 @@ def background_centre_variance(image, flip, comp, row, noise):
     return background * (BACKGROUND_INFLUENCE * radius / max(row[col.S_PEAK], 1.0)) ** 2
 
 
-@kernel
-def add_background_variance(image, options, comps, state, survey, rows):
+@lean_kernel
+def add_background_variance(picture, comps, state, survey, rows):
     """Fill S_FLOOR of the lights that stand alone above a threshold: for a background that is not even round them."""
-    flip = np.uint8(options[col.O_FLIP])
     for i in range(comps.shape[0]):
         alone = state[i, col.STATUS] == ACCEPTED and state[i, col.CROWDED] == 0 and state[i, col.LIGHTS] == 1
         if alone and comps[i, col.SLOPE] < 0.0:
             rows[i, 0, col.S_FLOOR] = background_centre_variance(
-                image, flip, comps[i], rows[i, 0], survey[2 * col.GRID, col.NOISE]
+                picture.grey, picture.flip, comps[i], rows[i, 0], survey[2 * col.GRID, col.NOISE]
             )

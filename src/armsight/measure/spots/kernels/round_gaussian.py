@@ -59,7 +59,7 @@ class Workspace(NamedTuple):
     answer: Any  # (8,) of uncertainty
     box: Any  # (4,) window: x0, x1, y0, y1
     dropped: Any  # (MOST_DROPPED, 2) pixels that carry no information
-    residuals: Any  # (MOST + 1, MOST + 1), first row and column zero
+    residuals: Any  # (MOST + 1, MOST + 1), zero beside the window's first row and column
 
 
 @inner_kernel
@@ -83,7 +83,7 @@ def new_work():
         np.empty(8),
         np.empty(4, np.int64),
         np.empty((MOST_DROPPED, 2), np.int64),
-        np.zeros((MOST + 1, MOST + 1)),
+        np.empty((MOST + 1, MOST + 1)),
     )
 
 
@@ -229,7 +229,10 @@ def residual_sums(image, flip, n_dropped, w, out):
     nx = w.box[1] - x0
     ny = w.box[3] - y0
     first = np.uint64(x0)
+    for i in range(nx + 1):
+        residuals[0, i] = 0.0
     for j in range(ny):
+        residuals[j + 1, 0] = 0.0
         height = p[2] * fy[0, j]
         y = np.uint64(y0 + j)
         for i in range(nx):
