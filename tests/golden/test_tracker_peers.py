@@ -5,9 +5,7 @@ writes a lost point where it was last.
 """
 
 import io
-import os
 import struct
-import subprocess
 import warnings
 from pathlib import Path
 
@@ -19,6 +17,7 @@ from armsight.errors import Inconsistent
 from armsight.store.interpret import TableFormat
 from armsight.store.interpret.trackers.formats import tracker_of
 from armsight.store.verify_files import read_measured
+from public_files import public_file
 from refusals import refuses
 
 N, RATE = 60, 100.0
@@ -174,20 +173,13 @@ PUBLIC = {
         "data/basin/raw/M510A-IRR-EKFPID-020019_6D.tsv",
     ),
 }
-"""Files of laboratories: repository, commit, path. They are read from copies of the repositories in the folder that
-$ARMSIGHT_PUBLIC names, owner+name each; none is kept here."""
+"""Files of laboratories: repository, commit, path."""
 
 
 def public(name, tmp_path):
-    """Return a public file's path; the test is skipped where its repository is not on the machine."""
-    repository, commit, file = PUBLIC[name]
-    folder = Path(os.environ.get("ARMSIGHT_PUBLIC", ".")) / repository.replace("/", "+")
-    git = next((one for one in (folder / "repo", folder / "repo/.git", folder) if (one / "objects").is_dir()), None)
-    if git is None:
-        pytest.skip(f"{repository} is not in $ARMSIGHT_PUBLIC")
-    shown = subprocess.run(["git", "-C", git, "show", f"{commit}:{file}"], capture_output=True, check=True)
-    path = tmp_path / Path(file).name
-    path.write_bytes(shown.stdout)
+    """A public file's path; the test is skipped where it is not on the machine."""
+    path = tmp_path / Path(PUBLIC[name][2]).name
+    path.write_bytes(public_file(*PUBLIC[name]))
     return path
 
 

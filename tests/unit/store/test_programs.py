@@ -28,13 +28,13 @@ from program_writers import (
     jbi,
     kawasaki,
     krl,
-    public_file,
     rapid,
     rows_of,
     turned,
     written,
     written_joints,
 )
+from public_files import public_file
 
 ASKED = {"pts": "zyx", "denso": "xyz-fixed"}
 
