@@ -75,14 +75,14 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "as": ProgramKind(
         title="Kawasaki AS: .as",
-        told=r"^\.(?:TRANS|JOINTS)\b",
+        told=r"^\.(?:TRANS|JOINTS)\b|^\.\*=== AS GROUP",
         points=lists.as_points,
         order="zyz",
         source="AS language: transformation values; rc_cube manual, Kawasaki XYZ-OAT",
     ),
     "val3": ProgramKind(
         title="Staubli VAL 3 data: .dtx",
-        told=r"http://www\.staubli\.com/robotics/VAL3/Data",
+        told=r"http://www\.staubli\.com/robotics/VAL3/Data|<dataList\s+xmlns=\"DataNameSpace\"",
         points=lists.dtx_points,
         order="xyz",
         source="VAL 3: trsf; RoboDK Staubli_VAL3_simplified",
