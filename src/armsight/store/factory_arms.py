@@ -22,7 +22,7 @@ T = Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta).
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ from armsight.kinematics.axes import AxisJoint, arm_from_axes
 from armsight.kinematics.rigid import drawn_postures
 from armsight.store.arm_file import in_metres
 from armsight.store.atomic import read_bytes
-from armsight.store.tables import decoded
+from armsight.store.tables import decoded, plain_float
 from armsight.store.yamls import read_yaml
 from armsight.units import DEG, MM
 
@@ -188,7 +188,7 @@ def _plain_table(path: Path, nominal: Arm | None) -> Arm:
 def _numbers(text: str, count: int, where: str) -> Array:
     """Return so many numbers apart by commas. Raises BadFile."""
     try:
-        values = np.array([float(cell) for cell in text.split(",")])
+        values = np.array([plain_float(cell) for cell in text.split(",")])
     except ValueError:
         values = np.full(0, np.nan)
     if values.shape != (count,) or not np.isfinite(values).all():
@@ -202,7 +202,8 @@ def _numbers(text: str, count: int, where: str) -> Array:
 
 def _from_frames(content: Mapping[str, Any], path: Path, nominal: Arm | None) -> Arm:
     """Return the arm of a frame before each joint, of ur_calibration or of an xArm. Raises BadFile, Inconsistent."""
-    links, names, turn, writer = LINKS, tuple(f"{name}_joint" for name in ROS_JOINTS), "XYZ", "ur_calibration"
+    links: Sequence[str] = LINKS
+    names, turn, writer = tuple(f"{name}_joint" for name in ROS_JOINTS), "XYZ", "ur_calibration"
     if "joint1" in content:
         links = names = tuple(f"joint{k}" for k in range(1, 1 + len(content)))
         turn, writer = "xyz", "gen_kinematics_params.py"

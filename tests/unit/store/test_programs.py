@@ -399,9 +399,10 @@ def test_no_spoiled_program_is_read_wrong(seed, tmp_path):
         assert error.cure, error
         return
     found_mm, found = poses_of(columns)
-    assert done.n == len(xyz_mm), f"{name} {how}: points are missing without a word"
-    assert np.abs(found_mm - xyz_mm).max() < 1e-3, f"{name} {how}"
-    assert (found.inv() * rotation).magnitude().max() < 1e-4, f"{name} {how}"
+    cut_off = how == "cut" and any("was cut, so count" in note for note in done.notes)
+    assert done.n == len(xyz_mm) or cut_off, f"{name} {how}: points are missing without a word"
+    assert np.abs(found_mm - xyz_mm[: done.n]).max() < 1e-3, f"{name} {how}"
+    assert (found.inv() * rotation[: done.n]).magnitude().max() < 1e-4, f"{name} {how}"
 
 
 @pytest.mark.parametrize("name", [name for name in PROGRAMS if name not in ("rapid", "urscript")])

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
+from armsight.store.tables import plain_float
 from armsight.store.yamls import MAX_BYTES, parse_yaml, parse_yaml_documents
 
 ROOT = "opencv_storage"
@@ -188,12 +189,11 @@ def _words(text: str | None) -> list[Any]:
 
 def _word(text: str | None) -> Any:
     word = (text or "").strip()
-    for kind in (int, float):
-        try:
-            return kind(word)
-        except ValueError:
-            continue
-    return word
+    try:
+        number = plain_float(word)
+    except ValueError:
+        return word
+    return int(word) if word.lstrip("+-").isdecimal() else number
 
 
 def _camera_tables(tables: Mapping[str, Any], keys: set[str]) -> bool:

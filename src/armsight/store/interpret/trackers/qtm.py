@@ -31,7 +31,10 @@ from armsight.store.interpret.trackers.grid import (
 from armsight.store.interpret.trackers.tracks import Track, Tracks
 from armsight.units import DEG, MM
 
-ORDERS = {("roll", "pitch", "yaw"): EulerOrder(axes="xyz"), ("yaw", "pitch", "roll"): EulerOrder(axes="zyx")}
+ORDERS: Mapping[tuple[str, ...], EulerOrder] = {
+    ("roll", "pitch", "yaw"): EulerOrder(axes="xyz"),
+    ("yaw", "pitch", "roll"): EulerOrder(axes="zyx"),
+}
 """Rotations by the names of their columns, of those seen beside their matrix."""
 ORTHOGONAL, AGREE_RAD = 2e-3, 1e-3
 """Of matrices with five decimals, and of angles with five decimals of a degree; near pitch 90 degrees less."""
