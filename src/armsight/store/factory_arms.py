@@ -120,7 +120,7 @@ def _techman(text: str, path: Path) -> Arm:
         return Arm(name=path.stem, joints=joints, source=f"{path.name}: {FACTORY} as the robot's DeltaDH has it")
 
     found = arm(delta)
-    _require_near(found, arm(np.zeros_like(delta)), path, "Keep both answers of one robot")
+    _require_near(found, arm(np.zeros_like(delta)), path, cure="Keep both answers of one robot")
     return found
 
 
@@ -151,11 +151,11 @@ def _from_deltas(text: str, path: Path, nominal: Arm | None) -> Arm:
         "with the controller's"
     )
     arm = in_metres(replace(nominal, name=path.stem, joints=joints, source=source))
-    _require_near(arm, nominal, path, "Give --nominal with the arm that the controller is of")
+    _require_near(arm, nominal, path, cure="Give --nominal with the arm that the controller is of")
     return arm
 
 
-def _require_near(arm: Arm, nominal: Arm, path: Path, cure: str) -> None:
+def _require_near(arm: Arm, nominal: Arm, path: Path, *, cure: str) -> None:
     """Raise Inconsistent for differences that are too large for those of one arm."""
     q = drawn_postures(nominal)
     most_m = float(np.linalg.norm((fk(arm, q) - fk(nominal, q))[:, :3, 3], axis=1).max())

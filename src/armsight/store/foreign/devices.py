@@ -48,7 +48,7 @@ PRISM = ("s1", "s2", "s3", "s4")
 ZED_LENSES = (RATIONAL[:2], RATIONAL[:4], RATIONAL[:5])
 """Coefficients that the sections of a file hold, of the first files first."""
 ZED_TOLD_PX = 0.1
-"""Between the two lenses of a newer file; of those seen they are 5 to 8 px apart."""
+"""Between the two lenses of a newer file; of those seen they are 5 to 35 px apart."""
 MM, CM = 1e-3, 1e-2
 
 SOCKETS = "ABCDEFGHIJ"
