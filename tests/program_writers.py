@@ -1,11 +1,6 @@
 """Robots' programs as their controllers write them, made of poses and joint values by formulas of this file alone."""
 
-import os
-import subprocess
-from pathlib import Path
-
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 EULER = {"krl": "ZYX", "fanuc": "xyz", "jbi": "xyz", "as": "ZYZ", "val3": "XYZ", "pts": "ZYX", "melfa": "xyz"}
@@ -191,12 +186,3 @@ def written_joints(name, q_deg):
     if name in OF_POSES:
         return OF_POSES[name](np.empty((0, 3)), Rotation.from_quat(np.empty((0, 4))), rows)
     return OF_ROWS[name]([], rows)
-
-
-def public_file(repo, commit, path):
-    """A file of a public repository, from the folder of bare copies that ARMSIGHT_PUBLIC names."""
-    folder = os.environ.get("ARMSIGHT_PUBLIC", "")
-    copy = Path(folder) / repo.replace("/", "+") / "repo"
-    if not folder or not copy.is_dir():
-        pytest.skip("no copy of the repository here")
-    return subprocess.run(["git", "-C", copy, "show", f"{commit}:{path}"], capture_output=True, check=True).stdout

@@ -1,9 +1,12 @@
 """Cameras' files of devices and other programs hold the cameras that OpenCV projects their world by."""
 
 import json
+import re
+import struct
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -28,6 +31,7 @@ from foreign_cameras import (
     depthai,
     halcon,
     multical,
+    step,
     zed,
 )
 from refusals import names_it, refuses
@@ -55,6 +59,39 @@ def test_a_zeds_file_is_read_at_the_size_that_is_said(tmp_path, rational):
         load_rig([path])
     with refuses(UsageError, "mm", "Leave --unit out"):
         load_rig([path], Asked(size=SIZE, unit_m=0.001))
+
+
+def test_a_zeds_first_files_say_less_and_a_line_less_is_refused(tmp_path):
+    path = zed(tmp_path / "SN1.conf")
+    first = re.sub(r"^(p1|p2|k3|TY|TZ)=.*\n", "", path.read_text(), flags=re.MULTILINE).replace("Baseline", "BaseLine")
+    for text, own in ((path.read_text(), ()), (first, ("without TY and TZ",))):
+        path.write_text(text)
+        asked = Asked(size=SIZE)
+        rig = load_rig([path], asked)
+        assert len(asked.told) == len(own) and all(said in told for said, told in zip(own, asked.told, strict=True))
+        R, t = step(LEFT, RIGHT)
+        t = t * (1.0, not own, not own)
+        X = POINTS + np.array([0.0, 0.0, 1.0])
+        for camera, r, shift, view in zip(rig.cameras, (np.eye(3), R), (0.0 * t, t), (LEFT, RIGHT), strict=True):
+            D = view.D * (1, 1, not own, not own, not own)
+            want = cv2.projectPoints(X, cv2.Rodrigues(r)[0], shift, view.K, D)[0].reshape(-1, 2)
+            inside = camera.T_rig_camera.inv().apply(X)
+            assert np.abs(camera.camera.project(inside) - want).max() < 1e-6
+        for gone in re.findall(r"^(?:k\d|p\d|TY|TZ|Base[Ll]ine)=.*\n", text, flags=re.MULTILINE):
+            path.write_text(text.replace(gone, "", 1))
+            with pytest.raises(BadFile):
+                load_rig([path], Asked(size=SIZE))
+
+
+def test_the_two_lenses_of_a_newer_zed_are_held_against_each_other_and_its_prism_is_not_left_out(tmp_path):
+    path, asked = zed(tmp_path / "SN1.conf", rational=True), Asked(size=SIZE)
+    path.write_text(path.read_text().replace("k4=0\n", "k4=0.01\n", 1))
+    load_rig([path], asked)
+    assert names_it(asked.told[0], "LEFT_DISTO", "LEFT_CAM_HD", "px")
+    assert len(asked.told) == 1
+    path.write_text(path.read_text().replace("k6=0\n", "k6=0\ns1=0.02\ns2=0\ns3=0\ns4=0\n", 1))
+    with refuses(BadFile, "thin prism", "--approximate"):
+        load_rig([path], Asked(size=SIZE))
 
 
 def test_the_cameras_of_a_depthai_board_are_chained_as_measured(tmp_path):
@@ -148,12 +185,16 @@ def test_metashapes_frame_camera_is_read_by_its_own_formulas(tmp_path, k4, toler
     inside = ((uv >= 0.0) & (uv <= np.array(SIZE) - 1.0)).all(axis=1)
     assert inside.sum() > 100
     assert np.abs(camera.project(np.column_stack([xy, np.ones(200)])) - uv)[inside].max() < tolerance_px
+    more = '<corrections type="fourier"><coeffs>-6.4e-02 3.5e-02</coeffs></corrections></calibration>'
+    path.write_text(path.read_text().replace("</calibration>", more))
+    with refuses(BadFile, "additional corrections", "Fit additional"):
+        load_camera(path)
 
 
 def test_halcons_division_and_polynomial_lenses_are_read(tmp_path):
     path = tmp_path / "campar.dat"
     uv = np.random.default_rng(4).uniform((0.0, 0.0), (767.0, 575.0), (200, 2))
-    for lens in ({"Kappa": -1500.0}, {"K1": 900.0, "K2": 2e7, "K3": 0.0, "P1": 0.05, "P2": -0.02}):
+    for lens in ({"Kappa": -1500.0}, {"Kappa": -9000.0}, {"K1": 900.0, "K2": 2e7, "K3": 0.0, "P1": 0.05, "P2": -0.02}):
         of = halcon(path, **lens)
         x, y = ((uv - (of["Cx"], of["Cy"])) * of["Sx"]).T
         r2 = x**2 + y**2
@@ -172,6 +213,17 @@ def test_halcons_division_and_polynomial_lenses_are_read(tmp_path):
             )
         rays = np.column_stack([straight / of["Focus"], np.ones(200)])
         assert np.abs(load_camera(path).project(rays) - uv).max() < 0.05
+    of = halcon(path, Kappa=-9000.0)
+    by_text = load_camera(path).intrinsics
+    units = {"Focus": 1e3, "Kappa": 1e-6, "Sx": 1e3, "Sy": 1e3, "Cx": 1.0, "Cy": 1.0}
+    numbers = struct.pack(">6d2i", *(unit * of[name] for name, unit in units.items()), 768, 576)
+    path.write_bytes(b"HCPR" + bytes.fromhex("0003000000000000000008") + numbers)
+    assert kind_of(path) == "halcon"
+    assert load_camera(path).intrinsics == pytest.approx(by_text, rel=1e-9)
+    for spoiled in (path.read_bytes()[:-1], path.read_bytes().replace(b"R\0\3", b"R\0\4")):
+        path.write_bytes(spoiled)
+        with refuses(BadFile, "binary form", "read_cam_par"):
+            load_camera(path)
     halcon(path, Kappa=-60000.0)
     with refuses(BadFile, "nearest", "--approximate"):
         load_camera(path)

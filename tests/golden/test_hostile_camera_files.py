@@ -108,9 +108,13 @@ KINDS = {
     "realsense.txt": (realsense, Asked()),
     "realsense.json": (realsense_json, Asked()),
 }
-LEFT_OUT = {"metashape.xml": ("a line less", "sizes exchanged")}
+LEFT_OUT = {
+    "metashape.xml": ("a line less", "sizes exchanged"),
+    "aniposelib.toml": ("an underscore for the point",),
+    "caliscope.toml": ("an underscore for the point",),
+}
 """Metashape leaves out what is zero, so that a file with a coefficient less is one of another lens; its principal point
-is told from the middle, wherever that is."""
+is told from the middle, wherever that is. 1_000 is a number of TOML."""
 OF_ONE = {"ros.yaml", "metashape.xml", "halcon.dat", "colmap.txt"}
 NUMBER = re.compile(r"(?<![\w.])-?\d+\.\d+(?:e-?\d+)?(?![\w.])")
 
@@ -170,6 +174,7 @@ FAULTS = {
     "decimal commas": lambda text, rng: NUMBER.sub(lambda found: found[0].replace(".", ","), text),
     "a decimal comma": one_number(lambda number: number.replace(".", ",")),
     "a comma for thousands": one_number(lambda number: f"1,{number}"),
+    "an underscore for the point": one_number(lambda number: number.replace(".", "_")),
     "Fortran's exponent": one_number(lambda number: f"{number}D+00"),
     "not a number": one_number(lambda number: "nan"),
     "endless": one_number(lambda number: "1e999"),
@@ -182,6 +187,7 @@ FAULTS = {
     "twice, and not alike": twice_with_another_number,
     "carriage returns": lambda text, rng: text.replace("\n", "\r\n"),
     "a byte order mark": lambda text, rng: "\ufeff" + text,
+    "two byte order marks": lambda text, rng: f"\ufeff\ufeff{text}",
     "other keys' letters": lambda text, rng: text.upper(),
 }
 BYTES = {

@@ -4,10 +4,9 @@ The libraries' own readers are no truth for lost points: one gives the cameras o
 writes a lost point where it was last.
 """
 
+import csv
 import io
-import os
 import struct
-import subprocess
 import warnings
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from armsight.errors import Inconsistent
 from armsight.store.interpret import TableFormat
 from armsight.store.interpret.trackers.formats import tracker_of
 from armsight.store.verify_files import read_measured
+from public_files import public_file
 from refusals import refuses
 
 N, RATE = 60, 100.0
@@ -173,21 +173,21 @@ PUBLIC = {
         "7bb6c1065c9cabc3f938e35505ef31b1188a3589",
         "data/basin/raw/M510A-IRR-EKFPID-020019_6D.tsv",
     ),
+    "motive_123": ("neuma-script/pool-experiment", "5257c717", "optitrack.csv"),
+    "qtm_old_6d": ("martinling/imusim", "294e171a", "imusim/tests/system/swing_6D.tsv"),
+    "qtm_old_3d": ("martinling/imusim", "294e171a", "imusim/tests/system/swing_3D.tsv"),
+    "trc_opensim": ("opensim-org/opensim-models", "20a888b9", "Pipelines/Gait2354_Simbody/subject01_walk1.trc"),
+    "trc_blanks": ("opensim-org/opensim-models", "20a888b9", "Pipelines/Rajagopal/ExpData/static_walk_1.trc"),
+    "c3d_lost": ("HansUniVie/MuscleLength", "30461f0b", "test.c3d"),
+    "c3d_late": ("CelineSchreiber/Toolbox_Septembre2016", "27eb4a63", "test.c3d"),
 }
-"""Files of laboratories: repository, commit, path. They are read from copies of the repositories in the folder that
-$ARMSIGHT_PUBLIC names, owner+name each; none is kept here."""
+"""Files of laboratories: repository, commit, path."""
 
 
 def public(name, tmp_path):
-    """Return a public file's path; the test is skipped where its repository is not on the machine."""
-    repository, commit, file = PUBLIC[name]
-    folder = Path(os.environ.get("ARMSIGHT_PUBLIC", ".")) / repository.replace("/", "+")
-    git = next((one for one in (folder / "repo", folder / "repo/.git", folder) if (one / "objects").is_dir()), None)
-    if git is None:
-        pytest.skip(f"{repository} is not in $ARMSIGHT_PUBLIC")
-    shown = subprocess.run(["git", "-C", git, "show", f"{commit}:{file}"], capture_output=True, check=True)
-    path = tmp_path / Path(file).name
-    path.write_bytes(shown.stdout)
+    """A public file's path; the test is skipped where it is not on the machine."""
+    path = tmp_path / Path(PUBLIC[name][2]).name
+    path.write_bytes(public_file(*PUBLIC[name]))
     return path
 
 
@@ -231,3 +231,54 @@ def test_a_body_of_qtm_by_its_matrix_and_by_its_angles(tmp_path):
     angles = read_measured(path).measured
     assert len(matrices.xyz_m) == len(angles.xyz_m) == 22245
     assert np.abs(matrices.rotation - angles.rotation).max() < 2e-5
+
+
+def test_a_body_of_an_older_qtm_is_where_its_markers_are(tmp_path):
+    """Angles are called Yaw, Pitch, Roll there, and the columns are named once for three bodies."""
+    bodies, cloud = public("qtm_old_6d", tmp_path), public("qtm_old_3d", tmp_path)
+    for name in ("Foot IMU", "Lower Leg IMU"):
+        body = read_measured(bodies, TableFormat(body=name)).measured
+        markers = read_measured(cloud, TableFormat(body=f"{name} - *")).measured
+        both = np.intersect1d(body.t_s, markers.t_s, return_indices=True)[1:]
+        assert len(both[0]) > 800
+        apart = np.einsum("nji,nj->ni", body.rotation[both[0]], markers.xyz_m[both[1]] - body.xyz_m[both[0]])
+        assert np.abs(apart - np.median(apart, axis=0)).max() < 2e-6
+        assert np.ptp(body.xyz_m, axis=0).max() > 0.1  # it swings
+
+
+def test_markers_of_opensims_files(tmp_path):
+    for name, marker, frames in (("trc_opensim", "Sternum", 151), ("trc_blanks", "S2", 287)):
+        path = public(name, tmp_path)
+        cells = [line.split("\t") for line in path.read_text().splitlines()]
+        at = cells[3].index(marker)
+        want = 1e-3 * np.array([row[at : at + 3] for row in cells[6:] if len(row) > at], float)
+        found = read_measured(path, TableFormat(body=marker)).measured
+        assert len(found.xyz_m) == frames
+        np.testing.assert_allclose(found.xyz_m, want, rtol=0.0, atol=1e-12)
+
+
+def test_public_c3d_by_a_public_library(tmp_path):
+    ezc3d = pytest.importorskip("ezc3d")
+    for name, lost in (("c3d_lost", 12878), ("c3d_late", 0)):
+        path = public(name, tmp_path)
+        tracks = tracker_of(path.read_bytes()).read(path.read_bytes(), name, TableFormat())
+        got = 1e3 * np.stack([marker.xyz_m for marker in tracks.markers], axis=1)
+        peer = ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
+        gone = np.isnan(got).any(axis=2)
+        assert gone.sum() == lost
+        assert np.abs(got - peer)[~gone].max() < 1e-9
+
+
+def test_bodies_of_a_motive_of_another_version_by_their_columns(tmp_path):
+    path = public("motive_123", tmp_path)
+    rows = list(csv.reader(path.read_text().splitlines()))
+    at = next(k for k, row in enumerate(rows) if row[:1] == ["Frame"])
+    times = {round(float(row[1]), 6): row for row in rows[at + 1 :]}
+    for name in sorted(set(rows[3][2:])):
+        k = rows[3].index(name)
+        found = read_measured(path, TableFormat(body=name)).measured
+        want = np.array([times[round(t, 6)][k : k + 7] for t in found.t_s], float)
+        assert len(want) > 800  # frames in which a body is frozen where it was last are left out
+        np.testing.assert_allclose(found.xyz_m, 1e-3 * want[:, 4:], rtol=0.0, atol=1e-12)
+        apart = Rotation.from_matrix(found.rotation).inv() * Rotation.from_quat(want[:, :4])
+        assert apart.magnitude().max() < 1e-7

@@ -200,7 +200,7 @@ def handeye(
 def arm(
     source: Annotated[
         str,
-        Doc(f"{KNOWN_ARM}, or a Universal Robot's factory calibration: calibration.conf, kinematics YAML."),
+        Doc(f"{KNOWN_ARM}, or the factory calibration of a Universal Robot, an xArm or a Techman."),
         Flag(positional=True, metavar="FILE"),
     ],
     out: Annotated[Path, Doc("File to write: .yaml, .urdf, or .mjcf for MuJoCo; .txt with --to."), OUT],

@@ -77,11 +77,11 @@ OTHERS = (
     FileKind(commands=ARMS, name="mjcf", use=WRITTEN, title="MJCF for MuJoCo (.mjcf)"),
     FileKind(
         commands=ARMS,
-        name="ur-factory",
+        name="factory",
         use=READ,
-        title="a Universal Robot's calibration.conf, or its driver's kinematics YAML",
+        title="a Universal Robot's calibration.conf or driver's kinematics YAML, an xArm's YAML, a Techman's tables",
         needs="--nominal of a .conf",
-        signs=(r"^\[mounting\]", r"^delta_theta\s*=", r"^kinematics:"),
+        signs=(r"^\[mounting\]", r"^delta_theta\s*=", r"^kinematics:", r"\b(?:DHTable|DeltaDH)\s*="),
     ),
     FileKind(
         commands=ARMS,

@@ -157,7 +157,7 @@ def decoded(data: bytes, where: str) -> str:
             cure="Give a part of the file, or every tenth row: what is fitted wants minutes of motion, not hours",
         )
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-8").lstrip("\ufeff")  # some programs put the mark twice
     except UnicodeDecodeError as error:
         raise BadFile(
             f"{where}: byte {error.start} is not UTF-8 text", cure="Save it as CSV in UTF-8; it may be a binary file"
@@ -239,14 +239,22 @@ def _in_series(name: str, prefix: str) -> bool:
 def _header_cure(header: list[str], required: Sequence[str]) -> str:
     if len(header) == 1 and ";" in header[0]:
         return "Separate cells by commas, not semicolons, and write decimals with a point"
-    if any(_is_number(name) for name in header):
+    if any(is_number(name) for name in header):
         return f"The first line must name the columns: {', '.join(required)}, ..."
     return "Name them in the first line"
 
 
-def _is_number(text: str) -> bool:
+def plain_float(text: str) -> float:
+    """Return the number that a text is: without underscores, which Python takes between digits. Raises ValueError."""
+    if "_" in text:
+        raise ValueError(text)
+    return float(text)
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a number."""
     try:
-        float(text)
+        plain_float(text)
     except ValueError:
         return False
     return True
@@ -335,7 +343,7 @@ def word(text: str) -> str:
     Names come out of files that anybody wrote, and a spreadsheet runs what begins with an equals sign. parse_table
     takes the mark away again.
     """
-    if _FORMULA.match(text) and not _is_number(text):
+    if _FORMULA.match(text) and not is_number(text):
         text = f"'{text}"
     return '"' + text.replace('"', '""') + '"' if any(mark in text for mark in ',"\n\r') else text
 

@@ -14,6 +14,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.errors import BadFile
 from armsight.store.interpret import looks_like_degrees
+from armsight.store.tables import plain_float
 
 DECLARED = re.compile(rb"""^\s*(?:<!--.*?-->\s*)*<\?xml\s[^>]*?encoding\s*=\s*["']([\w.:-]{1,40})["']""", re.DOTALL)
 DECLARATION = re.compile(r"<\?xml\s[^>]*\?>")
@@ -172,7 +173,7 @@ def origin_of(element: ElementTree.Element, at: str) -> Array:
 def numbers(text: str | None, default: str, count: int, what: str, *, endless: bool = False) -> Array:
     """Return so many numbers from an attribute, finite ones unless endless."""
     try:
-        values = np.array([float(part) for part in (text if text is not None else default).split()])
+        values = np.array([plain_float(part) for part in (text if text is not None else default).split()])
     except ValueError:
         values = np.empty(0)
     if len(values) != count or not (np.isfinite(values) | (endless & ~np.isnan(values))).all():

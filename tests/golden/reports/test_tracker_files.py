@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.errors import Ambiguous, BadFile, UsageError
+from armsight.errors import Ambiguous, BadFile, Inconsistent, UsageError
 from armsight.ops.tables import convert_table
 from armsight.store.interpret import TableFormat
 from armsight.store.tracks import read_joints, read_poses
@@ -165,3 +165,32 @@ def test_a_table_of_pandas_with_its_index_and_a_matrix_of_nine_cells(tmp_path):
     ]
     path.write_text("\n".join([",time,pos_x,pos_y,pos_z,rot_x,rot_y,rot_z,rot_w", *quat]) + "\n")  # no angles: rot_w
     np.testing.assert_allclose(read_measured(path).measured.rotation, R, atol=1e-12)
+
+
+@pytest.mark.parametrize("matrices", [True, False])
+def test_angles_of_qtm_turn_in_the_order_of_their_columns_which_older_files_name_once_for_all_bodies(
+    tmp_path, matrices
+):
+    turned = Rotation.from_euler("ZYX", [[-55.6, 78.1, -156.9], [5.5, -12.4, -35.1]], degrees=True)
+    path = tmp_path / "stand_6D.tsv"
+    cells = [
+        [f"{900 + 7 * k}.5", "-143.25", "61.5", *(f"{a:.5f}" for a in R.as_euler("ZYX", degrees=True)), "0.2"]
+        + [f"{x:.5f}" for x in R.as_matrix().T.ravel()] * matrices
+        for k, R in enumerate(turned)
+    ]
+    head = ["X", "Y", "Z", "Yaw", "Pitch", "Roll", "Residual", *[f"Rot[{i}]" for i in range(9)] * matrices]
+    rows = ["\t".join([*one, "", *cells[1], ""]) for one in cells]
+    keys = ["NO_OF_FRAMES\t2", "FREQUENCY\t256", "DATA_INCLUDED\t6D", "BODY_NAMES\tFoot IMU\tShin"]
+    text = "\n".join([*keys, "\t".join(f" {cell}" for cell in head), *rows, ""])
+    path.write_text(text)
+    found = read_measured(path, TableFormat(body="Foot IMU")).measured
+    assert np.abs(found.rotation - turned.as_matrix()).max() < 2e-5
+    np.testing.assert_allclose(found.xyz_m, [[0.9005, -0.14325, 0.0615], [0.9075, -0.14325, 0.0615]])
+    np.testing.assert_allclose(found.t_s, [0.0, 1.0 / 256.0])
+    path.write_text(text.replace("\t\t", "\t7\t"))
+    with refuses(BadFile, "stand_6D.tsv", "name"):
+        read_measured(path, TableFormat(body="Shin"))
+    path.write_text(text.replace(" Yaw\t Pitch\t Roll", " Roll\t Pitch\t Yaw"))
+    if matrices:
+        with refuses(Inconsistent, "Foot IMU", "matrix"):
+            read_measured(path, TableFormat(body="Shin"))

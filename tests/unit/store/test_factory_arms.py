@@ -15,7 +15,7 @@ from armsight.errors import ArmsightError, BadFile, Inconsistent, UsageError
 from armsight.kinematics import fk, preset
 from armsight.ops.arm_files import convert_arm, load_arm
 from armsight.store.factory_arms import read_factory_arm
-from program_writers import public_file
+from public_files import public_file
 
 # the deltas of ur_calibration's own test, calibration_test.cpp, of an UR10: (d, a, theta, alpha) of three arms
 ARMS = {
@@ -205,8 +205,8 @@ def test_a_controller_s_own_poses(tmp_path):
         (conf("far", status=1), "ur10", Inconsistent, "calibration_status is 1"),
         (conf("far", status=0), "ur10", Inconsistent, "calibration_status is 0"),
         (conf("far").replace("delta_d", "delta_e"), "ur10", BadFile, "delta_d"),
-        (conf("far").replace("303.469", "303,469"), "ur10", BadFile, "six numbers"),
-        (conf("far", delta_a=(0.0,) * 5), "ur10", BadFile, "six numbers"),
+        (conf("far").replace("303.469", "303,469"), "ur10", BadFile, "6 numbers"),
+        (conf("far", delta_a=(0.0,) * 5), "ur10", BadFile, "6 numbers"),
         ("[joint]\na = 3\n", "ur10", BadFile, "no delta_theta"),
     ],
 )
@@ -230,3 +230,76 @@ def test_frames_that_cannot_be_are_refused(change, tmp_path):
     with pytest.raises(ArmsightError) as found:
         load_arm(str(path))
     assert found.value.cure
+
+
+ORIGINS = {  # xarm_ros, config/kinematics/default: x, y, z, roll of joints 1 ..
+    "xarm6": (
+        *((0, 0, 0.267, 0), (0, 0, 0, -1.5708), (0.0535, -0.2845, 0, 0)),
+        *((0.0775, 0.3425, 0, -1.5708), (0, 0, 0, 1.5708), (0.076, 0.097, 0, -1.5708)),
+    ),
+    "xarm7": (
+        *((0, 0, 0.267, 0), (0, 0, 0, -1.5708), (0, -0.293, 0, 1.5708), (0.0525, 0, 0, 1.5708)),
+        *((0.0775, -0.3425, 0, 1.5708), (0, 0, 0, 1.5708), (0.076, 0.097, 0, -1.5708)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ORIGINS)
+def test_an_xarms_frames_are_the_origins_of_its_description(name, tmp_path):
+    rng = np.random.default_rng(4)
+    frames = [
+        (np.array([x, y, z]) + 1e-3 * rng.normal(size=3), np.array([roll, 0.0, 0.0]) + 4e-3 * rng.normal(size=3))
+        for x, y, z, roll in ORIGINS[name]
+    ]
+    lines = ["kinematics:"]
+    for k, (xyz, rpy) in enumerate(frames, 1):
+        values = dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), np.concatenate([xyz, rpy]).tolist(), strict=True))
+        lines += [f"  joint{k}:", *(f"    {key}: {value!r}" for key, value in values.items())]
+    path = tmp_path / f"{name}_kinematics_a1.yaml"
+    path.write_text("\n".join(lines) + "\n")
+    arm, q = load_arm(str(path)), rng.uniform(-2, 2, (50, len(frames)))
+    for row, found in zip(q, fk(arm, q), strict=True):
+        T = np.eye(4)
+        for (xyz, (roll, pitch, yaw)), value in zip(frames, row, strict=True):
+            origin = np.eye(4)
+            turn = Rotation.from_euler("z", yaw) * Rotation.from_euler("y", pitch) * Rotation.from_euler("x", roll)
+            origin[:3, :3], origin[:3, 3] = turn.as_matrix(), xyz
+            T = T @ origin @ turn_z(value)
+        assert np.abs(found - T).max() < 1e-9
+    for kept in range(1, len(lines)):
+        path.write_text("\n".join(lines[:kept]) + "\n")
+        with pytest.raises(ArmsightError) as refused:
+            load_arm(str(path))
+        assert refused.value.cure
+
+
+DH_TABLE = (  # tmr_ros2, modify_urdf.py, of a TM5-900
+    "0,-90,0,145.2,0,-270,270,-90,0,429,0,0,-180,180,0,0,411.5,0,0,-155,155,90,90,0,-122.3,0,-180,180,"
+    "0,90,0,106,0,-180,180,0,0,0,113.15,0,-270,270"
+)
+
+
+def test_a_techmans_differences_are_added_to_its_table(tmp_path):
+    rng = np.random.default_rng(5)
+    delta = rng.normal(size=(6, 5)) * (0.2, 0.1, 0.3, 0.4, 0.05)  # deg, deg, mm, mm, deg
+    path = tmp_path / "tm5.txt"
+    said = f"DHTable={{{DH_TABLE}}}\nDeltaDH={{{','.join(map(str, delta.ravel()))}}}\n"
+    path.write_text(said)
+    arm, q = load_arm(str(path)), rng.uniform(-2, 2, (50, 6))
+    table = np.array([float(cell) for cell in DH_TABLE.split(",")]).reshape(6, 7)
+    for row, found in zip(q, fk(arm, q), strict=True):
+        T = np.eye(4)
+        for (theta, alpha, a, d, *_), by, value in zip(table, delta, row, strict=True):
+            link = np.eye(4)
+            turn = Rotation.from_euler("x", alpha + by[1], degrees=True) * Rotation.from_euler("y", by[4], degrees=True)
+            link[:3, :3], link[:3, 3] = turn.as_matrix(), (1e-3 * (a + by[2]), 0.0, 1e-3 * (d + by[3]))
+            T = T @ turn_z(value + np.deg2rad(theta + by[0])) @ link
+        assert np.abs(found - T).max() < 1e-9
+    assert np.rad2deg(arm.joints[2].upper) == pytest.approx(155.0)
+    in_m = ",".join(str(x) for x in (table * (1, 1, 1e-3, 1e-3, 1, 1, 1)).ravel())
+    spoiled = (said.replace(DH_TABLE, in_m), said.replace("145.2,0,", "145.2,1,"), said.replace("-90", "-1.5708"))
+    for text in (*spoiled, said.replace("DeltaDH", "delta"), 2 * said, said[:-30], said.replace("113.15", "113,15")):
+        path.write_text(text)
+        with pytest.raises(ArmsightError) as refused:
+            load_arm(str(path))
+        assert refused.value.cure

@@ -172,9 +172,20 @@ def doubled(lines, rng, by):
     return by
 
 
+def two_marks(lines, rng, by):
+    lines[0][0] = f"\ufeff\ufeff{lines[0][0]}"
+    return by
+
+
+def underscore(lines, rng, by):
+    k = int(rng.choice(data_rows(lines)))
+    lines[k] = [cell.replace(".", "_") for cell in lines[k]]
+    return by
+
+
 FAULTS = (
     *(exchanged, names_exchanged, cut_row, cut_file, no_head, commas, locale, no_unit, other_unit, two_alike),
-    *(words_inside, order, gaps, doubled),
+    *(words_inside, order, gaps, doubled, two_marks, underscore),
 )
 
 
@@ -219,7 +230,7 @@ def outcome(path, stated):
 
 def test_no_file_with_a_fault_is_wrong_and_called_good(tmp_path):
     seen, path = {}, tmp_path / "a.csv"
-    for seed in range(112):
+    for seed in range(128):
         rng = np.random.default_rng(seed)
         kind, fault = FORMATS[seed % 4], FAULTS[seed // 4 % len(FAULTS)]
         lines, by, stated = kind()

@@ -24,7 +24,7 @@ from armsight.store.foreign import numbers
 from armsight.store.foreign.photogrammetry import CORNER_PX
 from armsight.store.foreign.several import Asked, Placed, Pose, lens_of, rig_of
 from armsight.store.foreign.storage import COLMAP_CAMERAS, COLMAP_RIGS, read_storage
-from armsight.store.tables import number
+from armsight.store.tables import number, plain_float
 
 PARAMETERS = {
     "SIMPLE_PINHOLE": "f cx cy",
@@ -90,7 +90,8 @@ def _poses(line: Sequence[str], where: str) -> dict[str, Pose | None]:
             has = first or words.pop(0) == "1"
             pose = (np.eye(3), np.zeros(3)) if first else None
             if has and not first:
-                q, t, words = [float(x) for x in words[:4]], np.array([float(x) for x in words[4:7]]), words[7:]
+                pose_numbers, words = [plain_float(x) for x in words[:7]], words[7:]
+                q, t = pose_numbers[:4], np.array(pose_numbers[4:])
                 if len(t) != 3 or not (0.9 < np.linalg.norm(q) < 1.1 and np.isfinite(t).all()):
                     raise ValueError(f"the pose of sensor {name}")
                 pose = (Rotation.from_quat([*q[1:], q[0]]).as_matrix(), t)
@@ -127,7 +128,7 @@ def _camera(line: Sequence[str], where: str, asked: Asked) -> Camera:
 
 def _number(word: str, where: str) -> float:
     try:
-        return float(numbers.array_of(float(word), "a number", where))
+        return float(numbers.array_of(plain_float(word), "a number", where))
     except ValueError as error:
         raise BadFile(f"{where}: {word[:40]!r} is no number", cure="Correct it there") from error
 

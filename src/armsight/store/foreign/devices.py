@@ -1,10 +1,12 @@
 """Factory calibrations of ready-made stereo cameras: Stereolabs' SN*.conf, Luxonis' DepthAI JSON.
 
 ZED (stereolabs/zed-open-capture, examples/include/calibration.hpp; what Stereolabs' own calibration tools write): an
-INI file with a section a side and resolution, LEFT_CAM_HD ..., fx, fy, cx, cy and mostly k1, k2, p1, p2, k3; newer ones
-hold LEFT_DISTO and RIGHT_DISTO with k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's rational model for all resolutions.
-STEREO in mm: p_right = Rodrigues(RX, CV, RZ) p_left + (-Baseline, TY, TZ), the angles a resolution each (CV_HD), TY and
-TZ in old files too. The sign is that of the makers' tool, which writes Baseline = -T[0] of cv2.stereoCalibrate.
+INI file with a section a side and resolution, LEFT_CAM_HD ..., fx, fy, cx, cy and k1, k2, in later files p1, p2 and k3
+too; newer ones hold LEFT_DISTO and RIGHT_DISTO with k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's rational model, some
+with s1 to s4, for all resolutions: what Stereolabs' SDK undistorts by (stereolabs/zed-ros2-wrapper #128). STEREO in mm:
+p_right = Rodrigues(RX, CV, RZ) p_left + (-Baseline, TY, TZ), the angles a resolution each (CV_HD). The first files call
+it BaseLine and have neither TY nor TZ; what a file leaves out is zero, as in the makers' programs. The sign is that of
+the makers' tool, which writes Baseline = -T[0] of cv2.stereoCalibrate.
 
 DepthAI (luxonis/depthai-core, CalibrationHandler.cpp, EepromData): cameraData pairs of a socket's number and a camera
 of matrix, 14 coefficients, size, and extrinsics p_to = R p_this + translation in cm, to the camera `toCameraSocket`, -1
@@ -14,7 +16,7 @@ its fisheye with four coefficients.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from armsight.errors import BadFile, UsageError
 from armsight.optics import SIDES, Camera
 from armsight.store.foreign import numbers
+from armsight.store.foreign.lenses import pixels
 from armsight.store.foreign.several import Asked, Placed, Pose, lens_of
 from armsight.store.foreign.storage import read_storage
 
@@ -41,6 +44,11 @@ ZED_SIZES = {
 """Images of one side, width and height in px, by the end of a section's name in capitals."""
 RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 """OpenCV's order."""
+PRISM = ("s1", "s2", "s3", "s4")
+ZED_LENSES = (RATIONAL[:2], RATIONAL[:4], RATIONAL[:5])
+"""Coefficients that the sections of a file hold, of the first files first."""
+ZED_TOLD_PX = 0.1
+"""Between the two lenses of a newer file; of those seen they are 5 to 35 px apart."""
 MM, CM = 1e-3, 1e-2
 
 SOCKETS = "ABCDEFGHIJ"
@@ -62,37 +70,74 @@ def read_zed(path: Path, asked: Asked) -> list[Placed]:
             cure="Give the size of one camera's images, such as --size 1280x720",
         )
     name, stereo = sizes[size], content["STEREO"]
+    keys = _zed_lens_keys(content, where)
     left, right = (
-        partial(_zed_camera, content, f"{side}_CAM_{name}", size, where, asked) for side in ("LEFT", "RIGHT")
+        partial(_zed_camera, content, f"{side}_CAM_{name}", keys, size, where, asked) for side in ("LEFT", "RIGHT")
     )
     angles = [numbers.number_at(stereo, f"{key}_{name}", where) for key in ("RX", "CV", "RZ")]
-    shifts = [
-        numbers.number_at(stereo, f"{key}_{name}" if f"{key}_{name}" in stereo else key, where) for key in ("TY", "TZ")
-    ]
-    t_m = MM * np.array([-numbers.number_at(stereo, "Baseline", where), *shifts])
+    across = [f"{key}_{name}" if f"{key}_{name}" in stereo else key for key in ("TY", "TZ")]
+    if len(keys) < len(ZED_LENSES[-1]) and not set(across) & stereo.keys():
+        asked.told.append(f"{where} is of a ZED's first files, without TY and TZ: they are 0, as its maker reads it")
+        across = []
+    shifts = [numbers.number_at(stereo, key, where) for key in across] or [0.0, 0.0]
+    along = "BaseLine" if "BaseLine" in stereo else "Baseline"
+    t_m = MM * np.array([-numbers.number_at(stereo, along, where), *shifts])
     return [
         Placed(name=SIDES[0], lens=left, pose=(np.eye(3), np.zeros(3))),
         Placed(name=SIDES[1], lens=right, pose=(Rotation.from_rotvec(angles).as_matrix(), t_m)),
     ]
 
 
-def _zed_camera(content: Mapping[str, Any], section: str, size: tuple[int, int], where: str, asked: Asked) -> Camera:
+def _zed_lens_keys(content: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    """Return which coefficients the sections of a file hold, the others being zero, as the makers' programs read it.
+
+    Raises BadFile where one section holds others: a line is missing.
+    """
+    cameras = [one for key, one in content.items() if "_CAM_" in key and isinstance(one, Mapping)]
+    held = {tuple(key for key in ZED_LENSES[-1] if key in one) for one in cameras} - {()}
+    keys = held.pop() if len(held) == 1 else ()
+    if held or (keys and keys not in ZED_LENSES):
+        raise BadFile(
+            f"{where}: its sections do not hold the same coefficients of k1, k2, p1, p2, k3",
+            consequence="A line is missing, and the lens would be another one",
+            cure="Download the file of the camera's serial number anew",
+        )
+    return keys
+
+
+def _zed_camera(
+    content: Mapping[str, Any], section: str, keys: Sequence[str], size: tuple[int, int], where: str, asked: Asked
+) -> Camera:
+    """Return the camera of one section, by the lens for all sizes where the file holds one. Raises BadFile."""
     one = numbers.value_at(content, section, where)
     fx, fy, cx, cy = (numbers.number_at(one, key, f"{where}, {section}") for key in ("fx", "fy", "cx", "cy"))
+
+    def camera(lens: Mapping[str, Any], name: str, keys: Sequence[str]) -> Camera:
+        values = [numbers.number_at(lens, key, f"{where}, {name}") for key in keys]
+        values += [0.0] * (len(ZED_LENSES[-1]) - len(values))
+        return lens_of(np.array(values), (fx, fy, cx, cy, 0.0), size, f"{where}, {name}", asked, fisheye=False)
+
     rational = f"{section.split('_')[0]}_DISTO"
-    lens, keys = content.get(rational), list(RATIONAL)
-    if isinstance(lens, Mapping) and set(RATIONAL) <= lens.keys():
-        section = rational
-        if lens["k4"] and not any(lens[key] for key in ("p1", "p2", "k5", "k6")):
-            raise BadFile(
-                f"{where}, {section}: k1, k2, k3, k4 alone are not zero",
-                consequence="They may be a fisheye's or a pinhole's",
-                cure="Calibrate it anew here",
+    lens = content.get(rational)
+    if not (isinstance(lens, Mapping) and set(RATIONAL) <= lens.keys()):
+        return camera(one, section, keys or ZED_LENSES[-1])
+    if lens["k4"] and not any(lens[key] for key in ("p1", "p2", "k5", "k6")):
+        raise BadFile(
+            f"{where}, {rational}: k1, k2, k3, k4 alone are not zero",
+            consequence="They may be a fisheye's or a pinhole's",
+            cure="Calibrate it anew here",
+        )
+    taken = camera(lens, rational, RATIONAL + (PRISM if set(PRISM) & lens.keys() else ()))
+    if keys:
+        uv = pixels(size)
+        older = camera(one, section, keys).project(np.column_stack([taken.rays(uv), np.ones(len(uv))]))
+        apart_px = float(np.nanmax(np.linalg.norm(older - uv, axis=1)))
+        if apart_px > ZED_TOLD_PX:
+            asked.told.append(
+                f"{where}: the lens of {rational} is taken, as its maker does; that of {section} is up to "
+                f"{apart_px:.1f} px from it: look which one fits a board"
             )
-    else:
-        lens, keys = one, list(RATIONAL[:5])
-    values = np.array([numbers.number_at(lens, key, f"{where}, {section}") for key in keys])
-    return lens_of(values, (fx, fy, cx, cy, 0.0), size, f"{where}, {section}", asked, fisheye=False)
+    return taken
 
 
 def read_depthai(path: Path, asked: Asked) -> list[Placed]:

@@ -19,6 +19,7 @@ from armsight.optics import Camera
 from armsight.optics.camera import WIDEST_RAD
 from armsight.store.codec import named
 from armsight.store.foreign import numbers
+from armsight.store.foreign.opencv_lens import nearest_like
 from armsight.store.foreign.several import Asked
 
 FURTHEST_PX = 0.05
@@ -70,10 +71,20 @@ def straight(bent: Array, step: Callable[[Array], tuple[Array, Array]], where: s
 
 
 def nearest_pinhole(rays: Array, uv: Array, intrinsics: Intrinsics, size: Size, where: str, asked: Asked) -> Camera:
-    """Return the pinhole whose k1, k2, p1, p2, k3 are nearest to rays (n, 2) of pixels uv (n, 2). Raises BadFile."""
+    """Return the pinhole whose k1, k2, p1, p2, k3 are nearest to rays (n, 2) of pixels uv (n, 2), or the rational lens
+    where that one is too far. Raises BadFile.
+    """
     fx, fy, cx, cy, skew = intrinsics
     K = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    values, _, most_px = numbers.fitted_coefficients(rays, uv, K) if np.isfinite(rays).all() else (uv[0], 0.0, np.inf)
+    there = bool(np.isfinite(rays).all())
+    values, _, most_px = numbers.fitted_coefficients(rays, uv, K) if there else (uv[0], 0.0, np.inf)
+    if there and most_px > FURTHEST_PX:
+        with named(where):
+            start = Camera.rational(*size, fx, fy, cx, cy, skew=skew, distortion=np.append(values, np.zeros(3)))
+        rational, apart_px = nearest_like(start, np.column_stack([rays, np.ones(len(rays))]), uv)
+        if apart_px <= FURTHEST_PX:
+            _tell("rational lens", apart_px, where, asked)
+            return rational
     _tell("k1, k2, p1, p2, k3", most_px, where, asked)
     with named(where):
         return Camera.pinhole(*size, fx, fy, cx, cy, skew=skew, distortion=values)

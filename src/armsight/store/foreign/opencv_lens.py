@@ -100,14 +100,7 @@ def _nearest(
     X = np.column_stack([rays, np.ones(len(rays))])
     back = cv2.projectPoints(X, np.zeros(3), np.zeros(3), camera.matrix, flat)[0].reshape(-1, 2)
     X, uv = (part[np.abs(back - uv).max(axis=1) < TOLD_PX] for part in (X, uv))  # the others have no ray
-    nearest, apart = camera, _apart(camera, X, uv)
-    for _ in range(ROUNDS):
-        found = with_step(nearest, _step(nearest, X, uv))
-        far = _apart(found, X, uv)
-        if not np.sum(far**2) < np.sum(apart**2):
-            break
-        nearest, apart = found, far
-    most_px = float(np.max(apart, initial=0.0)) if len(uv) else np.inf
+    nearest, most_px = nearest_like(camera, X, uv)
     if not (most_px <= FURTHEST_PX or (approximate and np.isfinite(most_px))):
         raise BadFile(
             f"{where}: thin prism s1 to s4 or tilt tau are not zero, and the nearest lens without them is "
@@ -121,6 +114,20 @@ def _nearest(
             "picture"
         )
     return nearest
+
+
+def nearest_like(camera: Camera, X: Array, uv: Array) -> tuple[Camera, float]:
+    """Return the camera of a camera's kind that sees points X (n, 3) nearest to pixels uv (n, 2), and the largest
+    distance in px; all its intrinsics move, by least squares from where they are.
+    """
+    nearest, apart = camera, _apart(camera, X, uv)
+    for _ in range(ROUNDS):
+        found = with_step(nearest, _step(nearest, X, uv))
+        far = _apart(found, X, uv)
+        if not np.sum(far**2) < np.sum(apart**2):
+            break
+        nearest, apart = found, far
+    return nearest, float(np.max(apart, initial=0.0)) if len(uv) else np.inf
 
 
 def _apart(camera: Camera, X: Array, uv: Array) -> Array:

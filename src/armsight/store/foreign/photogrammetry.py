@@ -5,14 +5,16 @@ x' = x (1 + K1 r2 + K2 r2^2 + K3 r2^3 + K4 r2^4) + P1 (r2 + 2 x^2) + 2 P2 x y, y
 2 P1 x y; u = 0.5 w + cx + x' f + x' B1 + y' B2, v = 0.5 h + cy + y' f: cx, cy from the image's middle, pixels counted
 from the image's corner, so that the first one's centre is at (0.5, 0.5); P1 and P2 stand for OpenCV's p2 and p1.
 
-HALCON (MVTec's reference of calibrate_cameras and read_cam_par): on the sensor, in m, u = Focus X/Z. Division model:
-the pixel is at u' = 2 u / (1 + sqrt(1 - 4 Kappa (u^2 + v^2))). Polynomial model, from pixel to ray: u = u' + u' (K1 r2
-+ K2 r2^2 + K3 r2^3) + P1 (r2 + 2 u'^2) + 2 P2 u' v', v likewise with 2 P1 u' v' + P2 (r2 + 2 v'^2). Column u' / Sx +
-Cx, row v' / Sy + Cy, pixels counted from the first one's centre.
+HALCON (MVTec's reference of calibrate_cameras and read_cam_par): text up to version 12, from 13 on bytes: nine files of
+four cameras begin as KNOWN does and go on with read_cam_par's numbers, lengths in mm. On the sensor, in m, u
+= Focus X/Z. Division model: the pixel is at u' = 2 u / (1 + sqrt(1 - 4 Kappa (u^2 + v^2))). Polynomial model, from
+pixel to ray: u = u' + u' (K1 r2 + K2 r2^2 + K3 r2^3) + P1 (r2 + 2 u'^2) + 2 P2 u' v', v likewise with 2 P1 u' v' + P2
+(r2 + 2 v'^2). Column u' / Sx + Cx, row v' / Sy + Cy, pixels counted from the first one's centre.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,8 +27,12 @@ from armsight.optics import Camera
 from armsight.store.codec import named
 from armsight.store.foreign import lenses, numbers
 from armsight.store.foreign.several import Asked, Placed
-from armsight.store.foreign.storage import read_storage
+from armsight.store.foreign.storage import BINARY, read_storage
 
+KNOWN = bytes.fromhex("48435052 0003 00 00000000 00000008")
+FORM = struct.Struct(">6d2i")
+UNITS = {"Focus": 1e-3, "Kappa": 1e6, "Sx": 1e-3, "Sy": 1e-3, "Cx": 1.0, "Cy": 1.0, "ImageWidth": 1, "ImageHeight": 1}
+"""Of HALCON's binary form of an area scan camera with the division model, in its order."""
 CORNER_PX = 0.5
 """From the corner of the first pixel, where Metashape and COLMAP count from, to its centre."""
 
@@ -47,6 +53,12 @@ def read_metashape(path: Path, asked: Asked) -> list[Placed]:
     k1, k2, k3, k4, p1, p2 = (_number(content, key, where) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
     if any(_number(content, key, where) for key in ("p3", "p4")):
         raise BadFile(f"{where}: p3 and p4 are not zero", cure="Calibrate without them")
+    if "corrections" in content:
+        raise BadFile(
+            f"{where}: holds additional corrections beside the lens, whose meaning Agisoft does not tell",
+            consequence="The lens without them would be another one",
+            cure="Optimize the cameras without 'Fit additional corrections' and export it again",
+        )
     intrinsics = (f + b1, f, 0.5 * size[0] + cx - CORNER_PX, 0.5 * size[1] + cy - CORNER_PX, b2)
     if not k4:
         with named(where):
@@ -65,6 +77,8 @@ def read_metashape(path: Path, asked: Asked) -> list[Placed]:
 def read_halcon(path: Path, asked: Asked) -> list[Placed]:
     """Return the camera of HALCON's parameters of an area scan camera. Raises BadFile."""
     content, where = read_storage(path), str(path)
+    if BINARY in content:
+        content = _of_bytes(content[BINARY], where)
     if "Vx" in content or "Tilt" in content or "Rot" in content:
         raise BadFile(f"{where}: a line scan or a tilted lens", cure="Take an area scan camera with a lens not tilted")
     focus, sx, sy = (_number(content, key, where, positive=True) for key in ("Focus", "Sx", "Sy"))
@@ -80,6 +94,18 @@ def read_halcon(path: Path, asked: Asked) -> list[Placed]:
         k1, k2, k3, p1, p2 = (_number(content, key, where, needed=True) for key in ("K1", "K2", "K3", "P1", "P2"))
         rays = bent * (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)))[:, None] + _tangential(focus * bent, p1, p2) / focus
     return [Placed(name="camera", lens=lambda: lenses.nearest_pinhole(rays, uv, intrinsics, size, where, asked))]
+
+
+def _of_bytes(data: bytes, where: str) -> dict[str, float]:
+    """Return the parameters of HALCON's binary form as its text has them, in m. Raises BadFile for another camera."""
+    if not data.startswith(KNOWN) or len(data) != len(KNOWN) + FORM.size:
+        raise BadFile(
+            f"{where}: HALCON's binary form of another camera than area scan with the division model, or cut",
+            consequence="What its bytes mean is not known",
+            cure="Write the parameters by hand as the text that MVTec's reference of read_cam_par shows",
+        )
+    values = FORM.unpack(data[len(KNOWN) :])
+    return {name: unit * value for (name, unit), value in zip(UNITS.items(), values, strict=True)}
 
 
 def _tangential(xy: Array, p1: float, p2: float) -> Array:

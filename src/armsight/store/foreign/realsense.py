@@ -28,6 +28,7 @@ from armsight.optics import Camera
 from armsight.store.foreign import lenses, numbers
 from armsight.store.foreign.several import Asked, Placed, Pose, lens_of
 from armsight.store.foreign.storage import REALSENSE_TEXT, read_storage
+from armsight.store.tables import plain_float
 
 INTRINSICS = frozenset(("width", "height", "fx", "fy", "ppx", "ppy", "model", "coeffs"))
 EXTRINSICS = frozenset(("rotation", "translation"))
@@ -69,11 +70,11 @@ def _of_text(text: str, where: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
                 continue
             one: dict[str, Any] = {RENAMED.get(key, key.lower()): value for key, value in FIELD.findall(block)}
             counts = {key: int(one[key]) for key in ("width", "height")}
-            lens = {key: float(one[key]) for key in ("fx", "fy", "ppx", "ppy")}
-            yield name, {**one, **counts, **lens, "coeffs": [float(x) for x in one["coeffs"].split()]}
+            lens = {key: plain_float(one[key]) for key in ("fx", "fy", "ppx", "ppy")}
+            yield name, {**one, **counts, **lens, "coeffs": [plain_float(x) for x in one["coeffs"].split()]}
         for a, b, R, t in STEP.findall(text):
-            columns = np.array(R.split(), float).reshape(3, 3).T.ravel().tolist()
-            yield f"{a}_to_{b}", {"rotation": columns, "translation": [float(x) for x in t.split()]}
+            columns = np.array([plain_float(x) for x in R.split()]).reshape(3, 3).T.ravel().tolist()
+            yield f"{a}_to_{b}", {"rotation": columns, "translation": [plain_float(x) for x in t.split()]}
     except (ValueError, KeyError) as error:
         raise BadFile(
             f"{where}: a block of rs-enumerate-devices is damaged ({error})", cure="Print it anew into a file"

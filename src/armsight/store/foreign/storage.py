@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
+from armsight.store.tables import plain_float
 from armsight.store.yamls import MAX_BYTES, parse_yaml, parse_yaml_documents
 
 ROOT = "opencv_storage"
@@ -33,6 +34,8 @@ SECTION = re.compile(r"\A\s*(?:[#;].*\s+)*\[[\w.\"-]+\]\s*$", re.MULTILINE)
 HALCON = re.compile(r"^\s*ParGroup\s*:\s*([\w\s:]+);", re.MULTILINE)
 HALCON_VALUE = re.compile(r"^\s*(?!ParGroup)(\w+)\s*:\s*[A-Za-z]\w*\s*:\s*([^;\n]+);", re.MULTILINE)
 """Name, short name, value: the first of a parameter's three lines (MVTec's reference of read_cam_par)."""
+HALCON_BYTES, BINARY = b"HCPR", "HALCON's binary form"
+"""How HALCON 13 and later begin such a file, which is no text any more, and the key that it becomes."""
 
 MESSAGE = {"distortion_model", "d", "k", "r", "p", "width", "height"}
 """Fields of sensor_msgs/CameraInfo, in small letters: ROS 1 writes D, K, R, P."""
@@ -48,6 +51,8 @@ def read_storage(path: Path) -> dict[str, Any]:
         return _of_xml(data, where)
     if data.startswith(MATLAB):
         return {MATLAB_FILE: path.name}
+    if data.startswith(HALCON_BYTES):
+        return {"ParGroup": ["Camera"], BINARY: data}
     text = data.decode("utf-8-sig", errors="replace")
     if REALSENSE.search(text):
         return {REALSENSE_TEXT: text}
@@ -184,12 +189,11 @@ def _words(text: str | None) -> list[Any]:
 
 def _word(text: str | None) -> Any:
     word = (text or "").strip()
-    for kind in (int, float):
-        try:
-            return kind(word)
-        except ValueError:
-            continue
-    return word
+    try:
+        number = plain_float(word)
+    except ValueError:
+        return word
+    return int(word) if word.lstrip("+-").isdecimal() else number
 
 
 def _camera_tables(tables: Mapping[str, Any], keys: set[str]) -> bool:

@@ -16,8 +16,9 @@ import scipy  # loads its io where it is used: every command imports this
 from armsight.arrays import Array
 from armsight.errors import BadFile, NotEnoughData
 from armsight.store.atomic import read_bytes
-from armsight.store.interpret.raw import MATRIX, RawTable, is_number, table_of
+from armsight.store.interpret.raw import MATRIX, RawTable, table_of
 from armsight.store.interpret.table_format import column_names
+from armsight.store.tables import is_number
 
 VECTORS = frozenset(("position", "translation", "xyz", "xyz_m", "xyz_mm", "t", "trans", "pos", "p"))
 """Keys whose three numbers are x, y, z."""

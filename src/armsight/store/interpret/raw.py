@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from armsight.errors import BadFile, NotEnoughData
-from armsight.store.tables import decoded, no_rows
+from armsight.store.tables import decoded, is_number, no_rows
 
 REMARKS = ("#", "%", "//")
 
@@ -120,15 +120,6 @@ class splitter:  # noqa: N801 - a function that says how it splits
 
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
-
-
-def is_number(text: str) -> bool:
-    """Whether a cell is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return "_" not in text
 
 
 def is_data(cells: Sequence[str]) -> bool:

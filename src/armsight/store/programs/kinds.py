@@ -14,7 +14,7 @@ from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.table_format import TableFormat
 from armsight.store.programs import abb, calls, fanuc, kuka, lists, yaskawa
 from armsight.store.programs.points import Listed, Point, asked_order, chosen, one_setting, require_one_kind
-from armsight.store.tables import decoded
+from armsight.store.tables import decoded, is_number
 
 QUATERNION, VECTOR, ASKED = "wxyz", "rotvec", ""
 """What may stand for an order of Euler angles: a quaternion, w first, or a rotation vector; asked for."""
@@ -26,7 +26,7 @@ class ProgramKind:
 
     told: what stands in its lines and in no other's. points: reads them. order: of its angles, as `euler_order` takes
     it, or QUATERNION, VECTOR, ASKED. likely: orders that sources give where they contradict each other. written: the
-    kind of `path export` that writes it. source: where its form is written down.
+    kind of `path export` that writes it. source: where its form is written down. open_end: a part of it looks complete.
     """
 
     title: str
@@ -38,6 +38,7 @@ class ProgramKind:
     unit: str = "mm, deg"
     likely: str = ""
     written: str = ""
+    open_end: bool = False
 
 
 PROGRAMS: Mapping[str, ProgramKind] = {
@@ -75,14 +76,14 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "as": ProgramKind(
         title="Kawasaki AS: .as",
-        told=r"^\.(?:TRANS|JOINTS)\b",
+        told=r"^\.(?:TRANS|JOINTS)\b|^\.\*=== AS GROUP",
         points=lists.as_points,
         order="zyz",
         source="AS language: transformation values; rc_cube manual, Kawasaki XYZ-OAT",
     ),
     "val3": ProgramKind(
         title="Staubli VAL 3 data: .dtx",
-        told=r"http://www\.staubli\.com/robotics/VAL3/Data",
+        told=r"http://www\.staubli\.com/robotics/VAL3/Data|<dataList\s+xmlns=\"DataNameSpace\"",
         points=lists.dtx_points,
         order="xyz",
         source="VAL 3: trsf; RoboDK Staubli_VAL3_simplified",
@@ -100,6 +101,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
         title="Mitsubishi MELFA-BASIC: .prg",
         told=r"^[ \t]*(?:\d+[ \t]+)?(?:P\w*[ \t]*=[ \t]*\([-+\d., \t]+\)\(|J\w*[ \t]*=[ \t]*\([-+\d., \t]+\))",
         points=calls.melfa_points,
+        open_end=True,
         order="xyz-fixed",
         source="rc_cube manual, Mitsubishi XYZ-ABC; RoboDK Mitsubishi",
     ),
@@ -107,6 +109,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
         title="Denso PacScript: .pcs, .pac",
         told=r"^[ \t]*(?:DEFPOS|MOVE\s+[PLCS]\s*,).*\b[PJ]\(",
         points=calls.denso_points,
+        open_end=True,
         order=ASKED,
         likely="xyz-fixed or zyz",
         needs="--euler",
@@ -116,6 +119,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
         title="Nachi: MOVEX statements",
         told=r"^[ \t]*(?:\d+\s+)?MOVEX\b",
         points=calls.nachi_points,
+        open_end=True,
         order="zyx",
         source="RoboDK Nachi_AX_FD",
     ),
@@ -123,6 +127,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
         title="Doosan DRL",
         told=r"\bpos[xj]\s*\(",
         points=calls.doosan_points,
+        open_end=True,
         order="zyz",
         source="vathos, rotation representations; visose/Robots SystemDoosan",
     ),
@@ -186,6 +191,8 @@ def program_table(data: bytes, where: str, joints: bool | None, format_: TableFo
         require_one_kind(found)
     points, others = chosen(found, joints)
     notes = [*one_setting(found, points, as_stated=format_.as_stated), *found.notes]
+    if kind.open_end:
+        notes.append(f"{len(found.points)} points: nothing in such a file shows that it was cut, so count them")
     if others:
         notes.append(f"{UNUSED}{others if len(others) < TOLD else others[:TOLD].rpartition(',')[0] + ', ...'}")
     if points[0].joints:
@@ -298,16 +305,8 @@ def pulse_table(raw: RawTable, format_: TableFormat) -> RawTable:
         return raw
     ratios = pulses_per_degree(raw.where, len(low), format_)
     columns = tuple(
-        [repr(float(cell) / ratio) if _is_number(cell) else cell for cell in column]
+        [repr(float(cell) / ratio) if is_number(cell) else cell for cell in column]
         for column, ratio in zip(raw.columns, ratios, strict=True)
     )
     names = tuple(f"q{k}_deg" for k in range(1, 1 + len(columns)))
     return RawTable(where=raw.where, how=f"{raw.how}, of pulses", names=names, columns=columns, lines=raw.lines)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

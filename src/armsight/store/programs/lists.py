@@ -3,13 +3,16 @@
 Kawasaki AS: .TRANS 'p1 X Y Z O A T', O, A, T about z, the new y, the new z; .JOINTS '#p1 JT1 ... JT6', mm and degrees
 (AS language reference manual: transformation values, joint displacement values). Staubli VAL 3: .dtx, <Data
 type="pointRx"> with <Value x y z rx ry rz fatherId>, about x, the new y, the new z (VAL 3 reference manual: trsf); an
-attribute that is not there is 0 (RoboDK's Staubli_VAL3_simplified writes j3 and j5 alone). Epson RC+: .pts, Point1
-{ rX rY rZ rU rV rW nLocal }; sources contradict each other on the order of U, V, W, so it is asked for.
+attribute that is not there is 0 (RoboDK's Staubli_VAL3_simplified writes j3 and j5 alone); VAL 3 s6: <point> with
+<pFather name> and <tpValue x y z rx ry rz>, <joint> with <jointValue j1 ..>, all of them (two public projects; RoboDK's
+Staubli_VAL3). Epson RC+: .pts, Point1 { rX rY rZ rU rV rW nLocal }; sources contradict each other on the order of U, V,
+W, so it is asked for.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from xml.etree import ElementTree
 
 from armsight.errors import BadFile
@@ -55,8 +58,10 @@ def as_points(text: str, where: str) -> Listed:
     return found
 
 
-_VALUE = re.compile(r"<Value\b[^>]*>")
+_VALUE = re.compile(r"<(?:Value|tpValue|jointValue)\b[^>]*>")
 _JOINTS = tuple(f"j{k}" for k in range(1, 7))
+_POSE = ("x", "y", "z", "rx", "ry", "rz")
+_S6 = {"point": "tpValue", "joint": "jointValue"}
 
 
 def dtx_points(text: str, where: str) -> Listed:
@@ -70,24 +75,39 @@ def dtx_points(text: str, where: str) -> Listed:
         raise BadFile(
             f"{where}: is no complete XML: {error}", cure="Export the application again: it may be cut"
         ) from None
-    lines = {match.start(): line_of(text, match.start()) for match in _VALUE.finditer(text)}
-    order = iter(lines.values())
-    for data in (element for element in root.iter() if element.tag.endswith("}Data") or element.tag == "Data"):
-        kind = data.get("type", "")
-        for value in (one for one in data if one.tag.rpartition("}")[2] == "Value"):
+    order = iter([line_of(text, match.start()) for match in _VALUE.finditer(text)])
+    for owner in root.iter():
+        kind = owner.get("type", "") if _tag(owner) == "Data" else _tag(owner)
+        for key, value, frame, absent in _values(owner):
             line = next(order, 0)
-            name = f"{data.get('name', '')}[{value.get('key', '')}]"
-            if kind == "jointRx":
-                cells = numbers([value.get(key, "0") for key in _JOINTS], found.location(line), name)
+            name = f"{owner.get('name', '')}[{key}]"
+            if kind in ("jointRx", "joint"):
+                cells = numbers([value.get(key, absent) for key in _JOINTS], found.location(line), name)
                 found.points.append(Point(line=line, name=name, joints=cells))
-            elif kind == "pointRx":
-                keys = ("x", "y", "z", "rx", "ry", "rz")
-                cells = numbers([value.get(key, "0") for key in keys], found.location(line), name)
-                frame = value.get("fatherId", "")
+            elif kind in ("pointRx", "point"):
+                cells = numbers([value.get(key, absent) for key in _POSE], found.location(line), name)
                 found.points.append(Point(line=line, name=name, xyz=cells[:3], turn=cells[3:], frame=frame))
     if any(not point.joints for point in found.points):
         found.notes.append("lengths are taken as mm: that a project is in inches, its .pjx alone says")
     return found
+
+
+def _tag(element: ElementTree.Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+def _values(owner: ElementTree.Element) -> Iterator[tuple[str, ElementTree.Element, str, str]]:
+    """Yield the values of a variable: index, element, frame, and what an attribute is that is not there."""
+    if _tag(owner) == "Data":
+        for value in owner:
+            if _tag(value) == "Value":
+                yield value.get("key", ""), value, value.get("fatherId", ""), "0"
+    elif _tag(owner) in _S6:
+        frame = next((one.get("name", "") for one in owner if _tag(one) == "pFather"), "")
+        for indexed in owner:
+            for value in indexed:
+                if _tag(value) == _S6[_tag(owner)]:
+                    yield indexed.get("index", ""), value, frame, ""
 
 
 _PTS = re.compile(r"^[ \t]*Point\d+\s*\{(?P<body>[^{}]*)(?P<end>\})?", re.MULTILINE)

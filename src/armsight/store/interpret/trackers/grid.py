@@ -10,7 +10,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.errors import BadFile, Inconsistent
 from armsight.store.interpret.raw import splitter
-from armsight.store.tables import decoded
+from armsight.store.tables import decoded, is_number, plain_float
 
 CUT = "It may be cut off: export it anew"
 
@@ -59,21 +59,13 @@ def numbers(rows: Sequence[Row], width: int, where: str) -> Array:
                 cure=f"{CUT}, with decimal points where cells are apart by commas",
             )
         try:
-            out[k] = [float(cell) if cell else np.nan for cell in cells]
+            out[k] = [plain_float(cell) if cell else np.nan for cell in cells]
         except ValueError:
-            odd = next(cell for cell in cells if cell and not _is_number(cell))
+            odd = next(cell for cell in cells if cell and not is_number(cell))
             raise BadFile(f"{where}, line {row.line}: {odd[:40]!r} is no number", cure=CUT) from None
     if np.isinf(out).any():
         raise BadFile(f"{where}, line {rows[int(np.argwhere(np.isinf(out))[0, 0])].line}: a number without end")
     return out
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def check_count(rows: Sequence[object], said: str, where: str, what: str = "frames") -> None:

@@ -11,11 +11,11 @@ import re
 from dataclasses import replace
 
 from armsight.errors import Ambiguous, BadFile, UsageError
-from armsight.store.interpret.raw import RawTable, is_number, parse_text
+from armsight.store.interpret.raw import RawTable, parse_text
 from armsight.store.interpret.table_format import UNITS, TableFormat
 from armsight.store.interpret.trackers.grid import CUT, Row, numbers
 from armsight.store.interpret.trackers.tracks import Track, Tracks, length_of
-from armsight.store.tables import decoded
+from armsight.store.tables import decoded, is_number
 
 REMARK = "//"
 POLAR = frozenset(("theta", "phi", "cylindrical", "cylindric", "spherical"))

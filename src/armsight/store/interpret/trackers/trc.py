@@ -1,7 +1,8 @@
 """TRC, Track Row Column: markers, as Motive, Cortex, Nexus and OpenSim write it, by tabs; by commas from a spreadsheet.
 
 Line 1 the axes (X/Y/Z), 2 and 3 keys and values with Units, 4 Frame#, Time and markers, 5 X1, Y1, Z1, ..., then frames;
-a lost marker is blank (OpenSim's documentation, Marker (.trc) Files; a file in pyomeca).
+a lost marker is blank (OpenSim's documentation, Marker (.trc) Files; a file in pyomeca). Line 1 may be apart by blanks
+(opensim-models, Rajagopal).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def is_trc(head: str) -> bool:
 def read_trc(data: bytes, where: str, format_: TableFormat) -> Tracks:
     """Return the markers of a TRC. Raises BadFile, UsageError, Inconsistent."""
     rows = filled_rows(rows_of(data, where, "Frame#"))
-    if len(rows) < 6 or rows[3].cells[0].lower() != "frame#" or "(X/Y/Z)" not in rows[0].cells:
+    if len(rows) < 6 or rows[3].cells[0].lower() != "frame#" or "(X/Y/Z)" not in " ".join(rows[0].cells):
         raise BadFile(
             f"{where}: no TRC with (X/Y/Z), keys, values, Frame#, Time, markers and a frame", cure="Export anew"
         )
