@@ -19,7 +19,7 @@ from armsight.drivers.protocols import (
     listen,
 )
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
-from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile, cores, frame_period_s, ordered_map
+from armsight.drivers.sources import FPS, Ahead, Capture, FileSource, ImageFolder, VideoFile, cores, frame_period_s
 from armsight.drivers.timed_moments import MAX_SKEW_S, RecordedMoments, TimedMoments
 from armsight.records.result_parts import Skew
 from armsight.registry import CAMERAS, CELLS, PAPERS, ROBOTS, SCENARIOS, SETS, TWINS, folder, known, load

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import warnings
+from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from itertools import chain, islice, repeat
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
@@ -37,36 +39,109 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def ordered_map(
-    function: Callable[[In], Out], items: Iterable[In], *, workers: int | None = None, ahead: int = AHEAD
-) -> Generator[Out, None, None]:
-    """Yield function(item) for each item in order, computed in threads at most `ahead` items before they are asked for.
+STALLED_S = 10.0
+"""Wait for one result after which it is told: a picture takes milliseconds, a disk that wakes up some seconds."""
 
-    Pays where the function releases the interpreter's lock (decoding, file reading, OpenCV). An error is
-    raised at its own item. Closing the iterator cancels what has not begun.
+_END = object()
+
+
+class Ahead(Iterator[Out]):
+    """function(item) of each item in order, computed in threads, from now on, at most `ahead` before it is asked for.
+
+    Pays where the function releases the interpreter's lock (decoding, file reading, OpenCV). What function or items
+    raise is raised where its result would come. name: of what is read, where a long wait is to be told. To be closed:
+    what has not begun is then cancelled, and what has begun is waited for.
     """
-    with ThreadPoolExecutor(workers or cores(), thread_name_prefix="ahead") as pool:
-        pending: deque[Future[Out]] = deque()
+
+    def __init__(
+        self,
+        function: Callable[[In], Out],
+        items: Iterable[In],
+        *,
+        workers: int | None = None,
+        ahead: int = AHEAD,
+        name: str = "",
+    ) -> None:
+        self._function, self._items, self._ahead, self._name = function, iter(items), ahead, name
+        self._pool = ThreadPoolExecutor(workers or cores(), thread_name_prefix="ahead")
+        self._pending: deque[Future[Out]] = deque()
+        self._failed: BaseException | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        while len(self._pending) <= self._ahead:
+            try:
+                item = next(self._items)
+            except StopIteration:
+                return
+            except Exception as error:  # comes behind the results of the items before it
+                self._failed, self._items = error, iter(())
+                return
+            self._pending.append(self._pool.submit(self._function, item))
+
+    def __next__(self) -> Out:
         try:
-            for item in items:
-                pending.append(pool.submit(function, item))
-                if len(pending) > ahead:
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-        finally:
-            for future in pending:
-                future.cancel()
+            if not self._pending:
+                raise self._failed or StopIteration
+            result = self._awaited(self._pending.popleft())
+            if result is _END:
+                raise StopIteration
+            self._begin()
+        except BaseException:
+            self.close()
+            raise
+        return result
+
+    def _awaited(self, future: Future[Out]) -> Out:
+        if self._name and not future.done() and not wait((future,), STALLED_S).done:
+            warnings.warn(
+                f"{self._name}: nothing could be read for {STALLED_S:.0f} s. It is waited for, and no picture is "
+                "lost. Check the disk or the network that it is on",
+                stacklevel=2,
+            )
+            self._name = ""
+        return future.result()
+
+    def close(self) -> None:
+        """Compute nothing more; a second call does nothing."""
+        self._items, self._failed = iter(()), None
+        self._pending.clear()
+        self._pool.shutdown(cancel_futures=True)
 
 
-def read_ahead(items: Iterable[Out], *, ahead: int = AHEAD) -> Generator[Out, None, None]:
-    """Yield the items of an iterator that one thread of its own pulls, at most `ahead` before they are asked for."""
+def read_ahead(items: Iterable[Out], name: str = "") -> Ahead[Out]:
+    """Return the items of an iterator that one thread of its own pulls before they are asked for."""
     iterator = iter(items)
-    end = object()
-    for item in ordered_map(lambda _: next(iterator, end), repeat(None), workers=1, ahead=ahead):
-        if item is end:
-            return
-        yield item  # type: ignore[misc]  # end, the only other type, has just been excluded
+    return Ahead(lambda _: next(iterator, _END), repeat(None), workers=1, name=name)  # type: ignore[arg-type]  # _END
+
+
+class FileSource(ABC):
+    """A source of frames in files, which are read ahead from `iter` on and no longer than it is open."""
+
+    name: str
+    _ahead: Ahead[Any] | None = None
+
+    @abstractmethod
+    def _frames(self) -> Iterator[Frame]:
+        """Yield the frames, in a thread of its own."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close the file; nothing is read from it then."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        self._end()
+        self._ahead = read = read_ahead(self._frames(), self.name)
+        return read
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+        self._close()
+
+    def _end(self) -> None:
+        if self._ahead is not None:
+            self._ahead.close()
+            self._ahead = None
 
 
 FPS = 30.0
@@ -110,7 +185,8 @@ def open_video(path: str) -> Capture:
             consequence="OpenCV cannot open it",
             cure="Rename it, and the folders that it is in",
         )
-    capture: Capture = cv2.VideoCapture(path)
+    # two views share the cores; pictures that a decoder has on its way beyond that cost memory, and save no time
+    capture: Capture = cv2.VideoCapture(path, cv2.CAP_ANY, [cv2.CAP_PROP_N_THREADS, max(1, cores() // 2)])
     # a camera is calibrated as its sensor sees, and OpenCV turns by what the file says of the player's screen
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return capture
@@ -124,7 +200,7 @@ def frame_period_s(path: str) -> float:
     return 1.0 / (rate if np.isfinite(rate) and rate > 0.0 else FPS)
 
 
-class ImageFolder:
+class ImageFolder(FileSource):
     """The images of a folder or pattern, decoded ahead in threads.
 
     times_s: the time of each, else index / fps. reading: which files and bits are meant, and what becomes of a file
@@ -167,12 +243,17 @@ class ImageFolder:
             raise wrong_times(self._times_s, self.name, len(self._paths))
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def _close(self) -> None:
         pass
 
     def __iter__(self) -> Iterator[Frame]:
+        self._end()
+        self._ahead = Ahead(self._read, self._paths, name=self.name)  # on all cores
+        return self._frames()
+
+    def _frames(self) -> Iterator[Frame]:
         shape: tuple[int, ...] | None = None
-        for sequence, (path, image) in enumerate(zip(self._paths, ordered_map(self._read, self._paths), strict=True)):
+        for sequence, (path, image) in enumerate(zip(self._paths, self._ahead or (), strict=True)):
             if isinstance(image, DataRefused):
                 shape = shape or self._first_shape(image)
                 yield Frame(
@@ -214,7 +295,7 @@ class ImageFolder:
         raise error
 
 
-class VideoFile:
+class VideoFile(FileSource):
     """The frames of a video file, decoded ahead in a thread of its own.
 
     Time stamps are times_s where given, else the file's where it has any, else index / fps (the file's rate, or the
@@ -260,13 +341,10 @@ class VideoFile:
         self._said = int(count) if np.isfinite(count) and 0 < count < 1e9 else 0
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def _close(self) -> None:
         if self._capture is not None:
             self._capture.release()
             self._capture = None
-
-    def __iter__(self) -> Iterator[Frame]:
-        return read_ahead(self._frames())
 
     def _frames(self) -> Iterator[Frame]:
         capture = self._capture
@@ -278,12 +356,13 @@ class VideoFile:
         rate = capture.get(cv2.CAP_PROP_FPS)
         rate = rate if np.isfinite(rate) and rate > 0.0 else FPS
         fps = self._fps or rate
-        read = _stamped_images(capture, rate)
+        read = ((stamp_s, self._convert(image)) for stamp_s, image in _stamped_images(capture, rate))
         first = list(islice(read, FIRST))
         stamps = [stamp_s for stamp_s, _ in first]
         stamped = self._fps is None and self._times_s is None and stamps[-1:] > stamps[:1]
-        sequence, last_s, end_s = 0, -np.inf, 0.0
-        for stamp_s, image in chain(first, read):
+        sequence, last_s, end_s, read = 0, -np.inf, 0.0, chain(first, read)
+        del first
+        for stamp_s, image in read:
             why, end_s = "", max(end_s, stamp_s, 0.0 if stamps[-1:] > stamps[:1] else sequence / rate)
             if stamped and stamp_s <= last_s:
                 why = f"its time stamp of {stamp_s:.6f} s is none: the frame before it has {last_s:.6f} s"
@@ -291,7 +370,7 @@ class VideoFile:
             last_s = stamp_s
             t_s = self._time_s(sequence, stamp_s if stamped else sequence / fps)
             source = f"{self.name}:{sequence}"
-            yield Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=source, unreadable=why)
+            yield Frame(image=image, t_s=t_s, sequence=sequence, source=source, unreadable=why)
             sequence += 1
         self._check_end(sequence, end_s, self._said / rate)
 

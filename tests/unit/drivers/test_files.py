@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.drivers import FileMoments, ImageFolder, VideoFile, open_source, ordered_map
+from armsight.drivers import Ahead, FileMoments, ImageFolder, VideoFile, open_source
 from armsight.errors import BadImage, Inconsistent
 from armsight.ops.sources.cameras import open_rig
 from armsight.optics import SIDES
@@ -109,7 +109,7 @@ def test_times_replace_the_rate_and_must_be_as_many_as_the_frames(tmp_path: Path
             list(frames)
 
 
-def test_ordered_map_keeps_order_bounds_what_waits_and_raises_in_place() -> None:
+def test_Ahead_keeps_order_bounds_what_waits_and_raises_in_place() -> None:
     begun: list[int] = []
 
     def work(number: int) -> int:
@@ -118,7 +118,7 @@ def test_ordered_map_keeps_order_bounds_what_waits_and_raises_in_place() -> None
             raise ValueError("seven")
         return number
 
-    results = ordered_map(work, range(1000), workers=3, ahead=4)
+    results = Ahead(work, range(1000), workers=3, ahead=4)
     assert [next(results) for _ in range(7)] == list(range(7))
     assert len(begun) <= 7 + 5
     with pytest.raises(ValueError, match="seven"):

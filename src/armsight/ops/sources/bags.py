@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
-from armsight.drivers.sources import size_text
+from armsight.drivers.sources import FileSource, size_text
 from armsight.errors import DeviceFailed, Inconsistent
 from armsight.records import Frame, Motion
 from armsight.store import read_joints
@@ -25,7 +25,7 @@ UNIVERSAL_ROBOTS = (
 """The names of ur_robot_driver, from the base on; all other makers' drivers count their joints."""
 
 
-class BagFrames:
+class BagFrames(FileSource):
     """The images of a topic, with their headers' stamps. text: bag:FILE:/topic.
 
     origin_of: text of another topic whose bag's start is t_s = 0; None: its own. Opening raises as BagTopic does;
@@ -54,12 +54,12 @@ class BagFrames:
         self._topic = BagTopic(self.name, (IMAGE, COMPRESSED)).__enter__()
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def _close(self) -> None:
         if self._topic is not None:
-            self._topic.__exit__(*error)
+            self._topic.__exit__()
             self._topic = None
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _frames(self) -> Iterator[Frame]:
         if self._topic is None:
             raise DeviceFailed(f"{self.name} is not open", consequence="There are no frames", cure="Open it first")
         shape: tuple[int, ...] | None = None
