@@ -1,148 +1,21 @@
-"""Frames from files, read ahead in order: a folder or pattern of images, or a video."""
+"""Frames from files: a folder or pattern of images, or a video."""
 
 from __future__ import annotations
 
-import os
-import warnings
-from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from itertools import chain, islice, repeat
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight._files import is_utf8
+from armsight.drivers.ahead import Ahead, FileSource, cores
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, image_of_8_bits, list_images, read_pixels
 from armsight.errors import BadFile, BadImage, DataRefused, Inconsistent
 from armsight.records import Frame
-
-In = TypeVar("In")
-Out = TypeVar("Out")
-
-AHEAD = 8
-"""Results kept ready: hides the time of one slow file, and is under 10 MB of 720p images."""
-
-CORES = "ARMSIGHT_CORES"
-"""Environment variable: how many cores a process may use that shares the machine with others like it."""
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    given = os.environ.get(CORES, "")
-    if given.isdecimal() and int(given):
-        return int(given)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-STALLED_S = 10.0
-"""Wait for one result after which it is told: a picture takes milliseconds, a disk that wakes up some seconds."""
-
-_END = object()
-
-
-class Ahead(Iterator[Out]):
-    """function(item) of each item in order, computed in threads, from now on, at most `ahead` before it is asked for.
-
-    Pays where the function releases the interpreter's lock (decoding, file reading, OpenCV). What function or items
-    raise is raised where its result would come. name: of what is read, where a long wait is to be told. To be closed:
-    what has not begun is then cancelled, and what has begun is waited for.
-    """
-
-    def __init__(
-        self,
-        function: Callable[[In], Out],
-        items: Iterable[In],
-        *,
-        workers: int | None = None,
-        ahead: int = AHEAD,
-        name: str = "",
-    ) -> None:
-        self._function, self._items, self._ahead, self._name = function, iter(items), ahead, name
-        self._pool = ThreadPoolExecutor(workers or cores(), thread_name_prefix="ahead")
-        self._pending: deque[Future[Out]] = deque()
-        self._failed: BaseException | None = None
-        self._begin()
-
-    def _begin(self) -> None:
-        while len(self._pending) <= self._ahead:
-            try:
-                item = next(self._items)
-            except StopIteration:
-                return
-            except Exception as error:  # comes behind the results of the items before it
-                self._failed, self._items = error, iter(())
-                return
-            self._pending.append(self._pool.submit(self._function, item))
-
-    def __next__(self) -> Out:
-        try:
-            if not self._pending:
-                raise self._failed or StopIteration
-            result = self._awaited(self._pending.popleft())
-            if result is _END:
-                raise StopIteration
-            self._begin()
-        except BaseException:
-            self.close()
-            raise
-        return result
-
-    def _awaited(self, future: Future[Out]) -> Out:
-        if self._name and not future.done() and not wait((future,), STALLED_S).done:
-            warnings.warn(
-                f"{self._name}: nothing could be read for {STALLED_S:.0f} s. It is waited for, and no picture is "
-                "lost. Check the disk or the network that it is on",
-                stacklevel=2,
-            )
-            self._name = ""
-        return future.result()
-
-    def close(self) -> None:
-        """Compute nothing more; a second call does nothing."""
-        self._items, self._failed = iter(()), None
-        self._pending.clear()
-        self._pool.shutdown(cancel_futures=True)
-
-
-def read_ahead(items: Iterable[Out], name: str = "") -> Ahead[Out]:
-    """Return the items of an iterator that one thread of its own pulls before they are asked for."""
-    iterator = iter(items)
-    return Ahead(lambda _: next(iterator, _END), repeat(None), workers=1, name=name)  # type: ignore[arg-type]  # _END
-
-
-class FileSource(ABC):
-    """A source of frames in files, which are read ahead from `iter` on and no longer than it is open."""
-
-    name: str
-    _ahead: Ahead[Any] | None = None
-
-    @abstractmethod
-    def _frames(self) -> Iterator[Frame]:
-        """Yield the frames, in a thread of its own."""
-
-    @abstractmethod
-    def _close(self) -> None:
-        """Close the file; nothing is read from it then."""
-
-    def __iter__(self) -> Iterator[Frame]:
-        self._end()
-        self._ahead = read = read_ahead(self._frames(), self.name)
-        return read
-
-    def __exit__(self, *_: object) -> None:
-        self._end()
-        self._close()
-
-    def _end(self) -> None:
-        if self._ahead is not None:
-            self._ahead.close()
-            self._ahead = None
-
 
 FPS = 30.0
 """Frames a second where neither time stamps nor a rate are given."""
@@ -217,7 +90,7 @@ class ImageFolder(FileSource):
         times_s: Sequence[float] | None = None,
         reading: ImageReading = AS_THEY_ARE,
     ) -> None:
-        self.name = text
+        super().__init__(text)
         self._reading = reading
         self._colour = colour
         self._fps = fps
@@ -248,7 +121,7 @@ class ImageFolder(FileSource):
 
     def __iter__(self) -> Iterator[Frame]:
         self._end()
-        self._ahead = Ahead(self._read, self._paths, name=self.name)  # on all cores
+        self._ahead = Ahead(self._read, self._paths, self.name)  # on all cores
         return self._frames()
 
     def _frames(self) -> Iterator[Frame]:
@@ -312,7 +185,7 @@ class VideoFile(FileSource):
         times_s: Sequence[float] | None = None,
         open_capture: Callable[[str], Capture] = open_video,
     ) -> None:
-        self.name = text
+        super().__init__(text)
         self._colour = colour
         self._fps = fps
         self._times_s = times_s
@@ -356,6 +229,7 @@ class VideoFile(FileSource):
         rate = capture.get(cv2.CAP_PROP_FPS)
         rate = rate if np.isfinite(rate) and rate > 0.0 else FPS
         fps = self._fps or rate
+        read: Iterator[tuple[float, NDArray[np.uint8]]]
         read = ((stamp_s, self._convert(image)) for stamp_s, image in _stamped_images(capture, rate))
         first = list(islice(read, FIRST))
         stamps = [stamp_s for stamp_s, _ in first]

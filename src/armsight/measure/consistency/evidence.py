@@ -136,7 +136,6 @@ class Evidence:
     setup: Setup
     basis: Array
     rig: PackedRig
-    size: int = field(init=False)
     blocks: list[Block] = field(default_factory=list)
     shift_m2: Array = field(init=False)
     shift_rad2: Array = field(init=False)
@@ -153,14 +152,19 @@ class Evidence:
     _waiting: int = 0
 
     def __post_init__(self) -> None:
-        self.size = n_parameters(self.rig) + int(self.basis.shape[2]) + len(self.rig.k) - 1
-        self.shift_m2, self.shift_rad2 = np.zeros((self.size, self.size)), np.zeros((self.size, self.size))
+        q = n_parameters(self.rig) + int(self.basis.shape[2]) + len(self.rig.k) - 1
+        self.shift_m2, self.shift_rad2 = np.zeros((q, q)), np.zeros((q, q))
         self._still = StillLights(len(self.basis), len(self.rig.k))
 
     @classmethod
     def of(cls, setup: Setup) -> Evidence:
         """Return the empty sums of a setup."""
         return cls(setup, target_basis(setup), rig_of(setup))
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are."""
+        return len(self.shift_m2)
 
     def add(self, measured: Measured) -> None:
         """Take one moment, in the order of time. A frame is counted when the next one has told how fast it moved."""

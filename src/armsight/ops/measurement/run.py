@@ -25,10 +25,7 @@ from armsight.ops.measurement.outputs import Outputs
 from armsight.ops.measurement.streams import FrameSources
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.sources.bags import origin_ns
-from armsight.ops.sources.frames import (
-    FrameTimes,
-    recordings_in,
-)
+from armsight.ops.sources.frames import FrameTimes, recordings_in
 from armsight.optics import Rig, at_zoom
 from armsight.records import Frame, PoseStatus, Progress, Target
 from armsight.records.checks import wide_rig
@@ -74,8 +71,7 @@ def run(
     What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
     DataRefused or DeviceFailed, Cancelled.
     """
-    about = about or About()
-    pair, report = setup.rig.is_pair, Collector(setup, world)
+    about, pair, report = about or About(), setup.rig.is_pair, Collector(setup, world)
     check = RunCheck(setup) if pair else CamerasCheck(setup)
     outputs, tracker = Outputs(out, world=world, names=setup.rig.names), TargetTracker(setup)
     alone = about.stills or setup.target.is_board

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
-from armsight.drivers.sources import FileSource, size_text
+from armsight.drivers import FileSource
+from armsight.drivers.sources import size_text
 from armsight.errors import DeviceFailed, Inconsistent
 from armsight.records import Frame, Motion
 from armsight.store import read_joints
@@ -33,7 +34,7 @@ class BagFrames(FileSource):
     """
 
     def __init__(self, text: str, *, colour: bool = False, origin_of: str | None = None) -> None:
-        self.name = text
+        super().__init__(text)
         self._colour = colour
         self._origin_of = origin_of
         self._origin_ns: int | None = None

@@ -68,7 +68,7 @@ class RecordedFrames(FileSource):
     """
 
     def __init__(self, text: str, camera: str | None = None, *, colour: bool | None = False) -> None:
-        self.name = text
+        super().__init__(text)
         match = SOURCE.fullmatch(text)
         self._camera = (match[2] if match else None) or camera
         self._colour = colour
