@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -60,6 +61,8 @@ def open_video(path: str) -> Capture:
         )
     # two views share the cores; pictures that a decoder has on its way beyond that cost memory, and save no time
     capture: Capture = cv2.VideoCapture(path, cv2.CAP_ANY, [cv2.CAP_PROP_N_THREADS, max(1, cores() // 2)])
+    if not capture.isOpened():
+        capture = cv2.VideoCapture(path)  # readers beside FFmpeg refuse what they do not know
     # a camera is calibrated as its sensor sees, and OpenCV turns by what the file says of the player's screen
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return capture
@@ -119,32 +122,28 @@ class ImageFolder(FileSource):
     def _close(self) -> None:
         pass
 
-    def __iter__(self) -> Iterator[Frame]:
-        self._end()
-        self._ahead = Ahead(self._read, self._paths, self.name)  # on all cores
-        return self._frames()
-
     def _frames(self) -> Iterator[Frame]:
         shape: tuple[int, ...] | None = None
-        for sequence, (path, image) in enumerate(zip(self._paths, self._ahead or (), strict=True)):
-            if isinstance(image, DataRefused):
-                shape = shape or self._first_shape(image)
-                yield Frame(
-                    image=np.zeros(shape, np.uint8),
-                    t_s=self._time_s(sequence),
-                    sequence=sequence,
-                    source=str(path),
-                    unreadable=image.cause.removeprefix(f"{path} "),
-                )
-                continue
-            shape = shape or image.shape
-            if image.shape != shape:
-                raise Inconsistent(
-                    f"{path} is {size_text(image.shape)} px, {self._paths[0]} is {size_text(shape)} px",
-                    consequence="Images of one camera must all be of one size, so reading stops here",
-                    cure="Give each camera a folder of its own, without cropped or scaled images",
-                )
-            yield Frame(image=image, t_s=self._time_s(sequence), sequence=sequence, source=str(path))
+        with closing(Ahead(self._read, self._paths)) as images:  # on all cores
+            for sequence, (path, image) in enumerate(zip(self._paths, images, strict=True)):
+                if isinstance(image, DataRefused):
+                    shape = shape or self._first_shape(image)
+                    yield Frame(
+                        image=np.zeros(shape, np.uint8),
+                        t_s=self._time_s(sequence),
+                        sequence=sequence,
+                        source=str(path),
+                        unreadable=image.cause.removeprefix(f"{path} "),
+                    )
+                    continue
+                shape = shape or image.shape
+                if image.shape != shape:
+                    raise Inconsistent(
+                        f"{path} is {size_text(image.shape)} px, {self._paths[0]} is {size_text(shape)} px",
+                        consequence="Images of one camera must all be of one size, so reading stops here",
+                        cure="Give each camera a folder of its own, without cropped or scaled images",
+                    )
+                yield Frame(image=image, t_s=self._time_s(sequence), sequence=sequence, source=str(path))
 
     def _time_s(self, sequence: int) -> float:
         if self._times_s is not None:
