@@ -6,7 +6,7 @@ import re
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
@@ -130,9 +130,13 @@ class Moments(ABC):
     def _check(self) -> None:  # noqa: B027  # most have nothing to check
         """Refuse sources, all open, that do not belong together."""
 
-    @abstractmethod
     def __iter__(self) -> Iterator[Moment]:
-        """Yield the moments. Raises BadImage, Inconsistent or DeviceLost at the one that fails."""
+        """Yield the moments; files are read from now on. Raises BadImage, Inconsistent, DeviceLost where one fails."""
+        return self._moments([iter(source) for source in self.sources])
+
+    @abstractmethod
+    def _moments(self, streams: Sequence[Iterator[Frame]]) -> Iterator[Moment]:
+        """Yield the moments of the sources' frames."""
 
     def _lose(self, k: int, why: DeviceFailed | Inconsistent) -> None:
         """Go on without a camera and tell it; raise why where too few are left."""
@@ -168,31 +172,29 @@ class FileMoments(Moments):
         else:
             check_partners(folders[0].paths, folders[1].paths)
 
-    def __iter__(self) -> Iterator[Moment]:
-        with ExitStack() as stack:
-            streams = [stack.enter_context(closing(_Closing(iter(source)))) for source in self.sources]
-            count = 0
-            for row in self._rows or repeat((True,) * len(streams)):
-                frames = [next(stream, None) if there else None for stream, there in zip(streams, row, strict=True)]
-                ended = [k for k, frame in enumerate(frames) if frame is None and row[k]]
-                if len(ended) == len(frames) or (ended and self._rows):
-                    return
-                for k in ended:
-                    longer = next(source for j, source in enumerate(self.sources) if j not in ended)
-                    early = ended_early(self.sources[k], longer, count)
-                    if not self._partial:
-                        raise early
-                    if self.names[k] not in self.lost:
-                        self._leave(k, early.cause)
-                if len(frames) - len(self.lost) < self.fewest:
-                    return
-                if self._partial:  # what cannot be read is a view that is missing
-                    frames = [None if frame is None or frame.unreadable else frame for frame in frames]
-                if sum(frame is not None for frame in frames) >= self.fewest:
-                    yield Moment(frames)
-                    count += 1
-                else:
-                    self.n_dropped += sum(frame is not None for frame in frames)
+    def _moments(self, streams: Sequence[Iterator[Frame]]) -> Iterator[Moment]:
+        count = 0
+        for row in self._rows or repeat((True,) * len(streams)):
+            frames = [next(stream, None) if there else None for stream, there in zip(streams, row, strict=True)]
+            ended = [k for k, frame in enumerate(frames) if frame is None and row[k]]
+            if len(ended) == len(frames) or (ended and self._rows):
+                return
+            for k in ended:
+                longer = next(source for j, source in enumerate(self.sources) if j not in ended)
+                early = ended_early(self.sources[k], longer, count)
+                if not self._partial:
+                    raise early
+                if self.names[k] not in self.lost:
+                    self._leave(k, early.cause)
+            if len(frames) - len(self.lost) < self.fewest:
+                return
+            if self._partial:  # what cannot be read is a view that is missing
+                frames = [None if frame is None or frame.unreadable else frame for frame in frames]
+            if sum(frame is not None for frame in frames) >= self.fewest:
+                yield Moment(frames)
+                count += 1
+            else:
+                self.n_dropped += sum(frame is not None for frame in frames)
 
 
 def ended_early(short: FrameSource, long: FrameSource, count: int) -> Inconsistent:
@@ -258,22 +260,6 @@ def _numbers(paths: Sequence[Path]) -> dict[int, Path]:
     return found
 
 
-class _Closing(Iterator[Frame]):
-    """An iterator that can be closed; a source may hand out one that cannot."""
-
-    def __init__(self, iterator: Iterator[Frame]) -> None:
-        self._iterator = iterator
-
-    def __next__(self) -> Frame:
-        return next(self._iterator)
-
-    def close(self) -> None:
-        """Close the generator below, where it is one."""
-        close = getattr(self._iterator, "close", None)
-        if close is not None:
-            close()
-
-
 class OneImage(Moments):
     """One image per moment that holds all views: one upon the other, or of these sizes side by side.
 
@@ -285,10 +271,9 @@ class OneImage(Moments):
         super().__init__(source)
         self._sizes = sizes
 
-    def __iter__(self) -> Iterator[Moment]:
-        with closing(_Closing(iter(self.sources[0]))) as frames:
-            for frame in frames:
-                yield Moment(self._parts(frame)) if self._sizes else Moment((frame,) * len(PAIR))
+    def _moments(self, streams: Sequence[Iterator[Frame]]) -> Iterator[Moment]:
+        for frame in streams[0]:
+            yield Moment(self._parts(frame)) if self._sizes else Moment((frame,) * len(PAIR))
 
     def _parts(self, frame: Frame) -> list[Frame]:
         widths, heights = zip(*self._sizes, strict=True)

@@ -1,73 +1,22 @@
-"""Frames from files, read ahead in order: a folder or pattern of images, or a video."""
+"""Frames from files: a folder or pattern of images, or a video."""
 
 from __future__ import annotations
 
-import os
-from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import chain, islice, repeat
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight._files import is_utf8
+from armsight.drivers.ahead import Ahead, FileSource, cores
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, image_of_8_bits, list_images, read_pixels
 from armsight.errors import BadFile, BadImage, DataRefused, Inconsistent
 from armsight.records import Frame
-
-In = TypeVar("In")
-Out = TypeVar("Out")
-
-AHEAD = 8
-"""Results kept ready: hides the time of one slow file, and is under 10 MB of 720p images."""
-
-CORES = "ARMSIGHT_CORES"
-"""Environment variable: how many cores a process may use that shares the machine with others like it."""
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    given = os.environ.get(CORES, "")
-    if given.isdecimal() and int(given):
-        return int(given)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def ordered_map(
-    function: Callable[[In], Out], items: Iterable[In], *, workers: int | None = None, ahead: int = AHEAD
-) -> Generator[Out, None, None]:
-    """Yield function(item) for each item in order, computed in threads at most `ahead` items before they are asked for.
-
-    Pays where the function releases the interpreter's lock (decoding, file reading, OpenCV). An error is
-    raised at its own item. Closing the iterator cancels what has not begun.
-    """
-    with ThreadPoolExecutor(workers or cores(), thread_name_prefix="ahead") as pool:
-        pending: deque[Future[Out]] = deque()
-        try:
-            for item in items:
-                pending.append(pool.submit(function, item))
-                if len(pending) > ahead:
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-        finally:
-            for future in pending:
-                future.cancel()
-
-
-def read_ahead(items: Iterable[Out], *, ahead: int = AHEAD) -> Generator[Out, None, None]:
-    """Yield the items of an iterator that one thread of its own pulls, at most `ahead` before they are asked for."""
-    iterator = iter(items)
-    end = object()
-    for item in ordered_map(lambda _: next(iterator, end), repeat(None), workers=1, ahead=ahead):
-        if item is end:
-            return
-        yield item  # type: ignore[misc]  # end, the only other type, has just been excluded
-
 
 FPS = 30.0
 """Frames a second where neither time stamps nor a rate are given."""
@@ -110,7 +59,10 @@ def open_video(path: str) -> Capture:
             consequence="OpenCV cannot open it",
             cure="Rename it, and the folders that it is in",
         )
-    capture: Capture = cv2.VideoCapture(path)
+    # two views share the cores; pictures that a decoder has on its way beyond that cost memory, and save no time
+    capture: Capture = cv2.VideoCapture(path, cv2.CAP_ANY, [cv2.CAP_PROP_N_THREADS, max(1, cores() // 2)])
+    if not capture.isOpened():
+        capture = cv2.VideoCapture(path)  # readers beside FFmpeg refuse what they do not know
     # a camera is calibrated as its sensor sees, and OpenCV turns by what the file says of the player's screen
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return capture
@@ -124,7 +76,7 @@ def frame_period_s(path: str) -> float:
     return 1.0 / (rate if np.isfinite(rate) and rate > 0.0 else FPS)
 
 
-class ImageFolder:
+class ImageFolder(FileSource):
     """The images of a folder or pattern, decoded ahead in threads.
 
     times_s: the time of each, else index / fps. reading: which files and bits are meant, and what becomes of a file
@@ -141,7 +93,7 @@ class ImageFolder:
         times_s: Sequence[float] | None = None,
         reading: ImageReading = AS_THEY_ARE,
     ) -> None:
-        self.name = text
+        super().__init__(text)
         self._reading = reading
         self._colour = colour
         self._fps = fps
@@ -167,30 +119,31 @@ class ImageFolder:
             raise wrong_times(self._times_s, self.name, len(self._paths))
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def _close(self) -> None:
         pass
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _frames(self) -> Iterator[Frame]:
         shape: tuple[int, ...] | None = None
-        for sequence, (path, image) in enumerate(zip(self._paths, ordered_map(self._read, self._paths), strict=True)):
-            if isinstance(image, DataRefused):
-                shape = shape or self._first_shape(image)
-                yield Frame(
-                    image=np.zeros(shape, np.uint8),
-                    t_s=self._time_s(sequence),
-                    sequence=sequence,
-                    source=str(path),
-                    unreadable=image.cause.removeprefix(f"{path} "),
-                )
-                continue
-            shape = shape or image.shape
-            if image.shape != shape:
-                raise Inconsistent(
-                    f"{path} is {size_text(image.shape)} px, {self._paths[0]} is {size_text(shape)} px",
-                    consequence="Images of one camera must all be of one size, so reading stops here",
-                    cure="Give each camera a folder of its own, without cropped or scaled images",
-                )
-            yield Frame(image=image, t_s=self._time_s(sequence), sequence=sequence, source=str(path))
+        with closing(Ahead(self._read, self._paths)) as images:  # on all cores
+            for sequence, (path, image) in enumerate(zip(self._paths, images, strict=True)):
+                if isinstance(image, DataRefused):
+                    shape = shape or self._first_shape(image)
+                    yield Frame(
+                        image=np.zeros(shape, np.uint8),
+                        t_s=self._time_s(sequence),
+                        sequence=sequence,
+                        source=str(path),
+                        unreadable=image.cause.removeprefix(f"{path} "),
+                    )
+                    continue
+                shape = shape or image.shape
+                if image.shape != shape:
+                    raise Inconsistent(
+                        f"{path} is {size_text(image.shape)} px, {self._paths[0]} is {size_text(shape)} px",
+                        consequence="Images of one camera must all be of one size, so reading stops here",
+                        cure="Give each camera a folder of its own, without cropped or scaled images",
+                    )
+                yield Frame(image=image, t_s=self._time_s(sequence), sequence=sequence, source=str(path))
 
     def _time_s(self, sequence: int) -> float:
         if self._times_s is not None:
@@ -214,7 +167,7 @@ class ImageFolder:
         raise error
 
 
-class VideoFile:
+class VideoFile(FileSource):
     """The frames of a video file, decoded ahead in a thread of its own.
 
     Time stamps are times_s where given, else the file's where it has any, else index / fps (the file's rate, or the
@@ -231,7 +184,7 @@ class VideoFile:
         times_s: Sequence[float] | None = None,
         open_capture: Callable[[str], Capture] = open_video,
     ) -> None:
-        self.name = text
+        super().__init__(text)
         self._colour = colour
         self._fps = fps
         self._times_s = times_s
@@ -260,13 +213,10 @@ class VideoFile:
         self._said = int(count) if np.isfinite(count) and 0 < count < 1e9 else 0
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def _close(self) -> None:
         if self._capture is not None:
             self._capture.release()
             self._capture = None
-
-    def __iter__(self) -> Iterator[Frame]:
-        return read_ahead(self._frames())
 
     def _frames(self) -> Iterator[Frame]:
         capture = self._capture
@@ -278,12 +228,14 @@ class VideoFile:
         rate = capture.get(cv2.CAP_PROP_FPS)
         rate = rate if np.isfinite(rate) and rate > 0.0 else FPS
         fps = self._fps or rate
-        read = _stamped_images(capture, rate)
+        read: Iterator[tuple[float, NDArray[np.uint8]]]
+        read = ((stamp_s, self._convert(image)) for stamp_s, image in _stamped_images(capture, rate))
         first = list(islice(read, FIRST))
         stamps = [stamp_s for stamp_s, _ in first]
         stamped = self._fps is None and self._times_s is None and stamps[-1:] > stamps[:1]
-        sequence, last_s, end_s = 0, -np.inf, 0.0
-        for stamp_s, image in chain(first, read):
+        sequence, last_s, end_s, read = 0, -np.inf, 0.0, chain(first, read)
+        del first
+        for stamp_s, image in read:
             why, end_s = "", max(end_s, stamp_s, 0.0 if stamps[-1:] > stamps[:1] else sequence / rate)
             if stamped and stamp_s <= last_s:
                 why = f"its time stamp of {stamp_s:.6f} s is none: the frame before it has {last_s:.6f} s"
@@ -291,7 +243,7 @@ class VideoFile:
             last_s = stamp_s
             t_s = self._time_s(sequence, stamp_s if stamped else sequence / fps)
             source = f"{self.name}:{sequence}"
-            yield Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=source, unreadable=why)
+            yield Frame(image=image, t_s=t_s, sequence=sequence, source=source, unreadable=why)
             sequence += 1
         self._check_end(sequence, end_s, self._said / rate)
 

@@ -6,8 +6,7 @@ import math
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-
-import numpy as np
+from statistics import median
 
 from armsight.drivers.moments import PAIR, Moment, Moments, ended_early
 from armsight.drivers.protocols import FrameSource
@@ -44,7 +43,7 @@ class _Period:
         """Take the next frame, and hand it on; frames that a slow reader missed are in its number."""
         if frame is not None and self._last is not None and frame.sequence > self._last.sequence:
             self._each_s.append((frame.t_s - self._last.t_s) / (frame.sequence - self._last.sequence))
-            self.s = float(np.median(self._each_s))
+            self.s = median(self._each_s)
         self._last = frame
         self.until_s = self.until_s if frame is None else frame.t_s
         return frame
@@ -80,9 +79,8 @@ class TimedMoments(Moments):
             return None
         return Skew(mean_s=self._sum_s / self._n, largest_s=self._largest_s, n_pairs=self._n, n_dropped=self.n_dropped)
 
-    def __iter__(self) -> Iterator[Moment]:
-        n = len(self.sources)
-        self._streams = [iter(source) for source in self.sources]
+    def _moments(self, streams: Sequence[Iterator[Frame]]) -> Iterator[Moment]:
+        n, self._streams = len(self.sources), streams
         self._periods = [_Period() for _ in self.sources]
         self._heads: list[Frame | None] = [self._next(k) for k in range(n)]
         self._missed, self._ended = [0] * n, [0] * n
@@ -200,9 +198,9 @@ class RecordedMoments(TimedMoments):
         """The recording's name, or all of them."""
         return " + ".join(dict.fromkeys(source.name for source in self.sources))
 
-    def __iter__(self) -> Iterator[Moment]:
+    def _moments(self, streams: Sequence[Iterator[Frame]]) -> Iterator[Moment]:
         try:
-            yield from super().__iter__()
+            yield from super()._moments(streams)
         except DeviceFailed as error:  # the rule is that of live cameras, the cause is in the file
             raise _never_together(error.cause) from error
         if self.skew is None and self.n_dropped:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from armsight.drivers import FileMoments, ImageFolder, VideoFile, open_source, ordered_map
+from armsight.drivers import Ahead, FileMoments, ImageFolder, VideoFile, ahead, open_source, sources
 from armsight.errors import BadImage, Inconsistent
 from armsight.ops.sources.cameras import open_rig
 from armsight.optics import SIDES
@@ -109,7 +112,7 @@ def test_times_replace_the_rate_and_must_be_as_many_as_the_frames(tmp_path: Path
             list(frames)
 
 
-def test_ordered_map_keeps_order_bounds_what_waits_and_raises_in_place() -> None:
+def test_Ahead_keeps_order_bounds_what_waits_and_raises_in_place() -> None:
     begun: list[int] = []
 
     def work(number: int) -> int:
@@ -118,8 +121,76 @@ def test_ordered_map_keeps_order_bounds_what_waits_and_raises_in_place() -> None
             raise ValueError("seven")
         return number
 
-    results = ordered_map(work, range(1000), workers=3, ahead=4)
+    results = Ahead(work, range(1000), workers=3, ahead=4)
     assert [next(results) for _ in range(7)] == list(range(7))
     assert len(begun) <= 7 + 5
     with pytest.raises(ValueError, match="seven"):
         next(results)
+
+
+def test_what_the_items_raise_comes_behind_the_results_before_it() -> None:
+    def items() -> Iterator[int]:
+        yield from range(5)
+        raise ValueError("six")
+
+    results = Ahead(lambda number: number, items(), ahead=20)
+    assert [next(results) for _ in range(5)] == list(range(5))
+    with pytest.raises(ValueError, match="six"):
+        next(results)
+
+
+class Watched:
+    """A capture that tells when its first picture is asked for, and whether it was released while one was read."""
+
+    def __init__(self) -> None:
+        self.begun, self.busy, self.released = threading.Event(), False, ""
+
+    def isOpened(self) -> bool:
+        return True
+
+    def set(self, key: int, value: float, /) -> bool:
+        return True
+
+    def get(self, key: int, /) -> float:
+        return 0.0
+
+    def read(self):
+        self.begun.set()
+        self.busy = True
+        for _ in range(20):
+            os.sched_yield()
+        self.busy = False
+        return True, BLACK
+
+    def release(self) -> None:
+        self.released = "while a picture was read" if self.busy else "at rest"
+
+
+def test_a_video_is_read_from_iter_on_and_released_when_its_reader_rests(tmp_path: Path) -> None:
+    (tmp_path / "film.mp4").touch()
+    wires = [Watched(), Watched()]
+    videos = [VideoFile(str(tmp_path / "film.mp4"), open_capture=lambda _, wire=wire: wire) for wire in wires]
+    with FileMoments(*videos) as moments:
+        frames = iter(moments)
+        assert all(wire.begun.wait(30.0) for wire in wires)  # nothing was asked for
+        next(frames)
+    assert [wire.released for wire in wires] == ["at rest", "at rest"]
+
+
+def test_a_wait_for_a_file_is_told_once_and_nothing_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, told, mended = folder_of(tmp_path / "a", numbered(1, 2, 3)), [], threading.Event()
+
+    def hear(text: str, **_: object) -> None:
+        told.append(text)
+        mended.set()
+
+    def stalled(path: Path, **_: object) -> np.ndarray:
+        assert mended.wait(30.0)
+        return BLACK
+
+    monkeypatch.setattr(ahead, "STALLED_S", 0.0)
+    monkeypatch.setattr(sources, "read_pixels", stalled)
+    monkeypatch.setattr(ahead.warnings, "warn", hear)
+    with source:
+        assert len(list(source)) == 3
+    assert len(told) == 1 and source.name in told[0] and "waited for" in told[0]

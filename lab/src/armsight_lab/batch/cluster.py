@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from armsight import errors
-from armsight.drivers.sources import CORES, cores
+from armsight.drivers.ahead import CORES, cores
 from armsight.errors import DeviceFailed, UsageError
 from armsight.records import Progress
 

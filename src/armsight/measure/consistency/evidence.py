@@ -155,7 +155,8 @@ class Evidence:
     _waiting: int = 0
 
     def __post_init__(self) -> None:
-        self.shift_m2, self.shift_rad2 = np.zeros((self.size, self.size)), np.zeros((self.size, self.size))
+        q = n_parameters(self.rig) + int(self.basis.shape[2]) + len(self.rig.k) - 1
+        self.shift_m2, self.shift_rad2 = np.zeros((q, q)), np.zeros((q, q))
         self._still = StillLights(len(self.basis), len(self.rig.k))
         self._per_block = 4 // self.fine
 
@@ -172,7 +173,7 @@ class Evidence:
     @property
     def size(self) -> int:
         """How many parameters there are."""
-        return n_parameters(self.rig) + int(self.basis.shape[2]) + len(self.rig.k) - 1
+        return len(self.shift_m2)
 
     def add(self, measured: Measured) -> None:
         """Take one moment, in the order of time. A frame is counted when the next one has told how fast it moved."""

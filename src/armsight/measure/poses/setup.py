@@ -177,8 +177,7 @@ class Setup:
 
     def covariance_of(self, names: tuple[str, ...]) -> Array:
         """Return the covariance of the rig's parameters and of these lights' positions, in their order."""
-        n = n_parameters(self.packed)
-        if names == self.model.names or len(self.covariance) <= n:
+        if names == self.model.names or len(self.covariance) <= (n := n_parameters(self.packed)):
             return self.covariance
         lights = np.array([self.model.names.index(name) for name in names])
         index = np.concatenate([np.arange(n), (n + 3 * lights[:, None] + np.arange(3)).ravel()])

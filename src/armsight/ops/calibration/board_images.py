@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
-from armsight.drivers import ordered_map
+from armsight.drivers import Ahead
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board, find_two_boards
 from armsight.records import BoardView, Frame, NotSeen, Target, TargetKind
@@ -86,4 +86,4 @@ def in_parallel(
     function: Callable[[Item], Found], items: Iterable[Item], *, workers: int | None = None
 ) -> Iterator[Found]:
     """Yield function(item) in order, on all cores: OpenCV's detectors run without the interpreter's lock."""
-    return ordered_map(function, items, workers=workers)
+    return Ahead(function, items, workers=workers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +12,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
-from armsight.drivers import MomentSource, moments_of, ordered_map, pairs_of
+from armsight.drivers import Ahead, MomentSource, Views, moments_of, pairs_of
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData
 from armsight.measure.consistency.check import RunCheck, advice, sentence
 from armsight.measure.consistency.findings import Consistency
@@ -25,10 +25,7 @@ from armsight.ops.measurement.outputs import Outputs
 from armsight.ops.measurement.streams import FrameSources
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.sources.bags import origin_ns
-from armsight.ops.sources.frames import (
-    FrameTimes,
-    recordings_in,
-)
+from armsight.ops.sources.frames import FrameTimes, recordings_in
 from armsight.optics import Rig, at_zoom
 from armsight.records import Frame, PoseStatus, Progress, Target
 from armsight.records.checks import wide_rig
@@ -74,14 +71,14 @@ def run(
     What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
     DataRefused or DeviceFailed, Cancelled.
     """
-    about = about or About()
-    pair, report = setup.rig.is_pair, Collector(setup, world)
+    about, pair, report = about or About(), setup.rig.is_pair, Collector(setup, world)
     check = RunCheck(setup) if pair else CamerasCheck(setup)
     outputs, tracker = Outputs(out, world=world, names=setup.rig.names), TargetTracker(setup)
     alone = about.stills or setup.target.is_board
     with pairs:
+        moments = iter(pairs)  # files are read while kernels are loaded
         prepare(progress, views=not pair)
-        steps = _steps(setup, pairs, limit, progress, None if alone else tracker)
+        steps = _steps(setup, moments, progress, _total(pairs.total, limit), limit, None if alone else tracker)
         with outputs:
             failure = _taken(steps, check, outputs, report, tracker)
     if outputs.n_frames == 0 and failure is not None:
@@ -138,35 +135,39 @@ def _taken(
 
 
 def _steps(
-    setup: Setup, pairs: MomentSource, limit: int | None, progress: Progress, tracker: TargetTracker | None
+    setup: Setup,
+    seen: Iterator[Views],
+    progress: Progress,
+    total: int,
+    limit: int | None,
+    tracker: TargetTracker | None,
 ) -> Generator[Step, None, None]:
     """Yield each moment measured, in order, by the tracker, or each by itself without one.
 
     Raises Cancelled, and Inconsistent for swapped or wrongly sized views.
     """
-    total = _total(pairs.total, limit)
     measure_all = _singly(setup) if tracker is None else partial(map, partial(_one, tracker))
-    done = seen = 0
+    done = n_seen = 0
     swapped: list[Inconsistent] = []
-    moments = pairs_of(pairs) if setup.rig.is_pair else moments_of(pairs)
+    moments = pairs_of(seen) if setup.rig.is_pair else moments_of(seen)
     with closing(moments) as source, closing(_generator(measure_all(islice(source, limit)))) as steps:
         for step in steps:
             yield step
             done += 1
-            seen += step.measured.pose.status is not PoseStatus.LOST
+            n_seen += step.measured.pose.status is not PoseStatus.LOST
             swapped += [step.swapped] if step.swapped else []
-            if not seen and len(swapped) >= SWAPPED_ENOUGH:
+            if not n_seen and len(swapped) >= SWAPPED_ENOUGH:
                 raise swapped[0]
             progress.update(done, total, MEASURING)
             if progress.cancelled():
                 raise Cancelled(f"stopped after {done} {units(setup)}")
-    if not seen and swapped:
+    if not n_seen and swapped:
         raise swapped[0]
 
 
 def _singly(setup: Setup) -> Callable[[Iterable[Frames]], Iterable[Step]]:
     """Measure moments in threads, each by itself: a board, or single shots, which tell nothing of each other."""
-    return partial(ordered_map, lambda frames: _one(TargetTracker(setup), frames))
+    return partial(Ahead, lambda frames: _one(TargetTracker(setup), frames))
 
 
 def units(setup: Setup) -> str:

@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
-from armsight.drivers import RecordedMoments, by_name, ordered_map
+from armsight.drivers import Ahead, RecordedMoments, by_name
 from armsight.errors import BadFile, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.fields import Doc
 from armsight.file_names import RIG, TARGET
@@ -144,7 +144,7 @@ def _images(recording: Recording, out: Path, progress: Progress) -> dict[str, li
         return camera, frame.t_s
 
     stamps: dict[str, list[float]] = {camera: [] for camera in recording.cameras}
-    for n, (camera, t_s) in enumerate(ordered_map(write, _numbered(recording)), start=1):
+    for n, (camera, t_s) in enumerate(Ahead(write, _numbered(recording)), start=1):
         stamps[camera].append(t_s)
         progress.update(n, total, camera)
         if progress.cancelled():

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
+from armsight.drivers import FileSource
 from armsight.drivers.sources import size_text
 from armsight.errors import DeviceFailed, Inconsistent
 from armsight.records import Frame, Motion
@@ -25,7 +26,7 @@ UNIVERSAL_ROBOTS = (
 """The names of ur_robot_driver, from the base on; all other makers' drivers count their joints."""
 
 
-class BagFrames:
+class BagFrames(FileSource):
     """The images of a topic, with their headers' stamps. text: bag:FILE:/topic.
 
     origin_of: text of another topic whose bag's start is t_s = 0; None: its own. Opening raises as BagTopic does;
@@ -33,7 +34,7 @@ class BagFrames:
     """
 
     def __init__(self, text: str, *, colour: bool = False, origin_of: str | None = None) -> None:
-        self.name = text
+        super().__init__(text)
         self._colour = colour
         self._origin_of = origin_of
         self._origin_ns: int | None = None
@@ -54,12 +55,12 @@ class BagFrames:
         self._topic = BagTopic(self.name, (IMAGE, COMPRESSED)).__enter__()
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def _close(self) -> None:
         if self._topic is not None:
-            self._topic.__exit__(*error)
+            self._topic.__exit__()
             self._topic = None
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _frames(self) -> Iterator[Frame]:
         if self._topic is None:
             raise DeviceFailed(f"{self.name} is not open", consequence="There are no frames", cure="Open it first")
         shape: tuple[int, ...] | None = None

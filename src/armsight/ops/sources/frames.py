@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import cv2
@@ -24,6 +23,7 @@ from armsight.drivers import (
     AUTOMATIC,
     FPS,
     CameraSettings,
+    FileSource,
     FrameSource,
     ImageReading,
     Moments,
@@ -60,7 +60,7 @@ def recording_path(text: str) -> Path:
     return Path(match[1] if match else text)
 
 
-class RecordedFrames:
+class RecordedFrames(FileSource):
     """The frames of one camera of a recording, with the times and numbers they were recorded with.
 
     camera: which one where the text does not say it; None: the only one. colour: None leaves it as it is. Opening
@@ -68,7 +68,7 @@ class RecordedFrames:
     """
 
     def __init__(self, text: str, camera: str | None = None, *, colour: bool | None = False) -> None:
-        self.name = text
+        super().__init__(text)
         match = SOURCE.fullmatch(text)
         self._camera = (match[2] if match else None) or camera
         self._colour = colour
@@ -93,14 +93,12 @@ class RecordedFrames:
         self._recording = recording
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def _close(self) -> None:
         if self._recording is not None:
             self._recording.close()
             self._recording = None
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _frames(self) -> Iterator[Frame]:
         if self._recording is None or self._camera is None:
             return
         for frame in self._recording.frames(self._camera):
