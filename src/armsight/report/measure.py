@@ -396,6 +396,5 @@ def _camera_text(camera: Camera) -> str:
 def _target_text(target: Target) -> str:
     if target.is_board:
         return f"{target.kind}, {target.columns} × {target.rows}, {figure_of(target.pitch_m / MM, 'mm')} apart"
-    n = len(target.names)
-    known = "" if target.model_known else ", positions not measured"
+    n, known = len(target.names), "" if target.model_known else ", positions not measured"
     return f"{n} light{'s' * (n > 1)}: {', '.join(target.names)}{known}"

@@ -228,8 +228,7 @@ def _from_frames(content: Mapping[str, Any], path: Path, nominal: Arm | None) ->
                 cure=f"Give the file that {writer} wrote, unchanged",
             )
         model = None if nominal is None or nominal.n != len(links) else nominal.joints[i]
-        axis = np.array([0.0, 0.0, 1.0])
-        joint = AxisJoint(name=name, type=JointType.REVOLUTE, T_parent_joint=T, axis=axis)
+        joint = AxisJoint(name=name, type=JointType.REVOLUTE, T_parent_joint=T, axis=np.array([0.0, 0.0, 1.0]))
         if model is not None:
             joint = replace(joint, lower=model.lower, upper=model.upper, max_speed=model.max_speed)
         joints.append(joint)
