@@ -381,8 +381,8 @@ def _far_away() -> None:
     left, right = rig.project(turn.apply(np.array(list(xyz_m.values()))) + np.array([0.05, 0.0, 3.0]))
     for off_px in (0.0, 1.0):
         left[0, 1] += off_px
-        seen = [Spots.of_centres(uv_px, VARIANCE_PX2) for uv_px in (left, right)]
-        measure_spots(setup, 0.0, seen[0], seen[1])
+        one, other = (Spots.of_centres(uv_px, VARIANCE_PX2) for uv_px in (left, right))
+        measure_spots(setup, 0.0, one, other)
 
 
 class _Lines(Silent):
