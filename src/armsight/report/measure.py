@@ -201,9 +201,7 @@ def _thinning_note(n: int) -> str:
 def _add_residuals(page: Page, run: MeasureRun) -> None:
     if not any(len(rows) for rows in run.residuals.values()):
         return
-    aside = f" {run.n_aside:,} sights known worse than to 1 px, as half-hidden lights, are left aside." * (
-        run.n_aside > 0
-    )
+    aside = f" {run.n_aside:,} sights known worse than to 1 px are left aside." * (run.n_aside > 0)
     rows = []
     for side, row in run.residuals.items():
         if len(row):

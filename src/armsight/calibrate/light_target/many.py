@@ -56,7 +56,7 @@ from armsight.calibrate.light_target.grown import LitMoment, more_lights
 from armsight.calibrate.light_target.naming import Named, find_shape
 from armsight.calibrate.light_target.result import TargetResult
 from armsight.defaults import LIT_LIGHTS
-from armsight.errors import Ambiguous, Inconsistent, UsageError
+from armsight.errors import Ambiguous, Inconsistent, Unseen, UsageError
 from armsight.optics import PackedRig, Rig
 from armsight.records import NotSeen, Spots, Target, spot_target
 
@@ -76,6 +76,8 @@ Naming: TypeAlias = Callable[[Rig, Target], Callable[[Sequence[Spots]], NamedSig
 """What finds a known target in the views of a moment."""
 
 
+TOO_LITTLE = (Unseen.NO_SPOT, Unseen.LIGHTS_MISSING, Unseen.AMBIGUOUS, Unseen.CROWD)
+"""Why a moment may be lost that does not contradict the target."""
 Paired: TypeAlias = dict[int, tuple[int, int, Index]]
 """By which two cameras a moment's lights are placed, and which of their spots are paired."""
 
@@ -246,13 +248,14 @@ def _observations(
 
 class Shown(NamedTuple):
     """Moments that show a target, by their numbers (g,), all sights of its lights, why the others do not, and R (g, 3,
-    3), t (g, 3) of it."""
+    3), t (g, 3) of it. unclear: how many of the others show too little to tell."""
 
     numbers: Index
     seen: LightObservations
     rejected: Rejected
     R: Array
     t: Array
+    unclear: int
 
 
 def _target(X: Array) -> Target:
@@ -263,12 +266,13 @@ def _shown(rig: Rig, moments: Sequence[LitMoment], X: Array, naming: Naming) -> 
     """Return the moments that show the lights X (n, 3)."""
     names = LETTERS[: len(X)]
     look = naming(rig, _target(X))
-    numbers, rejected, R, t = [], [], [], []
+    numbers, rejected, R, t, unclear = [], [], [], [], 0
     uv, cov = _blank(len(moments), len(X), len(rig.cameras))
     for number, moment in enumerate(moments):
         found = look(moment.views)
         if isinstance(found, NotSeen):
             rejected.append((number, found.why))
+            unclear += found.cause in TOO_LITTLE
             continue
         for side, (spots, shown) in enumerate(zip(found.spots, found.names, strict=True)):
             at = [names.index(name) for name in shown]
@@ -278,7 +282,7 @@ def _shown(rig: Rig, moments: Sequence[LitMoment], X: Array, naming: Naming) -> 
         t.append(found.T_rig_target[:3, 3])
     kept = np.array(numbers, dtype=np.intp)
     seen = LightObservations(uv_px=uv[kept], cov_px2=cov[kept])
-    return Shown(kept, seen, rejected, np.array(R).reshape(-1, 3, 3), np.array(t).reshape(-1, 3))
+    return Shown(kept, seen, rejected, np.array(R).reshape(-1, 3, 3), np.array(t).reshape(-1, 3), unclear)
 
 
 def _completed(rig: Rig, moments: Sequence[LitMoment], shape: Shape, naming: Naming) -> Shape | None:
@@ -287,6 +291,7 @@ def _completed(rig: Rig, moments: Sequence[LitMoment], shape: Shape, naming: Nam
     if len(shown.numbers) < MIN_FRAMES:
         return None
     labelled = replace(shape.labelled, numbers=shown.numbers, rejected=shown.rejected)
-    every, unclear = np.ones(len(shown.numbers), bool), len(shown.rejected)  # the fit adds others to these
+    every = np.ones(len(shown.numbers), bool)
     bundle, used = fit_frames(rig, shape.layout, shown.seen, labelled, every, shape.bundle.values, shown.R, shown.t)
-    return Shape(shape.layout, bundle, replace(labelled, numbers=shown.numbers[used]), shown.seen.take(used), unclear)
+    labelled = replace(labelled, numbers=shown.numbers[used])
+    return Shape(shape.layout, bundle, labelled, shown.seen.take(used), shown.unclear)
