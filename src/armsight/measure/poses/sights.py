@@ -46,7 +46,7 @@ class Sights(NamedTuple):
         names, seen = setup.model.names, rows.max(axis=1) >= 0
         if not seen.all():
             rows, names = rows[seen], tuple(compress(names, seen.tolist()))
-        n, v = rows.shape
+        n, v = (rows := np.ascontiguousarray(rows, np.intp)).shape
         uv, cov, radius = np.empty((n, v, 2)), np.empty((n, v, 2, 2)), np.empty((n, v))
         gather(rows, (self.uv_px, self.cov_px2, self.radius_m), self.first, uv, cov, radius)
         start = np.array(start)
