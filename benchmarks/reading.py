@@ -118,8 +118,8 @@ def rows_of(kind: str, folder: Path, options: argparse.Namespace) -> list[list[o
     if kind == "batch":
         jobs = folder / "jobs.csv"
         words = ["batch", str(jobs), "-o", str(out), "--overwrite"]
-        row = f"measure,{','.join([*setup[1::2], *given[1::2]])}\n"
-        jobs.write_text("command,rig,target,left,right\n" + JOBS * row)
+        row = ",".join(["measure", *setup[1::2], *given[1::2]])
+        jobs.write_text("name,command,rig,target,left,right\n" + "".join(f"j{k},{row}\n" for k in range(JOBS)))
         sources, n = sources * JOBS, n * JOBS
     run(*ARMSIGHT, "measure", *setup, *given, "--frames", "3", "-o", str(folder / "warm"), "--overwrite")
     turns = [
@@ -144,7 +144,7 @@ def run(*words: str) -> Run:
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     said = process.stderr.read() if process.stderr else b""
     _, status, used = os.wait4(process.pid, 0)
-    if os.waitstatus_to_exitcode(status) not in (0, 3):
+    if status:
         raise SystemExit(said.decode()[-2000:])
     return Run(time.perf_counter() - start_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0)
 
