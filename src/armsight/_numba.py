@@ -187,7 +187,7 @@ def _listed(instruction: Any, value: Any) -> list[Any]:
     kind = type(value)
     if kind in WITHOUT_VARIABLES:
         return []
-    return [value] if kind is ir.Var else NUMBAS_LISTING(instruction, value)  # type: ignore[no-any-return]
+    return [value] if kind is ir.Var else NUMBAS_LISTING(instruction, value)
 
 
 KNOWN = WeakKeyDictionary[Any, dict[Any, tuple[Any, Any]]]()
