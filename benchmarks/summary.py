@@ -32,7 +32,7 @@ Table = list[list[str]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """A cell of a printed table: the words that its row has, and its column."""
+    """A cell of a printed table: what its row begins with, and its column."""
 
     row: tuple[str, ...]
     column: str
@@ -232,7 +232,7 @@ def number(tables: Sequence[tuple[str, Table]], title: str, cell: Cell) -> float
     """Return the number that a cell begins with; None where no table has such a row. Raises KeyError for a column."""
     for head, (columns, *rows) in tables:
         for row in rows if head.startswith(title) else ():
-            if set(cell.row) <= set(row):
+            if tuple(row[: len(cell.row)]) == cell.row:
                 if cell.column not in columns:
                     raise KeyError(f"{head}: no column {cell.column}, but {', '.join(columns)}")
                 found = re.match(r"[-+\d.e]+", row[columns.index(cell.column)])

@@ -69,12 +69,13 @@ class _Kept(CompileResultCacheImpl):
         environments, symbols = more
         for load in loaders:
             load()
+        typing_context = target_context.typing_context
         library = _KeptLibrary(target_context.codegen(), name, code, bitcode, symbols)
         entry_point = target_context.get_executable(library, fndesc, own)
         for one in environments:
             library.codegen.set_env(one.env_name, one)
         return compile_result(
-            typing_context=target_context.typing_context,
+            typing_context=typing_context,
             target_context=target_context,
             entry_point=entry_point,
             type_annotation=annotation,

@@ -101,6 +101,17 @@ def test_every_benchmark_with_figures_has_a_headline_a_script_and_tables() -> No
                 assert {row.count(" | ") for row in rows} == {head.count(" | ")}, (name, one["title"])
 
 
+def test_a_headline_is_taken_from_its_row_and_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    summary = module_of(ROOT / "benchmarks" / "summary.py")
+    header = ["what", "median", "fastest", "wanted", "peer", "ratio"]
+    rows = [header, ["FK", "0.1", "0.1", "", "Pinocchio FK", "5x"], ["Pinocchio FK", "0.5", "0.4", "", "", ""]]
+    first = summary.FIGURES[0]
+    assert summary.row_of(first, [("korayem6r, 2 poses", rows)])[1:4] == [0.1, 0.5, "5"]
+    assert summary.row_of(first, [("korayem6r, 2 poses", rows[:2])])[1:] == [0.1, "", "", "Pinocchio: not installed"]
+    assert summary.row_of(first, [])[-1] == "Pinocchio: not run here"
+
+
 def test_the_tests_of_what_was_tried_are_there() -> None:
     with (ROOT / "tests" / "security" / "tried.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
