@@ -82,13 +82,13 @@ class MeasureRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardPicture:
-    """A small picture of one view of a board. webp: the file's bytes, of the whole image, width by height px at first.
+    """A small picture of one view of a board. jpeg: the file's bytes, of the whole image, width by height px at first.
 
     uv_px (n, 2): the points found, in px of the image; residual_px (n,): distance of each from the model's.
     """
 
     name: str
-    webp: bytes
+    jpeg: bytes
     width: int
     height: int
     uv_px: Array

@@ -335,7 +335,7 @@ def _picture(picture: BoardPicture) -> str:
         f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{0.9 * unit:.3g}" stroke="{_colour(residual, rms)}"/>'
         for (u, v), residual in zip(picture.uv_px.tolist(), picture.residual_px.tolist(), strict=True)
     )
-    source = "data:image/webp;base64," + base64.b64encode(picture.webp).decode("ascii")
+    source = "data:image/jpeg;base64," + base64.b64encode(picture.jpeg).decode("ascii")
     caption = f"{short_names([picture.name])[0]}: {figure_of(rms, 'px')} RMS, {len(picture.uv_px)} points"
     return (
         f'<figure><svg viewBox="-0.5 -0.5 {size}" role="img" aria-label="{caption}"><image href="{source}" x="-0.5" '

@@ -360,7 +360,7 @@ def boards_page():
     poses = [RigidTransform.from_translation([0.1 * k, 0.0, 1.0]) for k in range(3)]
     picture = BoardPicture(
         name="left/a-picture-with-a-long-name-0001.png",
-        webp=b"",
+        jpeg=b"",
         width=640,
         height=480,
         uv_px=np.array([[10.0, 20.0], [300.0, 200.0]]),
