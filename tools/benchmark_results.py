@@ -110,7 +110,7 @@ def page() -> str:
 def with_summary(page: str) -> str:
     """Return the page of headlines with the table of `summary` as it was printed last."""
     (run,) = results()["summary"]["runs"]
-    text = f"{run['date']}, {run['machine']}:\n\n{markdown(run['tables'][0]['rows'])}\n"
+    text = f"\n{run['date']}, {run['machine']}:\n\n{markdown(run['tables'][0]['rows'])}\n\n"
     return SUMMARY.sub(lambda _: text, page)
 
 
