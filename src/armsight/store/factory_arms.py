@@ -42,7 +42,7 @@ from armsight.store.yamls import read_yaml
 from armsight.units import DEG, MM
 
 DELTAS: Mapping[str, str] = {"delta_theta": "theta_rad", "delta_a": "a_m", "delta_d": "d_m", "delta_alpha": "alpha_rad"}
-LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+LINKS: Sequence[str] = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 ROS_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 FACTORY = "factory calibration"
 MOST_BYTES = 1_000_000
@@ -202,8 +202,7 @@ def _numbers(text: str, count: int, where: str) -> Array:
 
 def _from_frames(content: Mapping[str, Any], path: Path, nominal: Arm | None) -> Arm:
     """Return the arm of a frame before each joint, of ur_calibration or of an xArm. Raises BadFile, Inconsistent."""
-    links: Sequence[str] = LINKS
-    names, turn, writer = tuple(f"{name}_joint" for name in ROS_JOINTS), "XYZ", "ur_calibration"
+    links, names, turn, writer = LINKS, tuple(f"{name}_joint" for name in ROS_JOINTS), "XYZ", "ur_calibration"
     if "joint1" in content:
         links = names = tuple(f"joint{k}" for k in range(1, 1 + len(content)))
         turn, writer = "xyz", "gen_kinematics_params.py"
