@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import numpy as np
-from cures_of_runs import HEAD, MOVING, OF_ARM, POSES, VERIFY, row
+from cures_of_runs import HEAD, IN_TIME, JOIN, MOVING, OF_ARM, POSES, RESTING, VERIFY, row
 from scipy.spatial.transform import Rotation
 
 from armsight.control.paths import smoothed
@@ -205,6 +205,10 @@ TRIED = {
     ("calibrate/handeye/stream_pairing.py", "(--clocks-within)"): (
         POSES.replace("{}", "swinging.csv") + STREAMS,
         f"{STREAMS} --clocks-within 0.3",
+    ),
+    ("ops/join.py", "Give --joints, both files with t_s"): (
+        (untimed("poses.csv", "m.csv"), f"{JOIN.replace('poses.csv', 'm.csv')} {OF_ARM} --still"),
+        f"{RESTING}{IN_TIME} resting.csv --still",
     ),
     ("verify/alignment.py", "`--align both`"): (
         f"{VERIFY} --arm ur10 --joints j.csv",

@@ -140,10 +140,6 @@ TRIED = {
         f"{JOIN} --robot-stream poses.csv --setup eye-to-hand --offset 0",
         "{} --as pairs",
     ),
-    ("ops/join.py", "Give --joints, both files with t_s"): (
-        f"{JOIN} {OF_ARM} --still",
-        f"{RESTING}{IN_TIME} resting.csv --still",
-    ),
     ("ops/verification/run.py", "Give --arm with --joints joints.csv, --commanded"): (VERIFY, f"{{}} {OF_ARM}"),
     ("ops/verification/run.py", "and verify twice for both"): (
         f"{VERIFY} {OF_ARM} --commanded places.csv",

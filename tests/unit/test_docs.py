@@ -109,7 +109,7 @@ def test_a_headline_is_taken_from_its_row_and_what_is_missing_is_said(monkeypatc
     first = summary.FIGURES[0]
     assert summary.row_of(first, [("korayem6r, 2 poses", rows)])[1:4] == [0.1, 0.5, "5"]
     assert summary.row_of(first, [("korayem6r, 2 poses", rows[:2])])[1:] == [0.1, "", "", "Pinocchio: not installed"]
-    assert summary.row_of(first, [])[-1] == "Pinocchio: not run here"
+    assert summary.row_of(first, [])[-1].endswith("not run here")
 
 
 def test_the_tests_of_what_was_tried_are_there() -> None:
