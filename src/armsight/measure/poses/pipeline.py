@@ -251,9 +251,8 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
             (None, None) if both is None else (both.take(list(range(n))), both.take(list(range(n, 2 * n))))
         )
     else:
-        left_seen, right_seen = setup.pace.both(
-            lambda side: _in_windows((left, right)[side], at[side], track.half_window_px, setup.sides[side])
-        )
+        left_seen = _in_windows(left, at[0], track.half_window_px, setup.sides[0])
+        right_seen = None if left_seen is None else _in_windows(right, at[1], track.half_window_px, setup.sides[1])
     if left_seen is None or right_seen is None:
         return None
     seen = solve_seen(setup, t_s, track.names, left_seen, right_seen, (left, right))
