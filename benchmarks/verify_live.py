@@ -186,7 +186,7 @@ def supervise(seconds_s: float, room: str) -> None:
         files(folder, room)
         devices = Supervised(robot=robot, pairs=pairs, origin_s=lambda: pairs.origin_s)
         done = verify.supervise(
-            "prepared", folder / "rig.yaml", folder / "target.yaml", "prepared", "prepared", folder / "arm.yaml",
+            "prepared", folder / "rig.yaml", folder / "target.yaml", "left one", "right one", folder / "arm.yaml",
             folder / "world.yaml", warn_m=0.001, seconds_s=seconds_s, out=folder / "out", show=show, clock=clock,
             devices=devices,
         )  # fmt: skip
