@@ -306,7 +306,7 @@ def supervise(
         setup = live.setup_of(rig, target)
         watch = eyes.CameraEyes(setup, (rig, target), frames=keep_frames)
         devices = devices or live.open_supervised(
-            *(link, setup.rig.names, views, setup.target, clock, arm),
+            *(link, setup.rig, views, setup.target, clock, arm),
             play=play,
             camera_settings=camera_settings or AUTOMATIC,
         )
