@@ -35,6 +35,7 @@ from armsight.ops.sources.frames import open_source
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, Spots, TargetPose
+from armsight.report.residuals import distance_rms
 from armsight.store import World, read_rig, read_world
 from armsight.store.cell_file import COMPLEX
 
@@ -214,11 +215,13 @@ class LiveMeasurement:
         world = self._world
         pose = moved_pose(measured.pose, world.T_parent_rig, world.parent) if world else measured.pose
         self._counts[pose.status] += 1
+        judged = [measured.judged_px(s) for s in range(len(measured.spots))]
         run = RunView(
             fps=self._fps(),
             latency_s=self._clock.now_s() - _first(frames).t_s,
             measuring_s=took_s,
             counts=Counts(**{status.value: n for status, n in self._counts.items()}),
+            residual_px=distance_rms(judged),
         )
         self._show(frames, measured)
         n_lights = None if self.target is None else len(self.target.names)
