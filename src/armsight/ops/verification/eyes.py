@@ -7,12 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
+from armsight.arrays import Array
+from armsight.calibrate.cameras.pairing import spins_of
 from armsight.drivers import Views, by_name
 from armsight.drivers.trackers.source import TrackedBody
 from armsight.measure.consistency.findings import LeftOut
 from armsight.measure.consistency.live_cameras import WatchedTracker
 from armsight.measure.poses.pipeline import Setup
-from armsight.records import Frame, TargetPose
+from armsight.records import Frame, Target, TargetPose
+from armsight.records.views import symmetries
 from armsight.store.recording import RecordingWriter
 
 
@@ -26,8 +31,20 @@ class Sighted:
     frames: Mapping[str, Frame] = field(default_factory=dict)
 
 
+def turns_of(target: Target) -> Array:
+    """Return (s, 4, 4): how the axes of a target may be turned so that it looks the same; of most one, not at all."""
+    turns = symmetries(target)
+    middle = target.xyz_m.mean(axis=0)
+    out = np.tile(np.eye(4), (len(turns), 1, 1))
+    out[:, :3, :3] = spins_of(target.xyz_m - middle, turns)
+    out[:, :3, 3] = middle - out[:, :3, :3] @ middle
+    return out
+
+
 class Eyes(Protocol):
-    """What measures the moments of a source. of_pair: it is two cameras."""
+    """What measures the moments of a source. of_pair: it is two cameras. turns: see PredictedPose."""
+
+    turns: Array
 
     @property
     def of_pair(self) -> bool:
@@ -50,6 +67,7 @@ class CameraEyes:
     def __init__(self, setup: Setup, files: Sequence[Path], *, frames: bool) -> None:
         self._rig, self._tracker = setup.rig, WatchedTracker(setup)
         self._files, self._frames, self.of_pair = files, frames, setup.rig.is_pair
+        self.turns = turns_of(setup.target)
 
     @property
     def contradictions(self) -> Sequence[LeftOut]:
@@ -78,7 +96,7 @@ class TrackerEyes:
     """A tracker that measures by itself."""
 
     contradictions: Sequence[LeftOut] = ()
-    of_pair = False
+    of_pair, turns = False, np.eye(4)[None]
 
     def attach(self, writer: RecordingWriter) -> None:
         """Write nothing: poses say all."""
