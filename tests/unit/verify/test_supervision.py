@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.calibrate.cameras.pairing import turns_of
 from armsight.errors import StaleData, UsageError
 from armsight.kinematics import fk, preset
-from armsight.ops.verification.eyes import turns_of
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory, JointsAt
 from armsight.store.targets import parse_board

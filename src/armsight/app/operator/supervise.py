@@ -14,6 +14,7 @@ import numpy as np
 from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
+from armsight.calibrate.cameras.pairing import turns_of
 from armsight.clock import SystemClock
 from armsight.control.session.operator_session import Person
 from armsight.defaults import BLIND_S, JOINT_STD, LATENCY_STD_S
@@ -22,7 +23,6 @@ from armsight.fields import Bounds
 from armsight.measure.poses.moments import require_rotation
 from armsight.ops.measurement.run import target_of
 from armsight.ops.saving import write_with_page
-from armsight.ops.verification.eyes import turns_of
 from armsight.ops.verification.live import NOT_SUPERVISED
 from armsight.ops.verification.supervising import Judge
 from armsight.records import PoseStatus, TargetPose

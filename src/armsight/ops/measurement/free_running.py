@@ -192,13 +192,9 @@ def _smoothed(
         for t, state in zip(at_s, asked, strict=True)
     ]
     figures = figures_of(setup, smoothed.timing, views, len(starts), chi2, asked, times)
+    residuals, n_aside = _by_camera(setup.rig.names, found), int((~found.judged).sum())
     return FreeRun(
-        poses=poses,
-        views=views,
-        residuals=_by_camera(setup.rig.names, found),
-        n_aside=int((~found.judged).sum()),
-        figures=figures,
-        consistency=check.verdict,
+        poses=poses, views=views, residuals=residuals, n_aside=n_aside, figures=figures, consistency=check.verdict
     )
 
 

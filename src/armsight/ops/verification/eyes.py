@@ -10,14 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras.pairing import spins_of
+from armsight.calibrate.cameras.pairing import turns_of
 from armsight.drivers import Views, by_name
 from armsight.drivers.trackers.source import TrackedBody
 from armsight.measure.consistency.findings import LeftOut
 from armsight.measure.consistency.live_cameras import WatchedTracker
 from armsight.measure.poses.pipeline import Setup
-from armsight.records import Frame, Target, TargetPose
-from armsight.records.views import symmetries
+from armsight.records import Frame, TargetPose
 from armsight.store.recording import RecordingWriter
 
 
@@ -29,16 +28,6 @@ class Sighted:
     sequence: int
     newest_s: float
     frames: Mapping[str, Frame] = field(default_factory=dict)
-
-
-def turns_of(target: Target) -> Array:
-    """Return (s, 4, 4): how the axes of a target may be turned so that it looks the same; of most one, not at all."""
-    turns = symmetries(target)
-    middle = target.xyz_m.mean(axis=0)
-    out = np.tile(np.eye(4), (len(turns), 1, 1))
-    out[:, :3, :3] = spins_of(target.xyz_m - middle, turns)
-    out[:, :3, 3] = middle - out[:, :3, :3] @ middle
-    return out
 
 
 class Eyes(Protocol):
