@@ -47,13 +47,13 @@ def test_the_poses_are_the_scenes(scene: Any) -> None:
 
 
 def test_the_residual_on_the_page_is_the_one_that_measure_tells(
-    scene: Any, armsight: Any, monkeypatch: pytest.MonkeyPatch
+    scene: Any, armsight: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = moments(LiveMeasurement(job(scene), ManualClock()))[0]
     worst = [np.linalg.eigvalsh(spots.covariance_px2)[:, 1] for spots in first.spots]
     sights = np.sqrt(np.sort(np.concatenate(worst)))
     monkeypatch.setattr(sys.modules[judged_by.__module__], "JUDGED_PX", 0.5 * (sights[3] + sights[4]))
-    done = armsight("measure", *scene.inputs, *scene.sources(), "--limit", 1).json
+    done = armsight("measure", *scene.inputs, *scene.sources(), "--frames", 1, "-o", tmp_path / "out").json
     assert done["n_aside"] == 2
     shown = moments(LiveMeasurement(job(scene), ManualClock()))[0].view.residual_px
     assert shown == pytest.approx(done["reprojection_rms_px"]) and shown != pytest.approx(first.view.residual_px)
