@@ -4,7 +4,8 @@ A UR10's links, as capsules, and the lamps' own directions hide lights; lenses a
 which a pose is possible by the rule of two views (three lights seen twice), or where every sight counts. Nothing of
 the simulation's or of armsight's projection is used here; `scene` gives the same stands as a scenario to be rendered.
 `--positions N` (3,000), `--seed S`, `--rendered N` compares sights with those that the simulation tells of N stands.
-`--pictures N` measures rendered pictures in the dark while the arm goes through N stands.
+`--pictures N` measures rendered pictures in the dark while the arm goes through N stands, `--cameras V` of the
+arrangements of so many cameras alone.
 """
 
 from __future__ import annotations
@@ -267,13 +268,14 @@ WRONG = float(chi2.isf(1e-8, 6))
 """Squared Mahalanobis distance beyond which a pose is no unlucky draw, but wrong."""
 
 
-def measured(n: int, seed: int) -> None:
+def measured(n: int, seed: int, cameras: Sequence[int]) -> None:
     """Print the shares of frames with a pose beside the bound, and how many of the poses are wrong."""
     found = scenario_text("arm-cell")
     q, _ = stands(yaml.safe_load(found[0])["arm"] if found else {}, n, seed)
     rows = [
         [name, target, *of_pictures(scene(q, target, eyes, BETWEEN), n, len(eyes), target)]
         for name, eyes in ARRANGEMENTS.items()
+        if len(eyes) in cameras
         for target in TARGETS
     ]
     head = ["cameras", "target", "possible, %", "followed, %", "by itself, %", "in 95 %, %", "poses", "wrong"]
@@ -342,10 +344,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rendered", type=int, default=0, metavar="N")
     parser.add_argument("--pictures", type=int, default=0, metavar="N")
+    parser.add_argument("--cameras", type=int, nargs="+", default=[1, 2, 3, 4], metavar="V")
     asked = parser.parse_args()
     print(machine())
     if asked.pictures:
-        measured(asked.pictures, asked.seed)
+        measured(asked.pictures, asked.seed, asked.cameras)
     elif asked.rendered:
         compared(asked.rendered, asked.seed)
     else:

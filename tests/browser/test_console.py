@@ -16,6 +16,8 @@ from armsight.store.recording import Recording
 
 COUNT = 12
 """Pairs of the scene that is played."""
+CUT = """() => [...document.querySelectorAll(".q-field__label")]
+  .filter((label) => label.scrollWidth > label.clientWidth + 1).map((label) => label.textContent)"""
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -120,7 +122,7 @@ def test_a_reload_in_the_middle_of_a_recording_loses_nothing(
 
 
 def test_pages_have_no_serious_fault_of_accessibility(browser: Any, console: Any, lights: str) -> None:
-    """And a phone shows each without scrolling sideways, long names of fields as well."""
+    """And a phone shows each without scrolling sideways, and names of fields in full."""
     page = console.opened(browser, f"{lights}/live")
     shown(page)
     for name in ("live", "calibrate", "verify", "settings"):
@@ -131,4 +133,5 @@ def test_pages_have_no_serious_fault_of_accessibility(browser: Any, console: Any
             assert console.faults(page, scheme) == [], (name, scheme)
         page.set_viewport_size({"width": 390, "height": 900})
         page.wait_for_function("document.documentElement.scrollWidth <= 390")
+        assert page.evaluate(CUT) == [], name
     page.close()

@@ -24,7 +24,7 @@ from armsight.ops.identification.live import open_devices
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.following import followed_cell, watching_cell
 from armsight.ops.simulation.scenarios import live_cell, load_scenario, with_arm
-from armsight.optics import SIDES
+from armsight.optics import Camera, parallel_rig
 from armsight.records import JointReading
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping, write_arm
@@ -213,10 +213,11 @@ def test_who_cannot_be_followed_is_refused(make_egm: Any, scenario: Path) -> Non
     with refuses(Inconsistent, "has 3 joints", "has 6", "armsight simulate"):
         followed_cell("kapucu2005-rrp", robot, clock)
     job = RobotJob(robot="egm:6510", follow=str(scenario))
+    rig = parallel_rig(Camera.pinhole(640, 480, 800.0, 800.0, 319.5, 239.5), 0.1)
     with refuses(UsageError, "--left", "its own cameras"):
-        open_devices(job, SIDES, {"left": "camera:0"}, AUTOMATIC, LIGHT, clock)
+        open_devices(job, rig, {"left": "camera:0"}, AUTOMATIC, LIGHT, clock)
     with refuses(UsageError, "--follow SCENARIO"):
-        open_devices(RobotJob(robot="egm:6510"), SIDES, {}, AUTOMATIC, LIGHT, clock)
+        open_devices(RobotJob(robot="egm:6510"), rig, {}, AUTOMATIC, LIGHT, clock)
     with refuses(UsageError, "own cameras"):
         scenario_of(RobotJob(robot="sim:webcam-cell", follow=str(scenario)))
 

@@ -37,7 +37,6 @@ from armsight.ops.servo.vision import ServoDevices, measuring, open_servo, place
 from armsight.ops.verification.live import check_arm as check_supervised_arm
 from armsight.ops.verification.live import check_times, open_supervised
 from armsight.ops.verification.mastering import drawn_about
-from armsight.optics import SIDES
 from armsight.records import TaughtPath
 from armsight.store import read_rig, read_target
 
@@ -74,8 +73,8 @@ def planned(path, arm=UR, at=AT, **more):
 
 def supervised(play=False, **eyes):
     """Return a call that opens a robot and the cameras that watch it."""
-    link, settings = RobotJob(robot="egm:6510"), CameraSettings()
-    return lambda: open_supervised(link, SIDES, eyes, target(), ManualClock(), UR, play=play, camera_settings=settings)
+    link, settings = RobotJob(robot="egm:6510"), {"play": play, "camera_settings": CameraSettings()}
+    return lambda: open_supervised(link, read_rig("cell/rig.yaml"), eyes, target(), ManualClock(), UR, **settings)
 
 
 def times(**more):

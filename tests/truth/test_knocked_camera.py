@@ -75,6 +75,7 @@ def test_the_camera_that_was_knocked_is_named_and_the_poses_go_on_without_it(vie
     [
         (4, 2, 3, 40, {"turn_rad": TURN_RAD}),
         *((3, *at, {"shift_m": SHIFT_M}) for at in ((0, 0, 44), (2, 11, 44), (1, 1, 102))),
+        (3, 0, 3, MOMENTS, {"shift_m": 9e-5}),  # told as a shift alone: six free numbers prove nothing of it
     ],
 )
 def test_a_camera_that_is_knocked_during_the_run_is_named_with_the_moment(

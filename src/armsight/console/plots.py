@@ -92,7 +92,7 @@ class Ticks:
 
 
 GREY = "#737f8c"
-"""Readable on light and dark paper."""
+"""Of lines; words, which no one grey is plain enough for on light and dark paper, are as the page's: console.css."""
 LINES = ("#0072B2", "#D55E00", "#009E73")
 """Okabe and Ito's blue, vermillion and green."""
 SMALL_REM = 10
@@ -117,14 +117,14 @@ class Plot:
         legend = len(names) > 1
         options: dict[str, Any] = {
             "animation": False,
-            "title": {"text": title, "textStyle": {"color": GREY, "fontSize": 14}, "top": 0},
+            "title": {"text": title, "textStyle": {"fontSize": 14}, "top": 0},
             "grid": {"left": 62, "right": 20, "top": 55 if legend else 30, "bottom": 25},
             "xAxis": {
                 "axisLine": {"onZero": False},
                 "type": "value",
                 "min": "dataMin",
                 "max": "dataMax",
-                "axisLabel": {"formatter": along, "color": GREY, "showMinLabel": False},
+                "axisLabel": {"formatter": along, "showMinLabel": False},
                 "splitLine": {"lineStyle": {"color": GREY, "opacity": 0.25}},
                 "splitNumber": 3,
             },
@@ -132,14 +132,15 @@ class Plot:
                 "type": "value",
                 "scale": True,
                 "splitNumber": 3,
-                "axisLabel": {"color": GREY},
                 "splitLine": {"lineStyle": {"color": GREY, "opacity": 0.25}},
             },
             "series": [_line(name, first + i, dots=dots) for i, name in enumerate(names)],
         }
         if legend:
-            options["legend"] = {"data": list(names), "top": 24, "textStyle": {"color": GREY}}
-        self._chart = ui.echart(options).classes("w-full").style(f"height: {SMALL_REM + 2 * legend}rem")
+            options["legend"] = {"data": list(names), "top": 24}
+        self._chart = (
+            ui.echart(options, renderer="svg").classes("w-full plot").style(f"height: {SMALL_REM + 2 * legend}rem")
+        )
         if testid:
             self._chart.props["data-testid"] = testid
 

@@ -166,7 +166,7 @@ def calibrate_pivot(
     from armsight.measure.poses.pipeline import Setup
     from armsight.measure.settings import SpotSettings
     from armsight.ops.calibration.pivot import pivot
-    from armsight.ops.sources.cameras import named_cameras, open_rig
+    from armsight.ops.sources.cameras import named_cameras, open_rig, told_apart
     from armsight.ops.sources.pace import pace_of
     from armsight.records import Silent
 
@@ -174,7 +174,7 @@ def calibrate_pivot(
     settings = SpotSettings(colour=target.colour)
     setup = Setup(rig=rig, target=target, settings=settings, pace=pace_of(*named.values()))
     asked, colour = camera_settings or AUTOMATIC, target.colour is not None
-    moments = open_rig(rig.names, cameras=named, colour=colour, settings=asked)
+    moments = told_apart(open_rig(rig.names, cameras=named, colour=colour, settings=asked), rig)
     recording = TipRecording(point=_measured(point_m, point_std_m), good_m=goal_m)
     return pivot(setup, moments, recording, progress or Silent())
 

@@ -306,7 +306,7 @@ def supervise(
         setup = live.setup_of(rig, target)
         watch = eyes.CameraEyes(setup, (rig, target), frames=keep_frames)
         devices = devices or live.open_supervised(
-            *(link, setup.rig.names, views, setup.target, clock, arm),
+            *(link, setup.rig, views, setup.target, clock, arm),
             play=play,
             camera_settings=camera_settings or AUTOMATIC,
         )
@@ -317,6 +317,7 @@ def supervise(
         rig_covariance=None if stand.covariance is None else stand.covariance.matrix,
         joint_std=max(joint_std, RobotTraits.of(devices.robot).reading_std),
         time_std_s=0.0 if devices.origin_s is not None else latency_std_s,
+        turns=watch.turns,
     )
     live.check_arm(arm, devices)
     live.check_stop(devices.robot, asked=stop_m is not None or stop_rad is not None or blind_stop_s is not None)

@@ -133,7 +133,8 @@ class PredictedPose:
 
     arm: its tool is the target; T_world_base is that of the frame the rig's place T_parent_rig is given in.
     rig_covariance (6, 6): of T_parent_rig, None where not known. joint_std: of a reading, rad or m. time_std_s: of the
-    exposure on the robot's clock.
+    exposure on the robot's clock. turns (s, 4, 4): of the target's axes, by which it looks the same; of these the one
+    nearest to what is expected is taken, since no picture tells them apart.
     """
 
     arm: Arm
@@ -141,6 +142,7 @@ class PredictedPose:
     rig_covariance: Array | None = None
     joint_std: float = 0.0
     time_std_s: float = 0.0
+    turns: Array = field(default_factory=lambda: np.eye(4)[None])
 
     def compare(self, pose: TargetPose, joints: JointsAt) -> Compared:
         """Return a measured pose (status ok, in rig axes) beside the one expected at these joints.
@@ -150,14 +152,15 @@ class PredictedPose:
         if pose.status is not PoseStatus.OK or pose.T_parent_target is None or pose.covariance is None:
             raise UsageError("only a whole pose can be compared")
         P = self.T_parent_rig.as_matrix()
-        T = P @ pose.T_parent_target  # (4, 4)
-        turned = np.kron(np.eye(2), P[:3, :3])  # (6, 6): rig axes to the parent's
+        E, changing, staying = self._expected(joints)
+        counted = P @ pose.T_parent_target  # (4, 4), its axes as the picture had them
+        T = max(counted @ self.turns, key=lambda one: float((one[:3, :3] * E[:3, :3]).sum()))
+        turned = lever(T[:3, 3] - counted[:3, 3]) @ np.kron(np.eye(2), P[:3, :3])  # (6, 6): rig axes to the parent's
         own = turned @ pose.covariance @ turned.T
         lasting = np.zeros((6, 6))
         if pose.systematic_covariance is not None:
             lasting = turned @ pose.systematic_covariance @ turned.T
         measured = own + self._placed(T[:3, 3] - P[:3, 3])
-        E, changing, staying = self._expected(joints)
         turn = Rotation.from_matrix(T[:3, :3] @ E[:3, :3].T).as_rotvec()
         return Compared(
             t_s=pose.t_s,
@@ -171,9 +174,8 @@ class PredictedPose:
         """Return (6, 6) what the rig's uncertain position does to a target that is way (3,) from it."""
         if self.rig_covariance is None:
             return np.zeros((6, 6))
-        lever = np.eye(6)
-        lever[:3, 3:] = -skew(way)
-        return np.asarray(lever @ self.rig_covariance @ lever.T)
+        moved = lever(way)
+        return np.asarray(moved @ self.rig_covariance @ moved.T)
 
     def _expected(self, joints: JointsAt) -> tuple[Array, Array, Array]:
         """Return the expected pose (4, 4) and the covariances (6, 6) of what changes in it and of what stays."""
@@ -192,6 +194,13 @@ class PredictedPose:
             C = columns[:, [names.index(arm.covariance.names[k]) for k in chosen]]
             staying = staying + C @ arm.covariance.matrix[np.ix_(chosen, chosen)] @ C.T
         return T, noise, staying
+
+
+def lever(way: Array) -> Array:
+    """Return (6, 6): how a pose's error moves a point that is way (3,) from its origin and turns with it."""
+    out = np.eye(6)
+    out[:3, 3:] = -skew(way)
+    return out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

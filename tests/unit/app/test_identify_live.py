@@ -30,7 +30,7 @@ from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallback
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.saving import write_with_page
 from armsight.ops.simulation.scenarios import load_scenario
-from armsight.optics import SIDES
+from armsight.optics import Camera, parallel_rig
 from armsight.records import Frame, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.store import (
     read_rig,
@@ -366,9 +366,10 @@ def test_limits_and_devices_are_read_as_written(tmp_path: Path) -> None:
     with pytest.raises(BadFile):
         read_limits(str(tmp_path / "limits.yaml"))
     target = target_from_mapping({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}}, "target")
+    rig = parallel_rig(Camera.pinhole(640, 480, 800.0, 800.0, 319.5, 239.5), 0.1)
     for robot, left in (("sim:kapucu2005-rrp", "camera:0"), ("sim", "left/*.png")):
         with pytest.raises(UsageError):
-            open_devices(RobotJob(robot=robot), SIDES, {"left": left, "right": "x"}, AUTOMATIC, target, ManualClock())
+            open_devices(RobotJob(robot=robot), rig, {"left": left, "right": "x"}, AUTOMATIC, target, ManualClock())
 
 
 def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from tests.truth.camera_ring import Ring, pose, ring
 from tests.truth.test_knocked_camera import knocked
 from tests.truth.test_views import draw, setup_of
 
+from armsight import drivers
 from armsight.app.live import measurement
 from armsight.app.live.measurement import LiveJob, LiveMeasurement, MeasuredMoment
 from armsight.app.live.station import _News, _Worker
@@ -21,10 +23,13 @@ from armsight.clock import ManualClock
 from armsight.console.layout import level_of
 from armsight.console.pages.live import camera_state
 from armsight.console.state import Console, steps_of
-from armsight.drivers import TimedMoments
-from armsight.errors import DeviceLost, Inconsistent, UsageError
-from armsight.records import Frame
-from armsight.store import write_rig, write_target
+from armsight.drivers import AUTOMATIC, TimedMoments, news_of
+from armsight.errors import DeviceLost, Inconsistent, NotEnoughData, UsageError
+from armsight.ops.calibrate_robot import calibrate_pivot
+from armsight.ops.requests.motion import RobotJob
+from armsight.ops.verification.live import open_supervised
+from armsight.records import CameraTiming, Frame
+from armsight.store import read_target, write_rig, write_target
 from armsight.store.cell_file import CellFile
 from refusals import names_it, refuses
 
@@ -69,6 +74,10 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_rig(folder / "rig.yaml", setup.rig)
     write_target(folder / "target.yaml", setup.target)
     return folder
+
+
+def dark(number: int) -> Frame:
+    return Frame(image=np.zeros((720, 1280), np.uint8), t_s=0.2 * number, sequence=number, source="dark")
 
 
 def job(cell: Path) -> LiveJob:
@@ -129,6 +138,42 @@ def test_a_camera_that_is_knocked_is_named_and_left_out(cell: Path, monkeypatch:
     assert last.status == "ok" and last.cameras["c2"].names == set() and len(last.cameras["c0"].names) >= 3
     words, level = camera_state(last.cameras["c2"], 6)
     assert level == "bad" and names_it(words, "c2", "--again c2")
+
+
+def late_cameras(cameras: Any, *, tell: Any, **_: Any) -> TimedMoments:
+    """Cameras in the dark, each 4 ms after the one before it."""
+    films = [[replace(dark(k), t_s=0.2 * k + 0.004 * i) for k in range(40)] for i in range(len(cameras))]
+    webcams = [Webcam(name, film, unplugged=False) for name, film in zip(cameras, films, strict=True)]
+    return TimedMoments(*webcams, names=tuple(cameras), tell=tell)
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_cameras_that_run_freely_are_told_by_all_that_watch_them(
+    cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timed: bool
+) -> None:
+    monkeypatch.setattr(drivers, "open_moments", late_cameras)
+    rig, target = setup_of(ring(4)).rig, read_target(cell / "target.yaml")
+    rig = replace(rig, timing=(CameraTiming(),) * 4) if timed else rig
+    write_rig(tmp_path / "rig.yaml", rig)
+    sources = {name: f"camera:{k}" for k, name in enumerate(NAMES)}
+    told: list[Any] = []
+    pipe: Any = SimpleNamespace(send=told.append)
+    worker = _Worker(replace(job(cell), rig=tmp_path / "rig.yaml", cameras=sources), pipe, pipe, ManualClock())
+    with worker._measurement.source:
+        for moment in worker._measurement.moments():
+            worker._take(moment)
+    on_page = [one.text for one in told if isinstance(one, _News)]
+    link, settings = RobotJob(robot="egm:6510"), {"play": False, "camera_settings": AUTOMATIC}
+    devices: Any = open_supervised(link, rig, sources, target, ManualClock(), None, **settings)
+    news: list[str] = []
+    with devices.pairs as moments:
+        supervised = [text for _ in moments for text in news_of(moments, news)]
+    with warnings.catch_warnings(record=True) as caught, refuses(NotEnoughData, "tip"):
+        warnings.simplefilter("always")
+        calibrate_pivot(rig, target, cameras=sources)
+    pivoted = [str(one.message) for one in caught]
+    assert on_page == supervised == pivoted and len(pivoted) == (not timed)
+    assert timed or names_it(pivoted[0], *NAMES, "calibrate timing")
 
 
 def test_a_good_rig_leaves_none_out(unplugged: list[MeasuredMoment]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasur
 from armsight.app.live.station import MeasurementProcess
 from armsight.clock import ManualClock, SystemClock
 from armsight.errors import DeviceFailed
+from armsight.measure.poses.outcome import judged_by
 from armsight.store.recording import Recording
 
 PATIENCE_S = 60.0
@@ -42,6 +44,19 @@ def test_the_poses_are_the_scenes(scene: Any) -> None:
     assert all(
         spot.residual_px is not None and np.hypot(*spot.residual_px) < 0.5 for spot in last.cameras["left"].spots
     )
+
+
+def test_the_residual_on_the_page_is_the_one_that_measure_tells(
+    scene: Any, armsight: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = moments(LiveMeasurement(job(scene), ManualClock()))[0]
+    worst = [np.linalg.eigvalsh(spots.covariance_px2)[:, 1] for spots in first.spots]
+    sights = np.sqrt(np.sort(np.concatenate(worst)))
+    monkeypatch.setattr(sys.modules[judged_by.__module__], "JUDGED_PX", 0.5 * (sights[3] + sights[4]))
+    done = armsight("measure", *scene.inputs, *scene.sources(), "--frames", 1, "-o", tmp_path / "out").json
+    assert done["n_aside"] == 2
+    shown = moments(LiveMeasurement(job(scene), ManualClock()))[0].view.residual_px
+    assert shown == pytest.approx(done["reprojection_rms_px"]) and shown != pytest.approx(first.view.residual_px)
 
 
 def test_nothing_is_looked_for_under_a_mask(scene: Any) -> None:

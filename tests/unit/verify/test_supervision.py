@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.calibrate.cameras.pairing import turns_of
 from armsight.errors import StaleData, UsageError
 from armsight.kinematics import fk, preset
 from armsight.records import JointReading, PoseStatus, TargetPose
 from armsight.records.motion import JointHistory, JointsAt
+from armsight.store.targets import parse_board
 from armsight.verify.supervision import CALM, Compared, Level, Limits, PredictedPose, Watch
 
 ARM = preset("irb120")
@@ -72,6 +74,30 @@ def test_what_the_cameras_leave_open_is_turned_into_the_bases_axes() -> None:
     turned = np.kron(np.eye(2), RIG.rotation.as_matrix())
     np.testing.assert_allclose(found.systematic, turned @ lasting @ turned.T, atol=1e-18)
     np.testing.assert_allclose(found.random, turned @ (own - lasting) @ turned.T, atol=1e-18)
+
+
+def test_a_board_that_looks_the_same_after_half_a_turn_is_taken_as_the_arm_has_it() -> None:
+    """Counted from its other end, where its place is known exactly and its rotation to 1 mrad about x and y."""
+    board = parse_board("checkerboard:7x5:0.02")
+    assert len(turns_of(parse_board("checkerboard:9x6:0.02"))) == 1 and len(turns_of(board)) == 2
+    expected = RIG.inv() * RigidTransform.from_matrix(fk(ARM, Q))
+    half = RigidTransform.from_components([0.12, 0.08, 0.0], Rotation.from_euler("z", 180.0, degrees=True))
+    R = expected.rotation.as_matrix()
+    covariance = np.zeros((6, 6))
+    covariance[3:, 3:] = R @ np.diag([1e-6, 1e-6, 0.0]) @ R.T
+    pose = TargetPose(
+        t_s=0.0,
+        status=PoseStatus.OK,
+        parent="rig",
+        T_parent_target=(expected * half).as_matrix(),
+        covariance=covariance,
+    )
+    found = PredictedPose(arm=ARM, T_parent_rig=RIG, turns=turns_of(board)).compare(pose, STILL)
+    np.testing.assert_allclose(found.error, np.zeros(6), atol=1e-9)
+    along = R.T @ RIG.rotation.as_matrix().T @ found.random[:3, :3] @ RIG.rotation.as_matrix() @ R
+    np.testing.assert_allclose(along, np.diag([0.0, 0.0, 1e-6 * (0.12**2 + 0.08**2)]), atol=1e-14)
+    other = PredictedPose(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
+    assert other.error_rad > 3.0 and other.error_m > 0.1
 
 
 def test_a_doubtful_pose_is_not_compared() -> None:

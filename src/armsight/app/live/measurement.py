@@ -30,11 +30,12 @@ from armsight.ops.measurement.outputs import moved_pose
 from armsight.ops.measurement.run import target_of
 from armsight.ops.simulation.following import when_heard
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.cameras import cameras_of, open_cameras
+from armsight.ops.sources.cameras import cameras_of, open_cameras, told_apart, told_later
 from armsight.ops.sources.frames import open_source
 from armsight.ops.sources.pace import live_pace
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, Spots, TargetPose
+from armsight.report.residuals import distance_rms
 from armsight.store import World, read_rig, read_world
 from armsight.store.cell_file import COMPLEX
 
@@ -164,6 +165,8 @@ class LiveMeasurement:
         require_kind(job, self.rig)
         self.source = source or _opened(job, colour)
         """Where the frames come from; to be opened with `with`."""
+        if self.rig is not None:
+            told_apart(self.source, self.rig)
         self._paced = source is None and not job.live
         self.views: tuple[str, ...] = SIDES if job.complex else tuple(job.cameras)
         """The rig's cameras."""
@@ -212,11 +215,13 @@ class LiveMeasurement:
         world = self._world
         pose = moved_pose(measured.pose, world.T_parent_rig, world.parent) if world else measured.pose
         self._counts[pose.status] += 1
+        judged = [measured.judged_px(s) for s in range(len(measured.spots))]
         run = RunView(
             fps=self._fps(),
             latency_s=self._clock.now_s() - _first(frames).t_s,
             measuring_s=took_s,
             counts=Counts(**{status.value: n for status, n in self._counts.items()}),
+            residual_px=distance_rms(judged),
         )
         self._show(frames, measured)
         n_lights = None if self.target is None else len(self.target.names)
@@ -349,7 +354,7 @@ def require_kind(job: LiveJob, rig: Rig | None) -> None:
 
 def _opened(job: LiveJob, colour: bool) -> MomentSource:
     if not job.complex:
-        return open_cameras(job.cameras, colour=colour, fps=job.fps, tell=lambda _: None)  # it is shown, and told
+        return open_cameras(job.cameras, colour=colour, fps=job.fps, tell=told_later)  # it is shown
     return OneImage(open_source(job.cameras[COMPLEX], colour=colour, fps=job.fps))
 
 

@@ -93,7 +93,7 @@ class MeasurementProcess:
     """The measuring process from the outside. Threads of the caller may use it at once.
 
     `shown` is the newest moment, `failure` why it does not measure (empty where it does). tell: is told once, in a
-    thread of its own, of each camera that is lost or left out while the others go on.
+    thread of its own, of each camera that is lost or left out while the others go on, and of cameras that run freely.
     """
 
     def __init__(
@@ -296,8 +296,9 @@ class _Worker:
 
     def _take(self, moment: MeasuredMoment) -> None:
         self._recording.put({"image" if name == COMPLEX else name: frame for name, frame in moment.frames.items()})
-        for name, view in moment.view.cameras.items():
-            what = f"the camera {name} is lost: {view.lost}" if view.lost else view.left_out
+        views, apart = moment.view.cameras.items(), getattr(self._measurement.source, "apart", "")
+        away = [f"the camera {name} is lost: {view.lost}" if view.lost else view.left_out for name, view in views]
+        for what in (*away, apart):
             if what and what not in self._told:
                 self._told.add(what)
                 self._post(_News(what))

@@ -99,7 +99,7 @@ class LiveView(Output):
     covariance_m2: Annotated[
         list[list[float]] | None, Doc("Covariance of the position (3, 3), m squared, where it is known.")
     ] = None
-    residual_px: Annotated[float | None, Doc("RMS of the reprojection residuals.")]
+    residual_px: Annotated[float | None, Doc("RMS of the 2-D residual of lights in views known to 1 px, px.")]
     counts: Annotated[Counts, Doc("Since the start.")]
     cameras: Annotated[dict[str, SideView], Doc("By camera, in the rig's order; of mirrors by view.")]
     n_lights: Annotated[int | None, Doc("Lights of the target; null without one.")] = None
@@ -113,6 +113,7 @@ class RunView:
     latency_s: float
     measuring_s: float
     counts: Counts
+    residual_px: float | None = None
 
 
 def live_view(pose: TargetPose, run: RunView, cameras: Mapping[str, SideView], n_lights: int | None = None) -> LiveView:
@@ -133,7 +134,7 @@ def live_view(pose: TargetPose, run: RunView, cameras: Mapping[str, SideView], n
         quat_xyzw=_four(T.rotation.as_quat(canonical=True)) if whole and T is not None else None,
         std=None if covariance is None else tuple(np.sqrt(np.diag(covariance)).tolist()),
         covariance_m2=None if covariance is None else np.asarray(covariance)[:3, :3].tolist(),
-        residual_px=float(np.sqrt(np.mean(pose.residual_px**2))) if len(pose.residual_px) else None,
+        residual_px=run.residual_px,
         counts=run.counts,
         cameras=dict(cameras),
         n_lights=n_lights,

@@ -9,9 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+
 from armsight.app.live.station import MeasurementProcess, Snapshot
 from armsight.app.operator.robot_cell import RobotCell, read_placement
 from armsight.app.operator.station_observer import Snapshots, StationFollower
+from armsight.calibrate.cameras.pairing import turns_of
 from armsight.clock import SystemClock
 from armsight.control.session.operator_session import Person
 from armsight.defaults import BLIND_S, JOINT_STD, LATENCY_STD_S
@@ -136,11 +139,13 @@ class StationSupervisor(StationFollower):
 def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> PredictedPose:
     if cell.on_robot:
         raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
-    target = cell_path(folder, cell.target, "target")
+    target, turns = cell_path(folder, cell.target, "target"), np.eye(4)[None]
     if target is not None:
-        require_rotation(target_of(target), NOT_SUPERVISED)
+        seen = target_of(target)
+        require_rotation(seen, NOT_SUPERVISED)
+        turns = turns_of(seen)
     arm, T_world_rig = read_placement(folder, cell).on_robot(robot.session.arm, "Nothing is supervised")
-    return PredictedPose(arm=arm, T_parent_rig=T_world_rig, joint_std=JOINT_STD, time_std_s=LATENCY_STD_S)
+    return PredictedPose(arm=arm, T_parent_rig=T_world_rig, joint_std=JOINT_STD, time_std_s=LATENCY_STD_S, turns=turns)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -62,6 +62,16 @@ def pair_views(
     return replace(observations, uv=uv, weight=weight), paired
 
 
+def turns_of(target: Target) -> Array:
+    """Return (s, 4, 4): how the axes of a target may be turned so that it looks the same; of most one, not at all."""
+    turns = symmetries(target)
+    middle = target.xyz_m.mean(axis=0)
+    out = np.tile(np.eye(4), (len(turns), 1, 1))
+    out[:, :3, :3] = spins_of(target.xyz_m - middle, turns)
+    out[:, :3, 3] = middle - out[:, :3, :3] @ middle
+    return out
+
+
 def spins_of(X: Array, turns: Sequence[Index]) -> Array:
     """Return the rotations (S, 3, 3) that carry a symmetric print's points onto each other."""
     return np.stack([_spin(X, turn) for turn in turns])

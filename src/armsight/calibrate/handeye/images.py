@@ -9,9 +9,10 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
+from armsight.calibrate.cameras.pairing import turns_of
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.calibrate import (
     calibrate_eye_in_hand,
@@ -228,9 +229,8 @@ def turned_views(
     F = stack(T_base_flange)
     RF = (F if setup is Setup.EYE_IN_HAND else F.inv()).rotation.as_matrix()
     RB = poses_of_views(views, camera, board).T_camera_target.rotation.as_matrix()
-    X = board.xyz_m - board.xyz_m.mean(axis=0)
-    # the board's rotation is multiplied by it from the right where its points are renumbered so
-    G = np.stack([Rotation.align_vectors(X, X[turn])[0].as_matrix() for turn in turns])  # (S, 3, 3)
+    # the board's rotation is multiplied by its inverse from the right where its points are renumbered so
+    G = turns_of(board)[:, :3, :3].transpose(0, 2, 1)
     chosen = _chosen(RF, np.einsum("nij,sjk->nsik", RB, G))
     out = [
         view if s == 0 else replace(view, index=turns[s][view.index])

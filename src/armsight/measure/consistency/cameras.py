@@ -6,6 +6,7 @@ of the rig may have moved, the first one as well.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -79,7 +80,7 @@ def causes_of_cameras(setup: Setup, basis: Array) -> tuple[Cause, ...]:
     own = [cause for k in range(v) for cause in _of_camera(setup, q, k, alone=v == 1)]
     size = [_scale(setup, basis, q)] if v > 1 else []  # one camera does not tell a larger target from a farther one
     static = [*size, *lights(setup, basis, q, pose_at(setup, v)), *own]
-    changed = [_since(cause) for cause in moved]
+    changed = [_since(setup, q, k) for k in range(v)] if moved else []
     both = []
     if v >= 2 * AGREEING:
         both = [_both(one, other) for one, other in combinations(moved, 2)]
@@ -140,18 +141,15 @@ def _moved(setup: Setup, q: int, k: int) -> Cause:
     )
 
 
-def _since(moved: Cause) -> Cause:
-    return Cause(
-        key=f"{moved.key} in the run",
-        V=moved.V,
-        width=moved.width,
-        labels=moved.labels,
-        unit=moved.unit,
-        words=f"{moved.words} during the run",
-        advice=moved.advice,
-        from_change=True,
-        cameras=moved.cameras,
-    )
+def _since(setup: Setup, q: int, k: int) -> Cause:
+    """Return the cause that a camera moved during the run, and beside it that it turned only, or shifted only."""
+
+    def later(cause: Cause, what: str, parts: tuple[Cause, ...] = ()) -> Cause:
+        words = f"the camera {cause.cameras[0]} has {what} during the run"
+        return replace(cause, key=f"{cause.key} in the run", words=words, from_change=True, parts=parts)
+
+    turned, displaced = _of_camera(setup, q, k, alone=False)[:2]
+    return later(_moved(setup, q, k), "moved", (later(turned, "turned"), later(displaced, "shifted")))
 
 
 def _both(one: Cause, other: Cause) -> Cause:

@@ -34,7 +34,7 @@ class Cause:
 
     labels (k,): of the numbers. same: other directions (q, k) that leave the same residuals and move the poses in
     another way. from_change: since some moment of the run, not from its beginning. unit: of the numbers, SI. cameras:
-    whose fault it is, of a rig that is no pair.
+    whose fault it is, of a rig that is no pair. parts: causes of fewer numbers, tried at the moment found for this one.
     """
 
     key: str
@@ -47,6 +47,7 @@ class Cause:
     same: tuple[Array, ...] = ()
     from_change: bool = False
     cameras: tuple[str, ...] = ()
+    parts: tuple[Cause, ...] = ()
 
     @property
     def of_two_kinds(self) -> bool:

@@ -167,7 +167,10 @@ def _explained(sums: Sums, causes: tuple[Cause, ...], *, changes: bool) -> list[
     suspects = {f.cause.cameras[0] for f in found if f.cause.cameras and f.gain > SUSPECT}
     both = [cause for cause in static if len(cause.cameras) > 1 and suspects.issuperset(cause.cameras)]
     found += [_explain(sums, cause, sums.whole) for cause in both]
-    return found + [_changed(sums, cause) for cause in causes if changes and cause.from_change]
+    since = [_changed(sums, cause) for cause in causes if changes and cause.from_change]
+    wholes, parts = [f for f, _ in since], [f for _, some in since for f in some]
+    likely = [max(some, key=lambda f: f.evidence).cause.cameras for some in (wholes, parts) if some]
+    return found + wholes + parts * (len(set(likely)) == 1)  # else a camera that turned stands for one that did more
 
 
 def possible(evidence: Evidence) -> tuple[Cause, ...]:
@@ -296,8 +299,8 @@ def _explain(
     return out if proven else replace(out, significant=False)
 
 
-def _changed(sums: Sums, cause: Cause) -> Finding:
-    """Return the cause from the moment at which it explains most; the choice of the moment is paid for.
+def _changed(sums: Sums, cause: Cause) -> tuple[Finding, list[Finding]]:
+    """Return the cause from the moment at which it explains most, and its parts from there; the choice is paid for.
 
     Of a change within a block only sums over both of its parts are known. Its frames being alike, a cause that held in
     a share s of it has moved these as s of its size would have all along: score and rig's part by s, its own
@@ -305,7 +308,7 @@ def _changed(sums: Sums, cause: Cause) -> Finding:
     """
     blocks, fine, start_s = sums.evidence.blocks, sums.evidence.fine, [block.start_s for block in sums.evidence.blocks]
 
-    def since(i: int, share: float = 1.0) -> Finding:
+    def since(i: int, share: float = 1.0, cause: Cause = cause) -> Finding:
         part = Block(start_s[i], share * blocks[i].information, share * blocks[i].score)
         for block in blocks[i + 1 :]:
             part.add(block)
@@ -315,9 +318,12 @@ def _changed(sums: Sums, cause: Cause) -> Finding:
     found = _searched(len(blocks), fine, since, lambda f: f.evidence)
     best = max(found, key=lambda i: found[i].evidence)
     within = WITHIN if fine > 1 and blocks[0].frames > 1 else ()
-    every = [*found.values(), *(since(i, share) for i in (best - 1, best) for share in within)]
-    chosen, moments = max(every, key=lambda f: f.evidence), (len(blocks) - 1) * (1 + len(within))
-    return replace(chosen, evidence=chosen.evidence - log(moments))
+    every = {(i, 1.0): f for i, f in found.items()}
+    every |= {(i, share): since(i, share) for i in (best - 1, best) for share in within}
+    at, moments = max(every, key=lambda at: every[at].evidence), (len(blocks) - 1) * (1 + len(within))
+    chosen = [every[at], *(since(*at, part) for part in cause.parts)]
+    whole, *parts = [replace(f, evidence=f.evidence - log(moments)) for f in chosen]
+    return whole, parts
 
 
 def _searched(n: int, fine: int, of: Callable[[int], T], worth: Callable[[T], float]) -> dict[int, T]:

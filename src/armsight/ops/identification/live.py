@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -114,7 +115,7 @@ def identify_live(
     setup = Setup(rig=known.rig, target=target, settings=beacon_settings(target, mask))
     sweeps = replace(sweeps, around_m=reach_m(target))
     require_views(setup, len(known.rig.cameras))
-    robot, moments = devices or open_devices(link, known.rig.names, sources, settings, target, clock)
+    robot, moments = devices or open_devices(link, known.rig, sources, settings, target, clock)
     prepare(progress, views=not known.rig.is_pair)  # a controller that waits for compilers gives the link up
     with robot, moments:
         observer = CameraBeaconObserver(setup, moments_of(moments), clock)
@@ -235,14 +236,15 @@ def _probe_question(robot: Robot, limits: Array) -> str:
 
 def open_devices(
     link: RobotJob,
-    names: Sequence[str],
+    rig: Rig,
     sources: Mapping[str, str],
     settings: CameraSettings,
     target: Target,
     clock: Clock,
 ) -> tuple[Robot, MomentSource]:
-    """Return the robot and the cameras of these names; nothing is opened yet. Raises as open_supervised."""
-    seen = open_supervised(link, names, sources, target, clock, None, play=False, camera_settings=settings)
+    """Return the robot and a rig's cameras; nothing is opened yet. Raises as open_supervised."""
+    of_robot = (link, rig, sources, target, clock, None)
+    seen = open_supervised(*of_robot, play=False, camera_settings=settings, tell=warnings.warn)
     return seen.robot, cast(MomentSource, seen.pairs)  # of cameras
 
 

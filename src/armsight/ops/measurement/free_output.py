@@ -65,7 +65,7 @@ def measure_free(
         poses,
         done.consistency,
         grounds_of(poses),
-        (rms_px, FrameTime(median=ms, p99=None)),
+        (rms_px, FrameTime(median=ms, p99=None), done.n_aside),
         timing=done.figures,
         zoom=zooms_of(zoomed),
         by_camera=None if setup.rig.is_pair else _by_camera(setup, done, [len(stream.t_s) for stream in streams]),
@@ -148,6 +148,7 @@ def _report(
         rig=setup.rig,
         target=setup.target,
         residuals=done.residuals,
+        n_aside=done.n_aside,
         median_ms=found.ms_per_frame.median,
         parent="rig" if world is None else world.parent,
         subtitle=f"{len(poses)} poses over {poses[-1].t_s - poses[0].t_s:.1f} s, from "

@@ -45,11 +45,13 @@ BEFORE_S = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreeRun:
-    """Poses at the times asked for, the views they come from, their residuals by camera (m, 3): view, u, v in px."""
+    """Poses at the times asked for, the views they come from, their residuals by camera (m, 3): view, u, v in px,
+    of all sights but n_aside, known too badly to judge by."""
 
     poses: Sequence[MovingPose]
     views: Sequence[View]
     residuals: dict[str, Array]
+    n_aside: int
     figures: FreeRunning
     consistency: Consistency
 
@@ -190,8 +192,10 @@ def _smoothed(
         for t, state in zip(at_s, asked, strict=True)
     ]
     figures = figures_of(setup, smoothed.timing, views, len(starts), chi2, asked, times)
-    residuals = _by_camera(setup.rig.names, found)
-    return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures, consistency=check.verdict)
+    residuals, n_aside = _by_camera(setup.rig.names, found), int((~found.judged).sum())
+    return FreeRun(
+        poses=poses, views=views, residuals=residuals, n_aside=n_aside, figures=figures, consistency=check.verdict
+    )
 
 
 def _by_camera(names: Sequence[str], found: MotionResiduals) -> dict[str, Array]:

@@ -201,15 +201,15 @@ class Outputs:
         poses: Sequence[TargetPose],
         consistency: Consistency,
         grounds: Grounds,
-        views: tuple[float | None, FrameTime] | None = None,
+        views: tuple[float | None, FrameTime, int] | None = None,
         **more: Any,
     ) -> MeasureResult:
         """Return the figures of all poses; more: of the result.
 
-        views: reprojection RMS (px) and time of views that are no frames of pairs; else it is of the 2-D residual per
-        point, pooled over all frames.
+        views: reprojection RMS (px), time and n_aside of views that are no frames of pairs; else it is of the 2-D
+        residual per point, pooled over all frames.
         """
-        rms_px, took = views or self._of_pairs()
+        rms_px, took, n_aside = views or self._of_pairs()
         return MeasureResult(
             reprojection_rms_px=rms_px,
             ms_per_frame=took,
@@ -225,14 +225,15 @@ class Outputs:
             made_with=made_with(setup.rig, setup.target),
             grounds=grounds,
             poses=PoseTrack(poses=tuple(poses)),
-            n_aside=self._aside or None,
+            n_aside=n_aside or None,
             **more,
         )
 
-    def _of_pairs(self) -> tuple[float | None, FrameTime]:
+    def _of_pairs(self) -> tuple[float | None, FrameTime, int]:
         ms, n = np.array(self._ms), self._residuals
         median, p99 = (float(np.median(ms)), float(np.percentile(ms, 99))) if len(ms) else (None, None)
-        return float(np.sqrt(2.0 * self._squares_px2 / n)) if n else None, FrameTime(median=median, p99=p99)
+        rms_px = float(np.sqrt(2.0 * self._squares_px2 / n)) if n else None
+        return rms_px, FrameTime(median=median, p99=p99), self._aside
 
 
 def _status_of_points(pose: TargetPose) -> PoseStatus:

@@ -9,7 +9,7 @@ from functools import partial
 from armsight.clock import Clock
 from armsight.drivers import CameraSettings, MomentSource
 from armsight.ops.requests.motion import LATENCY_S
-from armsight.ops.sources.cameras import named_cameras, open_rig, told_apart
+from armsight.ops.sources.cameras import named_cameras, open_rig, told_apart, told_later
 from armsight.ops.sources.frames import complex_pairs, open_source
 from armsight.optics import Rig
 from armsight.records import Target
@@ -47,13 +47,9 @@ class CameraNames:
             return complex_pairs(partial(open_source, self.image, colour=colour, settings=settings, clock=clock), rig)
         if self.image is not None or not self.cameras:
             return None
-        moments = open_rig(rig.names, cameras=self.cameras, colour=colour, settings=settings, tell=_told_later)
+        moments = open_rig(rig.names, cameras=self.cameras, colour=colour, settings=settings, tell=told_later)
         return told_apart(moments, rig), False
 
     def named(self) -> dict[str, str]:
         """Return all sources by their flag's name."""
         return {**self.cameras, **({} if self.image is None else {"image": self.image})}
-
-
-def _told_later(message: str) -> None:
-    """Leave it to who takes the moments to tell what a source has to tell: news_of."""

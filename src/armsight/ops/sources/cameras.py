@@ -164,6 +164,10 @@ def told_apart(source: S, rig: Rig) -> S:
     return source
 
 
+def told_later(message: str) -> None:
+    """Leave it to who takes the moments to tell what a source has to tell: news_of."""
+
+
 def open_cameras(
     cameras: Mapping[str, str],
     *,

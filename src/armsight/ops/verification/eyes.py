@@ -7,6 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
+from armsight.arrays import Array
+from armsight.calibrate.cameras.pairing import turns_of
 from armsight.drivers import Views, by_name
 from armsight.drivers.trackers.source import TrackedBody
 from armsight.measure.consistency.findings import LeftOut
@@ -27,7 +31,9 @@ class Sighted:
 
 
 class Eyes(Protocol):
-    """What measures the moments of a source. of_pair: it is two cameras."""
+    """What measures the moments of a source. of_pair: it is two cameras. turns: see PredictedPose."""
+
+    turns: Array
 
     @property
     def of_pair(self) -> bool:
@@ -50,6 +56,7 @@ class CameraEyes:
     def __init__(self, setup: Setup, files: Sequence[Path], *, frames: bool) -> None:
         self._rig, self._tracker = setup.rig, WatchedTracker(setup)
         self._files, self._frames, self.of_pair = files, frames, setup.rig.is_pair
+        self.turns = turns_of(setup.target)
 
     @property
     def contradictions(self) -> Sequence[LeftOut]:
@@ -78,7 +85,7 @@ class TrackerEyes:
     """A tracker that measures by itself."""
 
     contradictions: Sequence[LeftOut] = ()
-    of_pair = False
+    of_pair, turns = False, np.eye(4)[None]
 
     def attach(self, writer: RecordingWriter) -> None:
         """Write nothing: poses say all."""

@@ -25,9 +25,10 @@ from armsight.ops.requests.plant import Publishing
 from armsight.ops.robot.opening import refuse_settings, robot_of
 from armsight.ops.simulation.following import watching_cell
 from armsight.ops.simulation.scenarios import live_cell
-from armsight.ops.sources.cameras import cameras_of, open_cameras, require_watching
+from armsight.ops.sources.cameras import cameras_of, open_cameras, require_watching, told_apart, told_later
 from armsight.ops.sources.pace import live_pace
 from armsight.ops.verification.supervising import Supervised, Supervision
+from armsight.optics import Rig
 from armsight.records import Progress, Target
 from armsight.store import read_rig
 from armsight.store.rigs import World
@@ -219,7 +220,7 @@ SIM = "sim:"
 
 def open_supervised(
     link: RobotJob,
-    names: Sequence[str],
+    rig: Rig,
     given: Mapping[str, str],
     target: Target,
     clock: Clock,
@@ -227,9 +228,10 @@ def open_supervised(
     *,
     play: bool,
     camera_settings: CameraSettings,
+    tell: Callable[[str], None] = told_later,
 ) -> Supervised:
     """Return the robot and the cameras given by a rig's names; nothing is opened yet. play: a simulated robot goes by
-    itself.
+    itself. tell: takes what cameras have to tell.
 
     Raises UsageError, DeviceNotFound, BadFile.
     """
@@ -239,17 +241,17 @@ def open_supervised(
         refuse_cameras(link.follow, **given)
         camera_settings.require_none(f"the simulated cell {link.follow}")
         robot = robot_of(link, clock, arm)
-        cell = watching_cell(link.follow, robot, clock, cameras=tuple(names))
+        cell = watching_cell(link.follow, robot, clock, cameras=rig.names)
         return Supervised(robot=robot, pairs=cell.pairs, origin_s=lambda: float(cell.origin_s))
     require_named(given)
-    cameras = cameras_of(names, given)
+    cameras = cameras_of(rig.names, given)
     if link.robot.startswith(SIM):
         refuse_settings(link)
         return _simulated(link.robot, cameras, clock, play, camera_settings)
     require_watching(cameras.values(), link.robot)
     robot = robot_of(link, clock, arm)
-    pairs = open_cameras(cameras, colour=target.colour is not None, settings=camera_settings)
-    return Supervised(robot=robot, pairs=pairs)
+    pairs = open_cameras(cameras, colour=target.colour is not None, settings=camera_settings, tell=tell)
+    return Supervised(robot=robot, pairs=told_apart(pairs, rig))
 
 
 def _simulated(
