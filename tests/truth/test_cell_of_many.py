@@ -18,7 +18,7 @@ from cell_calibrated import calibrated, camera_squares
 from cell_cameras import Track, WebCam
 from cell_world import NAMED, CellWorld, watched_by_four
 
-SECONDS, SEED = 40.0, 1
+SECONDS, SEED = 26.0, 1
 
 
 @pytest.fixture(scope="module")

@@ -96,23 +96,6 @@ def test_several_tips_are_fitted_each_by_its_rows_and_deviations_hold():
         calibrate_touched(arm, touches, tolerance=TOLERANCE)
 
 
-def test_a_tip_that_was_changed_is_cured_by_a_name_of_its_own():
-    rng = np.random.default_rng(22)
-    arm, world, _ = drawn("irb120", rng)
-    near = np.array(NEAR["irb120"])
-    places = np.tile(world.there(near)[0], (50, 1))
-    places[::2] += [0.0, 0.27, 0.0]
-    ground = replace(world, tip=world.tip - [0.0, 0.0, 1e-3])
-    q = np.concatenate([world.touched(rng, places[:25], near), ground.touched(rng, places[25:], near)])
-    touches = touched(q, ["ba"[i % 2] for i in range(50)], lengths=KNOWN)
-    with refuses(Inconsistent, "two places") as caught:
-        calibrate_touched(arm, touches, tolerance=TOLERANCE)
-    assert "column tip" in caught.value.cure
-    done = calibrate_touched(arm, replace(touches, tip=("new",) * 25 + ("worn",) * 25), tolerance=TOLERANCE)
-    new, worn = (np.asarray(one.xyz_m) for one in done.arm.tool_points)
-    assert np.linalg.norm(new - worn) == pytest.approx(1e-3, abs=3e-4)
-
-
 def test_a_tip_that_hardly_touched_is_refused():
     arm, *_, touches, _ = of_spikes()
     with refuses(NotEnoughData, "bent", "5 times"):
