@@ -385,26 +385,3 @@ def test_only_numbers_of_a_matlab_file_are_read(tmp_path: Path) -> None:
     path.write_bytes(mat({"q_deg": np.ones((4, 6)), "s": {"a": {"b": 1}}, "c": np.array([{}, "x"], object), "t": "x"}))
     found = other_files._loaded(path.read_bytes(), other_files.MAT_NUMBERS)
     assert {name for name in found if not name.startswith("__")} == {"q_deg"}
-
-
-class Unbounded:
-    """A decompressor that does not ask how much is wanted."""
-
-    def decompress(self, data: bytes, *, max_length: int) -> bytes:
-        return bytes(lz4.frame.decompress(data))
-
-
-@pytest.mark.parametrize("rule", ["images", "chunks", "matlab"])
-def test_a_rule_that_is_taken_away_is_seen(rule: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if rule == "images":
-        monkeypatch.setattr(image_files, "too_large", lambda _: "")
-        assert image_files.decode_image(png(4_000, 4_000), "x").shape == (4_000, 4_000)
-    elif rule == "chunks":
-        monkeypatch.setattr(lz4.frame, "LZ4FrameDecompressor", Unbounded)
-        with pytest.raises(AssertionError):
-            test_a_chunk_unpacks_to_what_it_says_and_no_further("lz4", "a little", tmp_path, monkeypatch, None)
-    else:
-        monkeypatch.setattr(other_files, "MAT_COMPRESSED", -1)
-        monkeypatch.setattr(other_files, "MAT_BYTES", 1_000_000)
-        (tmp_path / "x.mat").write_bytes(mat({"x": np.zeros((1000, 1000))}))
-        assert len(other_files.mat_table(tmp_path / "x.mat")) == 1000

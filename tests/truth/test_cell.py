@@ -92,7 +92,8 @@ FAULTS: dict[str, tuple[type[DataRefused], tuple[str, ...]]] = {
     "still_joint": (Degenerate, ("did not move", "every joint turns")),
     "one_camera_blind": (NotEnoughData, ("saw", "see that the target's lights shine")),
 }
-"""What is planted -> how it is refused: cause and cure. A touched camera is in test_cell_of_many.py, an arm that gives way is in benchmarks/cell.py."""
+"""What is planted -> how it is refused: cause and cure. A touched camera is in test_cell_of_many.py, an arm that gives
+way in benchmarks/cell.py."""
 
 
 @pytest.mark.parametrize("fault", FAULTS)
