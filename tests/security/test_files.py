@@ -154,9 +154,8 @@ OTHER_KINDS = {
 
 
 @pytest.mark.parametrize("data", [*HUGE.values(), *OTHER_KINDS.values()], ids=[*HUGE, *OTHER_KINDS])
-@pytest.mark.parametrize("way", ["file", "recording"])
 def test_no_decoder_sees_an_image_that_is_huge_or_of_another_kind(
-    data: bytes, way: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    data: bytes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def decoder(*_: object) -> None:
         raise AssertionError("it was given to the decoder")
@@ -164,11 +163,9 @@ def test_no_decoder_sees_an_image_that_is_huge_or_of_another_kind(
     monkeypatch.setattr(cv2, "imdecode", decoder)
     (tmp_path / "x.png").write_bytes(data)
     with pytest.raises(DataRefused):
-        if way == "file":
-            image_files.read_image(tmp_path / "x.png")
-        else:
-            message = b"\x12" + _varint(len(data)) + data
-            decode(COMPRESSED_IMAGE, memoryview(message), "x.mcap")
+        image_files.read_image(tmp_path / "x.png")
+    with pytest.raises(DataRefused):
+        decode(COMPRESSED_IMAGE, memoryview(b"\x12" + _varint(len(data)) + data), "x.mcap")
 
 
 def _varint(value: int) -> bytes:
@@ -248,16 +245,16 @@ def _noted(unpack: Callable[..., bytes], sizes: list[int]) -> Callable[..., byte
     return noting
 
 
-@pytest.mark.parametrize("opcode", [*range(1, 16), 0x80, 0xFF])
 @pytest.mark.parametrize("length", [0, 1, 8, (1 << 40), (1 << 64) - 1])
-def test_lengths_that_cannot_be_end_the_reading(opcode: int, length: int, tmp_path: Path, bounded: None) -> None:
+def test_lengths_that_cannot_be_end_the_reading(length: int, tmp_path: Path, bounded: None) -> None:
     path = tmp_path / "x.mcap"
-    path.write_bytes(MAGIC + struct.pack("<BQ", opcode, length) + b"\xff" * 16)
-    for read in (lambda: Recording(path).close(), lambda: repair(path, tmp_path / "out.mcap", overwrite=True)):
-        try:
-            read()
-        except DataRefused as error:
-            assert str(error)
+    for opcode in (*range(1, 16), 0x80, 0xFF):
+        path.write_bytes(MAGIC + struct.pack("<BQ", opcode, length) + b"\xff" * 16)
+        for read in (lambda: Recording(path).close(), lambda: repair(path, tmp_path / "out.mcap", overwrite=True)):
+            try:
+                read()
+            except DataRefused as error:
+                assert str(error), opcode
 
 
 @pytest.mark.parametrize("camera", ["../out", "..", "/etc/out", "a/../../out", ".hidden", "a//b", "a\\..\\b", "a\nb"])
@@ -309,16 +306,16 @@ def encoded(encoding: str, before: str, body: str) -> bytes:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-@pytest.mark.parametrize("kind", DOCTYPES)
-def test_declarations_are_seen_in_every_encoding(kind: str, encoding: str, tmp_path: Path, bounded: None) -> None:
-    with pytest.raises(DataRefused):
-        rsi.parse(encoded(encoding, DOCTYPES[kind], ROB.format("<x>&a;</x>")))
-    (tmp_path / "x.xml").write_bytes(encoded(encoding, DOCTYPES[kind], CONFIG.format("<x>&a;</x>")))
-    with pytest.raises(BadFile):
-        read_tags(tmp_path / "x.xml")
-    (tmp_path / "x.urdf").write_bytes(encoded(encoding, DOCTYPES[kind], '<robot name="&a;"/>'))
-    with pytest.raises(BadFile):
-        read_urdf(tmp_path / "x.urdf")
+def test_declarations_are_seen_in_every_encoding(encoding: str, tmp_path: Path, bounded: None) -> None:
+    for before in DOCTYPES.values():
+        with pytest.raises(DataRefused):
+            rsi.parse(encoded(encoding, before, ROB.format("<x>&a;</x>")))
+        (tmp_path / "x.xml").write_bytes(encoded(encoding, before, CONFIG.format("<x>&a;</x>")))
+        with pytest.raises(BadFile):
+            read_tags(tmp_path / "x.xml")
+        (tmp_path / "x.urdf").write_bytes(encoded(encoding, before, '<robot name="&a;"/>'))
+        with pytest.raises(BadFile):
+            read_urdf(tmp_path / "x.urdf")
 
 
 def test_without_declarations_the_same_packet_is_read() -> None:
