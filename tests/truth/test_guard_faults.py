@@ -17,8 +17,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.clock import ManualClock
 from armsight.control import CycleState, JointGoal, SetPoint, ToolPose, ToolTwist
 from armsight.control.guard import Box, Guard, GuardState, JointLimit, Limits, TargetState
+from armsight.control.guard.faults import Watch
+from armsight.control.guard.follow import Follower
+from armsight.control.guard.motion import State
+from armsight.control.guard.space import Breach
 from armsight.control.loop import ControlLoop
 from armsight.control.status import RobotStatus
+from armsight.errors import ArmsightError
 from armsight.ops.simulation.scenarios import load_scenario
 from armsight.store.arm_file import arm_from_mapping
 from armsight_sim.arms import SimArm
@@ -325,3 +330,44 @@ def test_each_fault_ends_in_its_state_within_the_limits(fault: str, motion: str)
 
 def nothing(*_: object, **__: object) -> None:
     """A check that was taken out."""
+
+
+def last_velocity(follower: Follower) -> object:
+    """Go on as before in place of the way to rest."""
+    now = follower.now
+    follower._now = State(now.q + follower.cycle_s * now.qd, now.qd, now.qdd)
+    return follower._space.look(follower.now.q)
+
+
+REMOVALS = {
+    "target": ("lost target", SERVO, Watch, "target", nothing),
+    "age of the frame": ("stale frame", SERVO, Watch, "target", nothing),
+    "silence": ("readings frozen", SERVO, Watch, "silence", nothing),
+    "following": ("reading jumps", SERVO, Watch, "following", nothing),
+    "late cycle": ("late cycle", SERVO, Watch, "late_cycle", nothing),
+    "stall": ("loop stands still", SERVO, Watch, "stall", nothing),
+    "enable": ("enable gone", SERVO, Watch, "enable", nothing),
+    "stop": ("stop", SERVO, Watch, "stop", nothing),
+    "finite": ("not finite", SERVO, Watch, "finite", nothing),
+    "jump of a path": ("discontinuous path", PLAY, Follower, "_check_jump", nothing),
+    "singularity": ("towards a singularity", SERVO, Breach, "worse_than", lambda *_: ()),
+    "range": ("beyond a joint's range", GOAL, Breach, "worse_than", lambda *_: ()),
+    "way to rest": ("enable gone", PLAY, Follower, "_braked", last_velocity),
+}
+
+
+@pytest.mark.parametrize("removed", REMOVALS)
+def test_a_guard_that_is_taken_out_is_missed(removed: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    fault, motion, owner, name, instead = REMOVALS[removed]
+    monkeypatch.setattr(owner, name, instead)
+    try:
+        found = trial(fault, motion, seed=1, longest_s=6.0 if owner is Breach else 1.8).faults
+    except ArmsightError:
+        return  # without it, what comes behind breaks down
+    assert found
+
+
+def test_without_limits_of_speed_the_tool_goes_too_fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Breach, "worse_than", lambda *_: ())
+    monkeypatch.setattr(Follower, "_speed_share", lambda *_: (1.0, ()))
+    assert any(text.startswith("speed") for text in trial("too fast", SERVO, seed=1, longest_s=3.0).faults)

@@ -8,6 +8,7 @@ from tests.truth.guard_histories import Found, depths, history
 
 from armsight.control import JointVelocity, ToolTwist
 from armsight.control.guard import Box, Guard, GuardState, Inputs, JointLimit, Limits
+from armsight.control.guard.space import Breach
 from armsight.kinematics import preset
 from armsight.records import JointReading
 
@@ -33,6 +34,24 @@ def test_no_violation_grows_and_none_is_new() -> None:
     assert found.outside > HISTORIES / 3
     assert found.moved > 0.2 * found.cycles
     assert not found.grown, found.worst
+
+
+def test_one_violation_that_excuses_others_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: ends of joints, and walls, are compared by the worst of their kind, as one number each."""
+    told = Breach.worse_than
+
+    def merged(self: Breach, allowed):
+        place = self.limits.of_position
+        return told(self, np.where(place, max(0.0, float(allowed[place].max())), allowed))
+
+    monkeypatch.setattr(Breach, "worse_than", merged)
+    monkeypatch.setattr(Breach, "lessens", lambda *_: True)
+    found = Found()
+    for seed in range(HISTORIES):
+        history(seed, found)
+        if found.grown:
+            return
+    pytest.fail("nothing grew")
 
 
 def beyond_joint_1() -> Guard:
@@ -72,3 +91,11 @@ def test_above_the_workspace_no_wall_is_passed() -> None:
     after = depths(ARM, limits, guard.q_sent)
     assert after["wall tool 2 upper"] < before["wall tool 2 upper"] - 0.01
     assert all(after[name] <= before[name] + 1e-9 for name in after)
+
+
+@pytest.mark.parametrize("rule", ["lessens", "worse_than"])
+def test_each_rule_is_needed(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Breach, rule, {"lessens": lambda *_: True, "worse_than": lambda *_: ()}[rule])
+    guard = beyond_joint_1()
+    run(guard, JointVelocity(qd=[-0.2 * (rule == "worse_than"), 0, 0, 0, 0, 0.4]), 400)
+    assert guard.q_sent[5] > HOME[5] + (0.1 if rule == "worse_than" else 0.05)
