@@ -28,9 +28,10 @@ test: install
 	@for part in alone others; do test ! -e $(LAST)/$$part/failed || \
 	  $(BIN)/pytest -o cache_dir=$(LAST)/$$part --last-failed --last-failed-no-failures none || exit 1; done
 
-# 1: tests failed; all else means that the run itself did
+# 1: tests failed; all else means that the run itself did. What an assertion's parts were, the repetition tells: to
+# rewrite them all takes each process as long as to read the tests
 test-alone test-others:
-	@$(GIVES_WAY) $(BIN)/pytest -o cache_dir=$(LAST)/$(@:test-%=%) $(HOW) || \
+	@$(GIVES_WAY) $(BIN)/pytest --assert=plain -o cache_dir=$(LAST)/$(@:test-%=%) $(HOW) || \
 	  { test $$? = 1 && touch $(LAST)/$(@:test-%=%)/failed; }
 
 # the same tests under every Python that armsight is for: each of them has to be on the machine

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # tests/refusals.py
 import cv2
 import numpy as np
 import pytest
+import typer.testing
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -26,6 +28,7 @@ import lit_rooms
 import warm_python
 
 warm_python.begin()
+typer.testing._get_command = cache(typer.testing._get_command)  # all commands, which each call made anew
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -33,6 +36,15 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     if config.option.markexpr != "alone" or not collection_path.name.startswith("test_"):
         return None
     return None if "mark.alone" in collection_path.read_text(encoding="utf-8") else True
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems() -> None:
+    """Draw at random alike whichever modules were read before: hypothesis would parse them all for their constants."""
+    if "hypothesis" in sys.modules:
+        from hypothesis.internal.conjecture import providers
+
+        providers._get_local_constants = lambda: providers._local_constants
 
 
 def pytest_collection_finish() -> None:

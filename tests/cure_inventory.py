@@ -39,24 +39,31 @@ class Cure:
         return NAMES.search(self.text) is not None
 
 
-@cache
 def cures() -> tuple[Cure, ...]:
-    """Return all cures, each text of a module once."""
-    found = {}
-    for root, path in [(home, path) for home, part in SOURCES for path in sorted((home / part).rglob("*.py"))]:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        constants = {
-            target.id: node.value
-            for node in tree.body
-            if isinstance(node, ast.Assign)
-            for target in node.targets
-            if isinstance(target, ast.Name)
-        }
-        for node in ast.walk(tree):
-            if _is_cure(node):
-                for text in texts(node.value, constants):
-                    if text.strip("{} "):
-                        found[Cure(path.relative_to(root).as_posix(), text)] = None
+    """Return all cures."""
+    files = [(path, home) for home, part in SOURCES for path in sorted((home / part).rglob("*.py"))]
+    return tuple(cure for path, home in files for cure in cures_of(path.relative_to(home).as_posix()))
+
+
+@cache
+def cures_of(module: str) -> tuple[Cure, ...]:
+    """Return the cures of a module, each text once."""
+    source = next(path for home, _ in SOURCES if (path := home / module).is_file()).read_text(encoding="utf-8")
+    if "cure" not in source:
+        return ()
+    tree, found = ast.parse(source), {}
+    constants = {
+        target.id: node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+    for node in ast.walk(tree):
+        if _is_cure(node):
+            for text in texts(node.value, constants):
+                if text.strip("{} "):
+                    found[Cure(module, text)] = None
     return tuple(found)
 
 

@@ -13,6 +13,7 @@ import pickle
 import sys
 from collections.abc import Callable
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,14 @@ OWN: dict[str, Any] = {}
 SHARED: dict[str, Any] = {}
 
 
+def drawing() -> Any:
+    """Return the simulation's module of rooms, None where no test of this process simulates."""
+    return import_module(MODULE) if "armsight.ops.simulation.run" in sys.modules else sys.modules.get(MODULE)
+
+
 def share(folder: Path) -> None:
     """Keep in a folder what the simulation's cameras see of rooms and take it from there, once it is imported."""
-    backdrops: Any = sys.modules.get(MODULE)
+    backdrops = drawing()
     if backdrops is None:
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -56,7 +62,7 @@ class Bare:
 
 def bare() -> None:
     """Put cells into bare rooms from here on, once the simulation is imported."""
-    backdrops: Any = sys.modules.get(MODULE)
+    backdrops = drawing()
     if backdrops is not None:
         OWN.update({} if OWN else {"furnished": backdrops.furnished, "_standing": backdrops._standing})
         backdrops.furnished, backdrops._standing = (lambda *_: Bare()), OWN["_standing"]

@@ -78,7 +78,7 @@ def test_its_pages_have_no_serious_fault_and_fit_a_phone(browser: Any, console: 
         page.set_viewport_size({"width": 1400, "height": 900})
         page.goto(f"{cell}/{name}", wait_until="domcontentloaded")
         page.wait_for_selector("[data-testid=state]")
-        for scheme in ("light", "dark"):
+        for scheme in ("light", "dark") if name == "live" else ("light",):
             assert console.faults(page, scheme) == [], (name, scheme)
         if name in ("calibrate", "cell"):
             titles = page.locator("main h3").all_inner_texts()

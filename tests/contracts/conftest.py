@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
+from tests.truth.emulated_links import without_waiting
 
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
@@ -80,6 +81,7 @@ class Pair:
         self.halting = HaltingClock(self.clock)
         self.arm, self.home = small_arm(), twin_home(small_arm())
         self.join(**more)
+        without_waiting(self.robot)
         self._takes, self._newest, self._drained = 0, None, True
         self._take, self.robot._take = self.robot._take, self._counted
         self.lock = threading.Lock()

@@ -131,18 +131,6 @@ def held(robot: Any) -> Callable[[float], Any]:
     return lambda t_s: next(q for at_s, q in reversed(log) if at_s <= t_s)
 
 
-NOT_BETWEEN = {"newest": lambda robot: lambda t_s: robot.read().q, "held": held}
-
-
-@pytest.mark.parametrize("how", NOT_BETWEEN)
-def test_readings_as_they_come_would_not_do(make_egm: Any, scenario: Path, how: str) -> None:
-    """The same arm drawn where the newest reading has it, or the last one before the exposure."""
-    pair = make_egm()
-    with pair.robot:
-        rms = np.sqrt(np.mean(errors(pair, scenario, NOT_BETWEEN[how]) ** 2))
-    assert rms > 2.0, f"{rms:.2f} of the cameras' own deviations"
-
-
 def test_nothing_is_guessed_beyond_what_was_heard(make_egm: Any, scenario: Path) -> None:
     """A picture waits for the joints of its exposure; where none come it is told."""
     pair = make_egm()

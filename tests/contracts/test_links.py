@@ -9,16 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.contracts.conftest import WRONG, AlterPair, EgmPair, LinuxcncPair, Pair, RsiPair
+from tests.contracts.conftest import WRONG
 from tests.truth.emulated_links import World, link_of
 
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
-from armsight.drivers.alter import AlterRobot
-from armsight.drivers.cyclic import CyclicRobot
-from armsight.drivers.egm import EgmRobot
-from armsight.drivers.linuxcnc import LinuxcncRobot
-from armsight.drivers.rsi import RsiRobot
 from armsight.errors import DeviceLost
 from armsight.testing import RobotCase, RobotContract, WrongCase, WrongController
 from armsight_sim.twins.base import RIGHT
@@ -59,36 +54,6 @@ def linuxcnc_wrong(fault: WrongController, make: Any) -> WrongCase | str:
         return "counts are differences, and the bridge alone adds them up"
     pair = make(wrong=WRONG[fault])
     return WrongCase(robot=pair.robot, advance=pair.advance, joints=lambda: pair.twin.q)
-
-
-RULES = {
-    "a stand-still is found": (CyclicRobot, "_stood_still", lambda robot: robot._clock.now_s() < 0.0),
-    "what moved is stopped": (CyclicRobot, "_stop_moved", lambda robot, why: None),
-    "what was asked is dropped": (RsiRobot, "_hold", lambda robot: None),
-    "another session of egm begins anew": (EgmRobot, "_check_session", lambda *_: None),
-    "another session of rsi begins anew": (RsiRobot, "_check_session", lambda *_: None),
-    "another session of alter begins anew": (AlterRobot, "_check_session", lambda *_: None),
-}
-PAIRS = {EgmRobot: EgmPair, RsiRobot: RsiPair, AlterRobot: AlterPair, LinuxcncRobot: LinuxcncPair}
-BROKEN = [
-    (rule, pair) for rule, (owner, *_) in RULES.items() for kind, pair in PAIRS.items() if issubclass(kind, owner)
-]
-
-
-@pytest.mark.parametrize(("rule", "pair"), BROKEN)
-def test_a_rule_of_stand_stills_that_is_taken_out_is_missed(
-    rule: str, pair: type[Pair], opened: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    owner, name, instead = RULES[rule]
-    contract = TestContract()
-    contract._make = opened(pair)
-    first, second = contract.make(), contract.make()
-    monkeypatch.setattr(owner, name, instead)
-    if owner is CyclicRobot:  # LinuxCNC's bridge holds this a second time, by sessions
-        monkeypatch.setattr(LinuxcncRobot, "_check_session", lambda *_: None)
-    with pytest.raises(AssertionError, match="contract"):
-        for case, stood_s in ((first, 0.1), (second, 1.5)):
-            contract._stands_still(case, stood_s, at_rest=False)
 
 
 def test_a_step_that_was_taken_before_a_stand_still_goes_out_no_more(make_link: Any) -> None:

@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.contracts.conftest import WRONG
 from tests.truth.emulated_links import Link, Wire, World, link_of
 
 from armsight.clock import ManualClock
-from armsight.drivers import PROVING, RobotState, pace, proof, proof_causes
+from armsight.drivers import PROVING, RobotState
 from armsight.drivers.pace import ControllerClock
 from armsight.errors import DeviceFailed
-from armsight.testing import WrongController
-from armsight.testing.wrong_controllers import check_wrong, prove
-from armsight_sim.twins.base import RIGHT, Wrong
+from armsight.testing.wrong_controllers import prove
+from armsight_sim.twins.base import Wrong
 from refusals import refuses
 
 
@@ -32,28 +30,6 @@ def advance(link: Link, cycles: int) -> None:
 
 def proven(link: Link) -> None:
     prove(link.robot, lambda time_s: link.cycle())
-
-
-@pytest.mark.parametrize(
-    ("fault", "module", "name", "value"),
-    [
-        (WrongController.RADIANS, proof, "BEYOND", np.inf),
-        (WrongController.RADIANS, proof, "FIRST_SHARE", 0.9),
-        (WrongController.SCALE, proof_causes, "TOLERANCE", 0.3),
-        (WrongController.RELATIVE, proof, "MOST_RATE", 500.0),
-        (WrongController.GEAR, proof_causes, "TOLERANCE", 5.0),
-        (WrongController.HALF_CYCLE, pace, "TOLERANCE", 0.6),
-    ],
-)
-def test_without_a_rule_a_wrong_controller_is_not_found(
-    monkeypatch: pytest.MonkeyPatch, fault: WrongController, module: Any, name: str, value: float
-) -> None:
-    monkeypatch.setattr(module, name, value)
-    if name == "MOST_RATE":
-        monkeypatch.setattr(proof, "ADDED_SHARE", 100.0)
-    link = link_of("rsi", ManualClock(100.0), World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles, lag_s=0.05))
-    with pytest.raises(AssertionError):
-        check_wrong(fault, link.wrong_case())
 
 
 def test_a_link_that_loses_every_second_packet_each_way_is_opened_and_proven() -> None:

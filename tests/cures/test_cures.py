@@ -15,7 +15,7 @@ from cure_tables import TRIED
 from typer.testing import CliRunner
 
 from armsight.errors import ArmsightError
-from cure_inventory import NAMES, ROOT, Cure, cures
+from cure_inventory import NAMES, ROOT, Cure, cures, cures_of
 
 UNTRIED = 0
 """Cures that name a flag, a command or a unit and are followed nowhere yet. Lower it when entries are added."""
@@ -193,7 +193,7 @@ FOLLOWED: set[frozenset[str]] = set()
 
 def of(module: str, words: str) -> list[Cure]:
     """Return the product's cures of a module that are these words, or hold them."""
-    held = [cure for cure in cures() if cure.module == module and words in cure.text]
+    held = [cure for cure in cures_of(module) if words in cure.text]
     return [cure for cure in held if cure.text == words] or held
 
 

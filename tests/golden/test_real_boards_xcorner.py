@@ -13,7 +13,6 @@ from armsight.records import TargetKind, board_target
 
 STEREO = Path(__file__).resolve().parents[3] / "shared" / "data" / "opencv_stereo"
 BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
-PAIRS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14)
 
 pytestmark = pytest.mark.skipif(not STEREO.exists(), reason=f"{STEREO.name} is not beside the repository")
 
@@ -22,9 +21,8 @@ def picture(side: str, n: int) -> np.ndarray:
     return cv2.imread(str(STEREO / f"{side}{n:02d}.jpg"), cv2.IMREAD_GRAYSCALE)
 
 
-@pytest.mark.parametrize(("side", "pairs"), [("left", PAIRS[::4]), ("right", PAIRS[2::4])])
-def test_boards_are_found_to_a_pixel_and_fitted_like_the_default(side: str, pairs: tuple[int, ...]) -> None:
-    for n in pairs:
+def test_boards_are_found_to_a_pixel_and_fitted_like_the_default() -> None:
+    for side, n in (("left", 1), ("left", 7), ("right", 3), ("right", 12)):
         image = picture(side, n)
         placed = xcorner_corners(image, 9, 6)
         assert placed is not None, n
@@ -36,9 +34,8 @@ def test_boards_are_found_to_a_pixel_and_fitted_like_the_default(side: str, pair
         assert np.abs(ours.uv_px - auto.uv_px).max() < 0.03
 
 
-@pytest.mark.parametrize("n", [4, 6])
-def test_two_photographs_added_give_the_corners_of_each(n: int) -> None:
-    pair = picture("left", n), picture("right", n)
+def test_two_photographs_added_give_the_corners_of_each() -> None:
+    pair = picture("left", 4), picture("right", 4)
     found = find_two_boards(np.rint(pair[0] / 2.0 + pair[1] / 2.0).astype(np.uint8), BOARD)
     for view, image in zip(found, pair, strict=True):
         alone = find_board(image, BOARD)

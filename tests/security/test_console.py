@@ -15,7 +15,6 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from armsight.console import application, texts
-from armsight.console import routes as uploads
 from armsight.console.routes import PAGE_NAME, SAID
 from armsight.console.state import Console
 from armsight.errors import BadFile
@@ -250,22 +249,6 @@ def test_a_cell_names_no_file_elsewhere(served: Any, name: str, what: str) -> No
     cell = served.console.cell.model_copy(update={what: name})
     with refuses(BadFile, name, "not in"):
         served.console.job_of(cell)
-
-
-@pytest.mark.parametrize("rule", ["sandbox", "links", "headers"])
-def test_a_rule_that_is_taken_away_is_seen(
-    served: Any, reports: Path, monkeypatch: pytest.MonkeyPatch, rule: str
-) -> None:
-    if rule == "headers":
-        monkeypatch.setattr("armsight.console.routes.SAID", {})
-        assert "content-security-policy" not in ask(served, "GET", "/live", served.drive).headers
-    elif rule == "sandbox":
-        monkeypatch.setattr(uploads, "REPORT_POLICY", "default-src *")
-        policy = ask(served, "GET", "/console/files/report.html", served.drive).headers["content-security-policy"]
-        assert "sandbox" not in policy
-    else:
-        monkeypatch.setattr(Path, "is_relative_to", lambda *_: True)
-        assert ask(served, "GET", "/console/files/link.html", served.drive).text == "secret"
 
 
 ODD = {

@@ -154,9 +154,8 @@ OTHER_KINDS = {
 
 
 @pytest.mark.parametrize("data", [*HUGE.values(), *OTHER_KINDS.values()], ids=[*HUGE, *OTHER_KINDS])
-@pytest.mark.parametrize("way", ["file", "recording"])
 def test_no_decoder_sees_an_image_that_is_huge_or_of_another_kind(
-    data: bytes, way: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    data: bytes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def decoder(*_: object) -> None:
         raise AssertionError("it was given to the decoder")
@@ -164,11 +163,9 @@ def test_no_decoder_sees_an_image_that_is_huge_or_of_another_kind(
     monkeypatch.setattr(cv2, "imdecode", decoder)
     (tmp_path / "x.png").write_bytes(data)
     with pytest.raises(DataRefused):
-        if way == "file":
-            image_files.read_image(tmp_path / "x.png")
-        else:
-            message = b"\x12" + _varint(len(data)) + data
-            decode(COMPRESSED_IMAGE, memoryview(message), "x.mcap")
+        image_files.read_image(tmp_path / "x.png")
+    with pytest.raises(DataRefused):
+        decode(COMPRESSED_IMAGE, memoryview(b"\x12" + _varint(len(data)) + data), "x.mcap")
 
 
 def _varint(value: int) -> bytes:
@@ -248,16 +245,16 @@ def _noted(unpack: Callable[..., bytes], sizes: list[int]) -> Callable[..., byte
     return noting
 
 
-@pytest.mark.parametrize("opcode", [*range(1, 16), 0x80, 0xFF])
 @pytest.mark.parametrize("length", [0, 1, 8, (1 << 40), (1 << 64) - 1])
-def test_lengths_that_cannot_be_end_the_reading(opcode: int, length: int, tmp_path: Path, bounded: None) -> None:
+def test_lengths_that_cannot_be_end_the_reading(length: int, tmp_path: Path, bounded: None) -> None:
     path = tmp_path / "x.mcap"
-    path.write_bytes(MAGIC + struct.pack("<BQ", opcode, length) + b"\xff" * 16)
-    for read in (lambda: Recording(path).close(), lambda: repair(path, tmp_path / "out.mcap", overwrite=True)):
-        try:
-            read()
-        except DataRefused as error:
-            assert str(error)
+    for opcode in (*range(1, 16), 0x80, 0xFF):
+        path.write_bytes(MAGIC + struct.pack("<BQ", opcode, length) + b"\xff" * 16)
+        for read in (lambda: Recording(path).close(), lambda: repair(path, tmp_path / "out.mcap", overwrite=True)):
+            try:
+                read()
+            except DataRefused as error:
+                assert str(error), opcode
 
 
 @pytest.mark.parametrize("camera", ["../out", "..", "/etc/out", "a/../../out", ".hidden", "a//b", "a\\..\\b", "a\nb"])
@@ -309,16 +306,16 @@ def encoded(encoding: str, before: str, body: str) -> bytes:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-@pytest.mark.parametrize("kind", DOCTYPES)
-def test_declarations_are_seen_in_every_encoding(kind: str, encoding: str, tmp_path: Path, bounded: None) -> None:
-    with pytest.raises(DataRefused):
-        rsi.parse(encoded(encoding, DOCTYPES[kind], ROB.format("<x>&a;</x>")))
-    (tmp_path / "x.xml").write_bytes(encoded(encoding, DOCTYPES[kind], CONFIG.format("<x>&a;</x>")))
-    with pytest.raises(BadFile):
-        read_tags(tmp_path / "x.xml")
-    (tmp_path / "x.urdf").write_bytes(encoded(encoding, DOCTYPES[kind], '<robot name="&a;"/>'))
-    with pytest.raises(BadFile):
-        read_urdf(tmp_path / "x.urdf")
+def test_declarations_are_seen_in_every_encoding(encoding: str, tmp_path: Path, bounded: None) -> None:
+    for before in DOCTYPES.values():
+        with pytest.raises(DataRefused):
+            rsi.parse(encoded(encoding, before, ROB.format("<x>&a;</x>")))
+        (tmp_path / "x.xml").write_bytes(encoded(encoding, before, CONFIG.format("<x>&a;</x>")))
+        with pytest.raises(BadFile):
+            read_tags(tmp_path / "x.xml")
+        (tmp_path / "x.urdf").write_bytes(encoded(encoding, before, '<robot name="&a;"/>'))
+        with pytest.raises(BadFile):
+            read_urdf(tmp_path / "x.urdf")
 
 
 def test_without_declarations_the_same_packet_is_read() -> None:
@@ -385,26 +382,3 @@ def test_only_numbers_of_a_matlab_file_are_read(tmp_path: Path) -> None:
     path.write_bytes(mat({"q_deg": np.ones((4, 6)), "s": {"a": {"b": 1}}, "c": np.array([{}, "x"], object), "t": "x"}))
     found = other_files._loaded(path.read_bytes(), other_files.MAT_NUMBERS)
     assert {name for name in found if not name.startswith("__")} == {"q_deg"}
-
-
-class Unbounded:
-    """A decompressor that does not ask how much is wanted."""
-
-    def decompress(self, data: bytes, *, max_length: int) -> bytes:
-        return bytes(lz4.frame.decompress(data))
-
-
-@pytest.mark.parametrize("rule", ["images", "chunks", "matlab"])
-def test_a_rule_that_is_taken_away_is_seen(rule: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if rule == "images":
-        monkeypatch.setattr(image_files, "too_large", lambda _: "")
-        assert image_files.decode_image(png(4_000, 4_000), "x").shape == (4_000, 4_000)
-    elif rule == "chunks":
-        monkeypatch.setattr(lz4.frame, "LZ4FrameDecompressor", Unbounded)
-        with pytest.raises(AssertionError):
-            test_a_chunk_unpacks_to_what_it_says_and_no_further("lz4", "a little", tmp_path, monkeypatch, None)
-    else:
-        monkeypatch.setattr(other_files, "MAT_COMPRESSED", -1)
-        monkeypatch.setattr(other_files, "MAT_BYTES", 1_000_000)
-        (tmp_path / "x.mat").write_bytes(mat({"x": np.zeros((1000, 1000))}))
-        assert len(other_files.mat_table(tmp_path / "x.mat")) == 1000

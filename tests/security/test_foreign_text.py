@@ -9,11 +9,10 @@ import gzip
 import io
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import datetime
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 from unicodedata import category
 from xml.sax.saxutils import escape
 
@@ -38,7 +37,6 @@ from armsight.report import html as pages
 from armsight.report.arm_view import arm_report
 from armsight.report.html import Card, Page, bullets, table
 from armsight.report.path_report import path_report
-from armsight.store import tables
 from armsight.store.arm_file import read_arm
 from armsight.store.tables import bare, parse_table, word
 from armsight.store.tracks import SpotsWriter, write_poses
@@ -249,22 +247,3 @@ def test_a_refusal_out_of_a_file_does_not_reach_the_terminal_raw(text: str, tmp_
         read_arm(path)
     done = CliRunner().invoke(commands, ["kinematics", "show", "--arm", str(path)])
     assert done.exit_code != 0 and text not in done.output
-
-
-RULES: dict[str, Callable[[pytest.MonkeyPatch], Any]] = {
-    "markup": lambda patch: patch.setattr(pages, "text", str),
-    "formulas": lambda patch: patch.setattr(tables, "_FORMULA", re.compile(r"(?!)")),
-    "names in plots": lambda patch: patch.setattr("armsight.report.arm_view.text", str),
-}
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_a_rule_that_is_taken_away_is_seen(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    RULES[rule](monkeypatch)
-    with pytest.raises(AssertionError):
-        if rule == "formulas":
-            test_a_text_comes_back_out_of_its_cell_and_is_no_formula("=1+1")
-        elif rule == "markup":
-            test_every_part_of_a_page_shows_markup_as_text(MARKUP[0])
-        else:
-            test_an_arms_page_shows_its_names_as_text(MARKUP[3])

@@ -14,7 +14,6 @@ import pytest
 import typer
 from typer.main import get_command
 
-from armsight import _files
 from armsight._files import DeviceLock
 from armsight.app.operator.robot_cell import one_console
 from armsight.cli import command_ui
@@ -24,7 +23,7 @@ from armsight.clock import ManualClock
 from armsight.drivers import list_images, read_image
 from armsight.drivers.remote import ServerAddress
 from armsight.drivers.rsi import read_tags
-from armsight.errors import ArmsightError, BadFile, DataRefused, DeviceFailed, UsageError
+from armsight.errors import BadFile, DataRefused, DeviceFailed, UsageError
 from armsight.store import atomic, read_rig, write_text
 from armsight.store.atomic import sha256
 from armsight.store.interpret import interpret
@@ -236,25 +235,3 @@ def test_a_token_does_not_leave_this_machine_in_plain_text(url: str) -> None:
     with refuses(UsageError, "plain text") as caught:
         ServerAddress(url=url, token="a-token")
     assert "a-token" not in str(caught.value)
-
-
-PLANTED: dict[str, Callable[[pytest.MonkeyPatch], Any]] = {
-    "kinds of files": lambda patch: patch.setattr(_files.stat, "S_ISREG", lambda _: True),
-    "links of locks": lambda patch: patch.setattr(os, "O_NOFOLLOW", 0),
-    "links of logs": lambda patch: patch.setattr(os, "O_EXCL", 0),
-}
-
-
-@pytest.mark.timeout(20)
-@pytest.mark.parametrize("rule", PLANTED)
-def test_a_rule_that_is_taken_away_is_seen(rule: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    PLANTED[rule](monkeypatch)
-    with pytest.raises((AssertionError, ArmsightError, pytest.fail.Exception)):
-        if rule == "kinds of files":
-            os.mkfifo(tmp_path / "pipe")
-            with pytest.raises(OSError):
-                _files.open_file(tmp_path / "pipe").close()
-        elif rule == "links of locks":
-            test_the_file_of_a_lock_is_no_link(tmp_path)
-        else:
-            test_the_log_of_a_crash_writes_over_nothing("link", monkeypatch, tmp_path)

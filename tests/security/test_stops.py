@@ -11,14 +11,13 @@ from typing import Any
 
 import httpx
 import pytest
-from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceLost
 from armsight.server import stop_line
 from armsight.server.application import WATCHERS_PER_ADDRESS
-from armsight.server.auth import FAILURES, Authenticator, Denied
+from armsight.server.auth import FAILURES
 from armsight.server.connections import PER_ADDRESS, UNKNOWN_PER_ADDRESS
 from armsight.server.messages import VIOLATIONS
 
@@ -166,22 +165,3 @@ def test_a_stop_passes_before_the_last_message_against_the_rules(at_rest: Any, w
         line.send(json.dumps({"type": "stop", "session": hello["session"], "seq": 1}))
         while not stopped(at_rest):
             line.recv(timeout=WAIT_S)
-
-
-def test_a_limit_that_holds_up_right_tokens_is_seen(at_rest: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    check = Authenticator.check
-
-    def waits_first(self: Any, caller: Any) -> Any:
-        return Denied(status=429, why="wait") if self._waits(caller.address) else check(self, caller)
-
-    monkeypatch.setattr(Authenticator, "check", waits_first)
-    for way in WAYS:
-        with pytest.raises((AssertionError, InvalidStatus)):
-            test_a_stop_with_a_right_token_passes(at_rest, way, "wrong tokens")
-
-
-def test_a_queue_without_room_for_stops_is_seen(at_rest: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop_line, "FOR_STOPS", 0)
-    with pytest.raises(AssertionError):
-        test_a_stop_with_a_right_token_passes(at_rest, "line, posted", "orders that the loop has not taken")
-    stopped(at_rest)

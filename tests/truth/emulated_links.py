@@ -331,11 +331,20 @@ def _state(data: bytes) -> ControllerState:
     return ControllerState(stamp_s=stamp_s, q=tuple(q[:6]), q_planned=tuple(q[6:]), runtime=runtime, safety=safety)
 
 
+def without_waiting(robot: Any) -> None:
+    """Let a driver that is closed wait for no cycles: none passes meanwhile."""
+    robot._ticked.wait_for = lambda holds, timeout_s: holds()
+
+
 def link_of(kind: str, clock: ManualClock, world: World | None = None, **more: Any) -> Any:
     """Return a link of a kind (alter, egm, rsi, rtde) to a controller of a world, a right one where none is given."""
     world = world or World()
+    link: Any
     if kind == "alter":
-        return AlterLink(clock, world, **{"speed_m_s": 1.5, "speed_rad_s": 6.0, **more})
-    if kind == "rtde":
-        return RtdeLink(clock, world, **{"silent_s": 1.0, **more})
-    return UdpLink(kind, clock, world, **{"silent_s": 1.0, **more})
+        link = AlterLink(clock, world, **{"speed_m_s": 1.5, "speed_rad_s": 6.0, **more})
+    elif kind == "rtde":
+        link = RtdeLink(clock, world, **{"silent_s": 1.0, **more})
+    else:
+        link = UdpLink(kind, clock, world, **{"silent_s": 1.0, **more})
+    without_waiting(link.robot)
+    return link

@@ -194,11 +194,10 @@ def test_rows_that_are_not_of_the_arm_are_refused_by_number() -> None:
     rng = np.random.default_rng(23)
     made = cell(rng)
     points = made.points(rng.uniform(-1.0, 1.0, (24, 6)) * REACH, rng)
-    for rows in (slice(36, None), slice(24, 48)):  # places of a reflection
-        mirrored = points.xyz_m.copy()
-        mirrored[rows, 0] = 2.2 - mirrored[rows, 0]
-        with refuses(Inconsistent, "agree"):
-            calibrate_arm(made.arm, replace(points, xyz_m=mirrored))
+    mirrored = points.xyz_m.copy()
+    mirrored[24:48, 0] = 2.2 - mirrored[24:48, 0]  # places of a reflection
+    with refuses(Inconsistent, "agree"):
+        calibrate_arm(made.arm, replace(points, xyz_m=mirrored))
     with refuses(Inconsistent, "step"):
         calibrate_arm(made.arm, replace(points, q=np.roll(points.q, 3, axis=0)))
     with refuses(Inconsistent, "this arm"):
@@ -218,20 +217,6 @@ def test_a_lack_of_joint_positions_is_said_as_such() -> None:
     hardly[:, 0] = np.linspace(0.0, 5e-4, 10)
     with refuses(NotEnoughData, "hardly"):
         calibrate_world(made.arm, made.points(hardly, rng))
-
-
-def test_coupled_readings_alone_are_a_gain() -> None:
-    rng = np.random.default_rng(25)
-    arm = preset("irb120")
-    points = Cell(arm, table(arm), np.array([[0.05, 0.02, 0.1], [0.0, 0.05, 0.15]])).points(
-        rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng
-    )
-    reading = points.q.copy()
-    reading[:, 2] += reading[:, 1]
-    result = calibrate_arm(arm, replace(points, q=reading))
-    assert result.gain and result.level.startswith("coupled readings") and "coupled readings" in result.verdict
-    assert result.before.mean_m > 0.05 > 3e-4 > result.after.mean_m  # before: without the coupling
-    assert result.free == ()
 
 
 def test_a_perfect_arm_is_left_alone_and_gross_rows_are_named() -> None:
@@ -345,21 +330,3 @@ def test_a_real_positioner_is_corrected_as_far_as_it_can_be() -> None:
     train, holdout = (read_arm_points(DATA / "positioner" / f"{name}.csv") for name in ("train", "holdout"))
     scales = calibrate_arm(arm, train, holdout=holdout)
     assert scales.gain and scales.left_after.mean_m < 0.365e-3
-
-
-@real
-def test_no_gain_is_claimed_from_23_noisy_poses() -> None:
-    rows = (
-        (0.1807, 0.0, 1),
-        (0.0, -0.6127, 0),
-        (0.0, -0.57155, 0),
-        (0.17415, 0.0, 1),
-        (0.11985, 0.0, -1),
-        (0.11655, 0.0, 0),
-    )
-    joints = tuple(Joint(name=f"j{i}", d_m=d, a_m=a, alpha_rad=k * np.pi / 2) for i, (d, a, k) in enumerate(rows, 1))
-    arm = Arm(name="ur10e", joints=joints)
-    points = read_arm_points(DATA / "ur10_positions" / "points.csv")
-    result = calibrate_arm(arm, points)
-    assert not result.gain and "No gain" in result.verdict
-    np.testing.assert_array_equal(table(result.arm), table(arm))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armsight.calibrate.cell import CellPriors, CellResult
+from armsight.calibrate.cell import CellResult
 from armsight.errors import Inconsistent
 from refusals import names_it
 
@@ -63,13 +63,3 @@ def test_which_of_the_cameras_was_touched_is_named(
     with pytest.raises(Inconsistent) as caught:
         calibrated(world, {"left": tracks["left"], "top": touched, "east": tracks["east"]})
     assert names_it(caught.value, "top camera", "Fasten")
-
-
-def test_an_earlier_calibration_of_some_of_the_cameras_counts(
-    four: tuple[CellWorld, dict[str, WebCam], dict[str, Track]], good: CellResult
-) -> None:
-    world, _, tracks = four
-    prior = CellPriors(rig=good.rig.only("left", "east"))
-    again = calibrated(world, {name: tracks[name] for name in ("west", "left", "east")}, prior)
-    before, after = (one.rig.covariance.std()["east.tx"] for one in (good, again))
-    assert after < before

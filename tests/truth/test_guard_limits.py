@@ -12,7 +12,7 @@ from armsight.control.guard.space import Breach
 from armsight.kinematics import preset
 from armsight.records import JointReading
 
-HISTORIES = 25
+HISTORIES = 16
 ARM = preset("ur10")
 HOME = np.radians([10.0, -60.0, 90.0, -30.0, 80.0, 20.0])
 FREE = JointLimit(lower=-6.0, upper=6.0)

@@ -102,15 +102,6 @@ def test_a_light_that_an_edge_covers_for_the_most_part_in_both_views_is_left_out
     assert found.names == ("A", "C")
 
 
-def test_without_the_look_at_outlines_the_same_pictures_give_a_wrong_pose(monkeypatch: pytest.MonkeyPatch) -> None:
-    def blind(view: np.ndarray, *_: object) -> int:
-        return int(solving.outlines.NO_DOUBT)
-
-    monkeypatch.setattr(solving.outlines, "judge_lights", blind)
-    found = measured(FOUND)
-    assert found.pose.status is not PoseStatus.LOST and mahalanobis2(found) > WITHIN
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_a_light_cut_off_a_little_makes_the_pose_as_uncertain_as_it_makes_it_wrong(seed: int) -> None:
     rng = np.random.default_rng(seed)

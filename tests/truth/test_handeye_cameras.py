@@ -44,8 +44,8 @@ def errors_over_claims(views: int, seed: int, n: int = 25) -> tuple[np.ndarray, 
 
 @pytest.mark.parametrize("views", [1, 2, 3])
 def test_errors_are_as_claimed(views: int) -> None:
-    found = [errors_over_claims(views, seed) for seed in range(8)]
+    found = [errors_over_claims(views, seed) for seed in range(5)]
     over = np.sqrt(np.mean([one for one, _ in found], axis=0))
     off_m = np.sqrt(np.mean([moved @ moved for _, moved in found]))
-    assert ((over > 0.6) & (over < 1.5)).all()
+    assert ((over > 0.55) & (over < 1.5)).all()  # of 15 squares: 1 +- 0.18
     assert off_m < {1: 2e-4, 2: 1.3e-4, 3: 1.3e-4}[views]

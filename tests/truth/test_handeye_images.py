@@ -52,7 +52,7 @@ def errors_mm(s: Scene, done: ImageHandEye, *, free_camera: bool) -> tuple[float
 def test_of_few_images_the_kept_result_is_no_worse_than_that_of_the_poses() -> None:
     found = []
     for cell in (CELLS["good robot, noisy corners"], CELLS["noisy robot"]):
-        for seed, free in ((0, False), (0, True), (1, True)):
+        for seed, free in ((0, True), (1, True)):
             s = scene(cell, 6, seed)
             found.append(errors_mm(s, calibrated(s, free_camera=free), free_camera=free))
     poses, bundle, kept = np.array(found).T
@@ -62,7 +62,7 @@ def test_of_few_images_the_kept_result_is_no_worse_than_that_of_the_poses() -> N
 
 def test_what_the_corners_know_weighs_the_poses_too_also_of_few_images() -> None:
     gains = []
-    for n, seed in ((16, 0), (8, 0), (8, 1)):
+    for n, seed in ((16, 0), (8, 0)):
         s = scene(CELLS["good robot, noisy corners"], n, seed)
         done = calibrated(s, free_camera=False)
         poses, bundle, kept = errors_mm(s, done, free_camera=False)

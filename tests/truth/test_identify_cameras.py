@@ -62,13 +62,13 @@ def misses(found: Identification, seed: int) -> tuple[Array, Array]:
     return np.linalg.norm(off, axis=1), np.einsum("mi,mi->m", off, np.linalg.solve(C, off[:, :, None])[:, :, 0])
 
 
-@pytest.mark.parametrize("views", [2, 3, 4])
-def test_errors_are_as_claimed_by_two_three_and_four_cameras(views: int) -> None:
+@pytest.mark.parametrize("views", [2, 4])
+def test_errors_are_as_claimed_by_two_and_four_cameras(views: int) -> None:
     """With every fourth sight hidden; the more cameras, the more readings count, and the smaller the errors."""
     world = camera_ring.ring(views)
     rig = setup_of(world).rig
     off, squares, used, sigma = [], [], [], []
-    for seed in range(12):
+    for seed in range(7):
         seen = sweeps(world, rig, seed, 2)
         found = identify(seen, rig=rig)
         assert [joint.type for joint in found.joints] == ["revolute"] * 3
@@ -78,8 +78,8 @@ def test_errors_are_as_claimed_by_two_three_and_four_cameras(views: int) -> None
             all_of.append(one)
     assert 0.75 < np.mean(squares) / 3.0 < 1.3
     assert 0.93 * SIGMA_PX < np.sqrt(np.mean(np.square(sigma))) < 1.07 * SIGMA_PX
-    assert np.mean(used) > {2: 0.5, 3: 0.78, 4: 0.9}[views]
-    assert np.median(off) < {2: 4e-4, 3: 2e-4, 4: 1.6e-4}[views]
+    assert np.mean(used) > {2: 0.5, 4: 0.9}[views]
+    assert np.median(off) < {2: 4e-4, 4: 1.6e-4}[views]
 
 
 def test_readings_of_one_camera_count_where_their_place_is_said() -> None:
@@ -87,7 +87,7 @@ def test_readings_of_one_camera_count_where_their_place_is_said() -> None:
     world = camera_ring.ring(3)
     rig = setup_of(world).rig
     claims, squares = [], []
-    for seed in range(6):
+    for seed in range(4):
         for fewest in (2, 1):
             seen = sweeps(world, rig, seed, fewest)
             found = identify(seen, rig=rig)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from armsight.verify.iso9283 import CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, evaluate
 from armsight.verify.iso9283.figure import radial
 
-TRIALS = 200
+TRIALS = 100
 VISITS = 30
 APPROXIMATION = 0.05
 RATIO = 4.0 / sqrt(2.0 * TRIALS) + APPROXIMATION
@@ -88,13 +88,6 @@ def test_the_cameras_scatter_is_taken_out_on_average(trials, key):
     spread = corrected.std(ddof=1) / sqrt(TRIALS)
     assert abs(corrected.mean() - TRUTH[key]) <= 4.0 * spread + APPROXIMATION * TRUTH[key]
     assert value > TRUTH[key] + 4.0 * spread  # the negative control: uncorrected, the camera's scatter is in it
-
-
-def test_without_the_systematic_part_the_claim_would_be_too_small(trials):
-    """The negative control: the same trials, the part that repeats left out."""
-    value, std = trials["AP_x_m P2"][:, 0], trials["AP_x_m P2"][:, 1]
-    scatter_only = np.sqrt(std**2 - SYSTEMATIC[0, 0])
-    assert scatter_only.mean() / value.std(ddof=1) < 1.0 - RATIO
 
 
 def test_accuracy_of_a_perfect_robot_is_not_claimed_to_be_seen():

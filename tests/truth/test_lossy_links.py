@@ -25,11 +25,3 @@ def test_no_speed_range_or_wall_is_passed(kind: str) -> None:
     assert found.moved > 100
     assert max(found.joint_ratio, found.tool_ratio) <= 1.0 + SPEED_TOLERANCE
     assert found.beyond == 0
-
-
-@pytest.mark.parametrize(
-    ("fault", "kind"),
-    [("pace", "rsi"), ("pace", "rtde"), ("confirm", "alter"), ("confirm", "rsi"), ("confirm", "rtde")],
-)
-def test_without_one_of_the_rules_it_is_too_fast(fault: str, kind: str) -> None:
-    assert run(kind, fault).too_fast

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
-from tests.truth.play_paths import Case, Ran, cases, run, tips
+from tests.truth.play_paths import Case, cases, run, tips
 
 from armsight.control.guard import Limits
-from armsight.control.play import PathSource, PlaySettings, plan_path, timing
-from armsight.control.play.timing import Ceilings, Track
+from armsight.control.play import PlaySettings, plan_path
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.kinematics import preset
 from armsight.records import TaughtPath
@@ -67,58 +66,6 @@ def test_rows_20_mm_and_30_degrees_apart_take_the_time_that_their_speed_tells() 
     ran = run(case(TURNING, speed_m_s=0.01))
     assert not ran.faults and not ran.limited and ran.off_m < 1e-6, ran  # all on one line
     assert 6.0 < ran.planned_s < 8.0 and ran.speed < 1.001, ran
-
-
-def without_joints(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = Ceilings.of
-
-    def of(limits, bounds):
-        free = {name: 1e3 * getattr(bounds, name) for name in ("speed", "acceleration", "jerk")}
-        return told(limits, replace(bounds, **free))
-
-    monkeypatch.setattr(timing.Ceilings, "of", of)
-
-
-def test_a_plan_without_the_joints_limits_is_not_what_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    without_joints(monkeypatch)
-    ran = run(case(SWAYING, speed_m_s=0.06))
-    assert ran.limited and "time" in ran.faults, ran
-
-
-def test_a_path_that_does_not_wait_for_the_arm_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    without_joints(monkeypatch)
-    monkeypatch.setattr(PathSource, "_behind", lambda *_: False)
-    ran = run(swaying())
-    assert "off the path" in ran.faults, ran
-
-
-def test_an_override_that_changes_at_once_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = Track.__init__
-    monkeypatch.setattr(Track, "__init__", lambda self, samples, law, _: made(self, samples, law, (1e4, 1e7)))
-    assert run(swaying(rows((10.0, 40.0), (10.0, -40.0), x_deg=0.7))).limited
-
-
-def test_a_plan_that_leaves_no_room_to_brake_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timing, "REMOVAL", 0.0)  # speed still grows while accelerations are taken away
-    assert run(cases(91)).limited
-
-
-def test_a_change_of_rate_that_goes_on_into_the_next_way_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    arrived = PathSource._arrived
-
-    def carried(self: PathSource) -> None:
-        before = self._clock
-        arrived(self)
-        self._clock = (self._clock[0], self._clock[1], before[2])
-
-    monkeypatch.setattr(PathSource, "_arrived", carried)
-    assert run(cases(186)).limited
-
-
-def test_corners_that_are_not_told_are_seen() -> None:
-    corner = cases(1012)
-    ran: Ran = run(corner, lambda *asked: replace(plan_path(*asked), rounded_m=0.0))
-    assert "off the path" in ran.faults, ran
 
 
 def test_a_turn_in_one_place_is_said_in_those_words() -> None:

@@ -78,16 +78,24 @@ def calibrated(
     return calibrate_arm(nominal or dh_arm("humanoid", LINKS.tolist()), points.take(first), holdout=points.take(rest))
 
 
-def test_joints_that_sag_are_no_other_arm() -> None:
+OF_WEIGHTS = ("down_in_base", "mass_kg", "com_m", "compliance")
+"""Keys that older versions refuse: they do not know them."""
+
+
+def test_joints_that_sag_are_no_other_arm(tmp_path: Path) -> None:
     result = calibrated(0, 6e-4)  # was refused, for joints that 'move 1.8 % more than they read'
+    assert result.arm.compliant  # the nominal arm has no masses; a stand-in carries what sags
+    write_arm(tmp_path / "arm.yaml", result.arm)
+    assert all(key in (tmp_path / "arm.yaml").read_text() for key in OF_WEIGHTS)
     assert result.other_arm is None
     assert result.gain
     assert result.left_after.mean_m < 0.5 * result.left_before.mean_m
 
 
 def test_another_gear_is_told_where_no_sag_explains_it() -> None:
-    other = calibrated(1, 0.0, gear=1.03).other_arm
-    assert other is not None
+    result = calibrated(1, 0.0, gear=1.03)
+    other = result.other_arm
+    assert other is not None and not result.arm.compliant
     assert other.found[0].name == "j2.scale"
 
 
@@ -155,20 +163,8 @@ def test_a_stiff_arm_gains_no_compliance() -> None:
     assert not [name for name in result.free if name.endswith(".sag")]
 
 
-@pytest.mark.parametrize("compliance", [0.0, 4e-4])
-def test_file_says_which_way_is_down_only_of_an_arm_with_weights(tmp_path: Path, compliance: float) -> None:
-    result = calibrated(1, compliance)  # the nominal arm has no masses; a stand-in carries what sags
-    assert result.arm.compliant == (compliance > 0.0)
-    write_arm(tmp_path / "arm.yaml", result.arm)
-    content = (tmp_path / "arm.yaml").read_text()  # older versions refuse keys that they do not know
-    for key in ("down_in_base", "mass_kg", "com_m", "compliance"):
-        assert (key in content) == result.arm.compliant
-
-
-@pytest.mark.parametrize(("off_m", "told"), [(4e-3, False), (12e-3, True)])
-def test_another_length_of_a_soft_arm_is_told(off_m: float, told: bool) -> None:
+def test_another_length_of_a_soft_arm_is_told() -> None:
     arm = with_masses()
-    wrong = tuple(replace(joint, d_m=joint.d_m + off_m * (k == 4)) for k, joint in enumerate(arm.joints))
+    wrong = tuple(replace(joint, d_m=joint.d_m + 12e-3 * (k == 4)) for k, joint in enumerate(arm.joints))
     result = calibrated(0, 6e-4, nominal=replace(arm, joints=wrong), zero_rad=2e-3)
-    assert (result.other_arm is not None) == told
-    assert result.gain != told
+    assert result.other_arm is not None and not result.gain

@@ -201,12 +201,6 @@ def test_one_beacon_before_parallel_cameras_tells_the_difference_of_the_read_out
     assert found.verdict.startswith("weak") and "firm" in found.verdict
 
 
-def test_a_target_of_unknown_geometry_will_do() -> None:
-    truth = CASES["30 and 30"]
-    e, s = off(truth, calibrate_timing(*record(truth, np.random.default_rng(5))))
-    assert (np.abs(e) < 4.0 * s).all() and abs(e[0]) < 2e-4
-
-
 def test_files_hold_what_was_found() -> None:
     found = calibrated("30 and 30", 0)
     left, right = found.cameras()
@@ -291,11 +285,11 @@ def test_stamps_without_a_rate_are_refused() -> None:
     refused(Inconsistent, "steady rate", rig, wild, right)
 
 
-@pytest.mark.parametrize("units", [(1e3, 1e6), (1.0, 1e9)])
-def test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure(units: tuple[float, float]) -> None:
+def test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure() -> None:
+    units = (1e3, 1e6)
     rig, left, right = record(Truth(), np.random.default_rng(1))
     tracks = [replace(one, t_s=unit * one.t_s) for one, unit in zip((left, right), units, strict=True)]
-    for _ in range(sum(unit != 1.0 for unit in units)):
+    for _ in units:
         with refuses(Inconsistent, "frames a second") as error:
             calibrate_timing(rig, *tracks)
         side = "left" in error.value.cause.split()

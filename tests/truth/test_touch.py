@@ -54,7 +54,7 @@ def of_spikes(name="irb120", seed=0, lengths=KNOWN, share=1.0):
 
 def test_two_spikes_tell_zeros_and_lengths_as_well_as_can_be_and_deviations_hold():
     by_bound, by_claim = [], []
-    for name, seed in (("irb120", 0), ("ur5e", 1), ("iiwa14", 2)):
+    for name, seed in (("irb120", 0), ("iiwa14", 2)):
         arm, world, off, touches, (spikes, which) = of_spikes(name, seed)
         done = calibrate_touched(arm, touches, tolerance=TOLERANCE)
         assert done.gain
@@ -68,7 +68,7 @@ def test_two_spikes_tell_zeros_and_lengths_as_well_as_can_be_and_deviations_hold
         claimed = np.array([done.deviations[one] for one in done.free])
         assert np.all(claimed > 0.75 * least[[names.index(one) for one in done.free]])
     k = sum(map(len, by_bound))
-    # correlated errors of some 45 parameters: three standard deviations of their mean square
+    # correlated errors of some 30 parameters: three standard deviations of their mean square
     assert np.sqrt(np.mean(np.concatenate(by_bound) ** 2)) < 1.0 + 3.0 / np.sqrt(k)
     assert np.sqrt(np.mean(np.concatenate(by_claim) ** 2)) < 1.0 + 3.0 / np.sqrt(k)
 
@@ -94,23 +94,6 @@ def test_several_tips_are_fitted_each_by_its_rows_and_deviations_hold():
     assert done.arm.T_flange_tool.translation == pytest.approx(places["bent"])
     with refuses(Inconsistent, "scatter"):  # taken as one tip, 0.1 m apart
         calibrate_touched(arm, touches, tolerance=TOLERANCE)
-
-
-def test_a_tip_that_was_changed_is_cured_by_a_name_of_its_own():
-    rng = np.random.default_rng(22)
-    arm, world, _ = drawn("irb120", rng)
-    near = np.array(NEAR["irb120"])
-    places = np.tile(world.there(near)[0], (50, 1))
-    places[::2] += [0.0, 0.27, 0.0]
-    ground = replace(world, tip=world.tip - [0.0, 0.0, 1e-3])
-    q = np.concatenate([world.touched(rng, places[:25], near), ground.touched(rng, places[25:], near)])
-    touches = touched(q, ["ba"[i % 2] for i in range(50)], lengths=KNOWN)
-    with refuses(Inconsistent, "two places") as caught:
-        calibrate_touched(arm, touches, tolerance=TOLERANCE)
-    assert "column tip" in caught.value.cure
-    done = calibrate_touched(arm, replace(touches, tip=("new",) * 25 + ("worn",) * 25), tolerance=TOLERANCE)
-    new, worn = (np.asarray(one.xyz_m) for one in done.arm.tool_points)
-    assert np.linalg.norm(new - worn) == pytest.approx(1e-3, abs=3e-4)
 
 
 def test_a_tip_that_hardly_touched_is_refused():

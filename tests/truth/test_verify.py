@@ -142,13 +142,6 @@ def test_a_file_gives_the_fit_of_the_poses_in_memory_and_correlations_count(tmp_
     assert np.allclose(old.measured.covariance, measured.std[:, :, None] ** 2 * np.eye(6), rtol=1e-12, atol=0.0)
 
 
-@pytest.mark.parametrize("joint", [0, 5])
-def test_first_and_last_joint_are_judged_where_base_and_tool_are_known(joint: int) -> None:
-    q, rng = poses(10 + joint)
-    result = verify(arm(known=True), Reported(q=q), seen(changed(joint, 3, -0.004), q, rng), Align.NONE)
-    assert cause_of(result) == f"joint {joint + 1}"
-
-
 def test_a_good_arm_is_not_blamed() -> None:
     q, rng = poses(20)
     result = verify(arm(), Reported(q=q), seen(TABLE, q, rng), Align.BOTH)
@@ -163,7 +156,7 @@ def test_a_wrong_geometry_with_right_zeros_is_the_models() -> None:
     assert cause_of(verify(arm(), Reported(q=q), seen(table, q, rng), Align.BOTH)) == "model"
 
 
-@pytest.mark.parametrize("joint", [3, 5])
+@pytest.mark.parametrize("joint", [3])
 def test_of_a_wrist_that_is_held_straight_neither_of_two_joints_is_named(joint: int) -> None:
     """Joints 4 and 6 turn about one line there; bent by two degrees the wrist tells them apart."""
     table = np.array(

@@ -149,15 +149,6 @@ def test_a_loop_that_sleeps_stays_first() -> None:
 
 
 @LINUX
-def test_a_loop_without_a_bound_would_be_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    if not allowed():
-        pytest.skip("the system does not allow it")
-    monkeypatch.setattr(priority, "_put_back", lambda *_: None)  # a planted fault: nobody takes the priority away
-    took_s = run_with_progress(lambda: works(lambda: not first()), lambda: None)
-    assert took_s >= ENOUGH_S
-
-
-@LINUX
 def test_no_thread_goes_first_where_the_main_one_has_not_bound_it() -> None:
     signal.signal(signal.SIGXCPU, signal.SIG_DFL)
     assert in_a_thread(priority.control_first) is False

@@ -2,11 +2,11 @@
 
 import re
 import subprocess
-import sys
 
 import numpy as np
 import pytest
 
+import warm_python
 from armsight.errors import Inconsistent
 from armsight.ops.calibrate_cameras import calibrate_stereo
 from refusals import names_it, refuses
@@ -31,7 +31,10 @@ def test_the_other_lens_is_refused_with_the_one_that_works():
 def test_a_shift_of_each_view_is_in_what_is_claimed(tmp_path):
     """Of the case's own generator, a few of its runs: 44 % were inside, and ty 8.8 deviations off."""
     ran = subprocess.run(
-        [sys.executable, case("cameras-07b") / "claims.py", "0.1", "4"], capture_output=True, text=True, check=True
+        [warm_python.commands() / "python", case("cameras-07b") / "claims.py", "0.1", "4"],
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
     ratios, inside = re.search(r"rz: \[([^]]*)] within 1.96: ([0-9.]+) of 4 runs", ran).groups()
     assert float(inside) > 0.85

@@ -39,8 +39,9 @@ def test_every_public_function_has_an_example_or_a_reason() -> None:
 IN_REAL_TIME = ("jog",)
 """A loop that a busy computer keeps waiting for 0.09 s stops its robot."""
 
-ELSEWHERE = ("calibrate_cell",)
-"""Takes ten seconds: docs/guide/cell.md runs its two lines as commands, tests/truth the function."""
+ELSEWHERE = ("calibrate_cell", "design")
+"""Take seconds: docs/guide/cell.md runs the first one's two lines as commands, tests/truth the function;
+docs/guide/design.md has the second one's call."""
 
 HERE = [
     pytest.param(name, marks=pytest.mark.alone) if name in IN_REAL_TIME else name

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from armsight.store import read_target
 from armsight.store.limits_file import write_limits
 from armsight.store.tracks import read_joints, write_joints
 from armsight_lab.cell_plan import plan as plan_module
+from armsight_lab.cell_plan import run as run_module
 from armsight_lab.cell_plan.cautious import CAUTIOUS_RAD, cautious_motion
 from armsight_lab.cell_plan.information import known_before, motion_information
 from armsight_lab.cell_plan.plan import CellPlan, PlanSettings, plan_motion
@@ -40,6 +41,12 @@ Q = np.array([float(value) for value in START.split(",")])
 VOLUME = ((-0.95, -0.75), (-0.3, 0.05), (0.1, 0.4))
 ROOM = Limits(workspace=Box(lower_m=[-1.4, -1.2, -0.1], upper_m=[-0.4, 1.0, 1.0], name="cell"))
 QUICK = PlanSettings(duration_s=30.0, rate_hz=50.0, trials=3)
+
+
+@pytest.fixture(autouse=True)
+def few_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three exchanges of places for thirty: docs/guide/cell-plan.md plans in full."""
+    monkeypatch.setattr(run_module, "PlanSettings", partial(PlanSettings, trials=3))
 
 
 @pytest.fixture(scope="module")
@@ -192,13 +199,12 @@ def test_small_moves_where_nothing_is_known_stay_near(cell: Path, tmp_path: Path
         cautious_motion(arm, bounds, lambda q: np.abs(q - Q).max(axis=1) < 1e-4, Q)
 
 
-FAR, AWAY = ((2.0, 2.2), (0.0, 0.2), (0.0, 0.2)), ((-0.3, -0.1), (-0.1, 0.1), (1.2, 1.35))
+AWAY = ((-0.3, -0.1), (-0.1, 0.1), (1.2, 1.35))
 
 
 @pytest.mark.parametrize(
     ("more", "limits", "kind", "names"),
     [
-        ({"volume": FAR}, Limits(), NotEnoughData, ("--volume", "0")),
         ({"volume": AWAY}, Limits(), NotEnoughData, ("--volume", "0")),
         ({"facing_rad": 1e-3}, Limits(), NotEnoughData, ("cameras", "--facing-deg")),
         ({}, Limits(joints=(JointLimit(lower=0.1), *[JointLimit()] * 5)), Inconsistent, ("j1", "-0.0078")),

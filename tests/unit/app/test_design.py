@@ -67,16 +67,6 @@ def test_what_is_written_says_what_is_returned(job: DesignJob) -> None:
     assert done.changes[0].change in done.verdict
 
 
-def test_a_change_is_what_its_own_plan_leads_to(job: DesignJob) -> None:
-    changes = {one.change: one for one in run_design(job).changes}
-    more = run_design(replace(job, out=job.out / "more", views=40))
-    longer = run_design(replace(job, out=job.out / "longer", baseline_m=0.18))
-    assert changes["twice as many pictures of the board"].position_m == pytest.approx(more.position.p95)
-    assert changes["a baseline 1.5 times as long"].position_m == pytest.approx(longer.position.p95, rel=1e-6)
-    assert changes["a baseline 1.5 times as long"].measured == pytest.approx(longer.measured)
-    assert all(one.sufficient is None for one in changes.values())
-
-
 def test_within_the_volume_what_moves_all_of_it_is_no_deviation(job: DesignJob) -> None:
     found, aligned = (forecast(plan_of(replace(job, relative=relative))) for relative in (False, True))
     np.testing.assert_allclose(aligned.position_m, found.within_volume().position_m)

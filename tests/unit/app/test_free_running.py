@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from armsight.cli.actions import action_of
 from armsight.errors import Inconsistent, NotEnoughData
@@ -30,7 +30,7 @@ from armsight.store.covariances import (
     VELOCITY_STD,
 )
 from armsight.store.covariances import LIGHTS as MEAN
-from refusals import names_it, refuses
+from refusals import refuses
 
 Array = NDArray[np.float64]
 WIDTH, HEIGHT, F, BASE = 640, 480, 700.0, 0.1
@@ -187,57 +187,12 @@ def test_images_of_free_running_cameras_are_measured_where_the_rig_tells_their_t
     assert again.timing is None
 
 
-def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
-    timed_rig(tmp_path)
-    spots(tmp_path, seconds=2.0)
-    measure(**job(tmp_path))
-    in_rig = moving_table(tmp_path).stacked(VELOCITY)
-    T = RigidTransform.from_components([1.0, 2.0, 3.0], Rotation.from_rotvec([0.0, 0.0, np.pi / 2]))
-    quat = ", ".join(f"{value:.17g}" for value in T.rotation.as_quat())
-    (tmp_path / "world.yaml").write_text(
-        f"format: armsight/world\nversion: 1\nT_world_rig: {{xyz_m: [1, 2, 3], quat_xyzw: [{quat}]}}\n"
-    )
-    measure(**job(tmp_path, world=tmp_path / "world.yaml"))
-    in_world = moving_table(tmp_path).stacked(VELOCITY)
-    np.testing.assert_allclose(in_world[:, :3], T.rotation.apply(in_rig[:, :3]), atol=1e-9)
-    np.testing.assert_allclose(in_world[:, 3:], T.rotation.apply(in_rig[:, 3:]), atol=1e-9)
-
-
 @pytest.mark.parametrize("off_s", [-0.005, 0.02])
 def test_cameras_out_of_step_are_refused(tmp_path: Path, off_s: float) -> None:
     """The right camera's delay off by 5 to 20 ms: 1 to 5 mm between the views."""
     with_delay(tmp_path, DELAY + off_s)
     with refuses(Inconsistent, "timing", "anew"):
         measure(**job(tmp_path))
-
-
-def test_a_delay_that_is_a_little_off_makes_the_poses_doubtful(tmp_path: Path) -> None:
-    with_delay(tmp_path, DELAY + 0.001)
-    summary = measure(**job(tmp_path))
-    assert summary.timing is not None and names_it(summary.timing.note, "the delay", "no longer")
-    all_doubtful(tmp_path, summary)
-
-
-def all_doubtful(folder: Path, summary: MeasureResult) -> None:
-    """Nothing acts on a pose of a run that does not fit its claims."""
-    assert summary.n_ok == 0 and summary.n_doubtful > 100
-    assert summary.reasons["inconsistent"] == summary.n_doubtful
-    statuses = [one.status for one in read_poses(folder / "out" / "poses.csv")]
-    assert statuses.count(PoseStatus.DOUBTFUL) == summary.n_doubtful and PoseStatus.OK not in statuses
-    assert "Inconsistent" in (folder / "out" / "report.html").read_text()
-
-
-def test_a_target_larger_than_its_file_says_makes_the_run_doubtful_and_names_the_scale(tmp_path: Path) -> None:
-    timed_rig(tmp_path)
-    spots(tmp_path, seconds=6.0)
-    write_target(
-        tmp_path / "target.yaml",
-        spot_target({name: (0.996 * x, 0.996 * y, 0.996 * z) for name, (x, y, z) in LIGHTS.items()}),
-    )
-    summary = measure(**job(tmp_path))
-    all_doubtful(tmp_path, summary)
-    assert summary.consistency is not None
-    assert summary.consistency.cause == "scale" and summary.consistency.estimate == pytest.approx(0.004, abs=0.001)
 
 
 def with_delay(folder: Path, delay_s: float) -> None:

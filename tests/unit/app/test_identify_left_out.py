@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.app.operator.identify_run import FOLDER, IdentifyRequest, Range, entries, fits
+from armsight.app.operator.identify_run import entries
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import presets
 from armsight.ops.identification.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.records import JointReading
 from armsight.store.arm_file import read_arm
 from armsight.store.arm_points import read_sweeps
-from armsight.store.cell_file import CellFile
 from loading import module_of
 from refusals import names_it, refuses
 
@@ -111,33 +108,6 @@ def test_the_first_joints_carry_the_tool_where_the_whole_arm_has_it() -> None:
     first = first_joints(arm, 4, held)
     for q in np.random.default_rng(2).uniform(-2.0, 2.0, (5, 4)):
         np.testing.assert_allclose(first.fk(q), arm.fk(np.concatenate([q, held])), atol=1e-12)
-
-
-def test_the_scene_shows_each_joint_s_arc_and_axis(done: Any, tmp_path: Path) -> None:
-    """Joint 1 turns about the vertical through the origin, joint 2 about a level line at a height of 1.27 m."""
-    _, out, folder = done
-    (tmp_path / FOLDER).mkdir()
-    for name in ("arm.yaml", "arm.sweep.csv", "world.yaml"):
-        shutil.copy(folder / name, tmp_path / FOLDER / name)
-    first, second = fits(tmp_path)
-    assert (first.joint, second.joint) == (1, 2)
-    np.testing.assert_allclose(first.axis[:, :2], 0.0, atol=3e-3)
-    np.testing.assert_allclose(second.axis[:, 2], 1.27, atol=3e-3)
-    for fit, joint in zip((first, second), out.joints, strict=True):
-        assert fit.centre is not None and fit.off_m == pytest.approx(joint.residual_rms_m, rel=0.3)
-        radius = np.linalg.norm(fit.path - fit.centre, axis=1)
-        np.testing.assert_allclose(radius, joint.radius_m, rtol=0.01)
-        away = np.linalg.norm(fit.path[:, None] - fit.seen[None], axis=2).min(axis=0)
-        assert away.max() < 4.0 * fit.off_m + 0.05 and len(fit.seen) == 10
-
-
-def test_a_page_tells_what_leaving_out_means() -> None:
-    ranges = tuple(Range(joint=j, name=f"j{j}", lower=-1.0, upper=1.0, swept=j != 6) for j in range(1, 7))
-    asked = IdentifyRequest(folder=Path(), cell=CellFile(), ranges=ranges)
-    assert asked.left_out == (6,) and asked.consequence().startswith("joint 6 ")
-    wrong = replace(asked, ranges=tuple(replace(one, swept=one.joint != 3) for one in ranges))
-    with refuses(UsageError, "joint 3", "4, 5 and 6", "swept"):
-        wrong.consequence()
 
 
 def test_an_entry_that_is_chosen_is_not_held_against_the_model(done: Any) -> None:

@@ -44,14 +44,12 @@ def told_of_target(cell, tmp_path, change):
     return f"{done.consistency.sentence} {done.consistency.advice}"
 
 
-def test_a_target_of_another_scale_is_named_among_other_lights_and_another_shape_is_no_scale(workshop, tmp_path):
+def test_a_target_of_another_scale_is_named_among_other_lights_and_another_shape_is_no_scale(workshop, dark, tmp_path):
     text = told_of_target(workshop, tmp_path, lambda *xyz: [1.01 * value for value in xyz])
     assert names_it(text, "calliper")
     assert float(text.split("stand ")[1].split(" times")[0]) == pytest.approx(1.0 / 1.01, abs=0.003)
     (tmp_path / "shape").mkdir()
-    assert not names_it(
-        told_of_target(workshop, tmp_path / "shape", lambda x, y, z: [1.02 * x, 1.1 * y, z]), "calliper"
-    )
+    assert not names_it(told_of_target(dark, tmp_path / "shape", lambda x, y, z: [1.02 * x, 1.1 * y, z]), "calliper")
 
 
 def rig_times(cell, file, factor):

@@ -161,13 +161,11 @@ def test_a_camera_that_is_lost_on_the_way_brings_the_arm_to_rest_and_is_named(
     ("more", "kind", "names"),
     [
         ({"left": "camera:0"}, UsageError, "--right"),
-        ({"right": "camera:0"}, UsageError, "--left"),
         ({"left": "camera:0", "right": "camera:0"}, UsageError, "both camera:0"),
         ({"left": "camera:0", "right": "camera:/dev/video0"}, UsageError, ("camera:0", "/dev/video0")),
         ({"left": "camera:0", "right": "frames.mcap"}, UsageError, ("frames.mcap", "camera:2")),
         ({"left": "camera:sim:webcam-cell:left", "right": "camera:0"}, UsageError, "camera:sim"),
         ({"left": "camera:trial:plain", "right": "camera:trial:absent"}, DeviceNotFound, "absent"),
-        ({"left": "camera:nobody:1", "right": "camera:nobody:2"}, DeviceNotFound, "nobody"),
     ],
 )
 def test_cameras_that_cannot_be_recorded_are_refused_before_anything_moves(
@@ -249,8 +247,7 @@ def test_a_camera_that_falls_silent_is_lost_though_its_driver_says_nothing(
         assert [frame.t_s for frame in source] == [0.0, 1.0, 2.0]
 
 
-@pytest.mark.parametrize("end", [RuntimeError("odd"), DeviceFailed("odd")])
-def test_a_driver_that_breaks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: Exception) -> None:
-    cameras = {"left": Held("one", 3), "right": Held("two", 2, end)}
+def test_a_driver_that_breaks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras = {"left": Held("one", 3), "right": Held("two", 2, RuntimeError("odd"))}
     with refuses(DeviceFailed, "odd"):
         recorded(cameras, tmp_path / "frames.mcap", monkeypatch)

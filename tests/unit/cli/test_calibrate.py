@@ -6,28 +6,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from refusals import names_it
-
-
-def test_a_pair_is_found_and_measures_the_board(armsight: Any, boards: Any, tmp_path: Path) -> None:
-    sides = ["--left", boards.folder / "left", "--right", boards.folder / "right"]
-    done = armsight("calibrate", "stereo", *sides, "--board", boards.board, "-o", tmp_path / "rig.yaml")
-    assert done.code == 0, done.text
-    content = done.json
-    assert (content["n_pairs"], content["n_used"]) == (10, 10)
-    assert abs(content["baseline_m"] - boards.baseline_m) < max(5.0 * content["std"]["baseline_m"], 1e-4)
-    assert content["metric"]["expected_m"] == pytest.approx(0.02)
-    assert content["metric"]["rms_m"] < 1e-4
-    assert content["epipolar_rms_px"] < 0.1
-    (tmp_path / "board.yaml").write_text(
-        "format: armsight/target\nversion: 1\nkind: checkerboard\ncolumns: 7\nrows: 5\nsquare_m: 0.02\n"
-    )
-    inputs = ["--rig", tmp_path / "rig.yaml", "--target", tmp_path / "board.yaml"]
-    done = armsight("measure", *inputs, *sides, "-o", tmp_path / "out")
-    assert done.code == 0, done.text
-    assert done.json["n_ok"] == 10
 
 
 def test_a_wrong_board_is_refused_with_the_size_that_is_there(armsight: Any, boards: Any, tmp_path: Path) -> None:

@@ -33,15 +33,3 @@ def test_the_demo_compares_with_the_truth_and_its_frames_can_be_measured_again(a
     assert (tmp_path / "again" / "poses.csv").read_text() == (out / "poses.csv").read_text()
     with (out / "truth.csv").open(newline="") as file:
         assert len(list(csv.DictReader(file))) == 8
-
-
-def test_doctor_tells_a_rig_s_resolution(armsight: Any, scene: Any) -> None:
-    done = armsight("doctor", "--rig", scene.folder / "rig.yaml", "--depth", 1.0, "--depth", 2.0, "--sigma", 0.1)
-    assert done.code == 0
-    near, far = done.json["rig"]["distances"]
-    assert done.json["rig"]["baseline_m"] == pytest.approx(0.1)
-    # parallel axes: sigma_Z = Z^2 sqrt(2) sigma / (B f), sigma_X = Z sigma / (sqrt(2) f)
-    assert near["sigma_depth_m"] == pytest.approx(2**0.5 * 0.1 / (0.1 * 400.0), rel=0.02)
-    assert far["sigma_depth_m"] == pytest.approx(4.0 * near["sigma_depth_m"], rel=0.02)
-    assert near["sigma_lateral_m"][1] == pytest.approx(0.1 / (2**0.5 * 400.0), rel=0.02)
-    assert "distance, m" in done.text

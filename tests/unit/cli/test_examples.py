@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import click
-import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -19,16 +18,16 @@ from armsight.cli.examples import every_example
 ROOT = get_command(app)
 
 
-@pytest.mark.parametrize("example", [text for texts in every_example().values() for text in texts])
-def test_each_example_is_taken(example: str) -> None:
-    words = shlex.split(example)
-    assert words[0] == "armsight"
-    parent, command = click.Context(ROOT), ROOT
-    while hasattr(command, "commands"):
-        words = words[1:]
-        command = command.commands[words[0]]
-    context = command.make_context(words[0], words[1:], parent=parent)  # raises where a flag is not known or missing
-    assert context.params
+def test_each_example_is_taken() -> None:
+    for example in (text for texts in every_example().values() for text in texts):
+        words = shlex.split(example)
+        assert words[0] == "armsight", example
+        parent, command = click.Context(ROOT), ROOT
+        while hasattr(command, "commands"):
+            words = words[1:]
+            command = command.commands[words[0]]
+        context = command.make_context(words[0], words[1:], parent=parent)  # raises where a flag is unknown or missing
+        assert context.params, example
 
 
 def test_help_shows_them_and_the_overview_has_panels_and_completion() -> None:

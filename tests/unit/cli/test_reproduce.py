@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 
-from refusals import names_it
-
 Armsight = Callable[..., Any]
 
 
@@ -29,23 +27,6 @@ def complete(result: Any, out: Path) -> None:
     for name in result.json["figures"]:
         assert html.escape(name) in page
     assert result.json["assumptions"] and result.json["doubts"] and result.json["missing"]
-
-
-def test_kapucu_types_table_and_circles(armsight: Armsight, tmp_path: Path) -> None:
-    result = armsight("reproduce", "kapucu2005", "-o", tmp_path)
-    complete(result, tmp_path)
-    circles, table = result.json["tables"]["circles"], result.json["tables"]["table1"]
-    assert names_it((tmp_path / "report.html").read_text(encoding="utf-8"), "method: RRP", "armsight: RRP")
-    # as printed, against what the paper measured on its rig
-    assert circles["errors"]["paper"]["circle2_radius_m"] == pytest.approx(0.0566)
-    assert circles["errors"]["paper"]["circle1_centre_error_m"] == pytest.approx(0.04299, abs=1e-5)
-    assert table["errors"]["paper"]["d1_m"] == pytest.approx(0.0629)
-    # the geometry that the simulation was given
-    assert table["truth"]["d1_m"] == pytest.approx(1.27, abs=1e-4)
-    assert table["truth"]["a2_m"] == pytest.approx(0.1, abs=1e-4)
-    assert table["truth"]["d2_m"] == pytest.approx(-0.05, abs=1e-4)
-    assert result.json["n_compared"] >= 8 and result.json["missed"] == []
-    assert not table["credible"]["a1_m"] and not table["credible"]["d2_m"]  # MATH 4.4
 
 
 def test_korayem_pose_trajectory_and_joints(armsight: Armsight, tmp_path: Path) -> None:

@@ -14,72 +14,14 @@ from typing import Any
 import pytest
 
 from armsight.cli.command_ui import CommandUI
-from armsight.errors import Cancelled, UsageError
-from armsight.ops.simulation.run import simulate
-from armsight.records import Silent
+from armsight.errors import UsageError
 from armsight.store.atomic import FAILED, EarlierResults
-from refusals import names_it
 
 NAMES = ("poses.csv", "left", "report.html")
 
 
-def measure_words(scene: Any, out: Path) -> list[Any]:
-    files = ["--rig", scene.folder / "rig.yaml", "--target", scene.folder / "target.yaml"]
-    return ["measure", *files, *scene.sources(), "-o", out]
-
-
 def content(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
-def test_measure_leaves_another_runs_results_alone_until_it_is_told_to_replace_them(
-    armsight: Any, scene: Any, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    assert armsight(*measure_words(scene, out)).code == 0
-    (out / "notes.txt").write_text("mine")
-    before = content(out)
-    again = armsight(*measure_words(scene, out))
-    assert again.code == 2
-    assert "poses.csv" in again.text
-    assert "--overwrite" in again.text
-    assert content(out) == before
-    wrong = [*measure_words(scene, out), "--frames", "1", "--overwrite"]
-    wrong[wrong.index("--target") + 1] = tmp_path / "nosuch.yaml"
-    assert armsight(*wrong).code == 3
-    assert content(out) == before, "a run that fails leaves what was there"
-    failed = armsight(*measure_words(scene, out), "--inverted", "--overwrite")
-    assert failed.code == 3 and names_it(failed.text, str(out / "failed"), "earlier results")
-    assert {name: data for name, data in content(out).items() if not name.startswith("failed")} == before
-    assert (out / "failed" / "report.html").exists()
-    shutil.rmtree(out / "failed")
-    fewer = armsight(*measure_words(scene, out), "--frames", "1", "--overwrite")
-    assert fewer.code == 0
-    assert fewer.json["n_frames"] == 1
-    after = content(out)
-    assert set(after) == set(before)
-    assert after["notes.txt"] == b"mine"
-    assert after["poses.csv"] != before["poses.csv"]
-
-
-class StopsAt(Silent):
-    def __init__(self, done: int) -> None:
-        self.until, self.done = done, 0.0
-
-    def update(self, done: float, total: float, note: str = "") -> None:
-        self.done = done
-
-    def cancelled(self) -> bool:
-        return self.done >= self.until
-
-
-def test_a_simulation_that_is_stopped_leaves_tables_that_match_its_frames(tmp_path: Path) -> None:
-    with pytest.raises(Cancelled, match="2"):
-        simulate("webcam-cell", tmp_path, frames=5, room="dark", progress=StopsAt(2))
-    assert len(list((tmp_path / "left").iterdir())) == 2
-    tables = [tmp_path / name for name in ("times.csv", "truth.csv", "truth_world.csv", "joints.csv")]
-    lengths = {path.name: len(path.read_text().splitlines()) - 1 for path in tables if path.exists()}
-    assert set(lengths.values()) == {2}, lengths
 
 
 def test_earlier_results_come_back_or_go_as_a_whole(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,15 +11,14 @@ from typer.testing import CliRunner
 
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
-from armsight.control.guard import Box, GuardState, JointLimit, Limits
-from armsight.errors import BadFile, Cancelled, Inconsistent, StaleData, UsageError
+from armsight.control.guard import GuardState
+from armsight.errors import Inconsistent, StaleData, UsageError
 from armsight.ops import robots
 from armsight.ops.robot.jog import _Watcher
 from armsight.ops.robot.opening import ClockedRobot, open_robot
 from armsight.records import JointReading
-from armsight.store.limits_file import read_limits, write_limits
 from armsight.store.tracks import read_joints
-from refusals import names_it, refuses
+from refusals import names_it
 from robot_runs import acted
 
 SIM = "sim:webcam-cell"
@@ -100,14 +98,6 @@ def test_a_jog_goes_where_it_was_asked_to_and_tells() -> None:
     assert done.state == "ready"
 
 
-def test_a_jog_that_is_not_confirmed_moves_nothing() -> None:
-    clock = ManualClock()
-    robot = open_robot(SIM, clock)
-    with refuses(Cancelled, "confirmed"):
-        jog(clock, lambda _: False, robot=robot, joint=1, by=0.1)
-    assert robot.true_joints(clock.now_s())[0] == 0.0
-
-
 @pytest.mark.parametrize(
     ("job", "error"),
     [
@@ -125,24 +115,6 @@ def test_what_cannot_be_is_refused_before_anything_moves(job, error) -> None:
 
     with pytest.raises(error):
         jog(confirm=never, **job)
-
-
-def test_limits_come_back_as_they_were_written(tmp_path: Path) -> None:
-    path = tmp_path / "limits.yaml"
-    wrote = Limits(
-        speed_m_s=0.05,
-        joints=(JointLimit(lower=-1.0, upper=1.0, speed=0.5), JointLimit()),
-        workspace=Box(lower_m=-np.ones(3), upper_m=np.ones(3), name="cell"),
-        retreat=np.array([0.1, 0.2]),
-    )
-    write_limits(path, wrote)
-    read = read_limits(path)
-    assert read.speed_m_s == 0.05 and read.joints[0].speed == 0.5 and read.joints[1].upper == np.inf
-    assert read.workspace is not None and read.workspace.name == "cell"
-    assert read.retreat is not None and read.retreat.tolist() == [0.1, 0.2]
-    path.write_text("format: armsight/limits\nversion: 1\nsped_m_s: 1.0\n")
-    with pytest.raises(BadFile, match="speed_m_s"):
-        read_limits(path)
 
 
 def test_the_commands_answer_programs_and_have_exit_codes() -> None:

@@ -12,10 +12,9 @@ import yaml
 from typer.testing import CliRunner
 
 from armsight.cli.commands import app
-from armsight.store import read_rig
 from armsight.store.handeye_file import read_handeye
 
-SIZES = {"mirrors": 8, "handeye": 8, "pivot": 16, "arm-points": 40}
+SIZES = {"handeye": 8}
 
 
 def run(*arguments: str) -> str:
@@ -39,13 +38,6 @@ def truth(file: Path) -> dict[str, Any]:
     content = yaml.safe_load(file.read_text())
     assert isinstance(content, dict)
     return content
-
-
-def test_mirrors_are_calibrated_from_boards_and_from_lights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made("mirrors", tmp_path, monkeypatch)
-    true = read_rig(tmp_path / "rig_true.yaml").baseline_m
-    for name, within_m in (("rig.yaml", 1e-3), ("rig-of-lights.yaml", 1e-3)):  # few and small images
-        assert read_rig(tmp_path / name).baseline_m == pytest.approx(true, abs=within_m)
 
 
 def test_the_camera_on_the_hand_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,15 +16,13 @@ from typer.testing import CliRunner
 from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.drivers.jog_inputs import listening
-from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
-from armsight.kinematics import presets
+from armsight.errors import Cancelled, UsageError
 from armsight.ops import motion
 from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
 from armsight.ops.simulation.run import simulate
 from armsight.ops.teaching import TaughtBeside
 from armsight.records import PoseStatus, TargetPose, TaughtPath
-from armsight.store import read_poses, write_poses, write_text
-from armsight.store.arm_file import write_arm
+from armsight.store import read_poses, write_text
 from armsight.store.path_file import read_path, write_path
 from armsight.store.recording import Recording
 from armsight.units import MM
@@ -64,24 +62,6 @@ def played(path: Path, **more):
     robot = ClockedRobot(robot=open_robot(SIM, clock), clock=clock, called=SIM)
     asked = {"confirm": lambda _: True, "out": path.parent / "out", "approach_speed_m_s": 0.05, "retract_m": 0.004}
     return acted(motion.play, **{"robot": robot, "path": path, **asked, **more})
-
-
-def test_a_path_is_made_of_measured_poses(tmp_path: Path) -> None:
-    turned = Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
-    rows = []
-    for k in range(5):
-        T = RigidTransform.from_components([0.1 * k, 0.0, 0.5], turned).as_matrix()
-        rows.append(TargetPose(t_s=k, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=np.eye(6)))
-    rows[2] = TargetPose(t_s=2.0, status=PoseStatus.LOST, parent="rig")
-    write_poses(tmp_path / "poses.csv", rows)
-    write_text(tmp_path / "tip.yaml", "format: armsight/tip\nversion: 1\ntip_m: [0.1, 0.0, 0.0]\n")
-    out = tmp_path / "out"
-    code, done, _ = command("teach", "--from", tmp_path / "poses.csv", "--tip", tmp_path / "tip.yaml", "-o", out)
-    assert code == 0
-    assert (done["n_rows"], done["n_lost"], done["state"], done["stopped_by"]) == (4, 1, None, "end")
-    taught = read_path(out / "path.csv")
-    assert np.allclose(taught.xyz_m, [[0.1 * k, 0.1, 0.5] for k in (0, 1, 3, 4)])
-    assert json.loads((out / "teach.json").read_text()) == done
 
 
 def test_a_path_is_taught_before_cameras_that_stand(cell: Path, tmp_path: Path) -> None:
@@ -151,29 +131,6 @@ def test_speeds_and_lengths_in_millimetres_are_refused(path: Path, more: dict, w
 def test_nothing_is_written_or_moved_without_a_yes(path: Path) -> None:
     with pytest.raises(Cancelled):
         played(path, confirm=lambda _: False)
-    assert not (path.parent / "out").exists()
-
-
-def test_files_of_another_arm_and_missing_ones_are_refused(cell: Path, path: Path, tmp_path: Path) -> None:
-    write_arm(tmp_path / "puma.yaml", presets.puma761())
-    with refuses(Inconsistent, "flange"):
-        played(path, arm=tmp_path / "puma.yaml")
-    write_arm(tmp_path / "rrp.yaml", presets.stanford_rrp())
-    with pytest.raises(UsageError, match="6 joints"):
-        played(path, arm=tmp_path / "rrp.yaml")
-    with refuses(UsageError, "--target", "--handeye"):
-        played(path, rig=cell / "rig.yaml")
-    eyes = {name: cell / f"{name}.yaml" for name in ("rig", "target")}
-    with refuses(BadFile, "hand-eye"):
-        played(path, **eyes, handeye=tmp_path / "handeye.yaml")
-    with refuses(UsageError, "frame"):
-        played(path, frame="tool")
-    far = read_path(path)
-    T = far.T_world_tip.copy()
-    T[1, :3, 3] += 3.0
-    write_path(tmp_path / "far.csv", TaughtPath.of_poses(RigidTransform.from_matrix(T)))
-    with refuses(Inconsistent, "run it"):
-        played(tmp_path / "far.csv")
     assert not (path.parent / "out").exists()
 
 

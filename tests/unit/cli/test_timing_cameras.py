@@ -41,19 +41,3 @@ def test_tables_of_three_cameras_give_a_rig_with_their_timing(armsight: Run, wav
     assert first.delay_s == 0.0 and first.names == ("readout_s", "jitter_s")
     assert (second.delay_s, second.drift_ppm) == (late["delay_s"], late["drift_ppm"])
     assert third.std["drift_ppm"] == pytest.approx(done.json["std"]["c2.drift_ppm"])
-
-
-def test_a_camera_that_sees_no_light_is_told_and_the_others_are_written(
-    armsight: Run, waved: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "timed.yaml"
-    (tmp_path / "c2.csv").write_text((waved / "c2.csv").read_text().splitlines()[0] + "\n")
-    spots = ["--spots", f"c0={waved / 'c0.csv'}", "--spots", f"c1={waved / 'c1.csv'}"]
-    rig = ["calibrate", "timing", "--rig", waved / "rig.yaml", *spots, "-o", out]
-    missing = armsight(*rig)
-    assert missing.code == 2 and "c2" in missing.json["error"]["cure"] and not out.exists()
-    few = waved / "few.csv"
-    few.write_text("\n".join((waved / "c2.csv").read_text().splitlines()[:41]) + "\n")
-    done = armsight(*rig, "--spots", f"c2={few}")
-    assert done.code == 3 and "c2" in done.json["error"]["cause"]
-    assert [one is None for one in read_rig(out, any_cameras=True).timing] == [False, False, True]

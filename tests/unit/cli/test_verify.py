@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import BadFile
 from armsight.kinematics import fk, moved, preset
-from armsight.store.verify_files import read_commanded, read_measured, read_reported_joints
-from refusals import names_it, refuses
+from armsight.store.verify_files import read_measured, read_reported_joints
+from refusals import names_it
 
 AGAIN = "--overwrite"
 
 POSE = "x_m,y_m,z_m,qx,qy,qz,qw"
 JOINTS = "q1,q2,q3,q4,q5,q6"
-FIGURES = {"me", "mae", "max", "sd", "rms"}
 
 
 def write(path: Path, header: str, rows: np.ndarray) -> Path:
@@ -49,57 +45,6 @@ def files(truth: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> tuple[Path, P
         joints,
         ["verify", "--measured", measured, "--arm", "irb120", "-o", tmp_path / "out", AGAIN],
     )
-
-
-@pytest.fixture(scope="module")
-def verified(
-    armsight: Any, truth: tuple[np.ndarray, np.ndarray], tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, Any]:
-    """A run's folder, and what it told."""
-    folder = tmp_path_factory.mktemp("verified")
-    measured, joints = write(folder / "m.csv", POSE, truth[1]), write(folder / "j.csv", JOINTS, truth[0])
-    done = armsight("verify", "--measured", measured, "--arm", "irb120", "--joints", joints, "-o", folder / "out")
-    assert done.code == 0
-    return folder / "out", done.json
-
-
-def test_an_arm_is_verified_with_every_promised_key(verified: tuple[Path, Any]) -> None:
-    out, content = verified
-    assert (
-        set(content["task"]) == {"x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"} == set(content["measurement_std"])
-    )
-    assert all(set(item) == FIGURES for item in content["task"].values())
-    assert content["n"] == 40 and content["cause"] == "joint 2" and content["kind"] == "zero offset"
-    assert content["time"] == {"offset_s": None, "std_s": None, "drift_ppm": None, "bursts": False}
-    second = content["joints"][1]
-    assert second["judged"] and abs(second["offset_rad"] - np.deg2rad(0.5)) < 4.0 * second["std_rad"]
-    assert not content["joints"][0]["judged"] and content["joints"][0]["offset_rad"] is None
-    assert content["alignment"]["free"] == ["base", "tool"]
-    assert {"j1.theta_rad", "j6.theta_rad"} <= set(content["alignment"]["undetermined"])
-    assert content["after"]["rms_m"] < content["before"]["rms_m"]
-    assert {item["withheld"] is not None for item in content["iso9283"].values()} == {True}
-    assert content["rejected"] == []
-    assert json.loads((out / "verify.json").read_text()) == content
-    with (out / "errors.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
-    assert [int(row["row"]) for row in rows] == list(range(1, 41))
-    rms = np.sqrt(np.mean([float(row["error_m"]) ** 2 for row in rows]))
-    assert rms == pytest.approx(content["after"]["rms_m"], rel=1e-9)
-    page = (out / "report.html").read_text()
-    assert "Cause: joint 2" in page and "@page" in page and "over joint angles" in page
-
-
-def test_joints_may_be_columns_and_runs_are_compared(
-    armsight: Any, verified: tuple[Path, Any], truth: tuple[np.ndarray, np.ndarray], tmp_path: Path
-) -> None:
-    both = write(tmp_path / "both.csv", f"{JOINTS},{POSE},temperature_c", np.hstack([*truth, np.full((40, 1), 20.0)]))
-    words = ["verify", "--measured", both, "--arm", "irb120", "-o", tmp_path / "again", "--overwrite"]
-    done = armsight(*words, "--compare", verified[0])
-    assert done.code == 0
-    assert done.json["compared"]["after"] == done.json["after"]
-    assert any("temperature_c" in text for text in done.json["doubts"])
-    assert "the other run" in (tmp_path / "again" / "report.html").read_text()
-    assert armsight(*words, "--compare", tmp_path / "nothing").code == 3
 
 
 def test_a_commanded_path_needs_no_arm(armsight: Any, truth: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> None:
@@ -131,29 +76,6 @@ def test_torn_rows_are_left_out_and_the_others_keep_their_numbers(tmp_path: Path
     path.write_bytes(b"q1,q2\n1,2\n\x00\x00\n3,4\n")
     q = read_reported_joints(path).q
     assert q is not None and np.isnan(q[1]).all() and q[2].tolist() == [3.0, 4.0]
-
-
-def test_trackers_files_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "a.tum"
-    path.write_text("# t x y z\n0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n")
-    tum = read_measured(path).measured
-    assert tum.t_s is not None and tum.t_s.tolist() == [0.0, 1.0] and tum.rotation is not None
-    path.write_text("t_s,spot,x_m,y_m,z_m,sx_m,sy_m,sz_m,pose\n0,A,1,2,3,.1,.2,.3,p1\n0,B,1,2,4,.1,.1,.1,p1\n")
-    found = read_measured(path)
-    assert found.measured.labels == ("A", "B") and found.pose is not None and found.pose.tolist() == [0.0, 0.0]
-    assert found.measured.std is not None and found.measured.std[0, :3].tolist() == [0.1, 0.2, 0.3]
-    path.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
-    told = read_commanded(path)
-    reported, turned = told.reported, told.turned
-    assert not turned and reported.T is not None and reported.T[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
-    for text, said in (
-        ("x_m,y_m\n1,2\n", ("z_m", "missing")),
-        ("x_m,y_m,z_m,qx\n1,2,3,0\n", ("qx", "only")),
-        ("x_m,y_m,z_m\n1,2,three\n", ("line 2", "z_m")),
-    ):
-        path.write_text(text)
-        with refuses(BadFile, said):
-            read_measured(path)
 
 
 @pytest.fixture

@@ -9,11 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 from tests.truth.camera_ring import LIGHTS, pose, ring
-from tests.truth.ring_of_cameras import SIZE, waved
-from tests.truth.ring_of_cameras import Ring as FilmOfBoard
-from tests.truth.ring_of_cameras import ring as board_ring
 from tests.truth.test_knocked_camera import TURN_RAD, knocked
 from tests.truth.test_views import draw, setup_of
 
@@ -24,15 +20,11 @@ from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.views import measure_views
 from armsight.measure.results import grounds_of
 from armsight.ops.measurement.outputs import Outputs
-from armsight.optics import Camera, MountedCamera
-from armsight.records import PoseStatus, Spots
+from armsight.records import Spots
 from armsight.store import read_poses
-from armsight_sim.boards import Board, board_light, corner_rays
-from armsight_sim.lens import Lens
 from refusals import names_it, refuses
 
 CAMERAS, MOMENTS = ("c0", "c1", "c2", "c3"), 11
-BOARD_CAMERAS = ("a", "b", "c")
 
 
 @pytest.fixture(scope="module")
@@ -97,51 +89,6 @@ def test_python_has_the_pose_of_one_moment_and_the_track_of_many(seen: tuple[Pat
         armsight.estimate_pose(pictures["c0"], pictures["c1"], setup.rig, setup.target)
     with refuses(UsageError, "without any frame"):
         tracker.update(cameras=dict.fromkeys(CAMERAS), t_s=9.0)
-
-
-def board_pictures(folder: Path, film: FilmOfBoard) -> tuple[armsight.Rig, dict[str, str]]:
-    """Folders of what each camera sees of a printed board, by rays of the simulation's own lens."""
-    rng, board = np.random.default_rng(1), Board(columns=9, rows=6, square_m=0.04)
-    for name, k, T, sees in zip(BOARD_CAMERAS, film.k, film.T, film.seen.T, strict=True):
-        lens = Lens(
-            width=SIZE[0],
-            height=SIZE[1],
-            focal_px=(k[0], k[1]),
-            centre_px=(k[2], k[3]),
-            skew_px=k[4],
-            distortion=tuple(k[5:]),
-        )
-        rays = corner_rays(lens)
-        (folder / name).mkdir()
-        for g in range(len(film.boards)):
-            own = RigidTransform.from_matrix(np.linalg.inv(T) @ film.boards[g])
-            light = board_light(rays, board, own)[:, :, 0] if sees[g] else np.full(SIZE[::-1], 70.0)
-            image = np.clip(light + rng.normal(0.0, 1.5, light.shape), 0, 255).round().astype(np.uint8)
-            cv2.imwrite(str(folder / name / f"{g:03d}.png"), image)
-    mounted = [
-        MountedCamera(
-            name=name,
-            camera=Camera(width=SIZE[0], height=SIZE[1], intrinsics=k),
-            T_rig_camera=RigidTransform.from_matrix(T),
-        )
-        for name, k, T in zip(BOARD_CAMERAS, film.k, film.T, strict=True)
-    ]
-    return armsight.Rig(cameras=mounted), {name: str(folder / name) for name in BOARD_CAMERAS}
-
-
-def test_a_board_is_measured_by_any_cameras_of_which_never_all_see_it(tmp_path: Path) -> None:
-    still = board_ring(np.random.default_rng(5), 3, 4, apart_deg=40.0)
-    film, _ = waved(still, 8, 0.9)
-    rig, given = board_pictures(tmp_path, film)
-    done = armsight.measure(rig, "checkerboard:9x6:0.04", cameras=given, stills=True, out=tmp_path / "out")
-    shown = film.seen.any(axis=1)
-    assert shown.sum() >= 6 and not film.seen.all(axis=1).all() and done.n_ok == shown.sum()
-    for T, one in zip(film.boards, done.poses.poses, strict=True):
-        if one.status is PoseStatus.OK:
-            d = np.asarray(one.T_parent_target)[:3, 3] - T[:3, 3]
-            assert np.linalg.norm(d) < 2e-4 and d @ np.linalg.solve(np.asarray(one.covariance)[:3, :3], d) < 40.0
-    page = (tmp_path / "out/report.html").read_text()
-    assert all(names_it(page, name) for name in BOARD_CAMERAS)
 
 
 def test_what_a_rig_of_four_cannot_take_is_refused(seen: tuple[Path, list[np.ndarray]], tmp_path: Path) -> None:

@@ -67,10 +67,6 @@ class Raw:
         self.socket.close()
 
 
-def warnings(log):
-    return [message for level, message in log.events if level == "warning"]
-
-
 def get(url, path, **headers):
     request = urllib.request.Request(url.replace("ws:", "http:") + path, headers=headers)
     try:
@@ -93,13 +89,6 @@ def test_state_schema_and_pages(url, host):
     assert get(url, say.STATE_PATH)[0] == 503
 
 
-def test_a_second_driver_is_refused_with_who_and_since(url, log):
-    with Raw(url):
-        with refuses(DeviceFailed, "local@127.0.0.1", "drives", "fake"):
-            Link(ServerAddress(url=url), say.DRIVE_PATH).open()
-        assert "refused to drive" in warnings(log)[-1]
-
-
 @pytest.mark.parametrize("how", ["close", "reset"])
 def test_a_driver_who_leaves_or_is_cut_holds_the_robot(url, host, how):
     link = Link(ServerAddress(url=url), say.DRIVE_PATH)
@@ -111,19 +100,6 @@ def test_a_driver_who_leaves_or_is_cut_holds_the_robot(url, host, how):
     assert host.heard.wait(WAIT_S), "the loop is told to hold"
     with Raw(url) as next_one:
         assert next_one.hello["role"] == "drive", "another may drive without a restart"
-
-
-def test_replayed_messages_are_refused_and_logged(url, host, log):
-    with Raw(url) as driver:
-        driver.say("heartbeat", enable=True)
-        answer, text = driver.say("joint_goal", q=[0.1, 0.2])
-        assert answer["type"] == "accepted"
-        host.told.clear()
-        assert "replay" in driver.send(text)["cause"]
-    with Raw(url) as later:
-        assert "another connection" in later.send(text)["cause"]
-    assert not [what for what in host.told if what[0] == "post"]
-    assert [word for word in ("replay", "another connection") if any(word in line for line in warnings(log))]
 
 
 def test_tls(service, certificate, tmp_path):

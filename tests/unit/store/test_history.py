@@ -11,7 +11,6 @@ import signal
 import socket
 import sqlite3
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +19,7 @@ import pytest
 from sqlalchemy import select, text
 
 import histories
+import warm_python
 from armsight.errors import BadFile, DeviceFailed, DeviceNotFound, UsageError
 from armsight_lab.history import database, queries
 from armsight_lab.history.adding import file_entry
@@ -185,10 +185,9 @@ class TestDatabase:
         """Each writes on as soon as it is told to; one is killed in the middle of whatever it does then."""
         url = place.url.replace("+pg8000", "") if place.path is None else str(place.path)
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
-        environment = {**os.environ, "PYTHONPATH": path}
-        words = [[sys.executable, "-c", WRITER, url, f"cell {i}", str(i)] for i in range(2)]
-        writers = [subprocess.Popen(each, env=environment, **pipes) for each in words]
+        words = [[warm_python.commands() / "python", "-c", WRITER, url, f"cell {i}", str(i)] for i in range(2)]
+        tests = Path(__file__).parents[2]  # where histories.py is
+        writers = [subprocess.Popen(each, cwd=tests, **pipes) for each in words]
         acknowledged: list[int] = []
         for turn in range(4):
             for writer in writers:
