@@ -246,24 +246,25 @@ def _explained(case: Case, aligned: ModelFit, trial: _Trial, cause: Cause, able:
     cause = replace(cause, joints=_estimates(judged, able, trial, loose), arm_off_m=healthy.off_m)
     beyond = float(np.log(ODDS * trial.n_tried))
     least = max(healthy.log_evidence + beyond, loose.log_evidence)
-    if trial.gained and (one := _one_joint(case, aligned, trial, prior, cause, least)) is not None:
+    likeliest = _likeliest(case, aligned, trial, prior) if trial.gained else None
+    if likeliest is not None and (one := _one_joint(case, likeliest, cause, least)) is not None:
         return one
     if _gained(before, plain, before.with_joints(able)) and loose.log_evidence - healthy.log_evidence > beyond:
         return replace(cause, cause="several joints", sentence=_several(cause.joints, gains))
+    if likeliest is not None and likeliest[1].log_evidence > healthy.log_evidence:
+        return replace(cause, sentence=_joint_or_links(likeliest[0], likeliest[1]))
     everything = before.with_geometry(before.joints[:, :, able])
     if _gained(before, plain, everything) or _gained(before, plain, before.with_geometry()):
         return replace(cause, cause="model", sentence=_model(gains, trial))
     return _nothing(aligned, cause)
 
 
-def _one_joint(
-    case: Case, aligned: ModelFit, trial: _Trial, prior: GeometryPrior, cause: Cause, least: float
-) -> Cause | None:
+def _one_joint(case: Case, likeliest: tuple[_Trial, Account, int | None], cause: Cause, least: float) -> Cause | None:
     """Return the cause where one joint's fault is it, or one of two that explain alike; None where it is none.
 
     least: the log evidence that it is to have.
     """
-    trial, own, rival = _likeliest(case, aligned, trial, prior)
+    trial, own, rival = likeliest
     after, zero = trial.after, trial.effect.kind is Kind.ZERO
     if own.log_evidence <= least or not (zero or _leaves_little(after, trial.own)):
         return None
@@ -343,6 +344,17 @@ def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) ->
         fitted=fit,
         sentence=f"Joint {effect.joint + 1} ({name}) is the cause: {effect.kind}, {values_text}. It takes "
         f"{100 * gain(trial.plain, trial.own):.3g} % off the squared errors of rows left out.{rest}",
+    )
+
+
+def _joint_or_links(trial: _Trial, own: Account) -> str:
+    """Return in words that a fault and links within what arms are made to explain the errors alike."""
+    joint, fit = trial.effect.joint + 1, trial.fitted.p
+    values = own.zeros[[joint - 1]] if trial.effect.kind is Kind.ZERO else fit[len(fit) - len(trial.effect.names) :]
+    fault = ", ".join(shown(*one) for one in zip(trial.effect.names, values, own.fault_std, strict=True))
+    return (
+        f"Joint {joint} ({trial.effect.kind}, {fault}) explains the errors at these rows, and lengths and axes within "
+        "what arms are made to do so as well: neither is named."
     )
 
 
