@@ -17,10 +17,10 @@ from armsight.calibrate.arm.covariance import APART
 from armsight.errors import NotConverged
 from armsight.fitting.groups import regions
 from armsight.kinematics import Arm
-from armsight.verify.effects import Effect, JointVerdict, Kind, effects, shown, still
+from armsight.verify.effects import Effect, JointVerdict, Kind, effects, several_zeros, shown, still, told_zeros
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
 from armsight.verify.evidence import falls as fall_by_chance
-from armsight.verify.explanations import Account, GeometryPrior, drifting
+from armsight.verify.explanations import ANGLE_RAD, LENGTH_M, Account, GeometryPrior, drifting
 from armsight.verify.model import ModelFit
 
 FEWEST_POSES = 12
@@ -246,17 +246,20 @@ def _explained(case: Case, aligned: ModelFit, trial: _Trial, cause: Cause, able:
     cause = replace(cause, joints=_estimates(judged, able, trial, loose), arm_off_m=healthy.off_m)
     beyond = float(np.log(ODDS * trial.n_tried))
     least = max(healthy.log_evidence + beyond, loose.log_evidence)
-    likeliest = _likeliest(case, aligned, trial, prior) if trial.gained else None
-    if likeliest is not None and (one := _one_joint(case, likeliest, cause, least)) is not None:
+    everything = before.with_geometry(before.joints[:, :, able])
+    links = _gained(before, plain, everything) or _gained(before, plain, before.with_geometry())
+    likeliest = _likeliest(case, aligned, trial, prior) if trial.gained or links else None
+    if likeliest is not None and trial.gained and (one := _one_joint(case, likeliest, cause, least)) is not None:
         return one
     if _gained(before, plain, before.with_joints(able)) and loose.log_evidence - healthy.log_evidence > beyond:
-        return replace(cause, cause="several joints", sentence=_several(cause.joints, gains))
-    if likeliest is not None and likeliest[1].log_evidence > healthy.log_evidence:
-        return replace(cause, sentence=_joint_or_links(likeliest[0], likeliest[1]))
-    everything = before.with_geometry(before.joints[:, :, able])
-    if _gained(before, plain, everything) or _gained(before, plain, before.with_geometry()):
-        return replace(cause, cause="model", sentence=_model(gains, trial))
-    return _nothing(aligned, cause)
+        return replace(cause, cause="several joints", sentence=several_zeros(cause.joints, gains))
+    if likeliest is not None and likeliest[1].log_evidence > healthy.log_evidence and _leaves_little(likeliest[0]):
+        return replace(cause, sentence=_joint_or_links(*likeliest[:2]))
+    off = told_zeros(case.bare, cause.joints, 2.0 * np.where(case.bare.revolute, ANGLE_RAD, LENGTH_M))
+    if links:
+        or_zeros = off if loose.log_evidence > healthy.log_evidence else ""
+        return replace(cause, cause="model", sentence=_model(gains, trial, or_zeros))
+    return _nothing(aligned, cause, off)
 
 
 def _one_joint(case: Case, likeliest: tuple[_Trial, Account, int | None], cause: Cause, least: float) -> Cause | None:
@@ -266,7 +269,7 @@ def _one_joint(case: Case, likeliest: tuple[_Trial, Account, int | None], cause:
     """
     trial, own, rival = likeliest
     after, zero = trial.after, trial.effect.kind is Kind.ZERO
-    if own.log_evidence <= least or not (zero or _leaves_little(after, trial.own)):
+    if own.log_evidence <= least or not (zero or _leaves_little(trial)):
         return None
     if rival is not None:
         both = f"Joint {trial.effect.joint + 1} and joint {rival + 1}"
@@ -278,10 +281,10 @@ def _one_joint(case: Case, likeliest: tuple[_Trial, Account, int | None], cause:
     return _named(case, trial, cause, own, adds)
 
 
-def _leaves_little(evidence: Evidence, own: Fitted) -> bool:
+def _leaves_little(trial: _Trial) -> bool:
     """Whether the geometry takes little off the variance that a fault leaves."""
-    size, beyond = evidence.linear.residual.size, evidence.with_geometry()
-    left, least = (fit.squares / max(size - fit.rank, 1) for fit in (own, beyond))
+    size = trial.after.linear.residual.size
+    left, least = (fit.squares / max(size - fit.rank, 1) for fit in (trial.own, trial.after.with_geometry()))
     return left <= LEAVES * least
 
 
@@ -358,30 +361,21 @@ def _joint_or_links(trial: _Trial, own: Account) -> str:
     )
 
 
-def _several(joints: tuple[JointVerdict, ...], gains: dict[str, float]) -> str:
-    far = [
-        i + 1
-        for i, v in enumerate(joints)
-        if v.offset is not None and v.std is not None and abs(v.offset) > 4.0 * v.std
-    ]
-    beyond = f" (those beyond four standard deviations: {', '.join(map(str, far))})" if far else ""
-    return (
-        f"Several joints' zeros are off{beyond}: together they take {100 * gains['zeros']:.3g} % off left-out squares."
-    )
-
-
-def _model(gains: dict[str, float], trial: _Trial) -> str:
+def _model(gains: dict[str, float], trial: _Trial, off: str) -> str:
+    rows = "on these rows (of measurements and joints in two files `armsight join --as points` makes one)"
+    either = f" Zeros ({off}) explain much as well: rows over more of the arm's range tell which it is." if off else ""
     return (
         f"The arm's model is the cause: correcting its geometry takes {100 * gains['model']:.3g} % off the squared "
-        "errors of rows left out, the best single joint "
-        f"(joint {trial.effect.joint + 1}) {100 * gains['joint']:.3g} %. "
-        "Joint zeros read from a wrong model are not to be believed: run `armsight calibrate arm` on these rows "
-        "(of measurements and joints in two files `armsight join --as points` makes one)."
+        f"errors of rows left out, the best single joint (joint {trial.effect.joint + 1}) {100 * gains['joint']:.3g} "
+        f"%.{either} Joint zeros read from a wrong model are not to be believed: run `armsight calibrate arm` {rows}."
     )
 
 
-def _nothing(aligned: ModelFit, cause: Cause) -> Cause:
-    """Return the verdict where neither joints nor geometry take errors off."""
+def _nothing(aligned: ModelFit, cause: Cause, zeros: str) -> Cause:
+    """Return the verdict where neither joints nor geometry take errors off; zeros: those that seem to be off."""
+    if zeros:
+        sentence = f"Zeros seem to be off ({zeros}), but take too little off rows left out to be told from chance."
+        return replace(cause, cause="undecided", sentence=sentence)
     known = bool(aligned.noise.measurement.any())
     total = np.sqrt(np.median(aligned.noise.sigma**2, axis=0))
     own = np.sqrt(np.median(aligned.noise.measurement**2, axis=0))

@@ -133,3 +133,25 @@ class JointVerdict:
     gain_heldout: float | None = None
     kind: Kind | None = None
     backlash: tuple[float, float] | None = None
+
+
+def told_zeros(arm: Arm, joints: tuple[JointVerdict, ...], least: Array) -> str:
+    """Return in words the zeros that are off by more than four deviations and least (n,); "" for none."""
+    names = ["zero_rad" if turning else "zero_m" for turning in arm.revolute]
+    off = [f"joint {i + 1} ({shown(names[i], *pair)})" for i, pair in _far(joints) if abs(pair[0]) > least[i]]
+    return ", ".join(off)
+
+
+def _far(joints: tuple[JointVerdict, ...]) -> list[tuple[int, tuple[float, float]]]:
+    """Return the joints (from 0) whose zeros are off by more than four deviations: zero, deviation."""
+    known = [(i, (v.offset, v.std)) for i, v in enumerate(joints) if v.offset is not None and v.std is not None]
+    return [(i, (zero, std)) for i, (zero, std) in known if abs(zero) > 4.0 * std]
+
+
+def several_zeros(joints: tuple[JointVerdict, ...], gains: dict[str, float]) -> str:
+    """Return in words that several zeros are off; gains: shares that they take off."""
+    far = [i + 1 for i, _ in _far(joints)]
+    beyond = f" (those beyond four standard deviations: {', '.join(map(str, far))})" if far else ""
+    return (
+        f"Several joints' zeros are off{beyond}: together they take {100 * gains['zeros']:.3g} % off left-out squares."
+    )
