@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import armsight as product
 import tracker_lab as lab
 from armsight.store.handeye_file import read_handeye
-from program_writers import PULSES, fanuc, jbi, krl, rapid, rows_of
+from program_writers import PULSES, fanuc, jbi, kawasaki, krl, rapid, rows_of, val3
 from tracker_writers import OF_BODIES, OF_MARKERS, written
 
 BODY = ["--body", "Flange"]
@@ -116,7 +116,7 @@ def test_visits_of_poses_in_a_take_give_the_figures_of_iso_9283(armsight, tmp_pa
         assert abs(found["value"] - apart.mean() - 3.0 * apart.std(ddof=1)) < 4e-5  # of the tracker's own scatter
 
 
-PROGRAMS = {"krl": krl, "fanuc": fanuc, "jbi": jbi, "rapid": rapid}
+PROGRAMS = {"krl": krl, "fanuc": fanuc, "jbi": jbi, "rapid": rapid, "as": kawasaki, "val3": val3}
 
 
 def programs(folder, kind):
