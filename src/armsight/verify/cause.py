@@ -17,7 +17,7 @@ from armsight.calibrate.arm.covariance import APART
 from armsight.errors import NotConverged
 from armsight.fitting.groups import regions
 from armsight.kinematics import Arm
-from armsight.verify.effects import Effect, JointVerdict, Kind, effects, several_zeros, shown, still, told_zeros
+from armsight.verify.effects import Effect, JointVerdict, Kind, effects, far_zeros, model_off, several_off, shown, still
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
 from armsight.verify.evidence import falls as fall_by_chance
 from armsight.verify.explanations import ANGLE_RAD, LENGTH_M, Account, GeometryPrior, drifting
@@ -252,13 +252,13 @@ def _explained(case: Case, aligned: ModelFit, trial: _Trial, cause: Cause, able:
     if likeliest is not None and trial.gained and (one := _one_joint(case, likeliest, cause, least)) is not None:
         return one
     if _gained(before, plain, before.with_joints(able)) and loose.log_evidence - healthy.log_evidence > beyond:
-        return replace(cause, cause="several joints", sentence=several_zeros(cause.joints, gains))
-    if likeliest is not None and likeliest[1].log_evidence > healthy.log_evidence and _leaves_little(likeliest[0]):
+        return replace(cause, cause="several joints", sentence=several_off(cause.joints, gains))
+    if likeliest is not None and _may_be_it(*likeliest[:2], healthy.log_evidence):
         return replace(cause, sentence=_joint_or_links(*likeliest[:2]))
-    off = told_zeros(case.bare, cause.joints, 2.0 * np.where(case.bare.revolute, ANGLE_RAD, LENGTH_M))
+    off = far_zeros(case.bare, cause.joints, 2.0 * np.where(case.bare.revolute, ANGLE_RAD, LENGTH_M))
     if links:
         or_zeros = off if loose.log_evidence > healthy.log_evidence else ""
-        return replace(cause, cause="model", sentence=_model(gains, trial, or_zeros))
+        return replace(cause, cause="model", sentence=model_off(gains, trial.effect.joint, or_zeros))
     return _nothing(aligned, cause, off)
 
 
@@ -286,6 +286,14 @@ def _leaves_little(trial: _Trial) -> bool:
     size = trial.after.linear.residual.size
     left, least = (fit.squares / max(size - fit.rank, 1) for fit in (trial.own, trial.after.with_geometry()))
     return left <= LEAVES * least
+
+
+def _may_be_it(trial: _Trial, own: Account, healthy: float) -> bool:
+    """Whether a joint's fault is likelier than links within what arms are made to (log evidence healthy)."""
+    likelier = own.log_evidence - healthy
+    if trial.effect.kind is Kind.ZERO and likelier > 0.5 * RIVAL_LOG:
+        return True
+    return likelier > 0.0 and _leaves_little(trial)
 
 
 def _gained(evidence: Evidence, poorer: Fitted, richer: Fitted) -> bool:
@@ -328,13 +336,7 @@ def _estimates(
 
 
 def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) -> Cause:
-    effect, fit = trial.effect, trial.fitted
-    values = fit.p[len(fit.p) - len(effect.names) :]
-    if effect.kind is Kind.ZERO:
-        values = own.zeros[[effect.joint]]
-    parameters = {
-        name: (float(v), float(std)) for name, v, std in zip(effect.names, values, own.fault_std, strict=True)
-    }
+    effect, parameters = trial.effect, _parameters(trial, own)
     values_text = ", ".join(shown(name, *pair) for name, pair in parameters.items())
     name = case.bare.joints[effect.joint].name
     rest = " The rest is the model's: `armsight calibrate arm` corrects it." if adds else ""
@@ -344,30 +346,27 @@ def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) ->
         joint=effect.joint,
         kind=effect.kind,
         parameters=parameters,
-        fitted=fit,
+        fitted=trial.fitted,
         sentence=f"Joint {effect.joint + 1} ({name}) is the cause: {effect.kind}, {values_text}. It takes "
         f"{100 * gain(trial.plain, trial.own):.3g} % off the squared errors of rows left out.{rest}",
     )
 
 
+def _parameters(trial: _Trial, own: Account) -> dict[str, tuple[float, float]]:
+    """Return the fault's parameters by name with their deviations."""
+    values = trial.fitted.p[len(trial.fitted.p) - len(trial.effect.names) :]
+    if trial.effect.kind is Kind.ZERO:
+        values = own.zeros[[trial.effect.joint]]
+    found = zip(trial.effect.names, values, own.fault_std, strict=True)
+    return {name: (float(value), float(std)) for name, value, std in found}
+
+
 def _joint_or_links(trial: _Trial, own: Account) -> str:
     """Return in words that a fault and links within what arms are made to explain the errors alike."""
-    joint, fit = trial.effect.joint + 1, trial.fitted.p
-    values = own.zeros[[joint - 1]] if trial.effect.kind is Kind.ZERO else fit[len(fit) - len(trial.effect.names) :]
-    fault = ", ".join(shown(*one) for one in zip(trial.effect.names, values, own.fault_std, strict=True))
+    fault = ", ".join(shown(name, *pair) for name, pair in _parameters(trial, own).items())
     return (
-        f"Joint {joint} ({trial.effect.kind}, {fault}) explains the errors at these rows, and lengths and axes within "
-        "what arms are made to do so as well: neither is named."
-    )
-
-
-def _model(gains: dict[str, float], trial: _Trial, off: str) -> str:
-    rows = "on these rows (of measurements and joints in two files `armsight join --as points` makes one)"
-    either = f" Zeros ({off}) explain much as well: rows over more of the arm's range tell which it is." if off else ""
-    return (
-        f"The arm's model is the cause: correcting its geometry takes {100 * gains['model']:.3g} % off the squared "
-        f"errors of rows left out, the best single joint (joint {trial.effect.joint + 1}) {100 * gains['joint']:.3g} "
-        f"%.{either} Joint zeros read from a wrong model are not to be believed: run `armsight calibrate arm` {rows}."
+        f"Joint {trial.effect.joint + 1} ({trial.effect.kind}, {fault}) explains the errors at these rows, and lengths "
+        "and axes within what arms are made to do so as well: neither is named."
     )
 
 
