@@ -37,8 +37,7 @@ def base_off(world):
 
 @pytest.mark.parametrize("kind", [*OF_BODIES, *OF_MARKERS])
 def test_a_trackers_file_goes_through_every_command(armsight, tmp_path, kind):
-    log, stream = tmp_path / "log.csv", tmp_path / "robot.csv"
-    take = written(tmp_path, "run", kind, lab.moving())
+    log, stream, take = tmp_path / "log.csv", tmp_path / "robot.csv", written(tmp_path, "run", kind, lab.moving())
     log.write_text(lab.log())
     stream.write_text(lab.robot_poses())
     place = np.zeros(3) if kind in OF_BODIES else lab.MIDDLE
