@@ -336,7 +336,7 @@ def _estimates(
 
 
 def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) -> Cause:
-    effect, parameters = trial.effect, _parameters(trial, own)
+    effect, fit, parameters = trial.effect, trial.fitted, _parameters(trial, own)
     values_text = ", ".join(shown(name, *pair) for name, pair in parameters.items())
     name = case.bare.joints[effect.joint].name
     rest = " The rest is the model's: `armsight calibrate arm` corrects it." if adds else ""
@@ -346,7 +346,7 @@ def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) ->
         joint=effect.joint,
         kind=effect.kind,
         parameters=parameters,
-        fitted=trial.fitted,
+        fitted=fit,
         sentence=f"Joint {effect.joint + 1} ({name}) is the cause: {effect.kind}, {values_text}. It takes "
         f"{100 * gain(trial.plain, trial.own):.3g} % off the squared errors of rows left out.{rest}",
     )
