@@ -60,6 +60,16 @@ FILES = (
     Public("halcon", "gheini/BAT_halcon", "18c5f90b", ("camera_parameters.dat",)),
     Public("halcon", "moyang602/bit_mbzirc", "b74aabf4", (MER,)),
     Public("depthai", "luxonis/depthai", "8c6c58f0", ("depthai_calib.json",), Asked(names=("CAM_B", "CAM_C")), 73.789),
+    Public(
+        *("depthai", "luxonis/depthai-core", "af205967", ("examples/calib_data_v5.json",)),
+        Asked(names=("CAM_B", "CAM_C")),
+        74.468,
+    ),
+    Public(
+        *("depthai", "alessandrocurci2002/depthai-ros", "edc01e85", ("oak_calib.json",)),
+        Asked(names=("CAM_B", "CAM_C")),
+        says=("tilt", "0.8 px", "--approximate"),
+    ),
     Public("aniposelib", "Melokeo/AmbiguousMonkey", "7b7cb9fd", ("ammonkey/cfgs/calibration.toml",), MM, 437.938),
     Public("aniposelib", "dimitrov-hristo/Markerless-Tracking-GUI", "05814c98", ("calibration.toml",), MM, 1114.694),
     Public(*CALISCOPE, ("tests/reference/2d_data/camera_array.toml",), baseline_mm=453.808),
@@ -75,6 +85,11 @@ FILES = (
         "d2f83e2f",
         ("realsense_calibration.json",),
         Asked(names=("color",)),
+    ),
+    Public(
+        *("realsense", "JerryChen1125/Explicit-Recovery-Behavior-Diffusion-Policy", "146e0cee"),
+        ("realsense_intrinsics.json",),
+        Asked(names=("231522072820-color",)),
     ),
     Public(*MATLAB, ("stereoParams.mat",), Asked(size=(1280, 960)), 77.499),
     Public(*MATLAB, ("stereoParams10.mat",), baseline_mm=73.015),

@@ -17,10 +17,10 @@ from armsight.calibrate.arm.covariance import APART
 from armsight.errors import NotConverged
 from armsight.fitting.groups import regions
 from armsight.kinematics import Arm
-from armsight.verify.effects import Effect, JointVerdict, Kind, effects, shown, still
+from armsight.verify.effects import Effect, JointVerdict, Kind, effects, far_zeros, model_off, several_off, shown, still
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
 from armsight.verify.evidence import falls as fall_by_chance
-from armsight.verify.explanations import Account, GeometryPrior, drifting
+from armsight.verify.explanations import ANGLE_RAD, LENGTH_M, Account, GeometryPrior, drifting
 from armsight.verify.model import ModelFit
 
 FEWEST_POSES = 12
@@ -246,26 +246,30 @@ def _explained(case: Case, aligned: ModelFit, trial: _Trial, cause: Cause, able:
     cause = replace(cause, joints=_estimates(judged, able, trial, loose), arm_off_m=healthy.off_m)
     beyond = float(np.log(ODDS * trial.n_tried))
     least = max(healthy.log_evidence + beyond, loose.log_evidence)
-    if trial.gained and (one := _one_joint(case, aligned, trial, prior, cause, least)) is not None:
+    everything = before.with_geometry(before.joints[:, :, able])
+    links = _gained(before, plain, everything) or _gained(before, plain, before.with_geometry())
+    likeliest = _likeliest(case, aligned, trial, prior) if trial.gained or links else None
+    if likeliest is not None and trial.gained and (one := _one_joint(case, likeliest, cause, least)) is not None:
         return one
     if _gained(before, plain, before.with_joints(able)) and loose.log_evidence - healthy.log_evidence > beyond:
-        return replace(cause, cause="several joints", sentence=_several(cause.joints, gains))
-    everything = before.with_geometry(before.joints[:, :, able])
-    if _gained(before, plain, everything) or _gained(before, plain, before.with_geometry()):
-        return replace(cause, cause="model", sentence=_model(gains, trial))
-    return _nothing(aligned, cause)
+        return replace(cause, cause="several joints", sentence=several_off(cause.joints, gains))
+    if likeliest is not None and _may_be_it(*likeliest[:2], healthy.log_evidence):
+        return replace(cause, sentence=_joint_or_links(*likeliest[:2]))
+    off = far_zeros(case.bare, cause.joints, 2.0 * np.where(case.bare.revolute, ANGLE_RAD, LENGTH_M))
+    if links:
+        or_zeros = off if loose.log_evidence > healthy.log_evidence else ""
+        return replace(cause, cause="model", sentence=model_off(gains, trial.effect.joint, or_zeros))
+    return _nothing(aligned, cause, off)
 
 
-def _one_joint(
-    case: Case, aligned: ModelFit, trial: _Trial, prior: GeometryPrior, cause: Cause, least: float
-) -> Cause | None:
+def _one_joint(case: Case, likeliest: tuple[_Trial, Account, int | None], cause: Cause, least: float) -> Cause | None:
     """Return the cause where one joint's fault is it, or one of two that explain alike; None where it is none.
 
     least: the log evidence that it is to have.
     """
-    trial, own, rival = _likeliest(case, aligned, trial, prior)
+    trial, own, rival = likeliest
     after, zero = trial.after, trial.effect.kind is Kind.ZERO
-    if own.log_evidence <= least or not (zero or _leaves_little(after, trial.own)):
+    if own.log_evidence <= least or not (zero or _leaves_little(trial)):
         return None
     if rival is not None:
         both = f"Joint {trial.effect.joint + 1} and joint {rival + 1}"
@@ -277,11 +281,19 @@ def _one_joint(
     return _named(case, trial, cause, own, adds)
 
 
-def _leaves_little(evidence: Evidence, own: Fitted) -> bool:
+def _leaves_little(trial: _Trial) -> bool:
     """Whether the geometry takes little off the variance that a fault leaves."""
-    size, beyond = evidence.linear.residual.size, evidence.with_geometry()
-    left, least = (fit.squares / max(size - fit.rank, 1) for fit in (own, beyond))
+    size = trial.after.linear.residual.size
+    left, least = (fit.squares / max(size - fit.rank, 1) for fit in (trial.own, trial.after.with_geometry()))
     return left <= LEAVES * least
+
+
+def _may_be_it(trial: _Trial, own: Account, healthy: float) -> bool:
+    """Whether a joint's fault is likelier than links within what arms are made to (log evidence healthy)."""
+    likelier = own.log_evidence - healthy
+    if trial.effect.kind is Kind.ZERO and likelier > 0.5 * RIVAL_LOG:
+        return True
+    return likelier > 0.0 and _leaves_little(trial)
 
 
 def _gained(evidence: Evidence, poorer: Fitted, richer: Fitted) -> bool:
@@ -324,13 +336,7 @@ def _estimates(
 
 
 def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) -> Cause:
-    effect, fit = trial.effect, trial.fitted
-    values = fit.p[len(fit.p) - len(effect.names) :]
-    if effect.kind is Kind.ZERO:
-        values = own.zeros[[effect.joint]]
-    parameters = {
-        name: (float(v), float(std)) for name, v, std in zip(effect.names, values, own.fault_std, strict=True)
-    }
+    effect, fit, parameters = trial.effect, trial.fitted, _parameters(trial, own)
     values_text = ", ".join(shown(name, *pair) for name, pair in parameters.items())
     name = case.bare.joints[effect.joint].name
     rest = " The rest is the model's: `armsight calibrate arm` corrects it." if adds else ""
@@ -346,30 +352,29 @@ def _named(case: Case, trial: _Trial, found: Cause, own: Account, adds: bool) ->
     )
 
 
-def _several(joints: tuple[JointVerdict, ...], gains: dict[str, float]) -> str:
-    far = [
-        i + 1
-        for i, v in enumerate(joints)
-        if v.offset is not None and v.std is not None and abs(v.offset) > 4.0 * v.std
-    ]
-    beyond = f" (those beyond four standard deviations: {', '.join(map(str, far))})" if far else ""
+def _parameters(trial: _Trial, own: Account) -> dict[str, tuple[float, float]]:
+    """Return the fault's parameters by name with their deviations."""
+    values = trial.fitted.p[len(trial.fitted.p) - len(trial.effect.names) :]
+    if trial.effect.kind is Kind.ZERO:
+        values = own.zeros[[trial.effect.joint]]
+    found = zip(trial.effect.names, values, own.fault_std, strict=True)
+    return {name: (float(value), float(std)) for name, value, std in found}
+
+
+def _joint_or_links(trial: _Trial, own: Account) -> str:
+    """Return in words that a fault and links within what arms are made to explain the errors alike."""
+    fault = ", ".join(shown(name, *pair) for name, pair in _parameters(trial, own).items())
     return (
-        f"Several joints' zeros are off{beyond}: together they take {100 * gains['zeros']:.3g} % off left-out squares."
+        f"Joint {trial.effect.joint + 1} ({trial.effect.kind}, {fault}) explains the errors at these rows, and lengths "
+        "and axes within what arms are made to do so as well: neither is named."
     )
 
 
-def _model(gains: dict[str, float], trial: _Trial) -> str:
-    return (
-        f"The arm's model is the cause: correcting its geometry takes {100 * gains['model']:.3g} % off the squared "
-        "errors of rows left out, the best single joint "
-        f"(joint {trial.effect.joint + 1}) {100 * gains['joint']:.3g} %. "
-        "Joint zeros read from a wrong model are not to be believed: run `armsight calibrate arm` on these rows "
-        "(of measurements and joints in two files `armsight join --as points` makes one)."
-    )
-
-
-def _nothing(aligned: ModelFit, cause: Cause) -> Cause:
-    """Return the verdict where neither joints nor geometry take errors off."""
+def _nothing(aligned: ModelFit, cause: Cause, zeros: str) -> Cause:
+    """Return the verdict where neither joints nor geometry take errors off; zeros: those that seem to be off."""
+    if zeros:
+        sentence = f"Zeros seem to be off ({zeros}), but take too little off rows left out to be told from chance."
+        return replace(cause, cause="undecided", sentence=sentence)
     known = bool(aligned.noise.measurement.any())
     total = np.sqrt(np.median(aligned.noise.sigma**2, axis=0))
     own = np.sqrt(np.median(aligned.noise.measurement**2, axis=0))

@@ -292,8 +292,13 @@ def gain(poorer: Fitted, richer: Fitted) -> float:
 
 
 def falls(poorer: Fitted, richer: Fitted) -> float:
-    """Return the one-sided probability that left-out squares fall as much, block by block, by chance."""
-    fall = poorer.left - richer.left
+    """Return the one-sided probability that left-out squares fall by such factors, block by block, by chance.
+
+    Factors, for blocks differ: where a fault hardly moved the tool, little could fall, however well it explains it.
+    """
+    if not richer.left_out < poorer.left_out:
+        return 1.0
+    fall = np.log(np.maximum(poorer.left, 1e-300) / np.maximum(richer.left, 1e-300))
     spread = float(fall.std(ddof=1)) / np.sqrt(len(fall))
     if not spread > 0.0:
         return 0.0 if fall.sum() > 0.0 else 1.0

@@ -196,6 +196,20 @@ def test_a_controller_s_own_poses(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("repo", "commit", "path", "nominal"),
+    [
+        ("cambel/ur3-tools", "820707c1", "my_robot_calibration.yaml", "ur3e"),
+        ("YongyuLiu03/ur10e_controller", "bfda7a27", "config/my_robot_calibration.yaml", "ur10e"),
+    ],
+)
+def test_a_driver_s_yaml_of_a_real_robot_is_near_its_nominal_arm(repo, commit, path, nominal, tmp_path):
+    (tmp_path / "robot.yaml").write_bytes(public_file(repo, commit, path))
+    q = np.random.default_rng(3).uniform(-2, 2, (200, 6))
+    off_m = np.linalg.norm((fk(load_arm(str(tmp_path / "robot.yaml")), q) - fk(preset(nominal), q))[:, :3, 3], axis=1)
+    assert 2e-4 < np.sqrt(np.mean(off_m**2)) < 6e-3
+
+
+@pytest.mark.parametrize(
     ("text", "nominal", "error", "match"),
     [
         (conf("far"), None, UsageError, "--nominal"),

@@ -235,3 +235,33 @@ def test_our_columns_are_read_however_their_cells_are_apart(tmp_path: Path, name
     np.testing.assert_array_equal(points.q[:, 0], [0.1, 0.2])
     np.testing.assert_array_equal(points.xyz_m, [[0.5, 0.25, 1.5]] * 2)
     assert points.point in (("A", ""), ("A", "B"))
+
+
+COLUMNS = "x,y,z,x,y,z,w"
+LEVELS = {
+    "levels and index named": ("body,{b}\nkind,{k}\naxis,{a}\nt_s,,,,,,,\n", ("0.0,", "0.1,")),
+    "index named": (",{b}\n,{k}\n,{a}\nt_s,,,,,,,\n", ("0.0,", "0.1,")),
+    "no index": ("{b}\n{k}\n{a}\n", ("", "")),
+}
+"""Texts of pandas 2.2.3: DataFrame.to_csv with three levels of columns."""
+
+
+@pytest.mark.parametrize("name", LEVELS)
+def test_columns_of_several_levels_are_read_as_pandas_writes_them(file, name: str) -> None:
+    head, times = LEVELS[name]
+    said = head.format(b=",".join(["Tool"] * 7), k=",".join(["position"] * 3 + ["rotation"] * 4), a=COLUMNS)
+    path = file(said + "".join(f"{t}0.1,0.2,0.3,0.0,0.0,0.6,0.8\n" for t in times))
+    for pose in read_poses(path, timed=bool(times[0])):
+        T = RigidTransform.from_matrix(pose.T_parent_target)
+        assert np.allclose(T.translation, [0.1, 0.2, 0.3])
+        assert np.allclose(T.rotation.as_quat(), [0.0, 0.0, 0.6, 0.8])
+
+
+def test_joints_counted_by_a_level_are_read(file) -> None:
+    read = read_joints(file(",q,q,q\n,1,2,3\nt_s,,,\n0.0,0.1,0.2,0.3\n0.1,0.2,0.3,0.4\n"))
+    assert read.q.tolist() == [[0.1, 0.2, 0.3], [0.2, 0.3, 0.4]]
+
+
+def test_a_first_row_of_words_is_no_header(file) -> None:
+    with refuses(BadFile, "lost"):
+        read_joints(file("t_s,q1,q2\n0,0.1,0.2\nlost,lost,lost\n1,0.2,0.3\n"))

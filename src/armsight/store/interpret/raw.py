@@ -48,8 +48,10 @@ def parse_text(data: bytes, where: str) -> RawTable:
     split = splitter(body[min(1, len(body) - 1)][1])
     rows = _without_last_mark([(i, split(line)) for i, line in body])
     names: tuple[str, ...] = ()
+    levels = 1
     if not is_data(rows[0][1]):
-        names, rows = tuple(rows[0][1]), rows[1:]
+        levels = _header_lines(rows)
+        names, rows = _joined([cells for _, cells in rows[:levels]]), rows[levels:]
     else:
         before = [line for i, line in lines if i < rows[0][0]]
         words = split(before[-1].lstrip().lstrip("#%/").strip()) if before else []
@@ -67,7 +69,35 @@ def parse_text(data: bytes, where: str) -> RawTable:
                 cure="Give every row one cell per column",
             )
     how = f"a table of {wide} columns {split.how}, {'with' if names else 'without'} a header"
-    return _transposed(where, how, names, rows, csv=split.by == ",")
+    how += f" of {levels} lines, joined: {', '.join(filter(None, names))[:TOLD]}" if levels > 1 else ""
+    return _transposed(where, how, names, rows, csv=split.by == "," and levels == 1)
+
+
+LEVELS, TOLD = 5, 120
+"""Header lines that are joined at the most; letters of the names that are told."""
+
+
+def _header_lines(rows: Sequence[tuple[int, list[str]]]) -> int:
+    """Return how many lines the header has: several as wide as the table without a number, above rows of numbers; with
+    numbers, as joints are counted by, where a line that names the first column alone ends them."""
+    count = 1
+    for k, (_, cells) in enumerate(rows[1:LEVELS], 2):
+        if len(cells) != len(rows[0][1]) or not any(cells) or is_number(cells[0]):
+            break
+        if not any(map(is_number, cells)) and (count == k - 1 or not any(cells[1:])):
+            count = k
+    return count if count < len(rows) and is_data(rows[count][1]) else 1
+
+
+def _joined(levels: list[list[str]]) -> tuple[str, ...]:
+    """Return the columns' names of a header, lines joined; a last line that names the first column alone names it.
+
+    So pandas writes columns of several levels, with the index's name below them.
+    """
+    last = levels[-1]
+    index = last[0] if len(levels) > 1 and not any(last[1:]) else ""
+    names = ["_".join(filter(None, words)) for words in zip(*levels[: -1 if index else None], strict=True)]
+    return (index, *names[1:]) if index else tuple(names)
 
 
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))

@@ -12,13 +12,18 @@ vector in rad; joints in rad. LinuxCNC: G1 X Y Z A B C in mm (G21) and degrees, 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
-from armsight.errors import BadFile, Inconsistent
+import numpy as np
+
+from armsight.errors import Ambiguous, BadFile, Inconsistent
 from armsight.store.programs.points import NUMBER, Listed, Point, line_of, listed_numbers, numbers, require_end
 
+MELFA_LINE = r"^[ \t]*(?:\d+[ \t]+)?(?:DEF[ \t]+(?:POS|JNT)[ \t]+)?"
+"""How a line with a position begins."""
 _MELFA = re.compile(
-    r"^[ \t]*(?:\d+[ \t]+)?(?P<name>[PJ]\w*)[ \t]*=[ \t]*\((?P<cells>[^()\n]*)(?P<end>\))?", re.M | re.I
+    MELFA_LINE + r"(?P<name>[PJ]\w*)[ \t]*=[ \t]*\((?P<cells>[^()\n]*)(?P<end>\))?", re.MULTILINE | re.IGNORECASE
 )
 
 
@@ -32,6 +37,20 @@ def melfa_points(text: str, where: str) -> Listed:
         values = found.values(line, match["name"], match["cells"], (6, 7, 8), kind)
         found.points.append(_either(line, match["name"], values, joints=kind == "J"))
     return found
+
+
+def require_six_axes(points: Sequence[Point], where: str) -> None:
+    """Raise Ambiguous for poses as a Mitsubishi of five axes has them: C is 0 and A anything.
+
+    A public RV-2AJ's points that look down have A 201.45, B 180.14, C 0.00: about x, y, z they would look up.
+    """
+    A, _, C = (np.array([float(point.turn[k]) for point in points]) for k in range(3))
+    if not C.any() and (np.abs(np.sin(np.radians(A))) > 1e-3).any():
+        raise Ambiguous(
+            f"{where}: C is 0 at every point and A is not, as arms of five axes have it",
+            consequence="Their A and B are a roll and a pitch, and the rotations would be others",
+            cure="Give --euler xyz-fixed if the arm has six axes; of five, use its joint values (J)",
+        )
 
 
 def _either(line: int, name: str, values: tuple[str, ...], *, joints: bool) -> Point:
@@ -75,6 +94,8 @@ def nachi_points(text: str, where: str) -> Listed:
 
 
 _DOOSAN = re.compile(r"\bpos(?P<kind>[xj])\s*\(\s*\[?(?P<cells>[^()\[\]\n]*)(?P<end>\]?\s*\))?", re.IGNORECASE)
+_RELATIVE = re.compile(r"\ba?move\w*\s*\(\s*(?:(?:\w+\.)*(?P<name>\w+)\s*,)?.*\bmod\s*=\s*(?:DR_MV_MOD_REL|1)\b.*")
+"""A movement by so much, whose position is none."""
 _SETTING = {
     "doosan tool": re.compile(r"\bset_tcp\s*\(\s*([^)\n]*)\)"),
     "doosan frame": re.compile(r"\bset_ref_coord\s*\(\s*([^)\n]*)\)|\bref\s*=\s*(\w+)"),
@@ -98,6 +119,11 @@ def doosan_points(text: str, where: str) -> Listed:
     """Return the positions posx and posj of a DRL program. Raises BadFile, Inconsistent."""
     found = Listed(where=where)
     code = re.sub(r"#.*", "", text)
+    relative = list(_RELATIVE.finditer(code))
+    if relative:
+        found.notes.append(f"{len(relative)} relative movements (DR_MV_MOD_REL) are not used")
+    named = "|".join(match["name"] for match in relative if match["name"])
+    code = _RELATIVE.sub("", re.sub(rf"\b(?:{named})\s*=\s*pos[xj]\b.*", "", code) if named else code)
     tool, frame = _settings(found, code, "doosan tool"), _settings(found, code, "doosan frame")
     for match in _DOOSAN.finditer(code):
         line = line_of(code, match.start())

@@ -13,7 +13,7 @@ from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.table_format import TableFormat
 from armsight.store.programs import abb, calls, fanuc, kuka, lists, yaskawa
-from armsight.store.programs.points import Listed, Point, asked_order, chosen, one_setting, require_one_kind
+from armsight.store.programs.points import Listed, Point, about_z, asked_order, chosen, one_setting, require_one_kind
 from armsight.store.tables import decoded, is_number
 
 QUATERNION, VECTOR, ASKED = "wxyz", "rotvec", ""
@@ -99,7 +99,7 @@ PROGRAMS: Mapping[str, ProgramKind] = {
     ),
     "melfa": ProgramKind(
         title="Mitsubishi MELFA-BASIC: .prg",
-        told=r"^[ \t]*(?:\d+[ \t]+)?(?:P\w*[ \t]*=[ \t]*\([-+\d., \t]+\)\(|J\w*[ \t]*=[ \t]*\([-+\d., \t]+\))",
+        told=calls.MELFA_LINE + r"(?:P\w*[ \t]*=[ \t]*\([-+\d., \t]+\)\(|J\w*[ \t]*=[ \t]*\([-+\d., \t]+\))",
         points=calls.melfa_points,
         open_end=True,
         order="xyz-fixed",
@@ -199,9 +199,7 @@ def program_table(data: bytes, where: str, joints: bool | None, format_: TableFo
         points, said = _joint_values(found, name, points, format_)
         notes += said
     how = f"{kind.title}, {len(points)} points"
-    euler = format_.euler or (kind.order if kind.order not in (QUATERNION, VECTOR, ASKED) else "")
-    if not points[0].joints and kind.order == ASKED and not euler:
-        raise asked_order(found, kind.title, kind.likely)
+    euler = format_.euler or ("" if points[0].joints else _order(found, name, points))
     return Program(
         raw=_raw(found, points, kind, how),
         format=replace(format_, euler=euler, robot="", units=""),
@@ -210,6 +208,19 @@ def program_table(data: bytes, where: str, joints: bool | None, format_: TableFo
 
 
 HEAD = 100_000
+
+
+def _order(found: Listed, name: str, points: Sequence[Point]) -> str:
+    """Return the order of a kind's angles, '' where they are none. Raises Ambiguous where no source settles it."""
+    kind = PROGRAMS[name]
+    if name == "melfa":
+        calls.require_six_axes(points, found.where)
+    if kind.order != ASKED:
+        return "" if kind.order in (QUATERNION, VECTOR) else kind.order
+    likely = kind.likely.split()[0]
+    if not about_z(points, likely):
+        raise asked_order(found, kind.title, kind.likely)
+    return likely
 
 
 def _text(data: bytes, where: str) -> str:

@@ -172,6 +172,11 @@ def _require_still(found: Listed, points: Sequence[Point], *, as_stated: bool) -
         )
 
 
+def about_z(points: Sequence[Point], order: str) -> bool:
+    """Whether all points turn about z alone, as those of a SCARA do: the order of their angles is then any."""
+    return not any(float(point.turn[k]) for point in points for k in range(3) if order[k] != "z")
+
+
 def asked_order(found: Listed, kind: str, likely: str) -> Ambiguous:
     """Return the refusal of angles whose order no source settles."""
     return Ambiguous(
