@@ -47,23 +47,25 @@ def load_help() -> None:
 
 
 def load_rotations() -> None:
-    """Load scipy's rotations without the rest of scipy.spatial, and without what scipy, copying numpy's names, loads.
+    """Load scipy's rotations without the rest of scipy.spatial, without scipy.linalg, of which splines take functions,
+    and without what scipy, copying numpy's names, loads.
 
-    Either is loaded when it is asked for. Only a command does so: no other thread asks at the same moment.
+    All are loaded when they are asked for. Only a command does so: no other thread asks at the same moment.
     """
     import numpy as np  # here, as the help needs none of this
     import scipy
 
-    package, absent = ModuleType("scipy.spatial"), {"f2py", "ma", "polynomial", "testing"} - set(vars(np))
-    package.__path__ = [f"{scipy.__path__[0]}/spatial"]
-    empty = {name: ModuleType(name) for name in absent}
+    spatial, linalg = map(ModuleType, ("scipy.spatial", "scipy.linalg"))
+    spatial.__path__ = [f"{scipy.__path__[0]}/spatial"]
+    vars(linalg)["__getattr__"] = lambda name: lambda *given, **more: getattr(scipy.linalg, name)(*given, **more)
+    empty = {name: ModuleType(name) for name in {"f2py", "ma", "polynomial", "testing"} - set(vars(np))}
     vars(np).update(empty)
     try:
-        with _stand_ins({package.__name__: package}):
-            importlib.import_module("scipy.spatial.transform")
+        with _stand_ins({one.__name__: one for one in (spatial, linalg)}), contextlib.suppress(ImportError):
+            importlib.import_module("scipy.spatial.transform")  # where it needs more it is imported as a whole later
     finally:
-        for name in absent:
-            if vars(np)[name] is empty[name]:
+        for name, module in empty.items():
+            if vars(np)[name] is module:
                 delattr(np, name)
 
 

@@ -73,6 +73,7 @@ def chauvenet(values: Array) -> Mask:
 
 
 MEDIAN_3 = 2.3659738843753377
-"""Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
+"""Median of a squared length of three unit normals, chi2_ppf(0.5, 3): the noise comes from the median,
+which gross errors leave alone."""
 NORMAL_95 = 1.959964
 """Half-width of a Gaussian's 95 % interval in standard deviations."""
