@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
-from itertools import count
 
 import numpy as np
 
@@ -315,7 +314,7 @@ def _add_scene(page: Page, run: MeasureRun) -> None:
         each.sort(key=lambda seen: not any(one.names for one in seen))
     shown = each[: max(MAX_SAMPLES // len(run.rig.cameras), 1)]
     with ThreadPoolExecutor() as pool:  # most of it is packing images
-        figures = "".join(pool.map(sample_figure, (one for seen in shown for one in seen), count()))
+        figures = "".join(pool.map(sample_figure, (one for seen in shown for one in seen), range(len(run.samples))))
     page.add(
         "What the cameras saw",
         "Green: spots used, with their names and, enlarged, their measured centres. Orange: seen and not matched. "
