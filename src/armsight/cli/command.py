@@ -18,7 +18,7 @@ import typer
 from armsight._files import real_path
 from armsight.cli.command_ui import CommandUI, verdict_of
 from armsight.cli.flags import CommandFlags, taken_by
-from armsight.cli.lazy import Group, LazyCommand
+from armsight.cli.lazy import Group, LazyCommand, load_rotations
 from armsight.errors import ArmsightError, Cancelled, UsageError
 from armsight.file_names import ARM, HANDEYE, POINTS, POSES, RIG, TARGET, WORLD
 from armsight.ops import flags as shared
@@ -102,6 +102,7 @@ class Command(CommandTraits):
 
     def run(self, face: Face = CommandUI, /, **given: Any) -> None:
         """Run the function; a run that fails leaves the results that were there, one that was stopped what it has."""
+        load_rotations()
         as_json, check = given.pop("json", False), self.judged and given.pop("check", False)
         overwrite = given.pop("overwrite", False) if self.keeps else False
         with contextlib.ExitStack() as held:

@@ -74,7 +74,7 @@ class CommandUI:
         self._as_json = as_json
         self.until_stopped = until_stopped
         # rich's own type of a file has more than what it calls
-        self.console = Console(file=_Heard(sys.stderr), highlight=False, markup=False)  # type: ignore[arg-type]
+        self.console = Console(file=_Heard(sys.stderr), highlight=False, markup=False, emoji=False)  # type: ignore[arg-type]
         self.given: Output | None = None
         """The command's result, once it is given."""
         self._stopped = threading.Event()

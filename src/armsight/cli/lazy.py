@@ -25,20 +25,48 @@ ALSO = {("calibrate", "cell", "--plan"): "cell-plan"}
 """Group, command and flag that stand for another command of the group, whose flags are then read."""
 
 
+@contextlib.contextmanager
+def _stand_ins(names: dict[str, ModuleType]) -> Iterator[None]:
+    """Let modules that are not loaded yet, and of which nothing is used, be others for a while."""
+    held = {name: module for name, module in names.items() if name not in sys.modules}
+    sys.modules.update(held)
+    try:
+        yield
+    finally:
+        for name in held:
+            del sys.modules[name]
+
+
 def load_help() -> None:
     """Load typer's help without rich's Markdown and traceback, which take longer than all else and are not used."""
-    if "typer.rich_utils" in sys.modules:
-        return
-    unused = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
-    stand_ins = {name: ModuleType(name) for name in unused if name not in sys.modules}
-    for name, module in stand_ins.items():
-        setattr(module, unused[name], type(unused[name], (), {}))
-    sys.modules.update(stand_ins)
-    try:
+    stand_ins = {name: ModuleType(name) for name in ("rich.markdown", "rich.traceback")}
+    for module, name in zip(stand_ins.values(), ("Markdown", "Traceback"), strict=True):
+        setattr(module, name, type(name, (), {}))
+    with _stand_ins(stand_ins):
         importlib.import_module("typer.rich_utils")
+
+
+def load_rotations() -> None:
+    """Load scipy's rotations without the rest of scipy.spatial, without scipy.linalg, of which splines take functions,
+    and without what scipy, copying numpy's names, loads.
+
+    All are loaded when they are asked for. Only a command does so: no other thread asks at the same moment.
+    """
+    import numpy as np  # here, as the help needs none of this
+    import scipy
+
+    spatial, linalg = map(ModuleType, ("scipy.spatial", "scipy.linalg"))
+    spatial.__path__ = [f"{scipy.__path__[0]}/spatial"]
+    vars(linalg)["__getattr__"] = lambda name: lambda *given, **more: getattr(scipy.linalg, name)(*given, **more)
+    empty = {name: ModuleType(name) for name in {"f2py", "ma", "polynomial", "testing"} - set(vars(np))}
+    vars(np).update(empty)
+    try:
+        with _stand_ins({one.__name__: one for one in (spatial, linalg)}), contextlib.suppress(ImportError):
+            importlib.import_module("scipy.spatial.transform")  # where it needs more it is imported as a whole later
     finally:
-        for name in stand_ins:
-            del sys.modules[name]
+        for name, module in empty.items():
+            if vars(np)[name] is module:
+                delattr(np, name)
 
 
 @contextlib.contextmanager
@@ -83,8 +111,8 @@ class Group(TyperGroup):
 class _Conversion:
     """Typer's conversion of what is given for a parameter; pydantic, which takes long to load, only where it is needed.
 
-    It is not for what is not given, for text, choices as they are written, paths that typer does not look at, and
-    numbers that are read with their unit.
+    It is not for what is not given, for text, choices as they are written, paths that typer does not look at, defaults,
+    and numbers that are read with their unit.
     """
 
     def coerce(self, value: Any, *, param: Any, ctx: Any) -> Any:
@@ -94,8 +122,10 @@ class _Conversion:
         kind, info = param.type_descriptor.annotation, param.type_descriptor.parameter_info
         if isinstance(value, str | float) and not param.multiple and isinstance(info.parser, Quantity):
             return info.parser(value)
+        if info.parser is None and type(value) is kind:  # text, or a default
+            return value
         if isinstance(value, str) and info.parser is None:
-            if kind is str or (get_origin(kind) is Literal and value in get_args(kind)):
+            if get_origin(kind) is Literal and value in get_args(kind):
                 return value
             if kind is Path and not (info.exists or info.resolve_path or info.allow_dash or info.path_type):
                 return Path(value)

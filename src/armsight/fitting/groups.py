@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # loads its spatial search where it is used
 
 from armsight.arrays import Array, Index, Mask
 
@@ -41,7 +41,7 @@ def repeats(values: Array, near: float) -> Index:
     of = of.reshape(-1)
     if (
         2 <= len(first) <= MOST_PLACES
-        and np.asarray(cKDTree(values[first]).query(values[first], 2)[0])[:, 1].min() <= near
+        and np.asarray(scipy.spatial.cKDTree(values[first]).query(values[first], 2)[0])[:, 1].min() <= near
     ):
         of = _joined(values[first], near, n)[of]
     if n - (int(of.max(initial=-1)) + 1) < LEAST_REPEATED * n:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its special functions where they are used
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.special import bdtr
 
 from armsight.arrays import Array, Index, Mask
 from armsight.geometry import euler_rad
@@ -136,7 +136,7 @@ class Errors:
         n = len(distance2)
         if n == 0:
             return float("nan"), 0.0, 1.0
-        chance = bdtr(np.arange(n + 1), n, 0.95)  # binomial: this many or fewer inside
+        chance = scipy.special.bdtr(np.arange(n + 1), n, 0.95)  # binomial: this many or fewer inside
         low, high = np.searchsorted(chance, [0.5 - 0.5 * TRUE_CLAIM, 0.5 + 0.5 * TRUE_CLAIM])
         return float(np.mean(distance2 <= INSIDE_95)), float(low) / n, float(min(high, n)) / n
 

@@ -48,7 +48,7 @@ AtSetup: TypeAlias = Annotated[
     ),
     filed=True,
     judged=True,
-    writes="write_handeye",
+    writes="armsight.store.handeye_file:write_handeye",
     page="hand_eye",
 )
 def calibrate_hand_eye(

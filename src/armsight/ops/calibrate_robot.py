@@ -57,7 +57,13 @@ Lengths: TypeAlias = Annotated[
 TipOut: TypeAlias = Annotated[Path | None, Doc("tip.yaml to write."), Flag("-o --out", needed=True)]
 
 
-@action("calibrate tooltip", examples=("--poses poses.csv -o tip.yaml",), filed=True, judged=True, writes="write_tip")
+@action(
+    "calibrate tooltip",
+    examples=("--poses poses.csv -o tip.yaml",),
+    filed=True,
+    judged=True,
+    writes="armsight.store.handeye_file:write_tip",
+)
 def calibrate_tool_tip(
     T_world_target: Annotated[
         PosesLike, Doc("poses.csv of the target (or flange) while the tool pivots on a point."), Flag("--poses")

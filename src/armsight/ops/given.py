@@ -24,12 +24,10 @@ from armsight.columns import POSE7
 from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.fields import bare, known_hints
 from armsight.kinematics import Arm
-from armsight.ops.arm_files import load_arm
 from armsight.ops.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.optics import Rig
 from armsight.records import Frame, Target, real_array, require_kind
 from armsight.store import World, write_text, write_world
-from armsight.store.recording import RecordingWriter
 from armsight.store.tables import cells
 from armsight.store.targets import board_text
 
@@ -165,6 +163,8 @@ class Given:
 
     def _recorded(self, name: str, first: Frame, rest: Iterator[Any]) -> str:
         """Return a recording of frames with times of their own, the first so many where there is a limit."""
+        from armsight.store.recording import RecordingWriter
+
         path = self.folder / f"{name}.mcap"
         with RecordingWriter(path) as writer:
             before_s = -np.inf
@@ -198,7 +198,11 @@ def _as_bytes(value: Any) -> Any:
 
 def as_arm(name: str, value: ArmLike) -> Arm:
     """Return an arm, the arm of a file, or the one known by that name. Raises UsageError, BadFile."""
-    return value if isinstance(value, Arm) else load_arm(as_text(name, value, Arm))
+    if isinstance(value, Arm):
+        return value
+    from armsight.ops.arm_files import load_arm  # with all kinds of files
+
+    return load_arm(as_text(name, value, Arm))
 
 
 def as_text(name: str, value: object, *more: type) -> str:

@@ -144,7 +144,6 @@ def measure(
     from armsight.measure.poses.moments import require_views
     from armsight.measure.poses.setup import SLACK_PX, Setup, rig_slack_px
     from armsight.measure.settings import SpotSettings
-    from armsight.ops.measurement.free_output import measure_free
     from armsight.ops.measurement.run import about_pairs, run, target_of, zoomed_rig
     from armsight.ops.measurement.streams import FrameSources
     from armsight.ops.sources.bags import read_motion
@@ -185,6 +184,8 @@ def measure(
     )
     facts = [("rig's file", str(rig)), ("target's file", str(target))]
     if sources.run_free(seen_by, timing, stills=stills, rate_hz=rate_hz, at=at):
+        from armsight.ops.measurement.free_output import measure_free
+
         when = rate_hz if at is None else read_motion(at, origin_of=left or right).t_s
         return measure_free(
             setup(), sources, out, when=when, progress=progress, world=place, facts=facts, zoomed=zoomed

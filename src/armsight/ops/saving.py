@@ -43,15 +43,14 @@ def save(record: object, path: str | PathLike[str]) -> Path:
 
     Raises TypeError for a record that has no file.
     """
-    writers: Mapping[str, Callable[[Path, Any], object]] = next(
-        (known for kind, known in WRITERS.items() if isinstance(record, kind)), {}
-    )
+    known = next((WRITERS[kind.__name__] for kind in type(record).__mro__ if kind.__name__ in WRITERS), {})
+    writers = {ending: f"armsight.store.{place}" for ending, place in known.items()}
     if (done := action_giving(record)) is not None and isinstance(done.writes, str):
-        writers = {**dict.fromkeys(("",) if done.keeps else YAML, _function("store.saving", done.writes)), **writers}
+        writers = {**dict.fromkeys(("",) if done.keeps else YAML, done.writes), **writers}
     if not writers:
         raise TypeError(f"{type(record).__name__} has no file of its own; {path} is not written")
     file = file_to_write(path, *writers)
-    writers[file.suffix.lower()](file, record)
+    _function("store.saving", writers[file.suffix.lower()])(file, record)
     return file
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
+import scipy  # loads its special functions where they are used
 
 from armsight.arrays import Array
 from armsight.fitting.quantiles import NORMAL_95
@@ -121,6 +121,7 @@ def _half_width(share: Array, shift: Array, scale: Array) -> Array:
     for _ in range(BISECTIONS):
         half = 0.5 * (low + high)
         z = half[:, None]  # (p, 1, m)
-        inside = (share * (ndtr((z - shift) / safe) - ndtr((-z - shift) / safe))).sum(axis=(0, 2))
+        within = scipy.special.ndtr((z - shift) / safe) - scipy.special.ndtr((-z - shift) / safe)
+        inside = (share * within).sum(axis=(0, 2))
         low, high = np.where(inside < 0.95, half, low), np.where(inside < 0.95, high, half)
     return np.asarray(high)

@@ -162,7 +162,7 @@ def real_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """Return value as float64, the very array where it is one; raises Inconsistent for what is masked or not real."""
     if type(value) is np.ndarray and value.dtype == FLOAT64:
         return value
-    if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
+    if hasattr(value, "mask") and isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
         raise Inconsistent(
             f"{name} is masked in places",
             consequence="What is below the mask would be taken as measured",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 
 import numpy as np
@@ -312,7 +313,8 @@ def _add_scene(page: Page, run: MeasureRun) -> None:
     if not run.rig.is_pair:  # there is room for few moments: one with a pose comes first
         each.sort(key=lambda seen: not any(one.names for one in seen))
     shown = each[: max(MAX_SAMPLES // len(run.rig.cameras), 1)]
-    figures = "".join(sample_figure(sample, i) for i, sample in enumerate(one for seen in shown for one in seen))
+    with ThreadPoolExecutor() as pool:  # most of it is packing images
+        figures = "".join(pool.map(sample_figure, (one for seen in shown for one in seen), range(len(run.samples))))
     page.add(
         "What the cameras saw",
         "Green: spots used, with their names and, enlarged, their measured centres. Orange: seen and not matched. "

@@ -46,7 +46,7 @@ Count = Annotated[int, Field(ge=1, le=1_000_000)]
 class Strict(BaseModel):
     """Unknown keys and wrong types are errors."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)  # made for the first file
 
     record: ClassVar[type | None] = None
     """What `structure` made the model from."""

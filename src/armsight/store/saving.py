@@ -2,52 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armsight import file_names
 from armsight.arrays import Array
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration
-from armsight.calibrate.identify import Identification
-from armsight.control.guard import Limits
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, JointType
 from armsight.kinematics.rigid import as_rigid
-from armsight.measure.track import PoseTrack
-from armsight.optics import Camera, Rig
-from armsight.records import Target, TaughtPath, require_kind
+from armsight.records import require_kind
 from armsight.store.arm_file import write_arm
-from armsight.store.arm_points import write_sweeps
 from armsight.store.atomic import disk_errors, write_json, write_text
-from armsight.store.handeye_file import write_handeye as write_handeye
-from armsight.store.handeye_file import write_tip as write_tip
-from armsight.store.limits_file import write_limits
-from armsight.store.mjcf import write_mjcf
-from armsight.store.path_file import write_path, write_test_plan
 from armsight.store.rigs import World, write_camera, write_rig, write_world
 from armsight.store.tables import cells, table_text, word
 from armsight.store.targets import write_target
-from armsight.store.tracks import write_poses, write_tum
+from armsight.store.tracks import write_poses
 from armsight.store.urdf import delete_urdf, urdf_text, write_urdf
 from armsight.store.zoom import with_setting, write_zoom_camera
 from armsight.units import displayed
-from armsight.verify.results import MasteringOutput
 
 if TYPE_CHECKING:
     from armsight.calibrate.arm import ArmResult, RobotWorldResult
     from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
     from armsight.calibrate.cameras.zoom import ZoomRigResult
     from armsight.calibrate.cell import CellResult
+    from armsight.calibrate.identify import Identification
     from armsight.calibrate.light_target import TargetResult
     from armsight.calibrate.timing import CamerasTiming, TimingResult
     from armsight.calibrate.tooltip_result import PivotCalibration
     from armsight.verify.iso9283.plan import VerifyPlanOutput
     from armsight.verify.live import VerifyLiveOutput
-    from armsight.verify.results import MasteringPlanOutput, VerifyResult
+    from armsight.verify.results import MasteringOutput, MasteringPlanOutput, VerifyResult
 
 CORRECTIONS, URDF, PROPOSED = ".corrections.csv", ".urdf", ".proposed.csv"
 """Endings of what is written beside arm.yaml."""
@@ -118,23 +108,30 @@ def _zero_covariance(result: ArmResult, names: Sequence[str]) -> Array:
     return C
 
 
-Writer = Callable[[Path, Any], object]
-
 YAML = (".yaml", ".yml")
 
 
 def write_pivot(path: Path, result: PivotCalibration, *, inputs: Sequence[Path] = ()) -> None:
     """Write tip.yaml, and beside it the poses that were taken."""
+    from armsight.store.handeye_file import write_tip  # each kind of file when one is written: all take long to load
+
     write_poses(path.with_suffix(".poses.csv"), result.taken)
     write_tip(path, result, inputs=inputs)
 
 
 def write_identified(path: Path, result: Identification, *, inputs: Sequence[Path] = ()) -> None:
     """Write arm.yaml, and beside it the sweeps that have no file yet; those made live are the first of its inputs."""
+    from armsight.store.arm_points import write_sweeps
+
     live, kept = result.plan is not None, path.with_suffix(".sweep.csv")
     if result.from_frames or (live and not kept.exists()):
         write_sweeps(kept, result.sweeps)
     write_arm(path, result.arm, inputs=[kept, *inputs] if live else inputs)
+
+
+def write_identified_urdf(path: Path, result: Identification) -> None:
+    """Write the arm as a URDF."""
+    write_urdf(path, result.arm)
 
 
 def write_lights(path: Path, result: TargetResult, *, inputs: Sequence[Path] = ()) -> None:
@@ -190,6 +187,8 @@ def write_verified(
     folder: Path, result: VerifyResult | VerifyLiveOutput | MasteringOutput, *, inputs: Sequence[Path] = ()
 ) -> None:
     """Write verify.json into a folder, and errors.csv where the result has rows."""
+    from armsight.verify.results import MasteringOutput
+
     write_json(folder / file_names.VERIFY, result.to_dict())
     if not isinstance(result, MasteringOutput):
         write_text(folder / file_names.ERRORS, table_text(result.table))
@@ -205,22 +204,25 @@ def write_poses_to_measure(folder: Path, result: MasteringPlanOutput, *, inputs:
 
 def write_planned_test(folder: Path, result: VerifyPlanOutput, *, inputs: Sequence[Path] = ()) -> None:
     """Write plan.csv and plan.json into a folder."""
+    from armsight.store.path_file import write_test_plan
+
     write_test_plan(folder / file_names.PLAN, result)
     write_json(folder / file_names.PLAN_SUMMARY, result.to_dict())
 
 
-WRITERS: Mapping[type, Mapping[str, Writer]] = {
-    Camera: dict.fromkeys(YAML, write_camera),
-    Rig: dict.fromkeys(YAML, write_rig),
-    Target: dict.fromkeys(YAML, write_target),
-    Arm: {**dict.fromkeys(YAML, write_arm), ".urdf": write_urdf, ".mjcf": write_mjcf},
-    TaughtPath: {".csv": write_path},
-    PoseTrack: {".csv": write_poses, ".tum": write_tum, ".txt": write_tum},
-    World: dict.fromkeys(YAML, write_world),
-    Limits: dict.fromkeys(YAML, write_limits),
-    Identification: {".urdf": lambda path, result: write_urdf(path, result.arm)},
+WRITERS: Mapping[str, Mapping[str, str]] = {
+    "Camera": dict.fromkeys(YAML, "rigs:write_camera"),
+    "Rig": dict.fromkeys(YAML, "rigs:write_rig"),
+    "Target": dict.fromkeys(YAML, "targets:write_target"),
+    "Arm": {**dict.fromkeys(YAML, "arm_file:write_arm"), ".urdf": "urdf:write_urdf", ".mjcf": "mjcf:write_mjcf"},
+    "TaughtPath": {".csv": "path_file:write_path"},
+    "PoseTrack": {".csv": "tracks:write_poses", ".tum": "tracks:write_tum", ".txt": "tracks:write_tum"},
+    "World": dict.fromkeys(YAML, "rigs:write_world"),
+    "Limits": dict.fromkeys(YAML, "limits_file:write_limits"),
+    "Identification": {".urdf": "saving:write_identified_urdf"},
 }
-"""By class and ending: what is no action's result, and what a result is written as beside its YAML file."""
+"""By class and ending, the function of `store` that writes it: what is no action's result, and what a result is written
+as beside its YAML file."""
 
 
 def file_to_write(path: str | PathLike[str], *endings: str) -> Path:

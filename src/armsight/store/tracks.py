@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
-from armsight.calibrate.timing.sampling import without_seams
 from armsight.clock import Clock
 from armsight.columns import POSE6_STD, POSITION, QUATERNION
 from armsight.errors import BadFile
@@ -290,8 +289,12 @@ def parse_joints(data: bytes, where: str, format_: TableFormat = OURS, *, measur
     table = in_time(without_lost(table, format_.notify) if measured else table, format_.notify)
     check_joint_values(table.stacked(table.series("q")), where, format_)
     q = table.stacked(table.series("q"))
+    if measured:
+        from armsight.calibrate.timing.sampling import without_seams  # with all of the clocks, which few commands need
+
+        q = without_seams(q)
     with named(where):
-        return Motion(t_s=table.numbers["t_s"], q=without_seams(q) if measured else q)
+        return Motion(t_s=table.numbers["t_s"], q=q)
 
 
 def write_joints(path: Path, motion: Motion) -> None:

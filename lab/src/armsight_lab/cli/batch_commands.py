@@ -146,7 +146,7 @@ class _Caught(CommandUI):
     def __init__(self, end: _End, *, as_json: bool) -> None:
         super().__init__(as_json=as_json)
         self._end = end
-        self.console = Console(file=end.said, highlight=False, markup=False, width=WIDTH)
+        self.console = Console(file=end.said, highlight=False, markup=False, emoji=False, width=WIDTH)
 
     def progress(self, what: str) -> Bar:
         return _Quiet(what, self.console, self._stopped)

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # loads its optimize where it is used
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 from scipy.special import chdtri
 
 from armsight.arrays import Array
@@ -291,5 +291,5 @@ def _best(
     tried = np.linspace(bounds[0], bounds[1], 10)
     first, step = float(tried[np.argmin([missed(value) for value in tried.tolist()])]), float(tried[1] - tried[0])
     around = (max(bounds[0], first - step), min(bounds[1], first + step))
-    found = minimize_scalar(missed, bounds=around, method="bounded", options={"xatol": TOLERANCE})
+    found = scipy.optimize.minimize_scalar(missed, bounds=around, method="bounded", options={"xatol": TOLERANCE})
     return float(found.x), float(found.fun)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # loads its spatial search where it is used
 
 from armsight.arrays import Array, Index
 from armsight.calibrate.cell.model import CellModel
@@ -79,7 +79,7 @@ def extent_px(uv_px: Array) -> float:
 def _joined(ways: list[_Way], uv: Array, now: int) -> dict[int, _Way]:
     """Return which way each spot (k,) goes on with: each the other's nearest, and no rival near."""
     ahead = np.array([way.uv + way.step * (now - way.frame) for way in ways])
-    back, there = cKDTree(ahead), cKDTree(uv)
+    back, there = scipy.spatial.cKDTree(ahead), scipy.spatial.cKDTree(uv)
     near, which = back.query(uv, k=min(2, len(ways)), distance_upper_bound=GATE_PX * RIVAL)
     near, which = np.reshape(near, (len(uv), -1)), np.reshape(which, (len(uv), -1))
     mutual = np.atleast_1d(there.query(ahead)[1])

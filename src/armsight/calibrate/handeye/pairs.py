@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+import scipy  # loads its spatial search where it is used
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.arrays import Array
@@ -174,7 +174,7 @@ def _columns(poses: RigidTransform) -> Array:
 def _copies(matrices: Array) -> dict[int, list[int]]:
     """Return the rows of matrices (n, 4, 4) that are copies of earlier ones, in order, and which earlier ones."""
     found: dict[int, list[int]] = {}
-    for first, row in sorted(cKDTree(matrices.reshape(-1, 16)).query_pairs(SAME, p=np.inf)):
+    for first, row in sorted(scipy.spatial.cKDTree(matrices.reshape(-1, 16)).query_pairs(SAME, p=np.inf)):
         found.setdefault(row, []).append(first)
     return dict(sorted(found.items()))
 

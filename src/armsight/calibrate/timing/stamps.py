@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its optimize where it is used
+import scipy  # loads its optimize and special where they are used
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, NotEnoughData
@@ -292,7 +291,7 @@ def _fit(x: Array, z: Array, sigma: float, start: Array) -> tuple[float, Array, 
     def cost(p: Array) -> float:
         tau = np.exp(p[2])
         u = z - p[0] - p[1] * x
-        log = sigma**2 / (2.0 * tau**2) - u / tau + log_ndtr(u / sigma - sigma / tau) - np.log(tau)
+        log = sigma**2 / (2.0 * tau**2) - u / tau + scipy.special.log_ndtr(u / sigma - sigma / tau) - np.log(tau)
         return float(-log.sum())
 
     found = scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=BOUNDS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
+import scipy  # loads its special functions where they are used
 
 from armsight.arrays import Array
 from armsight.calibrate.timing.fit import PathModel
@@ -42,7 +42,7 @@ def widened(model: PathModel, fit: Fit) -> Array:
     total = np.maximum(told.sum(axis=0), 1e-300)
     count = total**2 / np.maximum((told**2).sum(axis=0), 1e-300)  # of blocks that count as much as the best
     ratio = (own**2).sum(axis=0) / total
-    clear = ratio * count > chdtri(count, CHANCE)
+    clear = ratio * count > scipy.special.chdtri(count, CHANCE)
     return np.asarray(np.sqrt(np.where(clear, np.maximum(ratio, 1.0), 1.0)))
 
 
@@ -58,5 +58,5 @@ def rig_pull(model: PathModel, fit: Fit, wider: Array) -> tuple[float, Array]:
     felt = told > FELT
     told, axes = told[felt], axes[:, felt]
     chi2 = float(((axes.T @ z) ** 2 / (told * (told + ratio * (1.0 - told)))).sum())
-    off = float(np.sqrt(chi2 / len(told))) if len(told) and chi2 > chdtri(len(told), CHANCE) else 1.0
+    off = float(np.sqrt(chi2 / len(told))) if len(told) and chi2 > scipy.special.chdtri(len(told), CHANCE) else 1.0
     return off, np.asarray(np.abs(doubt.root @ z).max(axis=1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # loads its spatial search where it is used
 
 from armsight.arrays import Array, Image, Index, Mask
 from armsight.errors import BadImage, unused_image
@@ -345,7 +345,7 @@ def _centred(image: Image, guess: Array, shape: Array, most: int = TRIALS) -> tu
 def _reach(uv: Array, shape: Array) -> Array:
     """Return half windows (n,) in half axes that end before the neighbours begin."""
     radius = np.linalg.norm(shape, axis=1).max(axis=1)  # (n,)
-    distance, nearest = (np.asarray(table)[:, 1] for table in cKDTree(uv).query(uv, k=2))
+    distance, nearest = (np.asarray(table)[:, 1] for table in scipy.spatial.cKDTree(uv).query(uv, k=2))
     gap = (distance - radius[nearest]) / radius
     return np.asarray(np.clip(gap, LEAST_REACH, REACH))
 

@@ -12,7 +12,7 @@ from itertools import product
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # loads its spatial search where it is used
 
 from armsight.arrays import Array, Image, Index
 from armsight.measure.boards.gridmap import GridMap, fit_map
@@ -238,9 +238,9 @@ class Dots:
         return np.asarray(np.pi * self.axes[:, 0] * self.axes[:, 1])
 
     @cached_property
-    def tree(self) -> cKDTree:
+    def tree(self) -> scipy.spatial.cKDTree:
         """What finds the dot nearest to a pixel."""
-        return cKDTree(self.uv)
+        return scipy.spatial.cKDTree(self.uv)
 
     @cached_property
     def chained(self) -> tuple[Index, Index]:

@@ -15,7 +15,7 @@ from math import log, sqrt
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import fdtri
+import scipy  # loads its special functions where they are used
 
 from armsight.arrays import Array
 from armsight.measure.consistency import cameras
@@ -282,7 +282,7 @@ def _explain(
     odds -= 0.0 if cause.unit else 0.5 * BENT * gain
     shapes = [V, *(W * cause.width for W in cause.same)]
     free = max(int((values > 2.0).sum()), 1)
-    least = free * fdtri(free, sums.noise.dof, 1.0 - FALSE_ALARM)
+    least = free * scipy.special.fdtri(free, sums.noise.dof, 1.0 - FALSE_ALARM)
     out = Finding(
         cause=cause,
         estimate=cause.width * a,

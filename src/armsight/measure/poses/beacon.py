@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy  # loads its spatial search where it is used
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from armsight.arrays import Array, Index, Mask
 from armsight.errors import Unseen
@@ -303,14 +303,14 @@ def without_standing(frames: Sequence[Spots]) -> list[Spots]:
     if n < FEWEST_FRAMES or not len(of):
         return list(frames)
     positions = np.concatenate([spots.uv_px for spots in frames])
-    tree = cKDTree(positions)
+    tree = scipy.spatial.cKDTree(positions)
     standing = tree.query_ball_point(positions, REACH_PX, return_length=True) >= STANDING_SHARE * n
     # near a place a frame counts once: where two of its spots may both be near, its frames are counted one by one
-    pairs = cKDTree(np.column_stack([positions, 4.0 * REACH_PX * of])).query_pairs(
+    pairs = scipy.spatial.cKDTree(np.column_stack([positions, 4.0 * REACH_PX * of])).query_pairs(
         2.0 * REACH_PX, output_type="ndarray"
     )
     if len(pairs):
-        twins = cKDTree(positions[np.unique(pairs)])
+        twins = scipy.spatial.cKDTree(positions[np.unique(pairs)])
         standing_twins = standing & (twins.query_ball_point(positions, REACH_PX, return_length=True) > 1)
         for k in np.flatnonzero(standing_twins):
             standing[k] = len(np.unique(of[tree.query_ball_point(positions[k], REACH_PX)])) >= STANDING_SHARE * n

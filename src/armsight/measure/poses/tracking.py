@@ -10,7 +10,6 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.errors import Unseen
-from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Prediction, Track
@@ -40,9 +39,9 @@ FIRST_WINDOW_PX = 32
 LEAST_WINDOW_PX = 8
 """Half the smallest window, beside the spot itself."""
 
-MOST_MAHALANOBIS2 = float(chi2_isf(1e-6, 6))
-"""Squared Mahalanobis distance of a pose from where the target's motion puts it, beyond which it is something
-else's."""
+MOST_MAHALANOBIS2 = 38.25833637720969
+"""Squared Mahalanobis distance of a pose from where the target's motion puts it, beyond which it is something else's:
+chi2_isf(1e-6, 6)."""
 
 SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas (or radii)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import PurePath
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,10 +13,12 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
 from armsight.calibrate.cameras.observations import Observations
-from armsight.calibrate.handeye import HandEyeResult
 from armsight.optics import SIDES, Camera
 from armsight.records import BoardView, Frame, Target
 from armsight.report.run import BoardPicture, BoardViews
+
+if TYPE_CHECKING:
+    from armsight.calibrate.handeye import HandEyeResult
 
 WIDTH_PX = 360
 """Width of a kept picture: the report shows them 340 px wide."""

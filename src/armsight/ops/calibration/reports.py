@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
 from armsight.calibrate.cameras.two_sides import TwoSided
-from armsight.calibrate.mirrors.result import MirrorsOutput
 from armsight.ops.calibration.board_pictures import BoardPictures, camera_boards, many_boards, rig_boards
 from armsight.ops.calibration.shown import front_of, words_of
 from armsight.records import Target
 from armsight.report import calibration_report
 from armsight.store import write_text
-from armsight.store.cell_file import CellMirrors
 from armsight.store.targets import board_text
 from armsight.units import MM
+
+if TYPE_CHECKING:
+    from armsight.calibrate.mirrors.result import MirrorsOutput
+    from armsight.store.cell_file import CellMirrors
 
 
 def write_camera_report(out: Path, done: CameraCalibration, board: Target, pictures: BoardPictures) -> None:

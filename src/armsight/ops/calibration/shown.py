@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from armsight.calibrate.cameras.preconditions import LEAST_POINTS
 from armsight.calibrate.cameras.two_sides import TwoSided, require_two_sides
 from armsight.errors import UsageError
-from armsight.measure.poses.beacon import without_standing
-from armsight.measure.poses.pipeline import check_size
-from armsight.measure.poses.setup import Setup
-from armsight.measure.poses.views import MOST_ALONE, measure_views
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots import find_spots
 from armsight.ops.calibration.board_images import Keeper, Seen, count_again, require_counts, see_board
 from armsight.optics import Rig
 from armsight.optics.mounted import MountedCamera
 from armsight.records import BoardView, Frame, NotSeen, PoseStatus, Spots, Target
 from armsight.store.targets import board_text
+
+if TYPE_CHECKING:
+    from armsight.measure.poses.setup import Setup
 
 
 def shown_of(board: Target | None, back: Target | None, target: Target | None) -> Target | TwoSided:
@@ -81,6 +79,8 @@ class Eye:
         self.shown, self.detector, self.pictures = shown, detector, pictures
         self.setup: Setup | None = None
         if isinstance(shown, Target) and not shown.is_board and known is not None:
+            from armsight.measure.poses.setup import Setup  # with all of lights, which take longer than a few boards
+
             self.setup = Setup(rig=Rig(cameras=(known,)), target=shown, settings=spots)
 
     @property
@@ -91,6 +91,9 @@ class Eye:
     def see(self, frame: Frame) -> Seen | Glimpse:
         """Return what one frame shows, or why it shows nothing; frames of several threads may come at once."""
         if self.setup is not None:
+            from armsight.measure.poses.pipeline import check_size
+            from armsight.measure.spots import find_spots
+
             if frame.unreadable:
                 return NotSeen(frame.unreadable)
             check_size(self.setup.rig, self.setup.rig.names[0], frame, "The lens is of other images")
@@ -109,13 +112,17 @@ class Eye:
 
     def told(self, seen: Sequence[Seen | Glimpse]) -> list[Seen]:
         """Return the views of all frames: of lights those that do not stand still, named in each view by itself."""
+        if self.setup is None:
+            return [one for one in seen if not isinstance(one, Glimpse)]
+        from armsight.measure.poses.beacon import without_standing
+
         moving = iter(without_standing([one.spots for one in seen if isinstance(one, Glimpse)]))
         return [_named(self.setup, next(moving), one.frame) if isinstance(one, Glimpse) else one for one in seen]
 
 
-def _named(setup: Setup | None, spots: Spots, frame: tuple[int, int, str]) -> Seen:
-    if setup is None:
-        return NotSeen("no lights are looked for")
+def _named(setup: Setup, spots: Spots, frame: tuple[int, int, str]) -> Seen:
+    from armsight.measure.poses.views import MOST_ALONE, measure_views
+
     # the strongest come first: in a lit room edges and labels are seen beside the lights
     found = measure_views(setup, 0.0, [spots.take(np.arange(min(len(spots), MOST_ALONE)))])
     if found.pose.status is not PoseStatus.OK:

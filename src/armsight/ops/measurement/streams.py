@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from armsight.arrays import Array
-from armsight.calibrate.timing.stamps import FEWEST_FRAMES, camera_clock
 from armsight.drivers import (
     AS_THEY_ARE,
     AUTOMATIC,
@@ -277,6 +276,8 @@ def _steady(stamps_s: Array, where: str, read: Callable[[], Iterator[AnyFrame]])
             consequence="There is no time for its view",
             cure="Give the frames in the order of time, each with a stamp of its own",
         )
+    from armsight.calibrate.timing.stamps import FEWEST_FRAMES, camera_clock  # with all of the clocks
+
     if len(stamps_s) < FEWEST_FRAMES:
         return Stream(t_s=stamps_s, read=read, clock_covariance=lambda at_s: np.zeros((2, 2)))
     clock = camera_clock(stamps_s, where)

@@ -16,7 +16,6 @@ from armsight.measure import settings
 from armsight.measure.consistency.evidence import Evidence
 from armsight.measure.poses.from_spots import measure_among
 from armsight.measure.poses.pipeline import Setup, warm_up
-from armsight.ops.simulation.cells import load_cell
 from armsight.optics import RIG_PARAMETERS, Camera, parallel_rig
 from armsight.records import Frame, NamedCovariance, Progress, Spots, spot_target, unmeasured_target
 
@@ -73,6 +72,8 @@ def compile_beside(cell: str = "") -> None:
             evidence.add(measured)
             track = measured.track
     if cell:
+        from armsight.ops.simulation.cells import load_cell
+
         next(load_cell(cell, seed=0, frames=1).frames())
 
 
