@@ -30,6 +30,7 @@ from armsight.measure.poses.pipeline import Setup, Track, measure_pair
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.servo.vision import SteppedClock
 from armsight.ops.simulation.scenarios import load_scenario
+from armsight.ops.sources.pace import live_pace
 from armsight.records import PoseStatus, Silent, TargetPose
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping
@@ -123,7 +124,7 @@ def servo_run(
     rng = np.random.default_rng([seed, 77])
     arm = arm_from_mapping(cell.robot.arm_mapping(), name)
     rig = rig_from_mapping(dict(cell.rig), name)
-    setup = Setup(rig, target_from_mapping(dict(cell.target), name), overlaid=cell.one_image)
+    setup = Setup(rig, target_from_mapping(dict(cell.target), name), overlaid=cell.one_image, pace=live_pace())
     T_parent_camera = cell.T_mount_rig * off_by(rng)
     desired = on_axis(T_parent_camera, DISTANCE_M) if at_tool is None else on_axis(RigidTransform.identity(), at_tool)
     cycle_s = cell.robot.cycle_s
