@@ -128,9 +128,10 @@ def track_grey(
     uv, covariance, looks, refused = measured(grey, settings, areas, state, survey)
     if len(cut):
         refused = np.concatenate([refused, cut])
-    missed = np.setdiff1d(np.arange(len(predicted)), looks[3].astype(np.intp)) if grown and settings.threshold is None else ()
-    if len(missed):
-        areas, state = grow_near(grey, settings.mask_bytes, settings.options, predicted, missed, half)
+    seen = set(looks[3].tolist()) if grown and settings.threshold is None else range(len(predicted))
+    missed = [k for k in range(len(predicted)) if k not in seen]
+    if missed:
+        areas, state = grow_near(grey, settings.mask_bytes, settings.options, predicted, np.array(missed), half)
         more = measured(grey, settings, areas, state, survey)
         uv, covariance = np.concatenate([uv, more[0]]), np.concatenate([covariance, more[1]])
         looks = np.concatenate([looks, more[2]], axis=1)
