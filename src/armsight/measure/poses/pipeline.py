@@ -11,13 +11,13 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
-from armsight.measure.poses.from_spots import measure_among, measure_spots
+from armsight.measure.poses.from_spots import DOUBTFUL, measure_among, measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_seen
-from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
+from armsight.measure.poses.tracking import MAX_GAP_S, continuation, doubtful, jumped, next_track
 from armsight.measure.settings import METHODS
 from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, candidates_within, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
@@ -267,9 +267,12 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     if track.motion is None or not step.likely:
         if jumped(setup, track, t_s, solved):
             return None
-        knocked = not step.likely
-        if knocked and (track.doubted or not step.possible or not _alone(setup, (left, right), (left_seen, right_seen))):
-            return None
+        if not step.likely:
+            if not _alone(setup, (left, right), (left_seen, right_seen)):
+                return None
+            if doubtful(setup, track, t_s, solved, step):
+                missed, track = NotSeen(DOUBTFUL, Unseen.MOTION), replace(track, doubted=True)
+                return lost_moment(t_s, (left_seen, right_seen), missed, track)
     innovation = max(map(kernels.largest_innovation, (left_seen.uv_px, right_seen.uv_px), at))
     return Measured(
         pose=solved.pose,
