@@ -318,7 +318,7 @@ class Candidates:
 
 def _shifted(spots: Spots, x: int, y: int) -> Spots:
     rejected = tuple((u + x, v + y, why) for u, v, why in spots.rejected)
-    return changed(spots, uv_px=spots.uv_px + [x, y], rejected=rejected)
+    return changed(spots, uv_px=spots.uv_px + np.array([x, y]), rejected=rejected)
 
 
 def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: bool) -> tuple[Array, bool]:
