@@ -32,7 +32,7 @@ from armsight.clock import SystemClock
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
-from armsight.control.status import EventSink, RobotStatus
+from armsight.control.status import QueueSink, RobotStatus
 from armsight.measure.poses.pipeline import Setup, Track, measure_pair
 from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.robot.recorder import LoopRecorder
@@ -128,7 +128,7 @@ def servo_run(
     at_tool: float | None = None,
     noisy: bool = False,
     limits: Limits | None = None,
-    sink: EventSink | None = None,
+    sink: QueueSink | None = None,
 ) -> Run:
     """Follow for a time; at_tool: distance from the flange at which the target is wanted, else on the rig's axis."""
     rng = np.random.default_rng([seed, 77])
@@ -177,7 +177,7 @@ class Eye:
         run: Run,
         rng: Any,
         noisy: bool,
-        sink: EventSink | None = None,
+        sink: QueueSink | None = None,
     ):
         self.sink, self.how = sink, ""
         self.begun: tuple[float, int, int] = (0.0, 0, 0)

@@ -240,9 +240,7 @@ class CellModel:
             return uv, J
         # a point moves by dt + dw x arm where the flange does by (dt, dw)
         turned = own[:, 3:, : 5 * n]
-        links = own[:, :3, : 5 * n].copy()
-        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # numpy's cross product takes three times as long
-            links[:, i] += turned[:, j] * arms[:, k] - turned[:, k] * arms[:, j]
+        links = own[:, :3, : 5 * n] + np.cross(turned.transpose(0, 2, 1), arms.transpose(0, 2, 1)).transpose(0, 2, 1)
         by_links = slope @ links  # (m, 2, 5 n)
         J[:, :, self.arm_at : self.lights_at] = self._by_arm(by_links, q, values, lever, scaled)
         turn = by_links[:, :, 5 * np.arange(n) + np.where(self.arm.arm.revolute, THETA, D)]

@@ -166,9 +166,8 @@ def relative(T: Array) -> tuple[Array, Array]:
 
 def placed(T: Array, xyz_m: Array) -> Array:
     """Return where (..., n, 3) a target seen at xyz_m (n, 3) is, in the axes of the middle of rigs (..., n, 4, 4)."""
-    middle = T[..., T.shape[-3] // 2, None, :, :]
-    at = (T[..., :3, :3] * xyz_m[:, None, :]).sum(axis=-1) + T[..., :3, 3] - middle[..., :3, 3]
-    return np.asarray(at @ middle[..., 0, :3, :3])
+    middle, at = T[..., T.shape[-3] // 2, :, :], (T[..., :3, :3] * xyz_m[:, None, :]).sum(axis=-1) + T[..., :3, 3]
+    return np.asarray((at - middle[..., None, :3, 3]) @ middle[..., :3, :3])
 
 
 def camera_terms(T: Array, xyz_m: Array) -> Array:
@@ -208,8 +207,8 @@ def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) ->
     weighed = g / V[:, None]  # (level, r, 3 k)
     root = np.linalg.cholesky(np.eye(len(g)) + weighed @ g.T)
     projector = np.linalg.solve(root, weighed)  # (level, r, 3 k)
-    of_level = np.repeat(np.eye(len(LEVELS)), len(g), axis=0)  # a product sums faster than numpy along a short axis
-    explained = np.square(x @ projector.reshape(-1, x.shape[1]).T) @ of_level
+    # a product with ones sums faster than numpy along a short axis
+    explained = np.square(x @ projector.reshape(-1, x.shape[1]).T) @ np.repeat(np.eye(len(LEVELS)), len(g), axis=0)
     spread_log = np.log(V).sum(axis=1) + 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
     likely = -0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log) - CALM * np.arange(len(LEVELS))
     return likely.max(axis=1), likely.argmax(axis=1)

@@ -11,7 +11,7 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
-from armsight.measure.poses.from_spots import DOUBTFUL, measure_among, measure_spots
+from armsight.measure.poses.from_spots import measure_among, measure_spots, refused_by_motion
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
@@ -271,8 +271,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
             if not _alone(setup, (left, right), (left_seen, right_seen)):
                 return None
             if doubtful(setup, track, t_s, solved, step):
-                missed, track = NotSeen(DOUBTFUL, Unseen.MOTION), replace(track, doubted=True)
-                return lost_moment(t_s, (left_seen, right_seen), missed, track)
+                return refused_by_motion(t_s, (left_seen, right_seen), track)
     innovation = max(map(kernels.largest_innovation, (left_seen.uv_px, right_seen.uv_px), at))
     return Measured(
         pose=solved.pose,
