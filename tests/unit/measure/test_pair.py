@@ -108,7 +108,11 @@ def test_a_knock_is_measured_in_windows_where_nothing_else_could_be_the_target(o
     knock = RigidTransform.from_translation([0.003, 0.0, 0.0])
     for number in range(9):
         T = knock * pose_at(number) if number == 8 else pose_at(number)
-        lights = np.concatenate([T.apply(X), T.apply(X + [[0.0, 0.03, 0.0]])]) if other and number == 8 else T.apply(X)
+        lights = (
+            np.concatenate([T.apply(X), T.apply(X + np.array([0.0, 0.03, 0.0]))])
+            if other and number == 8
+            else T.apply(X)
+        )
         measured = measure_pair(LIVE, *frames(lights, number), track)
         if number < 8 or not other:
             assert_pose(measured, T)

@@ -292,14 +292,14 @@ class Candidates:
         return self if self.look_closer is None else self.look_closer()
 
     def shifted(self, x: int, y: int) -> Candidates:
-        """Return the same of an image in which this one begins at (x, y) px."""
-        areas, fit, closer = self.areas.copy(), self.fit, self.look_closer
+        """Return the same of an image in which this one begins at (x, y) px, without the closer look."""
+        areas, fit = self.areas.copy(), self.fit
         areas[:, [col.SUM_X, col.SUM_Y]] += areas[:, [col.WEIGHT]] * [x, y]
         return replace(
             self,
             areas=areas,
             fit=lambda chosen, others: _shifted(fit(chosen, others), x, y),
-            look_closer=None if closer is None else lambda: closer().shifted(x, y),
+            look_closer=None,
         )
 
     def positions(self, most: int = MOST) -> Index:
