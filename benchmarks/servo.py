@@ -1,6 +1,7 @@
 """The servo in a simulated cell, judged by where arm and target truly are: at rest, at 100 mm/s, before a random hand.
 
     python benchmarks/servo.py [static] [ramp] [random] [noisy] [--runs 10] [--noisy-runs 100] [--room workshop]
+    python benchmarks/servo.py live --minutes 10
 
 The cell is Pachidis 2005's: a Puma 761 of which the servo knows the nominal geometry only, a mirror rig at its flange,
 half a frame's latency, a drive that lags by 60 ms, a controller's cycle of 28 ms and a servo's of 70 ms; and the webcam
@@ -8,28 +9,36 @@ cell, whose cameras stand and whose arm brings its tool to the target. Hand-eye 
 
 Pictures are drawn of the room from where the arm truly is at each exposure. Time is simulated, so that the figures do
 not depend on this machine; only the time from a frame in memory to the command is taken by a real clock, less what the
-simulated drives take of it, while the target is followed.
+simulated drives take of it, while the target is followed. `live` waits for each picture as a camera would make one, and
+records as the command does: what other threads, the garbage collector and the system take of a cycle is in it.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
+import resource
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.clock import SystemClock
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop
 from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
-from armsight.control.status import RobotStatus
+from armsight.control.status import QueueSink, RobotStatus
 from armsight.measure.poses.pipeline import Setup, Track, measure_pair
 from armsight.ops.measurement.warm_up import prepare
+from armsight.ops.robot.recorder import LoopRecorder
 from armsight.ops.servo.vision import SteppedClock
 from armsight.ops.simulation.scenarios import load_scenario
+from armsight.ops.sources.pace import live_pace
 from armsight.records import PoseStatus, Silent, TargetPose
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping
@@ -91,6 +100,7 @@ class Run:
     lost: int = 0
     frames: int = 0
     to_command_ms: list[float] = field(default_factory=list)
+    did: list[tuple[str, float, int, int]] = field(default_factory=list)
     gain: float = 0.0
     n: int = 0
     arm_lag_s: float = 0.0
@@ -118,12 +128,13 @@ def servo_run(
     at_tool: float | None = None,
     noisy: bool = False,
     limits: Limits | None = None,
+    sink: QueueSink | None = None,
 ) -> Run:
     """Follow for a time; at_tool: distance from the flange at which the target is wanted, else on the rig's axis."""
     rng = np.random.default_rng([seed, 77])
     arm = arm_from_mapping(cell.robot.arm_mapping(), name)
     rig = rig_from_mapping(dict(cell.rig), name)
-    setup = Setup(rig, target_from_mapping(dict(cell.target), name), overlaid=cell.one_image)
+    setup = Setup(rig, target_from_mapping(dict(cell.target), name), overlaid=cell.one_image, pace=live_pace())
     T_parent_camera = cell.T_mount_rig * off_by(rng)
     desired = on_axis(T_parent_camera, DISTANCE_M) if at_tool is None else on_axis(RigidTransform.identity(), at_tool)
     cycle_s = cell.robot.cycle_s
@@ -142,8 +153,8 @@ def servo_run(
     run = Run(name=name, gain=gain.used, n=gain.n_delay)
     robot = TimedRobot(cell.robot)
     guard = Guard(arm, limits or Limits(), cycle_s)
-    loop = ControlLoop(robot, guard, source, clock, enabled=lambda: True)
-    eye = Eye(setup, source, clock, cell, run, rng, noisy)
+    loop = ControlLoop(robot, guard, source, clock, enabled=lambda: True, sink=sink)
+    eye = Eye(setup, source, clock, cell, run, rng, noisy, sink)
     with cell.robot, cell.pairs:
         T_flange_wanted = (
             cell.T_mount_rig if at_tool is None else RigidTransform.identity()
@@ -157,7 +168,19 @@ def servo_run(
 class Eye:
     """Takes pairs as they arrive: measures them, or gives the true pose with noise."""
 
-    def __init__(self, setup: Setup, source: ServoSource, clock: Any, cell: LiveCell, run: Run, rng: Any, noisy: bool):
+    def __init__(
+        self,
+        setup: Setup,
+        source: ServoSource,
+        clock: Any,
+        cell: LiveCell,
+        run: Run,
+        rng: Any,
+        noisy: bool,
+        sink: QueueSink | None = None,
+    ):
+        self.sink, self.how = sink, ""
+        self.begun: tuple[float, int, int] = (0.0, 0, 0)
         self.setup, self.source, self.clock, self.cell, self.run, self.rng = setup, source, clock, cell, run, rng
         self.noisy = noisy
         self.track: Track | None = None
@@ -177,14 +200,18 @@ class Eye:
         seen = in_view(self.setup, T_rig_target)
         run.frames += 1
         run.out_of_view += not seen
+        self.begun = spent()
         self.in_memory_s = time.perf_counter()
         if self.noisy:
             pose = self._noisy(t_s, T_rig_target, seen)
         else:
             measured = measure_pair(self.setup, *pair, self.track)
             self.track, pose = measured.track, measured.pose
+            self.how = "windows" if measured.tracked else "complete search"
         self.source.observe(pose, self.cell.origin_s + t_s, self.clock.now_s())
         self.spent_s = time.perf_counter() - self.in_memory_s
+        if self.sink is not None:
+            self.sink.pose(replace(pose, t_s=self.cell.origin_s + t_s))
         run.lost += pose.status is not PoseStatus.OK
         if pose.status is PoseStatus.OK:
             run.seen_s.append(t_s)
@@ -207,6 +234,12 @@ class Eye:
         )
 
 
+def spent() -> tuple[float, int, int]:
+    """Return this thread's processor time, how often the system or another thread took over, and collections so far."""
+    switched = resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw
+    return time.thread_time(), switched, sum(one["collections"] for one in gc.get_stats())
+
+
 def in_view(setup: Setup, T_rig_target: RigidTransform) -> bool:
     """Tell whether every light is in both pictures."""
     xyz = T_rig_target.apply(setup.model.xyz_m)
@@ -227,6 +260,8 @@ def truth_of(
         t_s = status.t_s - cell.origin_s
         if eye.in_memory_s is not None and status.guard is GuardState.RUNNING:
             run.to_command_ms.append((eye.spent_s + robot.sent_s - clock.returned_s - robot.own_s) * 1e3)
+            cpu_s, switched, collected = (now - then for now, then in zip(spent(), eye.begun, strict=True))
+            run.did.append((eye.how, 1e3 * cpu_s, switched, collected))
         eye.in_memory_s, robot.own_s = None, 0.0
         wanted = cell.robot.true.T_world_base * cell.robot.true_flange(status.t_s) * T_flange_wanted
         before, now = cell.pairs.target_at(max(t_s - 1e-3, 0.0)), cell.pairs.target_at(t_s)
@@ -257,6 +292,26 @@ class WatchedClock(SteppedClock):
     def sleep_until(self, t_s: float) -> None:
         super().sleep_until(t_s)
         self.returned_s = time.perf_counter()
+
+
+class PacedClock(WatchedClock):
+    """The same, which waits for each picture's arrival by the wall clock; late: pictures that were drawn too slowly."""
+
+    late = 0
+
+    def watch(self, moments: Any, take: Callable[[Any], None]) -> None:
+        wall = SystemClock()
+        ahead_s = wall.now_s() - self.now_s()
+
+        def paced(moment: Any) -> None:
+            nonlocal ahead_s
+            due_s = self.now_s() + ahead_s
+            if wall.now_s() > due_s:
+                self.late, ahead_s = self.late + 1, wall.now_s() - self.now_s()
+            wall.sleep_until(due_s)
+            take(moment)
+
+        super().watch(moments, paced)
 
 
 DELAY_S = 0.04 + 0.088  # of the cell: a frame's latency, and drive and controller: 2 cycles of 70 ms, begun ones whole
@@ -293,6 +348,32 @@ def static(room: str) -> Run:
     print(
         f"\nFrames lost {run.lost} of {run.frames}, out of view {run.out_of_view}. The point held is off by "
         f"{arrived.mean():.3g} mm on average (hand-eye and arm), and shakes by {arrived.std():.2g} mm."
+    )
+    return run
+
+
+WORST = 10
+"""Cycles whose story is told."""
+
+
+def live(room: str, minutes: float) -> Run:
+    """The target led on a circle at 40 mm/s by the wall clock, recorded: how long a cycle takes, what the worst did."""
+    clock = PacedClock()
+    cell = puma(clock, hand="circle", speed=0.04, seed=1, room=room)
+    with tempfile.TemporaryDirectory() as folder, LoopRecorder(Path(folder) / "servo.mcap", clock) as recorder:
+        run = servo_run("live", cell, clock, 60.0 * minutes, delay_s=DELAY_S, sink=recorder.sink)
+    took = np.array(run.to_command_ms)
+    rows = [(float(took[k]), *run.did[k]) for k in sorted(range(len(took)), key=lambda k: -took[k])[:WORST]]
+    searched = [ms for ms, did in zip(took, run.did, strict=True) if did[0] != "windows"]
+    table(
+        f"{minutes:g} minutes by the wall clock, the {WORST} longest cycles, ms",
+        ("frame to command", "looked at", "processor, drives included", "taken over", "collections"),
+        rows,
+    )
+    print(
+        f"\n{len(took)} cycles, {len(searched)} with a complete search (median {np.median(searched or [0.0]):.2f} ms), "
+        f"{sum(did[2] > 0 for did in run.did)} taken over by others, {sum(did[3] for did in run.did)} collections; "
+        f"{run.lost} of {run.frames} frames lost, {clock.late} pictures drawn too late."
     )
     return run
 
@@ -436,6 +517,7 @@ def main() -> None:
     parser.add_argument("--noisy-runs", type=int, default=100)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--room", default="workshop")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of `live`")
     asked = parser.parse_args()
     prepare(Silent())
     print(machine())
@@ -445,6 +527,8 @@ def main() -> None:
             drawn.append(static(asked.room))
         elif part == "ramp":
             drawn += ramp(asked.room)
+        elif part == "live":
+            drawn.append(live(asked.room, asked.minutes))
         elif part == "random":
             drawn += random_hands(asked.room, asked.runs, noisy=False, seconds=asked.seconds)
         elif part == "noisy":

@@ -77,6 +77,49 @@ def test_a_moving_target_is_tracked_in_windows() -> None:
     np.testing.assert_allclose(track.velocity_m_s[:, 0], 0.18, atol=0.05)
 
 
+LIVE = replace(SETUP, pace=Pace(deadline_s=LIVE_S))
+
+
+def with_plank(frame: Frame, at: np.ndarray) -> Frame:
+    """The frame with a rough bright thing that touches a light at a pixel (2,)."""
+    u, v = at.round().astype(int)
+    image = frame.image.astype(int)
+    image[v - 3 : v + 4, u + 5 : u + 14] += np.random.default_rng(7).integers(40, 90, (7, 9))
+    return replace(frame, image=image.clip(0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("setup", [SETUP, LIVE], ids=["file", "live"])
+def test_a_light_that_touches_something_bright_is_measured_in_its_window_where_somebody_waits(setup: Setup) -> None:
+    track: Track | None = None
+    for number in range(8):
+        T = pose_at(number)
+        seen = frames(T.apply(X), number)
+        if number > 4:
+            seen = tuple(with_plank(frame, uv[0]) for frame, uv in zip(seen, pixels(T.apply(X)), strict=True))
+        measured = measure_pair(setup, *seen, track)
+        assert_pose(measured, T)
+        assert measured.tracked is (0 < number <= 4 or (number > 4 and setup is LIVE))
+        track = measured.track
+
+
+@pytest.mark.parametrize("other", [False, True], ids=["alone", "beside another one"])
+def test_a_knock_is_measured_in_windows_where_nothing_else_could_be_the_target(other: bool) -> None:
+    track: Track | None = None
+    knock = RigidTransform.from_translation([0.003, 0.0, 0.0])
+    for number in range(9):
+        T = knock * pose_at(number) if number == 8 else pose_at(number)
+        lights = (
+            np.concatenate([T.apply(X), T.apply(X + np.array([0.0, 0.03, 0.0]))])
+            if other and number == 8
+            else T.apply(X)
+        )
+        measured = measure_pair(LIVE, *frames(lights, number), track)
+        if number < 8 or not other:
+            assert_pose(measured, T)
+        assert measured.tracked is (number > 0 and not (other and number == 8))
+        track = measured.track
+
+
 def test_a_jump_out_of_the_windows_falls_back_to_the_whole_frame() -> None:
     first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))
     jumped = RigidTransform.from_components([-0.1, 0.06, 0.7], Rotation.from_rotvec([-0.1, 0.3, 1.0]))

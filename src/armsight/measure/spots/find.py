@@ -56,14 +56,32 @@ def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, pace: Pace 
     return grey_candidates(image, settings, pace)
 
 
+def candidates_within(
+    image: Image, box: tuple[int, int, int, int], settings: SpotSettings, pace: Pace = BATCH
+) -> Candidates:
+    """Return what may be a light in a part of an image alone, columns x0 to x1 and rows y0 to y1 (ends excluded).
+
+    box: (x0, x1, y0, y1). Its background, noise and room are of that part; a light that the part cuts is none. Not for
+    settings with a mask. Raises as find_candidates.
+    """
+    x0, x1, y0, y1 = box
+    return find_candidates(image[y0:y1, x0:x1], settings, pace).shifted(x0, y0)
+
+
 def track_spots(
-    image: Image, predicted_uv_px: ArrayLike, half_window_px: float, settings: SpotSettings = DEFAULTS
+    image: Image,
+    predicted_uv_px: ArrayLike,
+    half_window_px: float,
+    settings: SpotSettings = DEFAULTS,
+    *,
+    grown: bool = False,
 ) -> tuple[Spots, Index]:
     """Return the spots in windows around predicted_uv_px (n, 2), and the prediction that each belongs to.
 
     In each window of half_window_px to either side, the bright area nearest to the prediction is measured as in
     find_spots; two predictions never share one. A prediction whose window is dark, or whose spot was rejected, has
-    no entry. Touching spots give two spots of the same prediction. Raises as find_spots, and Inconsistent where
+    no entry. Touching spots give two spots of the same prediction. grown: a grey light that hangs together with what
+    it stands before is then grown from its peak. Raises as find_spots, and Inconsistent where
     the predictions are not an (n, 2) array of finite numbers or the window is empty.
     """
     predicted = np.ascontiguousarray(predicted_uv_px, dtype=np.float64)
@@ -75,7 +93,7 @@ def track_spots(
         return track_coloured(image, predicted, half_window_px, settings)
     if settings.method == "seed":
         return track_seeded(image, predicted, half_window_px, settings)
-    return track_grey(image, predicted, half_window_px, settings)
+    return track_grey(image, predicted, half_window_px, settings, grown=grown)
 
 
 def warm_up() -> None:
@@ -89,7 +107,7 @@ def warm_up() -> None:
     room[80:84, 10:14] = 255
     for settings, image in ((DEFAULTS, grey), (SpotSettings(colour=RED), red), (SpotSettings(colour=RED), room)):
         find_spots(image, settings)
-        track_spots(image, [[60.0, 50.0]], 16.0, settings)
+        track_spots(image, [[60.0, 50.0], [9.0, 86.0]], 16.0, settings, grown=True)
 
 
 ARMS = (4, 2)

@@ -29,10 +29,10 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import whiten_clipped
-from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, locate, locate_near
+from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, grow_near, locate, locate_near
 from armsight.measure.spots.kernels.measure_areas import measure_areas
 from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
-from armsight.records import Spots, trusted
+from armsight.records import Spots, changed, trusted
 
 Rejected = tuple[tuple[float, float, str], ...]
 Located = tuple[Array, NDArray[np.int64], Array, int]
@@ -118,7 +118,9 @@ def _too_bright(outcome: int, number: float) -> str:
     return f"{100.0 * number:.0f} % of the image lies above the threshold"
 
 
-def track_grey(image: Image, predicted: Array, half_window_px: float, settings: SpotSettings) -> tuple[Spots, Index]:
+def track_grey(
+    image: Image, predicted: Array, half_window_px: float, settings: SpotSettings, *, grown: bool = False
+) -> tuple[Spots, Index]:
     """Return the spots in windows around predicted (n, 2), and the prediction of each; see track_spots."""
     grey = searchable(image, settings)
     half = int(half_window_px + 0.5)
@@ -126,6 +128,13 @@ def track_grey(image: Image, predicted: Array, half_window_px: float, settings: 
     uv, covariance, looks, refused = measured(grey, settings, areas, state, survey)
     if len(cut):
         refused = np.concatenate([refused, cut])
+    seen = set(looks[3].tolist()) if grown and settings.threshold is None else range(len(predicted))
+    missed = [k for k in range(len(predicted)) if k not in seen]
+    if missed:
+        areas, state = grow_near(grey, settings.mask_bytes, settings.options, predicted, np.array(missed), half)
+        more = measured(grey, settings, areas, state, survey)
+        uv, covariance = np.concatenate([uv, more[0]]), np.concatenate([covariance, more[1]])
+        looks = np.concatenate([looks, more[2]], axis=1)
     return record(uv, covariance, looks, refused), looks[3].astype(np.intp)
 
 
@@ -282,6 +291,17 @@ class Candidates:
         """Return what a closer look shows; itself where there is none."""
         return self if self.look_closer is None else self.look_closer()
 
+    def shifted(self, x: int, y: int) -> Candidates:
+        """Return the same of an image in which this one begins at (x, y) px, without the closer look."""
+        areas, fit = self.areas.copy(), self.fit
+        areas[:, [col.SUM_X, col.SUM_Y]] += areas[:, [col.WEIGHT]] * [x, y]
+        return replace(
+            self,
+            areas=areas,
+            fit=lambda chosen, others: _shifted(fit(chosen, others), x, y),
+            look_closer=None,
+        )
+
     def positions(self, most: int = MOST) -> Index:
         """Return the positions of the candidates, at most so many, of greatest contrast first."""
         at = np.flatnonzero(self.state[:, col.STATUS] == ACCEPTED)
@@ -294,6 +314,11 @@ class Candidates:
     def measure_strongest(self, most: int) -> Spots:
         """Return the spots of the `most` candidates of greatest contrast; the others are in `rejected` as too many."""
         return self.fit(self.positions(most), MANY)
+
+
+def _shifted(spots: Spots, x: int, y: int) -> Spots:
+    rejected = tuple((u + x, v + y, why) for u, v, why in spots.rejected)
+    return changed(spots, uv_px=spots.uv_px + np.array([x, y]), rejected=rejected)
 
 
 def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: bool) -> tuple[Array, bool]:

@@ -347,3 +347,29 @@ def locate_near(image, mask, options, predicted, half):
     classify_areas(comps, state, options, w, h, box, margin)
     ring_background(image, flip, comps, survey, w, h)
     return comps, state, survey, cut[:n_cut].copy()
+
+
+@kernel
+def grow_near(image, mask, options, predicted, missed, half):
+    """Return areas and state of the blobs nearest to those of predicted (n, 2) that missed (m,) numbers.
+
+    As locate_near finds them in a crowded window: what is above the threshold there is a light and what it stands
+    before, and the light alone is grown from its peak.
+    """
+    h, w = image.shape
+    picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
+    limits = BlobLimits(WINDOW_CONTRAST, options[col.O_MIN_PIXELS], options[col.O_MAX_RADIUS])
+    comps, state = np.empty((missed.size, col.COLUMNS)), np.zeros((missed.size, col.STATE), np.int64)
+    box = np.empty(4, np.int64)
+    n = np.int64(0)
+    for k in missed:
+        u = predicted[k, 0]
+        v = predicted[k, 1]
+        if not (-0.5 <= u < w - 0.5 and -0.5 <= v < h - 0.5):
+            continue
+        set_window(u, v, half, w, h, box)
+        if blob_near(picture, u, v, box, limits, comps[n]):
+            state[n, col.OWNER] = k
+            state[n, col.STATUS] = classify(comps[n], w, h, box, limits.min_pixels, limits.max_radius, 0.0)
+            n += 1
+    return comps[:n].copy(), state[:n].copy()
