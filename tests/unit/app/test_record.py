@@ -6,6 +6,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -62,6 +63,14 @@ class Fake:
 
 def fakes(n: int) -> list[tuple[Frame, Frame]]:
     return [(frame(i), frame(i, 1)) for i in range(n)]
+
+
+def test_the_rate_that_can_be_kept_is_said_beside_what_was_dropped(tmp_path: Path) -> None:
+    done = record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake(fakes(4)), live=False)
+    (said,) = replace(done, n_dropped=7).summary()
+    assert "7 dropped because the disk or the processor is too slow and kept up with 60.0 a second" in str(said)
+    (said,) = done.summary()
+    assert "kept up" not in str(said)
 
 
 def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.sources.bags import origin_ns
 from armsight.ops.sources.frames import FrameTimes, recordings_in
 from armsight.optics import Rig, at_zoom
-from armsight.records import Frame, PoseStatus, Progress, Target
+from armsight.records import Frame, PoseStatus, Progress, Target, TargetPose
 from armsight.records.checks import wide_rig
 from armsight.store import World, parse_board, read_target, read_zoom_rig
 
@@ -83,6 +83,7 @@ def run(
             failure = _taken(steps, check, outputs, report, tracker)
     if outputs.n_frames == 0 and failure is not None:
         raise failure
+    _tell_late(pairs, report.poses, outputs.units)
     consistency = _judged(check, outputs, report)
     failure = failure or _nothing_seen(outputs, consistency, setup)
     done = outputs.summary(
@@ -101,6 +102,19 @@ def run(
     if failure is not None:
         raise failure if out is None else _with_path(failure, outputs, out)
     return done
+
+
+def _tell_late(pairs: MomentSource, poses: Sequence[TargetPose], units: str) -> None:
+    """Tell of live frames that were displaced because measuring takes longer than they last, and the rate it keeps."""
+    late = getattr(pairs, "n_late", 0)
+    if late and len(poses) > 1 and poses[-1].t_s > poses[0].t_s:
+        rate_hz = (len(poses) - 1) / (poses[-1].t_s - poses[0].t_s)
+        warnings.warn(
+            f"{late} frames came faster than they could be measured, and have no pose: this machine kept up with "
+            f"{rate_hz:.1f} {units} a second. Lower the cameras' rate; or record with armsight record, and measure the "
+            "recording, of which every frame is measured",
+            stacklevel=3,
+        )
 
 
 def _judged(check: RunCheck | CamerasCheck, outputs: Outputs, report: Collector) -> Consistency:
