@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import Skew, Views
+from armsight.drivers import ImageFolder, Skew, Views
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.recording import recorder as recorder_module
 from armsight.ops.recording.export import export
@@ -27,7 +27,7 @@ from armsight.ops.sources.frames import RecordedFrames, open_source
 from armsight.optics import SIDES
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_times
-from armsight.store.recording import ImageFormat, Recording, RecordingWriter
+from armsight.store.recording import ImageFormat, Recording, RecordingWriter, reader
 from refusals import refuses
 
 
@@ -63,6 +63,20 @@ class Fake:
 
 def fakes(n: int) -> list[tuple[Frame, Frame]]:
     return [(frame(i), frame(i, 1)) for i in range(n)]
+
+
+def test_times_are_read_without_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake(fakes(4)), live=False)
+    with RecordedFrames(str(tmp_path / "a.mcap"), "right") as frames:
+        times_s = [one.t_s for one in frames]
+        monkeypatch.setattr(reader, "decode", None)
+        assert list(frames.stamps_s()) == times_s
+    assert times_s == pytest.approx([n / 60.0 for n in range(4)])
+    (tmp_path / "images").mkdir()
+    for n in range(3):
+        (tmp_path / "images" / f"{n}.png").touch()
+    with ImageFolder(str(tmp_path / "images"), fps=10.0) as images:
+        assert list(images.stamps_s()) == [0.0, 0.1, 0.2]
 
 
 def test_the_rate_that_can_be_kept_is_said_beside_what_was_dropped(tmp_path: Path) -> None:
