@@ -5,7 +5,7 @@ Lights that are covered are told by their outlines, and taken with more doubt or
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -122,17 +122,12 @@ def _rules(setup: Setup, names: tuple[str, ...], views: Views) -> tuple[float, f
     return limit, setup.slack_px, setup.covariance_of(names)
 
 
-def _pose_by(setup: Setup, names: tuple[str, ...], views: Views) -> Callable[[Array], Array | None]:
-    """Return what gives the pose (4, 4) of solve_views alone by pixels (n, v, 2) of views; None where not whole."""
+def _matrix_of(setup: Setup, names: tuple[str, ...], views: Views) -> Array | None:
+    """Return the pose (4, 4) of solve_views alone; None where it is not whole."""
     if len(names) < 3 or not setup.target.model_known:
-        return lambda uv_px: solve_views(setup, 0.0, names, views._replace(uv_px=uv_px)).T
-    spots, rules = named_spots(setup, names, views), _rules(setup, names, views)
-
-    def pose(uv_px: Array) -> Array | None:
-        fit = fit_pose(setup.packed, spots._replace(uv_px=uv_px), *rules, views.start)
-        return fit.T if fit.state == kernels.SOLVED else None
-
-    return pose
+        return solve_views(setup, 0.0, names, views).T
+    fit = fit_pose(setup.packed, named_spots(setup, names, views), *_rules(setup, names, views), views.start)
+    return fit.T if fit.state == kernels.SOLVED else None
 
 
 def _radii(radius_m: float, views: Sequence[Spots]) -> Array:
@@ -341,30 +336,30 @@ def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, found: 
     variances, axes = np.linalg.eigh(hidden)
     steps = (np.sqrt(np.maximum(variances, 0.0))[:, None, :] * axes).swapaxes(1, 2).reshape(-1, 2)
     at, long = np.stack([lights, sides], axis=1).repeat(2, axis=0), (steps**2).sum(axis=1) > LEAST_STEP_PX**2
-    solve = _pose_by(setup, names, views)  # what the spots' places do not change is looked up once
     moves = [
-        _moved(solve, views.uv_px, T, (i, s), way) for (i, s), way in zip(at[long].tolist(), steps[long], strict=True)
+        _moved(setup, names, views, T, (i, s), way) for (i, s), way in zip(at[long].tolist(), steps[long], strict=True)
     ]
     return [moved for moved in moves if len(moved)]
 
 
-def _moved(
-    solve: Callable[[Array], Array | None], uv_px: Array, T: Array, at: tuple[int, int], step_px: Array
-) -> Array:
+def _moved(setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: tuple[int, int], step_px: Array) -> Array:
     """Return the ways (0 to 2, 6) from the pose T of a pair to those with one spot moved; see _moves."""
     for share in SHARES:
-        possible = []
-        for sign in (-1.0, 1.0):
-            uv = uv_px.copy()
-            uv[at] += sign * share * step_px
-            other = solve(uv)
-            if other is not None:
-                way = np.empty(6)
-                way[:3], way[3:] = other[:3, 3] - T[:3, 3], rotvec(other[:3, :3] @ T[:3, :3].T)
-                possible.append(way)
+        moved = [_moved_by(setup, names, views, T, at, sign * share * step_px) for sign in (-1.0, 1.0)]
+        possible = [d for d in moved if d is not None]
         if possible:
             return np.array(possible)
     return np.empty((0, 6))
+
+
+def _moved_by(
+    setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: tuple[int, int], step_px: Array
+) -> Array | None:
+    """Return the way (6,) from the pose T to that with one spot moved by step_px (2,); None where that fits no pose."""
+    uv = views.uv_px.copy()
+    uv[at] += step_px
+    other = _matrix_of(setup, names, views._replace(uv_px=uv))
+    return None if other is None else np.concatenate([other[:3, 3] - T[:3, 3], rotvec(other[:3, :3] @ T[:3, :3].T)])
 
 
 def channels(frame: Frame) -> Image:

@@ -27,7 +27,7 @@ from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.sources.bags import origin_ns
 from armsight.ops.sources.frames import FrameTimes, recordings_in
 from armsight.optics import Rig, at_zoom
-from armsight.records import Frame, PoseStatus, Progress, Target, TargetPose
+from armsight.records import Frame, PoseStatus, Progress, Target
 from armsight.records.checks import wide_rig
 from armsight.store import World, parse_board, read_target, read_zoom_rig
 
@@ -83,8 +83,7 @@ def run(
             failure = _taken(steps, check, outputs, report, tracker)
     if outputs.n_frames == 0 and failure is not None:
         raise failure
-    _tell_late(pairs, report.poses, outputs.units)
-    consistency = _judged(check, outputs, report)
+    consistency = _judged(check, outputs, report, getattr(pairs, "n_late", 0))
     failure = failure or _nothing_seen(outputs, consistency, setup)
     done = outputs.summary(
         setup,
@@ -104,21 +103,20 @@ def run(
     return done
 
 
-def _tell_late(pairs: MomentSource, poses: Sequence[TargetPose], units: str) -> None:
-    """Tell of live frames that were displaced because measuring takes longer than they last, and the rate it keeps."""
-    late = getattr(pairs, "n_late", 0)
-    if late and len(poses) > 1 and poses[-1].t_s > poses[0].t_s:
-        rate_hz = (len(poses) - 1) / (poses[-1].t_s - poses[0].t_s)
+def _judged(check: RunCheck | CamerasCheck, outputs: Outputs, report: Collector, late: int) -> Consistency:
+    """Return the verdict over the whole run, and give its status, and what is left out, to all that is written.
+
+    late: live frames that were displaced because measuring takes longer than they last; the rate it keeps is said.
+    """
+    times_s = [pose.t_s for pose in report.poses[:1] + report.poses[-1:]]
+    if late and times_s and times_s[-1] > times_s[0]:
+        rate_hz = (len(report.poses) - 1) / (times_s[-1] - times_s[0])
         warnings.warn(
             f"{late} frames came faster than they could be measured, and have no pose: this machine kept up with "
-            f"{rate_hz:.1f} {units} a second. Lower the cameras' rate; or record with armsight record, and measure the "
-            "recording, of which every frame is measured",
+            f"{rate_hz:.1f} {outputs.units} a second. Lower the cameras' rate; or record with armsight record, and "
+            "measure the recording, of which every frame is measured",
             stacklevel=3,
         )
-
-
-def _judged(check: RunCheck | CamerasCheck, outputs: Outputs, report: Collector) -> Consistency:
-    """Return the verdict over the whole run, and give its status, and what is left out, to all that is written."""
     consistency = check.finish()
     if isinstance(check, CamerasCheck) and check.without:
         with outputs.again():
