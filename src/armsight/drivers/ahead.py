@@ -122,6 +122,10 @@ class FileSource(ABC):
     def _close(self) -> None:
         """Close the file; nothing is read from it then."""
 
+    def stamps_s(self) -> Iterator[float]:
+        """Yield the frames' times, once it is open; no picture is decoded where the times stand beside them."""
+        return (frame.t_s for frame in self)
+
     def __iter__(self) -> Iterator[Frame]:
         self._end()
         self._ahead = read = read_ahead(self._frames(), self.name)

@@ -52,6 +52,7 @@ class LiveCamera(ABC):
     A driver opens its device in _open_device, reads it in _read_frames until _stop is set, handing out what comes with
     _put, and closes it in _close_device. One process at a time may read it (DeviceFailed for a second one).
     waits: silence is no failure, because a trigger decides when frames come. cure: what to do where it is lost.
+    n_late: frames since it was opened that newer ones displaced before they were asked for.
     """
 
     waits = False
@@ -63,6 +64,7 @@ class LiveCamera(ABC):
         self._clock = clock or SystemClock()
         self._origin_s = origin_s
         self._thread: threading.Thread | None = None
+        self.n_late = 0
         self._stop = threading.Event()
         self._frames: queue.Queue[Frame | DeviceFailed] = queue.Queue(maxsize=DEPTH)
 
@@ -93,6 +95,7 @@ class LiveCamera(ABC):
             raise
         self._origin_s = self._clock.now_s() if self._origin_s is None else self._origin_s
         self._stop.clear()
+        self.n_late = 0
         self._frames = queue.Queue(maxsize=DEPTH)
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
@@ -142,6 +145,7 @@ class LiveCamera(ABC):
                     self._frames.get_nowait()
                 except queue.Empty:
                     continue
+                self.n_late += 1
 
     def _lost(self, what: str) -> DeviceLost:
         return DeviceLost(

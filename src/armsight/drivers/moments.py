@@ -112,6 +112,11 @@ class Moments(ABC):
         return max(counts) if self._partial else min(counts)
 
     @property
+    def n_late(self) -> int:
+        """Frames of live cameras that newer ones displaced before they were asked for: what reads them is too slow."""
+        return sum(getattr(source, "n_late", 0) for source in self.sources)
+
+    @property
     def skew(self) -> Skew | None:
         """How far apart the frames of a moment were so far; None where they share one time stamp."""
         return None

@@ -119,6 +119,10 @@ class ImageFolder(FileSource):
             raise wrong_times(self._times_s, self.name, len(self._paths))
         return self
 
+    def stamps_s(self) -> Iterator[float]:
+        """Yield the images' times."""
+        return map(self._time_s, range(len(self._paths)))
+
     def _close(self) -> None:
         pass
 

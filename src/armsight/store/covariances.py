@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -20,6 +21,7 @@ LIGHTS = ("lights_x_m", "lights_y_m", "lights_z_m")
 LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
 COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES, 2))
 """Of a pose, row by row above the diagonal; m and rad, in the axes of sx_m .. srz_rad."""
+_ABOVE = tuple(combinations(range(len(AXES)), 2))
 SYSTEMATIC_COVARIANCE = tuple(f"sys_{name}" for name in COVARIANCE)
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
@@ -41,13 +43,8 @@ UNCORRELATED = "holds standard deviations only: its errors are taken as uncorrel
 
 def above_diagonal(covariance: Array | None) -> list[float]:
     """Return the 15 cells of a covariance (6, 6); of a (3, 3) those of the position, NaN for the rest."""
-    cells = [float("nan")] * len(COVARIANCE)
-    if covariance is None:
-        return cells
-    axes = AXES[: len(covariance)]
-    for (i, a), (j, b) in combinations(enumerate(axes), 2):
-        cells[COVARIANCE.index(f"cov_{a}_{b}")] = float(covariance[i, j])
-    return cells
+    rows = [] if covariance is None else covariance.tolist()
+    return [rows[i][j] if j < len(rows) else math.nan for i, j in _ABOVE]
 
 
 def has_correlations(names: Mapping[str, object], lead: str = "") -> bool:

@@ -6,6 +6,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import Skew, Views
+from armsight.drivers import ImageFolder, Skew, Views
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
 from armsight.ops.recording import recorder as recorder_module
 from armsight.ops.recording.export import export
@@ -26,7 +27,7 @@ from armsight.ops.sources.frames import RecordedFrames, open_source
 from armsight.optics import SIDES
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_times
-from armsight.store.recording import ImageFormat, Recording, RecordingWriter
+from armsight.store.recording import ImageFormat, Recording, RecordingWriter, reader
 from refusals import refuses
 
 
@@ -62,6 +63,28 @@ class Fake:
 
 def fakes(n: int) -> list[tuple[Frame, Frame]]:
     return [(frame(i), frame(i, 1)) for i in range(n)]
+
+
+def test_times_are_read_without_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake(fakes(4)), live=False)
+    with RecordedFrames(str(tmp_path / "a.mcap"), "right") as frames:
+        times_s = [one.t_s for one in frames]
+        monkeypatch.setattr(reader, "decode", None)
+        assert list(frames.stamps_s()) == times_s
+    assert times_s == pytest.approx([n / 60.0 for n in range(4)])
+    (tmp_path / "images").mkdir()
+    for n in range(3):
+        (tmp_path / "images" / f"{n}.png").touch()
+    with ImageFolder(str(tmp_path / "images"), fps=10.0) as images:
+        assert list(images.stamps_s()) == [0.0, 0.1, 0.2]
+
+
+def test_the_rate_that_can_be_kept_is_said_beside_what_was_dropped(tmp_path: Path) -> None:
+    done = record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake(fakes(4)), live=False)
+    (said,) = replace(done, n_dropped=7).summary()
+    assert "7 dropped because the disk or the processor is too slow and kept up with 60.0 a second" in str(said)
+    (said,) = done.summary()
+    assert "kept up" not in str(said)
 
 
 def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path) -> None:

@@ -7,10 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from armsight import simulate
 from armsight.clock import ManualClock
-from armsight.drivers import OpenCvCamera, TimedMoments
+from armsight.drivers import FileMoments, OpenCvCamera, TimedMoments
+from armsight.drivers.live import DEPTH
 from armsight.errors import DeviceLost
-from armsight.records import Frame
+from armsight.measure.poses.setup import Setup
+from armsight.ops.measurement.run import run
+from armsight.optics import SIDES
+from armsight.records import Frame, Silent
 from refusals import refuses
 
 
@@ -53,6 +58,17 @@ class Scripted:
             yield Frame(image=np.zeros((4, 6), np.uint8), t_s=t_s, sequence=sequence, source=self.name)
 
 
+class Held(Scripted):
+    """A source of given frames."""
+
+    def __init__(self, name: str, frames: list[Frame]) -> None:
+        super().__init__(name, [])
+        self.frames = frames
+
+    def __iter__(self) -> Iterator[Frame]:
+        yield from self.frames
+
+
 def test_a_camera_unplugged_midway_is_lost_after_its_last_frames() -> None:
     wire = Wire(6)
     got = []
@@ -62,6 +78,28 @@ def test_a_camera_unplugged_midway_is_lost_after_its_last_frames() -> None:
     assert got[-1] == 5
     assert wire.released
     assert "cable" in info.value.cure
+
+
+def test_frames_that_newer_ones_displace_are_counted_anew_at_every_opening() -> None:
+    camera = OpenCvCamera("3", clock=ManualClock(), open_capture=lambda _: Wire(9))
+    for _ in range(2):
+        with camera, TimedMoments(camera, Scripted("right", [])) as pairs:
+            assert camera._thread is not None
+            camera._thread.join()  # all has come before any frame is asked for, the end of it as well
+            assert pairs.n_late == 9 + 1 - DEPTH
+
+
+def test_the_rate_that_measuring_keeps_is_said_where_live_frames_were_displaced() -> None:
+    class Hasty(FileMoments):
+        n_late = 7
+
+    cell = simulate("hand-cell", frames=3)
+    sides = [
+        Held(side, [Frame(image=image, t_s=n / 20.0, sequence=n, source=side) for n, image in enumerate(images)])
+        for side, images in zip(SIDES, zip(*((views.left, views.right) for views in cell), strict=True), strict=True)
+    ]
+    with pytest.warns(UserWarning, match=r"7 frames came faster .* kept up with 20\.0 pairs a second"):
+        run(Setup(cell.rig, cell.target), Hasty(*sides), None, progress=Silent())
 
 
 def test_frames_are_paired_with_the_nearest_and_the_skew_is_told() -> None:

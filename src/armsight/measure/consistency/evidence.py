@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from math import sqrt
+from statistics import median
 
 import numpy as np
 
@@ -240,7 +241,7 @@ class Evidence:
         """Add the waiting frames but the last so many to their stretches, less where their chi-square is unusual."""
         if not self._window:
             return
-        usual = max(float(np.median([seen.chi2 / seen.dof for seen in self._window])), 1.0)
+        usual = max(median([seen.chi2 / seen.dof for seen in self._window]), 1.0)
         frames = list(self._window)
         for seen in frames[len(frames) - self._waiting : len(frames) - behind]:
             self._add(seen, usual * seen.dof)

@@ -83,7 +83,7 @@ def run(
             failure = _taken(steps, check, outputs, report, tracker)
     if outputs.n_frames == 0 and failure is not None:
         raise failure
-    consistency = _judged(check, outputs, report)
+    consistency = _judged(check, outputs, report, getattr(pairs, "n_late", 0))
     failure = failure or _nothing_seen(outputs, consistency, setup)
     done = outputs.summary(
         setup,
@@ -103,8 +103,20 @@ def run(
     return done
 
 
-def _judged(check: RunCheck | CamerasCheck, outputs: Outputs, report: Collector) -> Consistency:
-    """Return the verdict over the whole run, and give its status, and what is left out, to all that is written."""
+def _judged(check: RunCheck | CamerasCheck, outputs: Outputs, report: Collector, late: int) -> Consistency:
+    """Return the verdict over the whole run, and give its status, and what is left out, to all that is written.
+
+    late: live frames that were displaced because measuring takes longer than they last; the rate it keeps is said.
+    """
+    times_s = [pose.t_s for pose in report.poses[:1] + report.poses[-1:]]
+    if late and times_s and times_s[-1] > times_s[0]:
+        rate_hz = (len(report.poses) - 1) / (times_s[-1] - times_s[0])
+        warnings.warn(
+            f"{late} frames came faster than they could be measured, and have no pose: this machine kept up with "
+            f"{rate_hz:.1f} {outputs.units} a second. Lower the cameras' rate; or record with armsight record, and "
+            "measure the recording, of which every frame is measured",
+            stacklevel=3,
+        )
     consistency = check.finish()
     if isinstance(check, CamerasCheck) and check.without:
         with outputs.again():

@@ -16,6 +16,7 @@ from armsight.drivers import (
     AUTOMATIC,
     MAX_SKEW_S,
     CameraSettings,
+    FileSource,
     ImageReading,
     MomentSource,
     PairSettings,
@@ -259,12 +260,15 @@ def _spot_frames(track: SpotTrack, camera: Camera) -> Iterator[SpotFrame]:
 
 def _images(text: str, side: str, *, colour: bool, fps: float | None, origin_of: str) -> Stream:
     """Return the frames of a source that can be read again; the first time for its stamps."""
+    opened = partial(camera_source, text, side, colour=colour, fps=fps, origin_of=origin_of)
 
     def read() -> Iterator[Frame]:
-        with camera_source(text, side, colour=colour, fps=fps, origin_of=origin_of) as source:
+        with opened() as source:
             yield from source
 
-    return _steady(np.array([frame.t_s for frame in read()]), side, read)
+    with opened() as source:
+        stamps_s = source.stamps_s() if isinstance(source, FileSource) else (frame.t_s for frame in source)
+        return _steady(np.fromiter(stamps_s, float), side, read)
 
 
 def _steady(stamps_s: Array, where: str, read: Callable[[], Iterator[AnyFrame]]) -> Stream:

@@ -74,7 +74,10 @@ class RecordOutput(Output):
 
     def summary(self) -> Iterator[Shown]:
         """Yield what a terminal shows of it."""
-        lost = f", {self.n_dropped} dropped because the disk or the processor is too slow" if self.n_dropped else ""
+        kept = "" if self.pairs_per_s is None else f" and kept up with {self.pairs_per_s:.1f} a second"
+        lost = (
+            f", {self.n_dropped} dropped because the disk or the processor is too slow{kept}" if self.n_dropped else ""
+        )
         lost += f", {self.n_missed} missed by the cameras" if self.n_missed else ""
         size = f"{self.size_bytes / 1e6:.1f} MB as {self.format}"
         what = "pairs" if self.n_frames is None else "moments"

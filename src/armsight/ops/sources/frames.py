@@ -93,6 +93,12 @@ class RecordedFrames(FileSource):
         self._recording = recording
         return self
 
+    def stamps_s(self) -> Iterator[float]:
+        """Yield the frames' times."""
+        if self._recording is None or self._camera is None:
+            return iter(())
+        return (t_s for t_s, *_ in self._recording.images(self._camera))
+
     def _close(self) -> None:
         if self._recording is not None:
             self._recording.close()

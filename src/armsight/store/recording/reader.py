@@ -175,7 +175,15 @@ class Recording(Closing):
                         yield Recorded(topic, schema, encoding, message.sequence, message.t_ns, message.data)
 
     def frames(self, camera: str) -> Iterator[Frame]:
-        """Yield a camera's frames, numbered as recorded. Raises NotEnoughData, Inconsistent, BadFile, BadImage."""
+        """Yield a camera's frames, numbered as recorded. Raises as images, and BadImage."""
+        for t_s, message, exposure_s in self.images(camera):
+            where = f"{self.path}:{camera}:{message.sequence}"
+            image = decode(message.schema, message.data, where)
+            yield Frame(image=image, t_s=t_s, sequence=message.sequence, source=where, exposure_s=exposure_s)
+
+    def images(self, camera: str) -> Iterator[tuple[float, Recorded, float]]:
+        """Yield t_s, message and exposure (s) of a camera's images, not decoded. Raises NotEnoughData, Inconsistent,
+        BadFile."""
         topic = f"/{camera}/image"
         if self.topics.get(topic) not in IMAGES:
             raise self._lacks(topic, "images")
@@ -184,17 +192,15 @@ class Recording(Closing):
             if message.topic != topic:
                 exposure_s = float(self._json(message).get("exposure_s", 0.0))
                 continue
-            where = f"{self.path}:{camera}:{message.sequence}"
             if last_ns is not None and message.t_ns < last_ns:
+                back_s = (last_ns - message.t_ns) / NS
                 raise Inconsistent(
-                    f"{where}: time runs backwards by {(last_ns - message.t_ns) / NS:.6g} s",
+                    f"{self.path}:{camera}:{message.sequence}: time runs backwards by {back_s:.6g} s",
                     consequence="The frames have no order from there on, so reading stops",
                     cure="Sort the recording by time (`mcap sort`), or record it anew",
                 )
             last_ns = message.t_ns
-            image = decode(message.schema, message.data, where)
-            t_s = (message.t_ns - self.origin_ns) / NS
-            yield Frame(image=image, t_s=t_s, sequence=message.sequence, source=where, exposure_s=exposure_s)
+            yield (message.t_ns - self.origin_ns) / NS, message, exposure_s
 
     def poses(self) -> Iterator[TargetPose]:
         """Yield the target's poses. Raises NotEnoughData where there are none, BadFile."""
