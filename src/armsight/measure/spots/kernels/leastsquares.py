@@ -24,6 +24,10 @@ from armsight.measure.spots.kernels.light_models import (
 STEPS = 40
 CLOSE = 3e-3
 """Stop where a step lowers chi-square by less than this share of the noise variance."""
+LEAST_LEFT = 0.9
+"""Share of its height that a light may lose before its fit."""
+LOOK = 4
+"""Steps after which a fit is looked at anew: whether it can still fall as far as it has to."""
 
 
 @lean_sum_kernel
@@ -81,13 +85,58 @@ def evaluate(kind, p, n, patch, special, grid, J, m, r):
     at least as bright there, and a model that is brighter costs nothing.
     """
     light(kind, p, n, grid, J, m)
-    subtract_model(patch.values.reshape(-1), p[0], m, r)
+    return compare(p[0], patch, special, m, r)
+
+
+@lean_kernel
+def compare(background, patch, special, m, r):
+    """Fill residuals r of a patch and its light m, of which evaluate tells; return the sum of their squares."""
+    subtract_model(patch.values.reshape(-1), background, m, r)
     marks = patch.use.reshape(-1)
     for k in special:
         if marks[k] == 0 or (marks[k] == CLIPPED_PIXEL and r[k] < 0.0):
             r[k] = 0.0
             m[k] = 0.0
     return dot(r, r)
+
+
+@lean_sum_kernel
+def sums_of(m, r):
+    """Return the sums of m, m^2, r and r m."""
+    t0 = 0.0
+    t1 = 0.0
+    t2 = 0.0
+    t3 = 0.0
+    for i in range(m.shape[0]):
+        t0 += m[i]
+        t1 += m[i] * m[i]
+        t2 += r[i]
+        t3 += r[i] * m[i]
+    return t0, t1, t2, t3
+
+
+@lean_kernel
+def level(kind, p, n, patch, special, m, r):
+    """Give p the background and height that fit best with all else as it is, m and r with them; return the squares.
+
+    Both are linear: what a step of the fit would find, and overshoot for what is not.
+    """
+    marks = patch.use.reshape(-1)
+    count = m.shape[0] - special.shape[0]
+    for k in special:
+        count += m[k] != 0.0 or r[k] != 0.0
+        if marks[k] == CLIPPED_PIXEL and kind != JOINT:  # the rim alone does not tell how high a flat light is
+            return dot(r, r)
+    sm, smm, sr, srm = sums_of(m, r)
+    det = count * smm - sm * sm
+    if det > 0.0:
+        more = (count * srm - sm * sr) / det
+        if more > -LEAST_LEFT:
+            p[0] += (sr - more * sm) / count
+            p[4 if kind == JOINT else 3] *= 1.0 + more
+            for i in range(m.shape[0]):
+                m[i] *= 1.0 + more
+    return compare(p[0], patch, special, m, r)
 
 
 @lean_kernel
@@ -162,17 +211,17 @@ def normal_equations(J, r, n, H, g):
 
 
 @inner_kernel
-def fit_model(kind, p, n, patch, count, residuals):
+def fit_model(kind, p, n, patch, count, residuals, most):
     """Fit p (n,) in place by Levenberg-Marquardt; return the sum of squares, or -1 where it does not converge.
 
-    residuals (ny, nx): values less model, 0 where unused; filled where it converges.
+    residuals (ny, nx): values less model, 0 where unused; filled where it converges. most: a sum that is of no use
+    above it; the fit ends, as one that does not converge, where falling on as it does brings it no lower.
     """
     g = np.empty(n)
     step = np.empty(n)
     trial = np.empty(n)
     H = np.empty((n, n))
     start = np.empty(n)
-    copy_to(p[:n], start)
     if not is_feasible(kind, p, n):
         return -1.0
     grid = patch_grid(patch)
@@ -185,9 +234,12 @@ def fit_model(kind, p, n, patch, count, residuals):
     # the priors, which are about the start, add nothing to the squares there
     extra = 0.0
     rss = evaluate(kind, p, n, patch, special, grid, J, m, best)
-    better = True
-    damping = 1e-3
-    for _ in range(STEPS):
+    if kind == ELLIPSE or n == 5:  # of several lights, and of streaks, many starts end elsewhere
+        rss = level(kind, p, n, patch, special, m, best)
+    copy_to(p[:n], start)
+    better, damping = True, 1e-3
+    looked_at, steps = rss, 0
+    for k in range(STEPS):
         if better:
             differentiate(kind, p, n, special, grid, J, m, best)
             normal_equations(J, best, n, H, g)
@@ -218,6 +270,11 @@ def fit_model(kind, p, n, patch, count, residuals):
         if gain < CLOSE * rss / count and damping <= 1e-3:
             return rss - extra
         damping = max(0.1 * damping, 1e-9)
+        steps += 1
+        if steps % LOOK == 0:
+            if rss - (looked_at - rss) * (STEPS - 1 - k) / LOOK > most:
+                return -1.0
+            looked_at = rss
     return rss - extra if kind == ELLIPSE else -1.0  # its centre is settled long before what clipping hides
 
 
@@ -273,12 +330,13 @@ def weighted_information(there, n, u, v, G, tilt, out3):
 
 @inner_kernel
 def add_light_to_patch(kind, p, n, patch, sign):
-    """Add sign times the model's light to the patch's values."""
+    """Add sign times the model's light to the patch's values; return the sum of its squares."""
     m = np.empty(patch.values.size)
     light(kind, p, n, patch_grid(patch), np.empty((n, patch.values.size)), m)
     flat = patch.values.reshape(-1)
     for i in range(flat.size):
         flat[i] += sign * m[i]
+    return dot(m, m)
 
 
 MISFIT = 4.0

@@ -100,14 +100,16 @@ def used(use):
 
 @inner_kernel
 def shape_of(patch, comp, level, background, shape):
-    """Fill shape (9,): centre, second moments xx, xy, yy above level; the same above half height, unweighted: 5..7.
+    """Fill shape (10,): centre, second moments xx, xy, yy above level; the same above half height, unweighted: 5..7.
 
-    8: how many pixels are above half height.
+    8: how many pixels are above half height; 9: how many of these below three quarters of it.
     """
     box, values = patch.box, patch.values
     half = background + 0.5 * (comp[col.PEAK] - background)
+    upper = background + 0.75 * (comp[col.PEAK] - background)
     s = np.zeros(6)
     a = np.zeros(6)
+    shape[9] = 0.0
     for j in range(values.shape[0]):
         y = float(box[2] + j)
         if y < comp[col.Y_MIN] or y > comp[col.Y_MAX]:
@@ -124,6 +126,7 @@ def shape_of(patch, comp, level, background, shape):
             s[4] += v * x * y
             s[5] += v * y * y
             if values[j, i] > half:
+                shape[9] += values[j, i] < upper
                 a[0] += 1.0
                 a[1] += x
                 a[2] += y
