@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
+from armsight._numba import inner_kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.measure.spots.kernels.area import add_prior, prior_square, prior_weight
 from armsight.measure.spots.kernels.columns import copy_to
@@ -20,6 +20,7 @@ from armsight.measure.spots.kernels.light_models import (
     light,
     slopes,
 )
+from armsight.measure.spots.kernels.pixel_sums import dot, gram, normal_equations, products, subtract_model, sums_of
 
 STEPS = 40
 CLOSE = 3e-3
@@ -28,29 +29,6 @@ LEAST_LEFT = 0.9
 """Share of its height that a light may lose before its fit."""
 LOOK = 4
 """Steps after which a fit is looked at anew: whether it can still fall as far as it has to."""
-
-
-@lean_sum_kernel
-def dot(a, b):
-    """Return the sum of the products of a and b."""
-    total = 0.0
-    for i in range(a.shape[0]):
-        total += a[i] * b[i]
-    return total
-
-
-@lean_sum_kernel
-def subtract_model(values, background, m, r):
-    """Fill r with values less background and light m."""
-    for i in range(r.shape[0]):
-        r[i] = values[i] - background - m[i]
-
-
-@lean_sum_kernel
-def products(a, b, ab):
-    """Fill ab with the products of a and b."""
-    for i in range(a.shape[0]):
-        ab[i] = a[i] * b[i]
 
 
 @inner_kernel
@@ -100,23 +78,8 @@ def compare(background, patch, special, m, r):
     return dot(r, r)
 
 
-@lean_sum_kernel
-def sums_of(m, r):
-    """Return the sums of m, m^2, r and r m."""
-    t0 = 0.0
-    t1 = 0.0
-    t2 = 0.0
-    t3 = 0.0
-    for i in range(m.shape[0]):
-        t0 += m[i]
-        t1 += m[i] * m[i]
-        t2 += r[i]
-        t3 += r[i] * m[i]
-    return t0, t1, t2, t3
-
-
 @lean_kernel
-def level(kind, p, n, patch, special, m, r):
+def level(kind, p, patch, special, m, r):
     """Give p the background and height that fit best with all else as it is, m and r with them; return the squares.
 
     Both are linear: what a step of the fit would find, and overshoot for what is not.
@@ -127,15 +90,14 @@ def level(kind, p, n, patch, special, m, r):
         count += m[k] != 0.0 or r[k] != 0.0
         if marks[k] == CLIPPED_PIXEL and kind != JOINT:  # the rim alone does not tell how high a flat light is
             return dot(r, r)
-    sm, smm, sr, srm = sums_of(m, r)
-    det = count * smm - sm * sm
-    if det > 0.0:
-        more = (count * srm - sm * sr) / det
-        if more > -LEAST_LEFT:
-            p[0] += (sr - more * sm) / count
-            p[4 if kind == JOINT else 3] *= 1.0 + more
-            for i in range(m.shape[0]):
-                m[i] *= 1.0 + more
+    of_m, of_mm, of_r, of_rm = sums_of(m, r)
+    det = count * of_mm - of_m * of_m
+    more = (count * of_rm - of_m * of_r) / det if det > 0.0 else -1.0
+    if more > -LEAST_LEFT:
+        p[0] += (of_r - more * of_m) / count
+        p[4 if kind == JOINT else 3] *= 1.0 + more
+        for i in range(m.shape[0]):
+            m[i] *= 1.0 + more
     return compare(p[0], patch, special, m, r)
 
 
@@ -147,67 +109,6 @@ def differentiate(kind, p, n, special, grid, J, m, r):
         if m[k] == 0.0 and r[k] == 0.0:
             for a in range(n):
                 J[a, k] = 0.0
-
-
-@lean_sum_kernel
-def two_dots(a0, a1, b):
-    """Return the sums of the products of a0 and b, a1 and b."""
-    t0 = 0.0
-    t1 = 0.0
-    for i in range(b.shape[0]):
-        t0 += a0[i] * b[i]
-        t1 += a1[i] * b[i]
-    return t0, t1
-
-
-@lean_sum_kernel
-def four_dots(a0, a1, b0, b1):
-    """Return the sums of the products of a0 and b0, a0 and b1, a1 and b0, a1 and b1."""
-    t00 = 0.0
-    t01 = 0.0
-    t10 = 0.0
-    t11 = 0.0
-    for i in range(a0.shape[0]):
-        t00 += a0[i] * b0[i]
-        t01 += a0[i] * b1[i]
-        t10 += a1[i] * b0[i]
-        t11 += a1[i] * b1[i]
-    return t00, t01, t10, t11
-
-
-@lean_kernel
-def gram(J, n, H):
-    """Fill H (n, n) = J J', in blocks of two rows and two columns: each number is loaded half as often."""
-    for a in range(0, n - 1, 2):
-        for b in range(0, a + 1, 2):
-            t00, t01, t10, t11 = four_dots(J[a], J[a + 1], J[b], J[b + 1])
-            H[a, b] = t00
-            H[b, a] = t00
-            H[a + 1, b] = t10
-            H[b, a + 1] = t10
-            H[a + 1, b + 1] = t11
-            H[b + 1, a + 1] = t11
-            if b < a:
-                H[a, b + 1] = t01
-                H[b + 1, a] = t01
-    if n % 2 == 1:
-        for b in range(0, n - 1, 2):
-            H[n - 1, b], H[n - 1, b + 1] = two_dots(J[b], J[b + 1], J[n - 1])
-            H[b, n - 1] = H[n - 1, b]
-            H[b + 1, n - 1] = H[n - 1, b + 1]
-        H[n - 1, n - 1] = dot(J[n - 1], J[n - 1])
-
-
-@lean_kernel
-def normal_equations(J, r, n, H, g):
-    """Fill H (n, n), g (n,) of a patch that was differentiated."""
-    gram(J, n, H)
-    for a in range(0, n - 1, 2):
-        t0, t1 = two_dots(J[a], J[a + 1], r)
-        g[a] = -t0
-        g[a + 1] = -t1
-    if n % 2 == 1:
-        g[n - 1] = -dot(J[n - 1], r)
 
 
 @inner_kernel
@@ -235,7 +136,7 @@ def fit_model(kind, p, n, patch, count, residuals, most):
     extra = 0.0
     rss = evaluate(kind, p, n, patch, special, grid, J, m, best)
     if kind == ELLIPSE or n == 5:  # of several lights, and of streaks, many starts end elsewhere
-        rss = level(kind, p, n, patch, special, m, best)
+        rss = level(kind, p, patch, special, m, best)
     copy_to(p[:n], start)
     better, damping = True, 1e-3
     looked_at, steps = rss, 0
