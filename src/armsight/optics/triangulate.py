@@ -180,7 +180,8 @@ def epipolar_chi2(
 
 def _rays(packed: PackedRig, side: int, px: ArrayLike) -> tuple[Array, Array]:
     """Return the rays (n, 3) and their derivatives (n, 3, 2) by the pixels of one side."""
-    uv = checked_rows("left_px" if side == 0 else "right_px", px, 2, nan=True)
+    uv = checked_rows("left_px" if side == 0 else "right_px", px, 2, nan=True).view()
+    uv.setflags(write=False)  # one type of array for the kernel, whoever owns it
     d, D, ok = np.empty((len(uv), 3)), np.empty((len(uv), 3, 2)), np.empty(len(uv), np.bool_)
     kernels.rays_in_rig(packed.k[side], packed.R[side], uv, d, D, ok)
     return d, D

@@ -192,8 +192,8 @@ def _neg2_log_likelihood(
             packed.arrays,
             (model.xyz_m[named], radius, model.normal),
             (pairs.uv_px[a.pair], pairs.cov_px2[a.pair]),
-            a.R,
-            a.t_m,
+            np.ascontiguousarray(a.R),  # parts of a larger array: kernels call it with such as are whole
+            np.ascontiguousarray(a.t_m),
         )
     )
 

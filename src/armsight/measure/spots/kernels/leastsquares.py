@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inner_kernel, lean_kernel, lean_sum_kernel
+from armsight._numba import inner_kernel, lean_kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.measure.spots.kernels.area import add_prior, prior_square, prior_weight
 from armsight.measure.spots.kernels.columns import copy_to
@@ -20,33 +20,15 @@ from armsight.measure.spots.kernels.light_models import (
     light,
     slopes,
 )
+from armsight.measure.spots.kernels.pixel_sums import dot, gram, normal_equations, products, subtract_model, sums_of
 
 STEPS = 40
 CLOSE = 3e-3
 """Stop where a step lowers chi-square by less than this share of the noise variance."""
-
-
-@lean_sum_kernel
-def dot(a, b):
-    """Return the sum of the products of a and b."""
-    total = 0.0
-    for i in range(a.shape[0]):
-        total += a[i] * b[i]
-    return total
-
-
-@lean_sum_kernel
-def subtract_model(values, background, m, r):
-    """Fill r with values less background and light m."""
-    for i in range(r.shape[0]):
-        r[i] = values[i] - background - m[i]
-
-
-@lean_sum_kernel
-def products(a, b, ab):
-    """Fill ab with the products of a and b."""
-    for i in range(a.shape[0]):
-        ab[i] = a[i] * b[i]
+LEAST_LEFT = 0.9
+"""Share of its height that a light may lose before its fit."""
+LOOK = 4
+"""Steps after which a fit is looked at anew: whether it can still fall as far as it has to."""
 
 
 @inner_kernel
@@ -81,13 +63,42 @@ def evaluate(kind, p, n, patch, special, grid, J, m, r):
     at least as bright there, and a model that is brighter costs nothing.
     """
     light(kind, p, n, grid, J, m)
-    subtract_model(patch.values.reshape(-1), p[0], m, r)
+    return compare(p[0], patch, special, m, r)
+
+
+@lean_kernel
+def compare(background, patch, special, m, r):
+    """Fill residuals r of a patch and its light m, of which evaluate tells; return the sum of their squares."""
+    subtract_model(patch.values.reshape(-1), background, m, r)
     marks = patch.use.reshape(-1)
     for k in special:
         if marks[k] == 0 or (marks[k] == CLIPPED_PIXEL and r[k] < 0.0):
             r[k] = 0.0
             m[k] = 0.0
     return dot(r, r)
+
+
+@lean_kernel
+def level(kind, p, patch, special, m, r):
+    """Give p the background and height that fit best with all else as it is, m and r with them; return the squares.
+
+    Both are linear: what a step of the fit would find, and overshoot for what is not.
+    """
+    marks = patch.use.reshape(-1)
+    count = m.shape[0] - special.shape[0]
+    for k in special:
+        count += m[k] != 0.0 or r[k] != 0.0
+        if marks[k] == CLIPPED_PIXEL and kind != JOINT:  # the rim alone does not tell how high a flat light is
+            return dot(r, r)
+    of_m, of_mm, of_r, of_rm = sums_of(m, r)
+    det = count * of_mm - of_m * of_m
+    more = (count * of_rm - of_m * of_r) / det if det > 0.0 else -1.0
+    if more > -LEAST_LEFT:
+        p[0] += (of_r - more * of_m) / count
+        p[4 if kind == JOINT else 3] *= 1.0 + more
+        for i in range(m.shape[0]):
+            m[i] *= 1.0 + more
+    return compare(p[0], patch, special, m, r)
 
 
 @lean_kernel
@@ -100,79 +111,18 @@ def differentiate(kind, p, n, special, grid, J, m, r):
                 J[a, k] = 0.0
 
 
-@lean_sum_kernel
-def two_dots(a0, a1, b):
-    """Return the sums of the products of a0 and b, a1 and b."""
-    t0 = 0.0
-    t1 = 0.0
-    for i in range(b.shape[0]):
-        t0 += a0[i] * b[i]
-        t1 += a1[i] * b[i]
-    return t0, t1
-
-
-@lean_sum_kernel
-def four_dots(a0, a1, b0, b1):
-    """Return the sums of the products of a0 and b0, a0 and b1, a1 and b0, a1 and b1."""
-    t00 = 0.0
-    t01 = 0.0
-    t10 = 0.0
-    t11 = 0.0
-    for i in range(a0.shape[0]):
-        t00 += a0[i] * b0[i]
-        t01 += a0[i] * b1[i]
-        t10 += a1[i] * b0[i]
-        t11 += a1[i] * b1[i]
-    return t00, t01, t10, t11
-
-
-@lean_kernel
-def gram(J, n, H):
-    """Fill H (n, n) = J J', in blocks of two rows and two columns: each number is loaded half as often."""
-    for a in range(0, n - 1, 2):
-        for b in range(0, a + 1, 2):
-            t00, t01, t10, t11 = four_dots(J[a], J[a + 1], J[b], J[b + 1])
-            H[a, b] = t00
-            H[b, a] = t00
-            H[a + 1, b] = t10
-            H[b, a + 1] = t10
-            H[a + 1, b + 1] = t11
-            H[b + 1, a + 1] = t11
-            if b < a:
-                H[a, b + 1] = t01
-                H[b + 1, a] = t01
-    if n % 2 == 1:
-        for b in range(0, n - 1, 2):
-            H[n - 1, b], H[n - 1, b + 1] = two_dots(J[b], J[b + 1], J[n - 1])
-            H[b, n - 1] = H[n - 1, b]
-            H[b + 1, n - 1] = H[n - 1, b + 1]
-        H[n - 1, n - 1] = dot(J[n - 1], J[n - 1])
-
-
-@lean_kernel
-def normal_equations(J, r, n, H, g):
-    """Fill H (n, n), g (n,) of a patch that was differentiated."""
-    gram(J, n, H)
-    for a in range(0, n - 1, 2):
-        t0, t1 = two_dots(J[a], J[a + 1], r)
-        g[a] = -t0
-        g[a + 1] = -t1
-    if n % 2 == 1:
-        g[n - 1] = -dot(J[n - 1], r)
-
-
 @inner_kernel
-def fit_model(kind, p, n, patch, count, residuals):
+def fit_model(kind, p, n, patch, count, residuals, most):
     """Fit p (n,) in place by Levenberg-Marquardt; return the sum of squares, or -1 where it does not converge.
 
-    residuals (ny, nx): values less model, 0 where unused; filled where it converges.
+    residuals (ny, nx): values less model, 0 where unused; filled where it converges. most: a sum that is of no use
+    above it; the fit ends, as one that does not converge, where falling on as it does brings it no lower.
     """
     g = np.empty(n)
     step = np.empty(n)
     trial = np.empty(n)
     H = np.empty((n, n))
     start = np.empty(n)
-    copy_to(p[:n], start)
     if not is_feasible(kind, p, n):
         return -1.0
     grid = patch_grid(patch)
@@ -185,9 +135,12 @@ def fit_model(kind, p, n, patch, count, residuals):
     # the priors, which are about the start, add nothing to the squares there
     extra = 0.0
     rss = evaluate(kind, p, n, patch, special, grid, J, m, best)
-    better = True
-    damping = 1e-3
-    for _ in range(STEPS):
+    if kind == ELLIPSE or n == 5:  # of several lights, and of streaks, many starts end elsewhere
+        rss = level(kind, p, patch, special, m, best)
+    copy_to(p[:n], start)
+    better, damping = True, 1e-3
+    looked_at, steps = rss, 0
+    for k in range(STEPS):
         if better:
             differentiate(kind, p, n, special, grid, J, m, best)
             normal_equations(J, best, n, H, g)
@@ -218,6 +171,11 @@ def fit_model(kind, p, n, patch, count, residuals):
         if gain < CLOSE * rss / count and damping <= 1e-3:
             return rss - extra
         damping = max(0.1 * damping, 1e-9)
+        steps += 1
+        if steps % LOOK == 0:
+            if rss - (looked_at - rss) * (STEPS - 1 - k) / LOOK > most:
+                return -1.0
+            looked_at = rss
     return rss - extra if kind == ELLIPSE else -1.0  # its centre is settled long before what clipping hides
 
 
@@ -273,12 +231,13 @@ def weighted_information(there, n, u, v, G, tilt, out3):
 
 @inner_kernel
 def add_light_to_patch(kind, p, n, patch, sign):
-    """Add sign times the model's light to the patch's values."""
+    """Add sign times the model's light to the patch's values; return the sum of its squares."""
     m = np.empty(patch.values.size)
     light(kind, p, n, patch_grid(patch), np.empty((n, patch.values.size)), m)
     flat = patch.values.reshape(-1)
     for i in range(flat.size):
         flat[i] += sign * m[i]
+    return dot(m, m)
 
 
 MISFIT = 4.0

@@ -30,7 +30,7 @@ from armsight.measure.spots.kernels.area import (
 from armsight.measure.spots.kernels.columns import Picture, copy_to
 from armsight.measure.spots.kernels.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.leastsquares import MISFIT, add_light_to_patch, evaluate_patch
-from armsight.measure.spots.kernels.model_selection import refit, select_model, write_spots
+from armsight.measure.spots.kernels.model_selection import ANY, refit, select_model, write_spots
 from armsight.measure.spots.kernels.patch import make_patch, new_patch, shape_of
 from armsight.measure.spots.kernels.processed import add_background_variance, is_off_centroid, robust_covariance
 from armsight.measure.spots.kernels.round_gaussian import (
@@ -65,6 +65,8 @@ CENTROID_SHAPE = 0.5
 that area, squared, less one: a round lamp of any size at the edge of a round light moves the centroid by 0.4 to 0.5."""
 CROWD_SWEEPS = 2
 """Times that crowded spots are refitted with their neighbours' light subtracted."""
+ALONE = 2
+"""CROWDED of an area that its neighbours' light does not reach: it is refitted once, to their pixels as well."""
 
 
 @lean_kernel
@@ -192,7 +194,7 @@ def measure_others(picture, only, hot, comps, state, survey, fits, rows):
     h, w = picture.grey.shape
     n = comps.shape[0]
     noise = survey[2 * col.GRID, col.NOISE]
-    outline = np.empty(9)
+    outline = np.empty(10)
     for i in range(n):
         if state[i, col.STATUS] != PENDING:
             continue
@@ -230,7 +232,9 @@ def measure_others(picture, only, hot, comps, state, survey, fits, rows):
     for _ in range(CROWD_SWEEPS):
         for i in range(n):
             if state[i, col.STATUS] == ACCEPTED and state[i, col.CROWDED] == 1 and state[i, col.SIZE] > 0:
-                refine(picture, comps, state, i, hot, noise, fits, rows)
+                lit = refine(picture, comps, state, i, hot, noise, fits, rows)
+                if lit < PIXEL_VARIANCE:  # whatever becomes of the neighbours: less than rounding a pixel makes of it
+                    state[i, col.CROWDED] = ALONE
 
 
 @lean_kernel
@@ -261,20 +265,21 @@ def write_centroid(comp, outline, row, source):
 
 @inner_kernel
 def refine(picture, comps, state, i, hot, noise, fits, rows):
-    """Refit a crowded component with its neighbours' light subtracted, in place."""
+    """Refit a crowded component with its neighbours' light subtracted, in place; return the squares of that light."""
     patch = new_patch(comps[i], picture.grey.shape[0], picture.grey.shape[1])
     make_patch(picture, comps, state, i, hot, np.int64(1), patch)
+    lit = 0.0
     for j in range(comps.shape[0]):
         known = j != i and state[j, col.STATUS] == ACCEPTED and state[j, col.SIZE] > 0
         if known and boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + fit_margin(comps[j])):
-            add_light_to_patch(state[j, col.KIND], fits[j], state[j, col.SIZE], patch, -1.0)
+            lit += add_light_to_patch(state[j, col.KIND], fits[j], state[j, col.SIZE], patch, -1.0)
     p = np.empty(col.FIT)
     copy_to(fits[i], p)
     kind = state[i, col.KIND]
     size = state[i, col.SIZE]
-    rss, _ = refit(kind, size, patch, patch.use.size, p, np.empty(patch.use.shape))
+    rss, _ = refit(kind, size, patch, patch.use.size, p, np.empty(patch.use.shape), ANY)
     if rss < 0.0:
-        return
+        return lit
     trial = np.empty((col.MOST_LIGHTS, col.SPOT))
     lights = write_spots(kind, size, p, patch, evaluate_patch(kind, p, size, patch), rss, trial, i)
     # else the fit that there is stays
@@ -285,6 +290,7 @@ def refine(picture, comps, state, i, hot, noise, fits, rows):
         copy_to(p, fits[i])
         for k in range(lights):
             copy_to(trial[k], rows[i, k])
+    return lit
 
 
 @lean_kernel

@@ -3,7 +3,7 @@ criterion)."""
 
 from __future__ import annotations
 
-from math import erf, exp, log, pi, sqrt
+from math import erf, exp, log, sqrt
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from armsight.measure.spots.kernels.patch import (
     principal,
     residual_autocorrelation,
     shape_of,
+    start_model,
     used,
 )
 
@@ -61,54 +62,10 @@ LEAST_DISC = 40.0
 one may hold DOMINANT of what a round light leaves."""
 PLAINLY = 2.0
 """By how much the limits must be exceeded for that: in run, share of one pixel, squares."""
+ANY, LARGEST_LOG = np.inf, 700.0
+"""A fit of use whatever it leaves; and the largest number whose exponential is one."""
 DOMINANT = 0.2
 """Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
-
-
-@lean_kernel
-def start_model(kind, lights, comp, shape, background, peaks, p):
-    """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
-    large, small, angle = principal(shape[2], shape[3], shape[4])
-    height = max(comp[col.PEAK] - background, 1.0)
-    p[0] = background
-    if kind == JOINT and lights > 2:
-        low = max(comp[col.LEVEL] + 0.5 - background, 0.5)
-        for k in range(lights):
-            p[2 + 3 * k] = peaks[k, 0]
-            p[3 + 3 * k] = peaks[k, 1]
-            p[4 + 3 * k] = max(peaks[k, 2] - background, 1.1 * low)
-        # the area of a Gaussian above a level L is 2 pi q ln(A / L), see round_start
-        p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[col.AREA]
-        return 2 + 3 * lights
-    if kind == JOINT:
-        # the second moments are of what is above the threshold: less than the light's own
-        q = 1.3 * (0.5 * (large + small) if lights == 1 else small) + 0.1
-        p[1] = 1.0 / q
-        # two lights of +-apart: the second moment along is the one across and apart^2
-        apart = sqrt(max(large - small, 0.2 * small)) if lights == 2 else 0.0
-        for k in range(lights):
-            sign = 2.0 * k - 1.0
-            p[2 + 3 * k] = shape[0] + sign * apart * np.cos(angle)
-            p[3 + 3 * k] = shape[1] + sign * apart * np.sin(angle)
-            p[4 + 3 * k] = height * (1.0 if lights == 1 else 1.0 / (1.0 + exp(-2.0 * apart * apart / q)))
-        return 2 + 3 * lights
-    p[1] = shape[0]
-    p[2] = shape[1]
-    p[3] = height
-    if kind == STREAK:
-        p[4] = sqrt(1.3 * small)
-        p[5] = angle
-        # a segment of half length h has the second moment h^2 / 3
-        p[6] = sqrt(3.0 * max(large - small, 0.3 * small))
-        p[3] = height * 2.0 * p[6] / (ROOT_2PI * p[4] * erf(p[6] / (ROOT_2 * p[4])))
-        return 7
-    p[4] = 0.8
-    # a flat ellipse x'Mx <= 1 has the second moments M^-1 / 4
-    det = 4.0 * max(shape[5] * shape[7] - shape[6] ** 2, 0.05)
-    p[5] = shape[7] / det
-    p[6] = -shape[6] / det
-    p[7] = shape[5] / det
-    return 8
 
 
 @lean_kernel
@@ -164,6 +121,12 @@ def bic(rss, count, n):
 
 
 @lean_kernel
+def useful(score, count, n):
+    """Return the sum of squares above which the bic of n parameters is above a score."""
+    return count * exp(min((score - n * log(float(count))) / count, LARGEST_LOG))
+
+
+@lean_kernel
 def order_of_trial(comp, shape, n_peaks, only, order):
     """Fill order with the kinds to try after the round Gaussian, likeliest first; return how many."""
     if only == ONLY_GAUSSIAN:
@@ -187,17 +150,9 @@ def order_of_trial(comp, shape, n_peaks, only, order):
 
 
 @lean_kernel
-def start_and_fit(kind, lights, comp, shape, background, peaks, patch, count, p, residuals):
-    """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
-    n = start_model(kind, lights, comp, shape, background, peaks, p)
-    rss, run = refit(kind, n, patch, count, p, residuals)
-    return n, rss, run
-
-
-@lean_kernel
-def refit(kind, n, patch, count, p, residuals):
-    """Fit one model from p in place; return sum of squares (-1: failed) and run of the residuals."""
-    rss = fit_model(kind, p, n, patch, count, residuals)
+def refit(kind, n, patch, count, p, residuals, most):
+    """Fit one model from p in place; return sum of squares (-1: failed, see fit_model) and run of the residuals."""
+    rss = fit_model(kind, p, n, patch, count, residuals, most)
     if rss < 0.0:
         return rss, 0.0
     return rss, residual_autocorrelation(residuals)[1]
@@ -223,9 +178,8 @@ def fit_disc(comp, background, shape, patch, count, only, best):
     rss_round = evaluate(np.int64(JOINT), best, np.int64(5), patch, unused(patch.use), patch_grid(patch), J, m, r)
     if not residual_autocorrelation(residuals)[1] > PLAINLY * MISFIT or dominated(r, DOMINANT / PLAINLY * rss_round):
         return -1.0, 0.0
-    n, rss, run = start_and_fit(
-        np.int64(ELLIPSE), np.int64(1), comp, shape, background, peaks, patch, count, p, residuals
-    )
+    n = start_model(np.int64(ELLIPSE), np.int64(1), comp, shape, background, peaks, p)
+    rss, run = refit(np.int64(ELLIPSE), n, patch, count, p, residuals, ANY)
     likelier = rss >= 0.0 and bic(rss, count, n) < bic(rss_round / PLAINLY, count, 5)
     if not (likelier and run < MISFIT) or dominated(r, DOMINANT * rss):
         return -1.0, 0.0
@@ -240,7 +194,7 @@ def select_model(comp, background, patch, noise, only, refused, best):
     refused: a round light is in best whose residuals hang together.
     """
     count = used(patch.use)
-    shape = np.empty(9)
+    shape = np.empty(10)
     shape_of(patch, comp, comp[col.LEVEL], background, shape)
     if refused:
         rss, run = fit_disc(comp, background, shape, patch, count, only, best)
@@ -250,17 +204,15 @@ def select_model(comp, background, patch, noise, only, refused, best):
     more = np.zeros(col.MOST_PARAMETERS)
     residuals = np.zeros(patch.values.shape)
     kind, n_best, rss_best, score, run_best = JOINT, 0, -1.0, 1e300, 0.0
-    peaks = np.empty((col.MOST_LIGHTS, 3))
-    n_peaks = np.int64(0)
+    peaks, n_peaks = np.empty((col.MOST_LIGHTS, 3)), np.int64(0)
     if only != ONLY_ELLIPSE:
-        n, rss, run = start_and_fit(
-            np.int64(JOINT), np.int64(1), comp, shape, background, peaks, patch, count, p, residuals
-        )
+        n = start_model(np.int64(JOINT), np.int64(1), comp, shape, background, peaks, p)
+        rss, run = refit(np.int64(JOINT), n, patch, count, p, residuals, ANY)
         # hot pixels within the light, one after the other: every model would follow them
         for _ in range(3):
             if rss > 0.0 and drop_worst(residuals, patch.use, rss, noise):
                 count -= 1
-                rss, run = refit(np.int64(JOINT), n, patch, count, p, residuals)
+                rss, run = refit(np.int64(JOINT), n, patch, count, p, residuals, ANY)
         if rss >= 0.0:
             n_best, rss_best, score, run_best = n, rss, bic(rss, count, n), run
             copy_to(p, best)
@@ -276,14 +228,18 @@ def select_model(comp, background, patch, noise, only, refused, best):
         if trial != ELLIPSE and not crowd:
             continue
         lights = max(n_peaks, 2) if trial == JOINT else 1
-        n, rss, run = start_and_fit(trial, lights, comp, shape, background, peaks, patch, count, p, residuals)
+        # the last one is of use only where it is the likeliest
+        most = useful(score, count, 8) if trial == ELLIPSE and k == trials - 1 else ANY
+        n = start_model(trial, lights, comp, shape, background, peaks, p)
+        rss, run = refit(trial, n, patch, count, p, residuals, most)
         if rss < 0.0:
             continue
         new = bic(rss, count, n)
         while trial == JOINT and run > MISFIT and n + 3 <= 2 + 3 * col.MOST_LIGHTS:
             copy_to(p, more)
             n_more = add_light(residuals, patch.box[0], patch.box[2], more, n)
-            rss_more, run_more = refit(np.int64(JOINT), n_more, patch, count, more, residuals)
+            most = useful(new - SURE, count, n_more)
+            rss_more, run_more = refit(np.int64(JOINT), n_more, patch, count, more, residuals, most)
             if rss_more < 0.0 or bic(rss_more, count, n_more) > new - SURE:
                 break
             copy_to(more, p)

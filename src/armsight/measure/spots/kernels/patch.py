@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan2, sqrt
+from math import atan2, erf, exp, log, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ from armsight._numba import inner_kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, boxes_overlap, fit_margin
 from armsight.measure.spots.kernels.columns import copy_to
-from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL, ROOT_2
+from armsight.measure.spots.kernels.light_models import CLIPPED_PIXEL, JOINT, ROOT_2, ROOT_2PI, STREAK
 
 DEEP = 2.0
 """Depth of the valley between two lights in standard deviations of the noise; the smoothed values have a third of
@@ -100,14 +100,16 @@ def used(use):
 
 @inner_kernel
 def shape_of(patch, comp, level, background, shape):
-    """Fill shape (9,): centre, second moments xx, xy, yy above level; the same above half height, unweighted: 5..7.
+    """Fill shape (10,): centre, second moments xx, xy, yy above level; the same above half height, unweighted: 5..7.
 
-    8: how many pixels are above half height.
+    8: how many pixels are above half height; 9: how many of these below three quarters of it.
     """
     box, values = patch.box, patch.values
     half = background + 0.5 * (comp[col.PEAK] - background)
+    upper = background + 0.75 * (comp[col.PEAK] - background)
     s = np.zeros(6)
     a = np.zeros(6)
+    shape[9] = 0.0
     for j in range(values.shape[0]):
         y = float(box[2] + j)
         if y < comp[col.Y_MIN] or y > comp[col.Y_MAX]:
@@ -124,6 +126,7 @@ def shape_of(patch, comp, level, background, shape):
             s[4] += v * x * y
             s[5] += v * y * y
             if values[j, i] > half:
+                shape[9] += values[j, i] < upper
                 a[0] += 1.0
                 a[1] += x
                 a[2] += y
@@ -286,3 +289,68 @@ def antisymmetric_part(residuals, use, u, v, antisymmetric):
                 squares += antisymmetric[j, i] ** 2
                 count += 1
     return squares, count
+
+
+# Where the fits of a light begin: from these moments, and from the peaks.
+
+LEAST_RATIO = 1.5
+"""Of a light's height to its threshold's, as far as a start goes by it."""
+HALF_EDGE, LEAST_START, USUAL_START, MOST_START = 0.674, 0.35, 0.8, 3.0
+"""Width in blurs of an edge from half its height to three quarters, and the blurs that a fit may start from."""
+
+
+@lean_kernel
+def widened(comp, background):
+    """Return a round Gaussian's variance over the second moment of what of it is above the threshold."""
+    # above exp(-x) of its height, in t = r^2 / 2 q: of exp(-t) - exp(-x) from 0 to x
+    x = log(max((comp[col.PEAK] - background) / max(comp[col.LEVEL] + 0.5 - background, 0.5), LEAST_RATIO))
+    rest = exp(-x)
+    return (1.0 - (1.0 + x) * rest) / (1.0 - (1.0 + x + 0.5 * x * x) * rest)
+
+
+@lean_kernel
+def start_model(kind, lights, comp, shape, background, peaks, p):
+    """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
+    large, small, angle = principal(shape[2], shape[3], shape[4])
+    height = max(comp[col.PEAK] - background, 1.0)
+    p[0] = background
+    if kind == JOINT and lights > 2:
+        low = max(comp[col.LEVEL] + 0.5 - background, 0.5)
+        for k in range(lights):
+            p[2 + 3 * k] = peaks[k, 0]
+            p[3 + 3 * k] = peaks[k, 1]
+            p[4 + 3 * k] = max(peaks[k, 2] - background, 1.1 * low)
+        # the area of a Gaussian above a level L is 2 pi q ln(A / L), see round_start
+        p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[col.AREA]
+        return 2 + 3 * lights
+    if kind == JOINT:
+        # the second moments are of what is above the threshold: less than the light's own
+        q = widened(comp, background) * 0.5 * (large + small) if lights == 1 else 1.3 * small + 0.1
+        p[1] = 1.0 / q
+        # two lights of +-apart: the second moment along is the one across and apart^2
+        apart = sqrt(max(large - small, 0.2 * small)) if lights == 2 else 0.0
+        for k in range(lights):
+            sign = 2.0 * k - 1.0
+            p[2 + 3 * k] = shape[0] + sign * apart * np.cos(angle)
+            p[3 + 3 * k] = shape[1] + sign * apart * np.sin(angle)
+            p[4 + 3 * k] = height * (1.0 if lights == 1 else 1.0 / (1.0 + exp(-2.0 * apart * apart / q)))
+        return 2 + 3 * lights
+    p[1] = shape[0]
+    p[2] = shape[1]
+    p[3] = height
+    if kind == STREAK:
+        p[4] = sqrt(1.3 * small)
+        p[5] = angle
+        # a segment of half length h has the second moment h^2 / 3
+        p[6] = sqrt(3.0 * max(large - small, 0.3 * small))
+        p[3] = height * 2.0 * p[6] / (ROOT_2PI * p[4] * erf(p[6] / (ROOT_2 * p[4])))
+        return 7
+    p[4] = min(max(shape[9] / (HALF_EDGE * 2.0 * sqrt(pi * max(shape[8], 1.0))), LEAST_START), MOST_START)
+    if comp[col.CLIPPED] > 0.0:  # three quarters of its height are not where they seem to be
+        p[4] = USUAL_START
+    # a flat ellipse x'Mx <= 1 has the second moments M^-1 / 4
+    det = 4.0 * max(shape[5] * shape[7] - shape[6] ** 2, 0.05)
+    p[5] = shape[7] / det
+    p[6] = -shape[6] / det
+    p[7] = shape[5] / det
+    return 8
