@@ -10,8 +10,17 @@ from armsight.kinematics.closed_form import (
     singularity_distance,
     singularity_measures,
 )
-from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
-from armsight.kinematics.forward_kinematics import fk, fk_jacobian, in_convention, jacobian, link_frames, pose
+from armsight.kinematics.forward_kinematics import (
+    fk,
+    fk_jacobian,
+    in_convention,
+    jacobian,
+    link_frames,
+    moved,
+    parameter_jacobian,
+    parameter_names,
+    pose,
+)
 from armsight.kinematics.inverse_kinematics import (
     Inverse,
     Solution,

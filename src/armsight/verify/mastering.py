@@ -18,10 +18,9 @@ from armsight.kinematics import Arm, fk
 from armsight.units import DEG, MM, displayed
 from armsight.verify.alignment import Align, align, free_names, gross
 from armsight.verify.cause import CHANCE, RIVAL_LOG, judge
-from armsight.verify.effects import Effect, JointVerdict, Kind
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance
 from armsight.verify.explanations import GeometryPrior, best_poses
-from armsight.verify.model import ModelFit, Mounts, mount_names
+from armsight.verify.model import Effect, JointVerdict, Kind, ModelFit, Mounts, mount_names
 from armsight.verify.pairing import bare_arm
 from armsight.verify.records import Measured, Rejected
 

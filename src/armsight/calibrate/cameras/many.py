@@ -31,15 +31,6 @@ from armsight.calibrate.cameras.extended import (
 from armsight.calibrate.cameras.graph import placed, tilts_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays, poses_of_lights
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_chosen
-from armsight.calibrate.cameras.many_checks import (
-    KnownLens,
-    beforehand,
-    on_exact,
-    require_lenses,
-    require_lists,
-    require_one_clock,
-    require_sizes,
-)
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
 from armsight.calibrate.cameras.outlier_rejection import (
     RobustFit,
@@ -48,7 +39,19 @@ from armsight.calibrate.cameras.outlier_rejection import (
     left_out,
 )
 from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
-from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
+from armsight.calibrate.cameras.preconditions import (
+    LEAST_POINTS,
+    LEAST_VIEWS,
+    KnownLens,
+    beforehand,
+    check_count,
+    check_spread,
+    on_exact,
+    require_lenses,
+    require_lists,
+    require_one_clock,
+    require_sizes,
+)
 from armsight.calibrate.cameras.two_sides import TwoSided, with_the_back
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import Camera, Rig
