@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 
 import numpy as np
 
 from armsight.calibrate.arm import ArmPoints, ArmResult
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout, trace
-from armsight.report.html import Card, Page, bullets, page_unit, table
+from armsight.report.html import Card, Page, page_unit, table
 from armsight.units import MM, displayed_name, figure_of, with_deviation
 
 CLOUD = 600
 """Joint positions at which the tool's uncertainty is drawn."""
 
 
-def arm_report(result: ArmResult, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None) -> str:
+def arm_report(result: ArmResult, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
     """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
     page = Page(
         title=f"Calibration of {result.nominal.name}",
@@ -24,8 +23,7 @@ def arm_report(result: ArmResult, *, inputs: Sequence[tuple[str, str]] = (), cre
         verdict=result.verdict_,
         cards=_cards(result),
     )
-    if result.notes:
-        page.add("What to know", "", bullets(result.notes))
+    page.add_notes(result.notes)
     page.add(
         "Errors row by row",
         "At the tool's point, with the nominal geometry (base and tool fitted) and with the corrected one.",
@@ -46,9 +44,8 @@ def arm_report(result: ArmResult, *, inputs: Sequence[tuple[str, str]] = (), cre
     if result.outliers:
         rows = [[row, figure_of(error / MM, "mm")] for row, error in result.outliers]
         page.add("Rows that miss by far", "They pulled little.", table(["row", "error"], rows, numbers=(1,)))
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-    return page.html(created=created or datetime.now())
+    page.add_inputs(inputs)
+    return page.html()
 
 
 def _cards(result: ArmResult) -> list[Card]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ MAX_POSTURES = 30
 """Postures drawn of a track; more of them hide each other."""
 
 
-def arm_report(arm: Arm, q: ArrayLike, *, created: datetime | None = None) -> str:
+def arm_report(arm: Arm, q: ArrayLike) -> str:
     """Return a page with the arm at q (n,), or along a track q (m, n), as HTML text that needs no other file."""
     values = np.atleast_2d(arm.checked(q))
     first = values[0]
@@ -50,7 +49,7 @@ def arm_report(arm: Arm, q: ArrayLike, *, created: datetime | None = None) -> st
         page.plot(arm_figure(arm, values)),
     )
     page.add("Joints", "", _joint_table(arm, first))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _verdict(inside: bool, names: Sequence[str]) -> Verdict:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 
 import numpy as np
 
@@ -32,7 +31,6 @@ def calibration_report(
     boards: BoardViews | None = None,
     *,
     facts: Sequence[tuple[str, str]] = (),
-    created: datetime | None = None,
 ) -> str:
     """Return the page of a calibration as HTML text that needs no other file.
 
@@ -65,7 +63,7 @@ def calibration_report(
         )
     _add_rejected(page, done.rejected)
     page.add("What went in", "", table(["", ""], [[thing, shown], *([name, value] for name, value in facts)]))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _words(done: Done) -> tuple[str, str, int, str]:

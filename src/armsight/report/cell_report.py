@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from itertools import cycle
 
 import numpy as np
@@ -47,7 +46,7 @@ BASE_M = 0.15
 PYRAMID_M = 0.12
 
 
-def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None) -> str:
+def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
     """Return the page as HTML text that needs no other file.
 
     inputs: (what, which) lines for the end of the page.
@@ -88,7 +87,7 @@ def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = (), cre
         page.plot(information_figure(done)),
     )
     _add_parameters(page, done, inputs)
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _add_parameters(page: Page, done: CellResult, inputs: Sequence[tuple[str, str]]) -> None:
@@ -108,8 +107,7 @@ def _add_parameters(page: Page, done: CellResult, inputs: Sequence[tuple[str, st
     )
     if done.fixed:
         page.add("Held as in the arm's file", "", f"<p>{text(', '.join(done.fixed))}</p>")
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    page.add_inputs(inputs)
 
 
 def _cards(done: CellResult) -> list[Card]:

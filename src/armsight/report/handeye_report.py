@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -26,7 +25,7 @@ from armsight.report.figures import (
     short_names,
     subplot,
 )
-from armsight.report.html import Card, Page, bullets, page_unit, table
+from armsight.report.html import Card, Page, page_unit, table
 from armsight.report.scene import add_boards
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
@@ -39,7 +38,6 @@ def handeye_report(
     result: HandEyeResult,
     *,
     inputs: Sequence[tuple[str, str]] = (),
-    created: datetime | None = None,
 ) -> str:
     """Return the page as HTML text that needs no other file.
 
@@ -51,8 +49,7 @@ def handeye_report(
         verdict=result.verdict_,
         cards=_cards(result),
     )
-    if result.advice:
-        page.add("What to know, and to do", "", bullets(result.advice))
+    page.add_notes(result.advice, "What to know, and to do")
     if result.comparison is not None:
         page.add("From poses or from corners", result.comparison.sentence(), _comparison(result.comparison))
     page.add(
@@ -77,7 +74,7 @@ def handeye_report(
     lead = "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open."
     page.add("Turns of the hand", lead, page.plot(turning_figure(result)))
     _add_background(page, result, inputs)
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _add_background(page: Page, result: HandEyeResult, inputs: Sequence[tuple[str, str]]) -> None:
@@ -85,8 +82,7 @@ def _add_background(page: Page, result: HandEyeResult, inputs: Sequence[tuple[st
     page.add("Whose noise it is", "Standard deviations of one component of one pose.", _noise(result))
     if result.rejected_pairs:
         page.add("Left out", "", table(["pose", "why"], [[one.name, one.why] for one in result.rejected_pairs]))
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    page.add_inputs(inputs)
 
 
 def _cards(result: HandEyeResult) -> list[Card]:

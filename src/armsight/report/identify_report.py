@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import datetime
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from armsight.report.figures import (
     layout,
     points_in_space,
 )
-from armsight.report.html import Card, Page, bullets, table
+from armsight.report.html import Card, Page, table
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 ENTRIES = tuple((name, displayed_name(name)[2]) for name in DH_ROW)
@@ -37,14 +36,11 @@ CLOUD = 600
 COLOURS = (BLUE, ORANGE, GREEN, "#7b4fa3", "#2a8fa0", "#8a6d3b")
 
 
-def identify_report(
-    result: Identification, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
-) -> str:
+def identify_report(result: Identification, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
     """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
     xyz, nominal = _positions(result.sweeps, result.rig), result.nominal
     page = _head(result)
-    if result.notes:
-        page.add("What to know", "", bullets(result.notes))
+    page.add_notes(result.notes)
     page.add(
         "Table",
         "Denavit-Hartenberg parameters, ± one standard deviation. All readings of a joint together tell them, so that "
@@ -66,9 +62,8 @@ def identify_report(
             "Standard deviation that the identified arm leaves at the beacon, at random positions between those swept.",
             page.plot(workspace_figure(result, xyz)),
         )
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-    return page.html(created=created or datetime.now())
+    page.add_inputs(inputs)
+    return page.html()
 
 
 def _head(result: Identification) -> Page:

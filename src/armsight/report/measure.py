@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 
 import numpy as np
 
@@ -26,7 +25,7 @@ MAX_LOSSES = 25
 MAX_SAMPLES = 6
 
 
-def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
+def measure_report(run: MeasureRun) -> str:
     """Return the page of a measurement as HTML text that needs no other file."""
     series = series_of(run.poses, timed=run.timed, apart=run.stills)
     errors = errors_of(run.poses, run.truth) if run.truth is not None else None
@@ -44,7 +43,7 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     _add_consistency(page, run)
     _add_losses(page, run, series)
     _add_inputs(page, run)
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _subtitle(run: MeasureRun, series: Series) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from types import MappingProxyType
 
 import numpy as np
@@ -54,7 +53,6 @@ def path_report(
     *,
     name: str,
     refused: str = "",
-    created: datetime | None = None,
 ) -> str:
     """Return the page of what check_path found, as HTML text that needs no other file; path in world or base.
 
@@ -86,7 +84,7 @@ def path_report(
     if len(found.q) > 1:
         explained = "Shares of what limits and arm allow: of its range from the middle, and of its speed."
         page.add("Joints along the path", explained, *(page.plot(one) for one in _joints(path, arm, limits, found)))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _subtitle(path: TaughtPath) -> str:

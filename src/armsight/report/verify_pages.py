@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import PurePath
 
 import numpy as np
 
 from armsight.arrays import Array
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned, trace
-from armsight.report.html import Card, Page, add_recordings, bullets, page_unit, table, text
+from armsight.report.html import Card, Page, add_recordings, page_unit, table, text
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import DEG, MM, displayed, figure_of, with_deviation
 from armsight.verify import Measured, Repeats
@@ -25,9 +24,7 @@ COURSE = (
 )
 
 
-def live_report(
-    summary: VerifyLiveOutput, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
-) -> str:
+def live_report(summary: VerifyLiveOutput, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
     """Return the page as HTML text that needs no other file."""
     page = Page(
         title="Supervision of a running arm",
@@ -39,12 +36,10 @@ def live_report(
         rows = [[f"{item.t_s:.3f}", item.level, item.why] for item in summary.alarms]
         page.add("Alarms", "", table(["t, s", "level", "why"], rows, numbers=(0,)))
     page.add("Errors over time", COURSE, page.plot(_live_course(summary.log.series(), summary.levels)))
-    if summary.doubts:
-        page.add("What to know", "", bullets(summary.doubts))
+    page.add_notes(summary.doubts)
     add_recordings(page, [PurePath(summary.recording).name] if summary.recording else [])
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-    return page.html(created=created or datetime.now())
+    page.add_inputs(inputs)
+    return page.html()
 
 
 def _cards(summary: VerifyLiveOutput) -> list[Card]:
@@ -109,7 +104,7 @@ def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> Plot
 ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."
 
 
-def mastering_report(summary: MasteringOutput, *, created: datetime | None = None) -> str:
+def mastering_report(summary: MasteringOutput) -> str:
     """Return the page as HTML text that needs no other file."""
     slides = summary.slides
     page = Page(
@@ -128,11 +123,10 @@ def mastering_report(summary: MasteringOutput, *, created: datetime | None = Non
         shown = ("–", "–") if value is None else with_deviation(value / scale, None if std is None else std / scale)
         rows.append([f"{joint.index} {joint.name}", *shown, page_unit(unit), joint.why])
     page.add("Joints", ZEROS, table(["joint", "zero", "±", "unit", ""], rows, numbers=(1, 2)))
-    if summary.doubts:
-        page.add("What to know", "", bullets(summary.doubts))
+    page.add_notes(summary.doubts)
     if summary.rejected:
         page.add("Rows left out", "", table(["row", "why"], [[r.row, r.why] for r in summary.rejected]))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 CARD_NAMES: Mapping[str, str] = {
@@ -144,7 +138,7 @@ CARD_NAMES: Mapping[str, str] = {
 COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
-def repeats_report(summary: VerifyResult, *, created: datetime | None = None) -> str:
+def repeats_report(summary: VerifyResult) -> str:
     """Return the page of repeats alone as HTML text that needs no other file."""
     iso, other = summary.iso9283, summary.earlier
     page = Page(
@@ -165,12 +159,11 @@ def repeats_report(summary: VerifyResult, *, created: datetime | None = None) ->
     page.style = PRINT.format(first=4, zoom=0.72)
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)
-    if summary.doubts:
-        page.add("What to know", "", bullets(summary.doubts))
+    page.add_notes(summary.doubts)
     if summary.rejected:
         rows = [[item.row, item.why] for item in summary.rejected[:LISTED]]
         page.add("Rows left out", "", table(["row", "why"], rows))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _compared(iso: Mapping[str, IsoFigure], other: Mapping[str, IsoFigure]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime
 
 import numpy as np
 
@@ -74,9 +73,7 @@ LISTED = 40
 HISTOGRAM_BARS = 40
 
 
-def verify_report(
-    summary: VerifyResult, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
-) -> str:
+def verify_report(summary: VerifyResult, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
     """Return the page as HTML text that needs no other file; of what was compared with an arm or with commands."""
     result, arm, other = summary.verification, summary.model, summary.earlier
     if result is None:
@@ -105,20 +102,18 @@ def verify_report(
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)
     _add_background(page, summary, inputs)
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _add_background(page: Page, summary: VerifyResult, inputs: Sequence[tuple[str, str]]) -> None:
     """Add what the figures rest on: base and tool, what to know, rows left out, files."""
     page.add("Base and tool", "", _alignment_table(summary))
-    if summary.doubts:
-        page.add("What to know", "", bullets(summary.doubts))
+    page.add_notes(summary.doubts)
     if summary.rejected:
         rows = [[item.row, item.why] for item in summary.rejected[:LISTED]]
         more = len(summary.rejected) - LISTED
         page.add("Rows left out", f"And {more} more in verify.json." if more > 0 else "", table(["row", "why"], rows))
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    page.add_inputs(inputs)
 
 
 def _cards(summary: VerifyResult) -> list[Card]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
-
 import numpy as np
 
 from armsight.arrays import Array
@@ -26,7 +24,7 @@ def _cameras(done: DesignOutput, found: Forecast) -> str:
     return f"cameras {', '.join(found.rig.names)}"
 
 
-def design_report(done: DesignOutput, found: Forecast, *, created: datetime) -> str:
+def design_report(done: DesignOutput, found: Forecast) -> str:
     """Return the page as HTML text that needs no other file; found: the cells that done sums up."""
     page = Page(
         title="What a rig will measure",
@@ -65,7 +63,7 @@ def design_report(done: DesignOutput, found: Forecast, *, created: datetime) -> 
     if done.simulation is not None:
         page.add("Simulated", _simulated(done), _places(done))
     page.add("Taken for granted", "", bullets([_sentence(text) for text in done.assumptions]))
-    return page.html(created=created)
+    return page.html()
 
 
 def _sentence(text: str) -> str:

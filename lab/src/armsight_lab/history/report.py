@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,7 +51,7 @@ ABOUT = (
 )
 
 
-def trend_report(done: TrendOutput, judgements: Sequence[Judgement], *, created: datetime | None = None) -> str:
+def trend_report(done: TrendOutput, judgements: Sequence[Judgement]) -> str:
     """Return the page as HTML text that needs no other file; judgements: of done's figures, in their order."""
     days = [one.course.created[i][:10] for one in judgements for i in (0, -1)]
     every_days = YEAR_DAYS / float(np.median([one.runs_a_year for one in judgements]))
@@ -75,7 +74,7 @@ def trend_report(done: TrendOutput, judgements: Sequence[Judgement], *, created:
     if done.notes:
         page.add("What to know", "", bullets([in_degrees(note) for note in done.notes]))
     page.add("How it is judged", "", bullets(_method(apart_years, every_days)))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _name(row: TrendFigure) -> str:

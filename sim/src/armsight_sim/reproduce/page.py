@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 
 import numpy as np
 
@@ -142,7 +141,7 @@ class Reproduction:
         return [row for item in self.tables for row in item.rows if row.compared]
 
 
-def reproduce_report(done: Reproduction, *, created: datetime | None = None) -> str:
+def reproduce_report(done: Reproduction) -> str:
     """Return the page as HTML text that needs no other file."""
     page = Page(
         title=done.title, subtitle=f"{done.source}; seed {done.seed}", verdict=_verdict(done), cards=_cards(done)
@@ -163,7 +162,7 @@ def reproduce_report(done: Reproduction, *, created: datetime | None = None) -> 
             "Every number of the scenario and where it is from: the paper, derived from it, or chosen.",
             table(["setting", "value", "from"], done.settings),
         )
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _verdict(done: Reproduction) -> Verdict:
