@@ -31,7 +31,15 @@ from armsight.kinematics.inverse_kinematics import (
     singular_names,
 )
 from armsight.kinematics.joints import Convention, Coupling, Joint, JointType, ToolPoint
-from armsight.kinematics.numeric import Attempt, Effort, Method, Stop, solve_numeric, solve_numeric_many
+from armsight.kinematics.numeric import (
+    Attempt,
+    Effort,
+    Method,
+    Stop,
+    Task,
+    Tolerance,
+    solve_numeric,
+    solve_numeric_many,
+)
 from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
 from armsight.kinematics.presets import PRESETS, preset, warm_up
-from armsight.kinematics.target import Task, Tolerance

@@ -23,10 +23,14 @@ from armsight.kinematics.numeric import (
     MAX_STEPS,
     Attempt,
     Stop,
+    Task,
+    Tolerance,
     attempt_from,
     search_starts,
+    start_values,
+    target_matrices,
+    task_of,
 )
-from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import freeze
 
 SAME_SOLUTION = 1e-5

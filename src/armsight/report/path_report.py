@@ -12,7 +12,7 @@ from armsight.control.guard import Box, Limits
 from armsight.control.guard.limits import joint_bounds
 from armsight.control.paths import PathCheck, PathIssue, PathTrouble
 from armsight.kinematics import Arm
-from armsight.kinematics.target import start_values
+from armsight.kinematics.numeric import start_values
 from armsight.records import TaughtPath
 from armsight.records.result_parts import Verdict
 from armsight.report.arm_view import arm_figure, line_mm

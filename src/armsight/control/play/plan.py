@@ -20,7 +20,7 @@ from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, PATH_SPEED_M_S, RETRA
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.geometry import pose_difference
 from armsight.kinematics import Arm, fk_jacobian
-from armsight.kinematics.target import target_matrices
+from armsight.kinematics.numeric import target_matrices
 from armsight.records import TaughtPath
 from armsight.units import DEG, MM
 
