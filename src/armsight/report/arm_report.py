@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
+from armsight._files import arm_source
 from armsight.calibrate.arm import ArmPoints, ArmResult
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout, trace
-from armsight.report.html import Card, Page, page_unit, table
+from armsight.report.html import NOTHING, Card, Given, Page, page_unit, table
 from armsight.units import MM, displayed_name, figure_of, with_deviation
 
 CLOUD = 600
 """Joint positions at which the tool's uncertainty is drawn."""
 
 
-def arm_report(result: ArmResult, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
-    """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
+def arm_report(result: ArmResult, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
+    """Return the page as HTML text that needs no other file."""
     page = Page(
         title=f"Calibration of {result.nominal.name}",
         subtitle=f"{result.n} measurements, {result.level}",
@@ -44,6 +47,10 @@ def arm_report(result: ArmResult, *, inputs: Sequence[tuple[str, str]] = ()) -> 
     if result.outliers:
         rows = [[row, figure_of(error / MM, "mm")] for row, error in result.outliers]
         page.add("Rows that miss by far", "They pulled little.", table(["row", "error"], rows, numbers=(1,)))
+    texts = {name: str(value) for name, value in given.items() if isinstance(value, str | PathLike)}
+    inputs = [("measurements", Path(texts[name]).name) for name in ("q", "touch", "holdout") if name in texts]
+    if "nominal" in texts:
+        inputs = [("model", arm_source(texts["nominal"], tip=texts.get("tip"), base=texts.get("base"))), *inputs]
     page.add_inputs(inputs)
     return page.html()
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import cycle
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from armsight.arrays import Array
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT
 from armsight.calibrate.cell.result import UNLEARNED_BITS, Learned
+from armsight.optics import SIDES
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -26,7 +29,7 @@ from armsight.report.figures import (
     subplot,
     trace,
 )
-from armsight.report.html import Card, Page, bullets, page_unit, table, text
+from armsight.report.html import NOTHING, Card, Given, Page, bullets, page_unit, table, text
 from armsight.report.scene import camera_line, line, scene_axes
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
@@ -46,11 +49,8 @@ BASE_M = 0.15
 PYRAMID_M = 0.12
 
 
-def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
-    """Return the page as HTML text that needs no other file.
-
-    inputs: (what, which) lines for the end of the page.
-    """
+def cell_report(done: CellResult, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
+    """Return the page as HTML text that needs no other file."""
     page = Page(
         title=f"Calibration of a cell with {done.nominal.name}",
         subtitle=f"{done.duration_s:.0f} s of motion, {done.n_frames} frames, {done.n_spots} spots",
@@ -86,8 +86,15 @@ def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = ()) -> 
         "seconds hangs on few data.",
         page.plot(information_figure(done)),
     )
-    _add_parameters(page, done, inputs)
+    _add_parameters(page, done, _inputs(given))
     return page.html()
+
+
+def _inputs(given: Given) -> list[tuple[str, str]]:
+    sides = [(f"{side} camera", name) for side in SIDES for name in (side, f"{side}_spots")]
+    named = (("arm", "model"), ("target", "target"), ("robot's log", "robot_log"), *sides)
+    told = [(what, given.get(name)) for what, name in named]
+    return [(what, str(one)) for what, one in told if isinstance(one, str | PathLike)]
 
 
 def _add_parameters(page: Page, done: CellResult, inputs: Sequence[tuple[str, str]]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -25,7 +26,7 @@ from armsight.report.figures import (
     short_names,
     subplot,
 )
-from armsight.report.html import Card, Page, page_unit, table
+from armsight.report.html import FILES_SHOWN, NOTHING, Card, Given, Page, page_unit, table
 from armsight.report.scene import add_boards
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
@@ -34,15 +35,8 @@ AXIS_SHARE = 0.06
 """Length of a drawn axis over the size of the scene."""
 
 
-def handeye_report(
-    result: HandEyeResult,
-    *,
-    inputs: Sequence[tuple[str, str]] = (),
-) -> str:
-    """Return the page as HTML text that needs no other file.
-
-    inputs: (what, which) lines for the end of the page.
-    """
+def handeye_report(result: HandEyeResult, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
+    """Return the page as HTML text that needs no other file. files: that went in."""
     page = Page(
         title="Hand-eye calibration",
         subtitle=f"{result.setup}, {result.n_used} of {len(result.pairs)} poses",
@@ -73,7 +67,7 @@ def handeye_report(
     )
     lead = "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open."
     page.add("Turns of the hand", lead, page.plot(turning_figure(result)))
-    _add_background(page, result, inputs)
+    _add_background(page, result, [("file", item.name) for item in files[:FILES_SHOWN]])
     return page.html()
 
 

@@ -8,15 +8,21 @@ import gzip
 import html
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import resources
+from types import MappingProxyType
 
 from armsight._version import __version__
 from armsight.records.result_parts import Verdict
 from armsight.report.figures import Figure, Plot, fitted_scene, json_text
 
+Given = Mapping[str, object]
+"""What an action was called with."""
+NOTHING: Given = MappingProxyType({})
+FILES_SHOWN = 20
+"""Files of what went in that a page lists; the result's own file has all, with their hashes."""
 PANEL_PX = 300
 """Width of a panel beside others from which on its numbers stand clear of each other."""
 

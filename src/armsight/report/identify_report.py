@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from armsight.report.figures import (
     layout,
     points_in_space,
 )
-from armsight.report.html import Card, Page, table
+from armsight.report.html import NOTHING, Card, Given, Page, table
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
 ENTRIES = tuple((name, displayed_name(name)[2]) for name in DH_ROW)
@@ -36,8 +37,8 @@ CLOUD = 600
 COLOURS = (BLUE, ORANGE, GREEN, "#7b4fa3", "#2a8fa0", "#8a6d3b")
 
 
-def identify_report(result: Identification, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
-    """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
+def identify_report(result: Identification, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
+    """Return the page as HTML text that needs no other file. files: that went in. given: `out` of planned sweeps."""
     xyz, nominal = _positions(result.sweeps, result.rig), result.nominal
     page = _head(result)
     page.add_notes(result.notes)
@@ -62,7 +63,8 @@ def identify_report(result: Identification, *, inputs: Sequence[tuple[str, str]]
             "Standard deviation that the identified arm leaves at the beacon, at random positions between those swept.",
             page.plot(workspace_figure(result, xyz)),
         )
-    page.add_inputs(inputs)
+    made = [] if result.plan is None else [Path(str(given["out"])).with_suffix(".sweep.csv")]
+    page.add_inputs([("file", item.name) for item in (*made, *files)])
     return page.html()
 
 

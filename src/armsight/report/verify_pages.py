@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import PurePath
+from pathlib import Path, PurePath
 
 import numpy as np
 
 from armsight.arrays import Array
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned, trace
-from armsight.report.html import Card, Page, add_recordings, page_unit, table, text
-from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
+from armsight.report.html import NOTHING, Card, Given, Page, add_recordings, page_unit, table, text
+from armsight.report.verify_report import (
+    BY_PLACE,
+    ISO_TOLD,
+    LISTED,
+    PRINT,
+    iso_by_place,
+    iso_table,
+    named_inputs,
+    verify_report,
+)
 from armsight.units import DEG, MM, displayed, figure_of, with_deviation
 from armsight.verify import Measured, Repeats
 from armsight.verify.iso9283.figure import IsoFigure
@@ -24,7 +33,12 @@ COURSE = (
 )
 
 
-def live_report(summary: VerifyLiveOutput, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
+def verification(result: VerifyResult, files: Sequence[Path], given: Given) -> str:
+    """Return the page of a verification, or of repeats alone."""
+    return repeats_report(result) if result.verification is None else verify_report(result, given)
+
+
+def live_report(summary: VerifyLiveOutput, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
     """Return the page as HTML text that needs no other file."""
     page = Page(
         title="Supervision of a running arm",
@@ -38,7 +52,10 @@ def live_report(summary: VerifyLiveOutput, *, inputs: Sequence[tuple[str, str]] 
     page.add("Errors over time", COURSE, page.plot(_live_course(summary.log.series(), summary.levels)))
     page.add_notes(summary.doubts)
     add_recordings(page, [PurePath(summary.recording).name] if summary.recording else [])
-    page.add_inputs(inputs)
+    cameras = given.get("cameras")
+    more = cameras if isinstance(cameras, Mapping) else {}
+    devices = ("robot", *dict.fromkeys(("left", "right", *more)), "arm")
+    page.add_inputs(named_inputs({**given, **more}, (*devices, "rig", "target", "world"), devices))
     return page.html()
 
 
@@ -104,7 +121,7 @@ def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> Plot
 ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."
 
 
-def mastering_report(summary: MasteringOutput) -> str:
+def mastering_report(summary: MasteringOutput, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
     """Return the page as HTML text that needs no other file."""
     slides = summary.slides
     page = Page(

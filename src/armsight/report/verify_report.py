@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
+from armsight._files import arm_source
 from armsight.arrays import Array
 from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
@@ -26,7 +29,7 @@ from armsight.report.figures import (
     thinned,
     trace,
 )
-from armsight.report.html import Card, Page, bullets, page_unit, table, text
+from armsight.report.html import Card, Given, Page, bullets, page_unit, table, text
 from armsight.units import DEG, MM, MS, displayed_name, figure_of, pair_of, with_deviation
 from armsight.verify import Verification
 from armsight.verify.iso9283.figure import IsoFigure, symbol_of
@@ -73,7 +76,14 @@ LISTED = 40
 HISTOGRAM_BARS = 40
 
 
-def verify_report(summary: VerifyResult, *, inputs: Sequence[tuple[str, str]] = ()) -> str:
+def named_inputs(given: Given, names: Sequence[str], in_full: Sequence[str]) -> list[tuple[str, str]]:
+    """Return what went in by name where it was said in words: files by their names alone but for those in full."""
+    told = [(name, given.get(name)) for name in names]
+    texts = [(name, str(value)) for name, value in told if isinstance(value, str | PathLike)]
+    return [(name, text if name in in_full else Path(text).name) for name, text in texts]
+
+
+def verify_report(summary: VerifyResult, given: Given) -> str:
     """Return the page as HTML text that needs no other file; of what was compared with an arm or with commands."""
     result, arm, other = summary.verification, summary.model, summary.earlier
     if result is None:
@@ -101,11 +111,11 @@ def verify_report(summary: VerifyResult, *, inputs: Sequence[tuple[str, str]] = 
         page.add("Errors over joint angles", JOINTWISE, page.plot(over_joints(result, arm)))
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)
-    _add_background(page, summary, inputs)
+    _add_background(page, summary, given)
     return page.html()
 
 
-def _add_background(page: Page, summary: VerifyResult, inputs: Sequence[tuple[str, str]]) -> None:
+def _add_background(page: Page, summary: VerifyResult, given: Given) -> None:
     """Add what the figures rest on: base and tool, what to know, rows left out, files."""
     page.add("Base and tool", "", _alignment_table(summary))
     page.add_notes(summary.doubts)
@@ -113,7 +123,11 @@ def _add_background(page: Page, summary: VerifyResult, inputs: Sequence[tuple[st
         rows = [[item.row, item.why] for item in summary.rejected[:LISTED]]
         more = len(summary.rejected) - LISTED
         page.add("Rows left out", f"And {more} more in verify.json." if more > 0 else "", table(["row", "why"], rows))
-    page.add_inputs(inputs)
+    arm = given.get("arm")
+    if isinstance(arm, str | PathLike):
+        links = {name: str(given[name]) for name in ("tip", "base") if given.get(name) is not None}
+        given = {**given, "arm": arm_source(str(arm), **links)}
+    page.add_inputs(named_inputs(given, ("measured", "arm", "joints", "commanded", "world"), ("arm",)))
 
 
 def _cards(summary: VerifyResult) -> list[Card]:
