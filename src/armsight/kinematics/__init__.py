@@ -21,15 +21,7 @@ from armsight.kinematics.forward_kinematics import (
     parameter_names,
     pose,
 )
-from armsight.kinematics.inverse_kinematics import (
-    Inverse,
-    Solution,
-    Status,
-    branch_names,
-    ik,
-    ik_many,
-    singular_names,
-)
+from armsight.kinematics.inverse_kinematics import Inverse, Solution, Status, branch_names, ik, ik_many, singular_names
 from armsight.kinematics.joints import Convention, Coupling, Joint, JointType, ToolPoint
 from armsight.kinematics.numeric import (
     Attempt,

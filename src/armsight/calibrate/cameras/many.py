@@ -9,15 +9,7 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape
-from armsight.calibrate.cameras.bundle_adjustment import (
-    BACK,
-    DELAY,
-    READOUT,
-    Bundle,
-    adjust,
-    bundle_of,
-    names_of,
-)
+from armsight.calibrate.cameras.bundle_adjustment import BACK, DELAY, READOUT, Bundle, adjust, bundle_of, names_of
 from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
 from armsight.calibrate.cameras.clocks import with_clocks
 from armsight.calibrate.cameras.extended import (
@@ -32,12 +24,7 @@ from armsight.calibrate.cameras.graph import placed, tilts_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays, poses_of_lights
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_chosen
 from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
-from armsight.calibrate.cameras.outlier_rejection import (
-    RobustFit,
-    fit_tilted,
-    fit_without_outliers,
-    left_out,
-)
+from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fit_without_outliers, left_out
 from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
 from armsight.calibrate.cameras.preconditions import (
     LEAST_POINTS,
