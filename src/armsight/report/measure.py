@@ -174,17 +174,18 @@ def _add_deviation(page: Page, series: Series, errors: Errors | None) -> None:
         text = "Half the width of the 95 % band: what may be read off the pose at each moment."
         page.add("Width of the band over time", text, page.plot(deviation_figure(series, None, std)))
         return
-    rms, claimed = (float(np.sqrt(np.nansum(_rms_columns(part)[:3] ** 2))) for part in (scatter.values, std))
+    values, resting = scatter
+    rms, claimed = (float(np.sqrt(np.nansum(_rms_columns(part)[:3] ** 2))) for part in (values, std))
     about = (
         "the mean, since nothing moved"
-        if scatter.resting
+        if resting
         else f"the smooth track, a parabola through {NEIGHBOURS} frames; a quicker motion shows here too"
     )
     page.add(
         "Deviation over time",
         f"No truth is known: each pose about {about}. Position scatters by {figure_of(rms, 'mm')} RMS (3-D); "
         f"{figure_of(claimed, 'mm')} are claimed, the band being 95 %. Errors that stay the same do not show.",
-        page.plot(deviation_figure(series, scatter.values, std)),
+        page.plot(deviation_figure(series, values, std)),
     )
 
 

@@ -90,7 +90,7 @@ def calibrate_timing(
     tracks, times = (one, other), (clocks[0].t_s, clocks[1].t_s)
     if count > 1:
         tracks = named_by_motion(rig, tracks, times, count)
-    delay_s = coarse_delay(rig, tracks, times, common_lights(*tracks)[0]).delay_s
+    delay_s = coarse_delay(rig, tracks, times, common_lights(*tracks)[0])
     solved = _fitted(rig, tracks, clocks, np.array([0.0, delay_s]), positions_m or {})
     found, covariance = _clocks(rig, solved, clocks)
     first, second = found.values()

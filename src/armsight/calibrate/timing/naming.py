@@ -58,7 +58,7 @@ def named_by_motion(
         )
     complete = [_complete_frames(track, k) for track in tracks]
     mean = (_mean_track(tracks[0], complete[0]), _mean_track(tracks[1], complete[1]))
-    delay = coarse_delay(rig, mean, times_s, MEAN).delay_s
+    delay = coarse_delay(rig, mean, times_s, MEAN)
     stretches = [
         _stretches(track, time + side * delay, frames)
         for side, (track, time, frames) in enumerate(zip(tracks, times_s, complete, strict=True))
@@ -306,7 +306,7 @@ def tied_cameras(
                 known |= _named_like(rig, found, known, times_s, (a, b), count)
             pair = Rig(cameras=(rig.cameras[a], rig.cameras[b]))
             both = (known[a], known[b])
-            late = coarse_delay(pair, both, (times_s[a], times_s[b]), common_lights(*both)[0]).delay_s
+            late = coarse_delay(pair, both, (times_s[a], times_s[b]), common_lights(*both)[0])
         except DataRefused as error:
             why.setdefault(rig.names[b], error)
             continue
