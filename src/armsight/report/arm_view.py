@@ -104,7 +104,9 @@ def arm_figure(arm: Arm, q: Array) -> Figure:
     frames = postures[0]
     bones = _skeleton(arm, frames)
     size = max(float(np.ptp(bones, axis=0).max()), 1e-3)
-    data += [line_mm(np.array([z0, z1]), GREY, 2, "axis") for z0, z1 in _axes(frames, 0.5 * ARROW * size)]
+    half = 0.5 * ARROW * size
+    ends = [np.array([T[:3, 3] - half * T[:3, 2], T[:3, 3] + half * T[:3, 2]]) for T in frames[:-2]]
+    data += [line_mm(axis, GREY, 2, "axis") for axis in ends]
     data.append(line_mm(bones, INK, 9, text(arm.name), mode="lines+markers", marker={"size": 4, "color": ORANGE}))
     for T, name in ((frames[0], "base"), (frames[-1], "tool")):
         for k, colour in enumerate((RED, GREEN, BLUE)):
@@ -134,11 +136,6 @@ def _skeleton(arm: Arm, frames: Array) -> Array:
         corners.append(there[:3, 3])
     corners.append(frames[-1][:3, 3])
     return np.array(corners)
-
-
-def _axes(frames: Array, half: float) -> list[tuple[Array, Array]]:
-    """Return both ends of a short stretch of each joint's axis."""
-    return [(T[:3, 3] - half * T[:3, 2], T[:3, 3] + half * T[:3, 2]) for T in frames[:-2]]
 
 
 def line_mm(points_m: Array, colour: str, width: int, name: str, **more: Any) -> Plot:

@@ -54,7 +54,7 @@ def handeye_report(result: HandEyeResult, files: Sequence[Path] = (), given: Giv
     )
     page.add(
         "Poses in space",
-        f"In the base's axes: flange, camera and target as the calibration sees them. {_axes_note()}",
+        "In the base's axes: flange, camera and target as the calibration sees them. Axes are x red, y green, z blue.",
         page.plot(scene_figure(result)),
     )
     if result.boards is not None:
@@ -241,10 +241,6 @@ def turning_figure(result: HandEyeResult) -> Figure:
         )
     scene = {"aspectmode": "data", **{f"{k}axis": {"title": {"text": f"about {k}, °"}} for k in "xyz"}}
     return Figure(data=data, layout=layout(scene=scene), height_px=460)
-
-
-def _axes_note() -> str:
-    return "Axes are x red, y green, z blue."
 
 
 def _stacked(pose: RigidTransform) -> RigidTransform:

@@ -65,7 +65,12 @@ def path_report(
     else:
         level, headline, said, todo = "bad", "cannot be run", _sentence(arm, found, runs, refused), MEND
     verdict = Verdict(level=level, headline=headline, reasons=[said], next=[todo])
-    page = Page(title=f"{name} on {arm.name}", subtitle=_subtitle(path), verdict=verdict, cards=_cards(path, found))
+    page = Page(
+        title=f"{name} on {arm.name}",
+        subtitle=f"{len(path)} rows in {path.parent}, {path.length_m[-1]:.3f} m",
+        verdict=verdict,
+        cards=_cards(path, found),
+    )
     around, alone = _scenes(path, arm, limits, found, runs)
     page.add(
         "Arm and path",
@@ -85,10 +90,6 @@ def path_report(
         explained = "Shares of what limits and arm allow: of its range from the middle, and of its speed."
         page.add("Joints along the path", explained, *(page.plot(one) for one in _joints(path, arm, limits, found)))
     return page.html()
-
-
-def _subtitle(path: TaughtPath) -> str:
-    return f"{len(path)} rows in {path.parent}, {path.length_m[-1]:.3f} m"
 
 
 def _sentence(arm: Arm, found: PathCheck, runs: Sequence[Sequence[PathIssue]], refused: str) -> str:

@@ -264,15 +264,9 @@ def _alignment_table(summary: VerifyResult) -> str:
             rows.append([words, *shown, ", ".join(f"{v:.6f}" for v in quat)])
     parts = [table(["", "x", "y", "z", "quaternion x y z w"], rows, numbers=(1, 2, 3))]
     if alignment.undetermined:
-        parts.append(
-            bullets([f"not determined by these rows: {', '.join(_plain(name) for name in alignment.undetermined)}"])
-        )
+        open_ = [name.removesuffix("_rad").removesuffix("_m") for name in alignment.undetermined]  # without units
+        parts.append(bullets([f"not determined by these rows: {', '.join(open_)}"]))
     return "".join(parts)
-
-
-def _plain(name: str) -> str:
-    """Return a parameter's name without the unit that it has in files."""
-    return name.removesuffix("_rad").removesuffix("_m")
 
 
 def course(result: Verification) -> Figure:

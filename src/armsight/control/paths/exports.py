@@ -41,12 +41,13 @@ def krl(program: Program) -> str:
             "KRL names its tool by number, and none is given",
             cure="Give the number of TOOL_DATA that holds this tool (--tool)",
         )
-    weld = _number("weld output", output, 1, 4096)
+    weld, T = _number("weld output", output, 1, 4096), program.T_flange_tool
+    taught = "the tool the path was taught with." if T is None else krl_frame(T)
     lines = [
         "&ACCESS RVP",
         f"DEF {program.name}()",
         "; Poses are of the tool's tip in the robot's base ($ROBROOT), mm and degrees.",
-        *_krl_tool_note(program.T_flange_tool, tool),
+        f"; TOOL_DATA[{tool}] must be {taught}",
         "BAS(#INITMOV,0)",
         f"BAS(#VEL_PTP,{PTP_PERCENT})",
         f"BAS(#ACC_PTP,{PTP_PERCENT})",
@@ -85,12 +86,6 @@ def krl_frame(T: RigidTransform) -> str:
     return f"{{X {x},Y {y},Z {z},A {a},B {b},C {c}}}"
 
 
-def _krl_tool_note(T: RigidTransform | None, tool: int) -> list[str]:
-    if T is None:
-        return [f"; TOOL_DATA[{tool}] must be the tool the path was taught with."]
-    return [f"; TOOL_DATA[{tool}] must be {krl_frame(T)}"]
-
-
 def _number(what: str, text: str | None, lowest: int, highest: int) -> int | None:
     if text is None:
         return None
@@ -125,11 +120,13 @@ def rapid(program: Program) -> str:
             f"{output[:20]!r} is no name of a signal",
             cure="Give the name of the digital output in the controller",
         )
+    T = program.T_flange_tool
+    tool = "the tool the path was taught with." if T is None else f"[TRUE,[{rapid_pose(T)}], ...]"
     lines = [
         f"MODULE {program.name}_module",
         "  ! Poses are of the tool's tip in wobj0, mm; quaternions have w first.",
         "  ! wobj0 must be the robot's base: no base frame moved in the controller.",
-        f"  ! {program.tool} must be {_rapid_tool_note(program.T_flange_tool)}",
+        f"  ! {program.tool} must be {tool}",
         f"  PROC {program.name}()",
         "    ConfJ\\Off;",
         "    ConfL\\Off;",
@@ -160,10 +157,6 @@ def _zone(radius_m: float) -> str:
         return "fine"
     position, turn, angle = (decimals(share * radius_m / MM, 4) for share in (1.0, 1.5, 0.15))
     return f"[FALSE,{position},{turn},{turn},{angle},{turn},{angle}]"
-
-
-def _rapid_tool_note(T: RigidTransform | None) -> str:
-    return "the tool the path was taught with." if T is None else f"[TRUE,[{rapid_pose(T)}], ...]"
 
 
 JOINT_ACCELERATION = 0.5
