@@ -80,15 +80,11 @@ def _cards(result: ArmResult) -> list[Card]:
     after = result.left_after
     spread = figure_of(float(np.sqrt(max(after.rms_m**2 - after.mean_m**2, 0.0))) / MM, "mm", digits=2)
     return [
-        Card(name="error before", value=figure_of(result.left_before.mean_m / MM, "mm"), note=f"mean, {kind}"),
-        Card(
-            name="error after",
-            value=figure_of(result.left_after.mean_m / MM, "mm"),
-            note=f"mean, {kind}; they scatter by {spread}",
-        ),
-        Card(name="largest error after", value=figure_of(result.left_after.max_m / MM, "mm"), note=kind),
-        Card(name="noise of a place", value=figure_of(result.position_noise_m / MM, "mm"), note="one coordinate"),
-        Card(name="parameters corrected", value=str(len(result.free)), note=f"condition {result.condition:.3g}"),
+        Card("error before", figure_of(result.left_before.mean_m / MM, "mm"), f"mean, {kind}"),
+        Card("error after", figure_of(result.left_after.mean_m / MM, "mm"), f"mean, {kind}; they scatter by {spread}"),
+        Card("largest error after", figure_of(result.left_after.max_m / MM, "mm"), kind),
+        Card("noise of a place", figure_of(result.position_noise_m / MM, "mm"), "one coordinate"),
+        Card("parameters corrected", str(len(result.free)), f"condition {result.condition:.3g}"),
     ]
 
 
@@ -178,12 +174,12 @@ def _head(result: Identification) -> Page:
 
 def _joint_cards(result: Identification) -> list[Card]:
     noise = f"{result.sigma:.3g} px" if result.rig is not None else figure_of(result.sigma / MM, "mm")
-    cards = [Card(name="noise", value=noise, note="one coordinate, found from the residuals")]
+    cards = [Card("noise", noise, "one coordinate, found from the residuals")]
     for number, joint in enumerate(result.joints, 1):
         travel = joint.travel[1] - joint.travel[0]
         turns = joint.axis.revolute
         value = f"{travel / DEG:.0f}°" if turns else figure_of(travel / MM, "mm")
-        cards.append(Card(name=f"joint {number}, {'turns' if turns else 'slides'}", value=value, note="travel swept"))
+        cards.append(Card(f"joint {number}, {'turns' if turns else 'slides'}", value, "travel swept"))
     return cards
 
 

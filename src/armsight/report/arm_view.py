@@ -69,10 +69,10 @@ def _cards(arm: Arm, q: Array, T: Array) -> list[Card]:
     nearness = float(singularity_distance(arm, q))
     distance = figure_of(nearness if nearness > NO_DISTANCE else 0.0)
     return [
-        Card(name="tool x", value=x),
-        Card(name="tool y", value=y),
-        Card(name="tool z", value=z),
-        Card(name="distance to singularity", value=distance, note="smallest singular value, scaled"),
+        Card("tool x", x),
+        Card("tool y", y),
+        Card("tool z", z),
+        Card("distance to singularity", distance, "smallest singular value, scaled"),
     ]
 
 

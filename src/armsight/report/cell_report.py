@@ -121,27 +121,27 @@ def _cards(done: CellResult) -> list[Card]:
     tip = done.tip
     return [
         Card(
-            name="tip, as the cameras measure it",
-            value=f"± {figure_of(tip.measured_m / MM, 'mm', digits=2)}",
-            note=f"at worst {figure_of(tip.measured_worst_m / MM, 'mm', digits=2)}",
+            "tip, as the cameras measure it",
+            f"± {figure_of(tip.measured_m / MM, 'mm', digits=2)}",
+            f"at worst {figure_of(tip.measured_worst_m / MM, 'mm', digits=2)}",
         ),
         Card(
-            name="tip, as the joints say",
-            value=f"± {figure_of(tip.commanded_m / MM, 'mm', digits=2)}",
-            note=f"at worst {figure_of(tip.commanded_worst_m / MM, 'mm', digits=2)}",
+            "tip, as the joints say",
+            f"± {figure_of(tip.commanded_m / MM, 'mm', digits=2)}",
+            f"at worst {figure_of(tip.commanded_worst_m / MM, 'mm', digits=2)}",
         ),
         Card(
-            name="noise of one measurement",
-            value=f"± {figure_of(tip.noise_m / MM, 'mm', digits=2)}",
-            note="comes on top, goes with the mean",
+            "noise of one measurement",
+            f"± {figure_of(tip.noise_m / MM, 'mm', digits=2)}",
+            "comes on top, goes with the mean",
         ),
         *_baseline(done),
         Card(
-            name="residual, px",
-            value=", ".join(figure_of(px, digits=2) for px in done.residual_px.values()),
-            note=f"{' and '.join(done.rig.names)} camera, RMS",
+            "residual, px",
+            ", ".join(figure_of(px, digits=2) for px in done.residual_px.values()),
+            f"{' and '.join(done.rig.names)} camera, RMS",
         ),
-        Card(name="scale from", value=f"the {done.scale.set_by}", note=f"ratio {_ratio(done)}"),
+        Card("scale from", f"the {done.scale.set_by}", f"ratio {_ratio(done)}"),
     ]
 
 
@@ -150,7 +150,7 @@ def _baseline(done: CellResult) -> list[Card]:
     if far is None or std is None:
         return []
     value = f"{with_deviation(far / MM, std / MM)[0]} mm"
-    return [Card(name="baseline", value=value, note=f"± {figure_of(std / MM, 'mm', digits=2)}")]
+    return [Card("baseline", value, f"± {figure_of(std / MM, 'mm', digits=2)}")]
 
 
 def _ratio(done: CellResult) -> str:

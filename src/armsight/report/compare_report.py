@@ -57,7 +57,7 @@ def compare_report(
         title=f"Comparison of {KINDS[kind]}",
         subtitle=f"A is {names[0]}, B is {names[1]}",
         verdict=verdict,
-        cards=[Card(name=name, value=value) for name, value in effects[:CARDS]],
+        cards=[Card(name, value) for name, value in effects[:CARDS]],
     )
     if effects:
         cells = [list(item) for item in effects]

@@ -84,29 +84,25 @@ def _cards(result: HandEyeResult) -> list[Card]:
     position_m = max(std[name] for name in POSITION)
     turn_rad = max(std[name] for name in ROTATION_VECTOR)
     cards = [
-        Card(name="camera's place, 95 %", value=figure_of(1.96 * position_m / MM, "mm"), note="weakest direction"),
-        Card(name="camera's orientation, 95 %", value=figure_of(1.96 * turn_rad / DEG, "°"), note="weakest axis"),
+        Card("camera's place, 95 %", figure_of(1.96 * position_m / MM, "mm"), "weakest direction"),
+        Card("camera's orientation, 95 %", figure_of(1.96 * turn_rad / DEG, "°"), "weakest axis"),
         Card(
-            name="pose left out",
-            value=figure_of(result.loo_rms_m / MM, "mm"),
-            note=f"{figure_of(result.loo_rms_rad / DEG, '°')}, RMS at the target",
+            "pose left out",
+            figure_of(result.loo_rms_m / MM, "mm"),
+            f"{figure_of(result.loo_rms_rad / DEG, '°')}, RMS at the target",
         ),
-        Card(
-            name="second turn",
-            value=figure_of(result.rotation_excitation.rms_rad[1] / DEG, "°"),
-            note="RMS, 8° and more is fine",
-        ),
+        Card("second turn", figure_of(result.rotation_excitation.rms_rad[1] / DEG, "°"), "RMS, 8° and more is fine"),
     ]
     if result.scale is not None:
         cards.append(
             Card(
-                name="target's size, true over given",
-                value=f"{result.scale.factor:.4f}",
-                note=f"+- {result.scale.std:.4f}, from the robot's motion",
+                "target's size, true over given",
+                f"{result.scale.factor:.4f}",
+                f"+- {result.scale.std:.4f}, from the robot's motion",
             )
         )
     if result.reprojection_rms_px is not None:
-        cards.append(Card(name="corners", value=figure_of(result.reprojection_rms_px, "px"), note="RMS"))
+        cards.append(Card("corners", figure_of(result.reprojection_rms_px, "px"), "RMS"))
     return cards
 
 

@@ -142,7 +142,7 @@ def text(value: object) -> str:
     return html.escape(re.sub(r"\+- ?(?=\d)", "± ", str(value)), quote=True)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Card:
     """One key figure: its name, its value with unit, a remark."""
 

@@ -75,30 +75,30 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
     spots = sum(len(rows) for rows in run.residuals.values())
     cards = [
         Card(
-            name="full poses",
-            value=f"{int(series.whole.sum()):,}",
-            note=f"of {n:,}, {count[PoseStatus.DOUBTFUL]:,} doubtful; "
+            "full poses",
+            f"{int(series.whole.sum()):,}",
+            f"of {n:,}, {count[PoseStatus.DOUBTFUL]:,} doubtful; "
             f"{count[PoseStatus.POSITION_ONLY]:,} position only, {count[PoseStatus.LOST]:,} lost",
         ),
         Card(
-            name="position uncertainty",
-            value=figure_of(float(np.sqrt(np.sum(middle[:3] ** 2))), "mm"),
-            note="claimed, 3-D, one standard deviation, median",
+            "position uncertainty",
+            figure_of(float(np.sqrt(np.sum(middle[:3] ** 2))), "mm"),
+            "claimed, 3-D, one standard deviation, median",
         ),
         Card(
-            name="rotation uncertainty",
-            value=figure_of(float(np.sqrt(np.sum(middle[3:] ** 2))), "°"),
-            note="claimed, one standard deviation, median",
+            "rotation uncertainty",
+            figure_of(float(np.sqrt(np.sum(middle[3:] ** 2))), "°"),
+            "claimed, one standard deviation, median",
         ),
         Card(
-            name="reprojection",
-            value=figure_of(distance_rms([rows[:, 1:] for rows in run.residuals.values()]), "px"),
-            note=f"RMS distance, {spots:,} spots" if spots else "",
+            "reprojection",
+            figure_of(distance_rms([rows[:, 1:] for rows in run.residuals.values()]), "px"),
+            f"RMS distance, {spots:,} spots" if spots else "",
         ),
         Card(
-            name="time per pair" if run.rig.is_pair else "time per moment",
-            value=figure_of(run.median_ms, "ms"),
-            note=f"median; 99 % below {figure_of(run.p99_ms, 'ms')}" if run.p99_ms is not None else "median",
+            "time per pair" if run.rig.is_pair else "time per moment",
+            figure_of(run.median_ms, "ms"),
+            f"median; 99 % below {figure_of(run.p99_ms, 'ms')}" if run.p99_ms is not None else "median",
         ),
     ]
     return cards if errors is None else [cards[0], _error_card(errors), *cards[1:]]
@@ -106,7 +106,7 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
 
 def _error_card(errors: Errors) -> Card:
     rms = float(np.sqrt(np.nansum(_rms_columns(errors.values)[:3] ** 2)))
-    return Card(name="position error", value=figure_of(rms, "mm"), note="against the truth, 3-D RMS")
+    return Card("position error", figure_of(rms, "mm"), "against the truth, 3-D RMS")
 
 
 def _add_truth(page: Page, errors: Errors | None) -> None:

@@ -101,10 +101,10 @@ def _sentence(arm: Arm, found: PathCheck, runs: Sequence[Sequence[PathIssue]], r
 
 def _cards(path: TaughtPath, found: PathCheck) -> list[Card]:
     return [
-        Card(name="rows reached", value=f"{len(found.q)} of {found.rows}"),
-        Card(name="troubles", value=str(len(found.issues))),
-        Card(name="length", value=figure_of(float(path.length_m[-1]) / MM, "mm", digits=4)),
-        Card(name="time", value=figure_of(float(found.t_s[-1]), "s"), note="at its speeds, without starts and stops"),
+        Card("rows reached", f"{len(found.q)} of {found.rows}"),
+        Card("troubles", str(len(found.issues))),
+        Card("length", figure_of(float(path.length_m[-1]) / MM, "mm", digits=4)),
+        Card("time", figure_of(float(found.t_s[-1]), "s"), "at its speeds, without starts and stops"),
     ]
 
 

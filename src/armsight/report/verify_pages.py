@@ -66,22 +66,14 @@ def _cards(summary: VerifyLiveOutput) -> list[Card]:
         return figure_of(None if value is None else value / factor, unit)
 
     cards = [
-        Card(
-            name="error of place",
-            value=shown(errors.rms_m, MM, "mm"),
-            note=f"RMS; noise {shown(errors.std_m, MM, 'mm')}",
-        ),
-        Card(name="largest", value=shown(errors.max_m, MM, "mm")),
-        Card(
-            name="error of rotation",
-            value=shown(errors.rms_rad, DEG, "°"),
-            note=f"RMS; noise {shown(errors.std_rad, DEG, '°')}",
-        ),
-        Card(name="pairs a second", value=figure_of(summary.rate_hz), note=f"{summary.missed} never came"),
-        Card(name="longest blind", value=figure_of(summary.blind_s, "s")),
+        Card("error of place", shown(errors.rms_m, MM, "mm"), f"RMS; noise {shown(errors.std_m, MM, 'mm')}"),
+        Card("largest", shown(errors.max_m, MM, "mm")),
+        Card("error of rotation", shown(errors.rms_rad, DEG, "°"), f"RMS; noise {shown(errors.std_rad, DEG, '°')}"),
+        Card("pairs a second", figure_of(summary.rate_hz), f"{summary.missed} never came"),
+        Card("longest blind", figure_of(summary.blind_s, "s")),
     ]
     if ms is not None:
-        cards.append(Card(name="decision", value=figure_of(ms.median, "ms"), note=f"p99 {figure_of(ms.p99, 'ms')}"))
+        cards.append(Card("decision", figure_of(ms.median, "ms"), f"p99 {figure_of(ms.p99, 'ms')}"))
     return cards
 
 
@@ -129,8 +121,8 @@ def mastering_report(summary: MasteringOutput, files: Sequence[Path] = (), given
         subtitle=f"{summary.n} poses compared, {len(summary.rejected)} left out",
         verdict=summary.verdict_,
         cards=[
-            Card(name="error of place", value=figure_of(summary.rms_before_m / MM, "mm"), note="RMS, as measured"),
-            Card(name="without the cause", value=figure_of(summary.rms_after_m / MM, "mm"), note="RMS"),
+            Card("error of place", figure_of(summary.rms_before_m / MM, "mm"), "RMS, as measured"),
+            Card("without the cause", figure_of(summary.rms_after_m / MM, "mm"), "RMS"),
         ],
     )
     rows = []
@@ -200,7 +192,7 @@ def _iso_cards(iso: Mapping[str, IsoFigure]) -> list[Card]:
         item = iso.get(name)
         if item is not None and item.value is not None:
             note = f"{item.n} of {item.wanted} repeats"
-            cards.append(Card(name=CARD_NAMES[name], value=f"{item.shown(MM)} mm", note=note))
+            cards.append(Card(CARD_NAMES[name], f"{item.shown(MM)} mm", note))
     return cards
 
 

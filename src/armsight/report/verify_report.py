@@ -139,22 +139,20 @@ def _cards(summary: VerifyResult) -> list[Card]:
         "" if len(own) < 3 else f"; the measurement's own {figure_of(float(np.linalg.norm(own)) / MM, 'mm', digits=2)}"
     )
     cards = [
-        Card(name="error of place", value=figure_of(after.rms_m / MM, "mm"), note=f"RMS{text}"),
-        Card(name="largest", value=figure_of(after.max_m / MM, "mm")),
+        Card("error of place", figure_of(after.rms_m / MM, "mm"), f"RMS{text}"),
+        Card("largest", figure_of(after.max_m / MM, "mm")),
     ]
     if after.rms_rad is not None:
-        cards.append(Card(name="error of rotation", value=figure_of(after.rms_rad / DEG, "°"), note="RMS"))
+        cards.append(Card("error of rotation", figure_of(after.rms_rad / DEG, "°"), "RMS"))
     free = " and ".join(summary.alignment.free)
     if free:
-        cards.append(Card(name="before aligning", value=figure_of(before.rms_m / MM, "mm"), note=f"aligned: {free}"))
+        cards.append(Card("before aligning", figure_of(before.rms_m / MM, "mm"), f"aligned: {free}"))
     if time.offset_s is not None and time.std_s is not None:
         shown, deviation = with_deviation(time.offset_s / MS, time.std_s / MS)
-        cards.append(Card(name="time offset", value=f"{shown} ms", note=f"± {deviation} ms"))
+        cards.append(Card("time offset", f"{shown} ms", f"± {deviation} ms"))
     share = summary.explained.measurement
     if share is not None:
-        cards.append(
-            Card(name="measurement explains", value=figure_of(100.0 * share, "%"), note="of the squared error")
-        )
+        cards.append(Card("measurement explains", figure_of(100.0 * share, "%"), "of the squared error"))
     return cards
 
 

@@ -61,10 +61,10 @@ def trend_report(done: TrendOutput, judgements: Sequence[Judgement]) -> str:
         subtitle=f"{done.n_runs} runs, {min(days)} to {max(days)}",
         verdict=done.verdict_,
         cards=[
-            Card(name="figures judged", value=str(len(judgements))),
-            Card(name="of these changed", value=str(sum(one.found.change is not None for one in judgements))),
-            Card(name="false alarms", value=f"1 in {apart_years:.4g}", note="cell-years, over all figures together"),
-            Card(name="a run every", value=_interval(every_days), note="on average"),
+            Card("figures judged", str(len(judgements))),
+            Card("of these changed", str(sum(one.found.change is not None for one in judgements))),
+            Card("false alarms", f"1 in {apart_years:.4g}", "cell-years, over all figures together"),
+            Card("a run every", _interval(every_days), "on average"),
         ],
     )
     rows = [_row(row, one) for row, one in zip(done.figures, judgements, strict=True)]

@@ -204,13 +204,13 @@ def _cards(done: Reproduction) -> list[Card]:
     of_print = figure_of(float(np.median(shares)) if shares else None, digits=2)
     of_method = figure_of(float(np.median(methods)) if methods else None, digits=2)
     printed = [
-        Card(name="compared with print", value=str(len(shares)), note="rows whose printed figure can be believed"),
-        Card(name="error over the printed one", value=of_print, note="median over those rows"),
+        Card("compared with print", str(len(shares)), "rows whose printed figure can be believed"),
+        Card("error over the printed one", of_print, "median over those rows"),
     ]
     return [
-        Card(name="rows", value=str(sum(len(item.rows) for item in done.tables)), note="in all tables"),
+        Card("rows", str(sum(len(item.rows) for item in done.tables)), "in all tables"),
         *(printed if shares else ()),
-        Card(name="error over its method's", value=of_method, note="the paper's method on the same frames, median"),
+        Card("error over its method's", of_method, "the paper's method on the same frames, median"),
     ]
 
 
