@@ -189,11 +189,7 @@ def ik(
 
 
 def ik_each(
-    arm: Arm,
-    poses: RigidTransform | ArrayLike,
-    q_seed: ArrayLike | None = None,
-    *,
-    task: Task | str | None = None,
+    arm: Arm, poses: RigidTransform | ArrayLike, q_seed: ArrayLike | None = None, *, task: Task | str | None = None
 ) -> tuple[Inverse, ...]:
     """Return the solutions of each pose, near (n,), then the one before, or near rows (m, n). Raises as ik."""
     T = target_matrices(arm, poses)

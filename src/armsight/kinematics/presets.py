@@ -26,11 +26,7 @@ PER_M = 1000.0
 
 
 def _arm(
-    name: str,
-    columns: str,
-    rows: Sequence[Sequence[float]],
-    source: str,
-    convention: Convention = Convention.STANDARD,
+    name: str, columns: str, rows: Sequence[Sequence[float]], source: str, convention: Convention = Convention.STANDARD
 ) -> Arm:
     """Return an arm of joints j1, j2 ...; columns: fields of Joint, such as d_m:mm and lower:deg where so printed."""
     joints = (

@@ -9,6 +9,7 @@ from __future__ import annotations
 import keyword
 import re
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import sympy as sp  # type: ignore[import-untyped]  # sympy ships no types
@@ -39,14 +40,7 @@ class Formulas:
 def formulas(arm: Arm) -> Formulas:
     """Return the arm's forward kinematics and Jacobian; lengths as symbols a1, d1.., but those that are zero."""
     values: dict[Any, float] = {}
-
-    def constant(name: str, value: float) -> Any:
-        if value == 0.0:
-            return sp.Integer(0)
-        symbol = sp.Symbol(name, real=True)
-        values[symbol] = value
-        return symbol
-
+    constant = partial(_constant, values)
     joints = sp.symbols(f"q1:{arm.n + 1}", real=True)
     base, links, tool = distal_rows(
         arm.convention,
@@ -80,6 +74,14 @@ def formulas(arm: Arm) -> Formulas:
     p = p + R * tool_p
     R = R * tool_R
     return _gathered(arm, R, p, axes, kinds, joints, values)
+
+
+def _constant(values: dict[Any, float], name: str, value: float) -> Any:
+    if value == 0.0:
+        return sp.Integer(0)
+    symbol = sp.Symbol(name, real=True)
+    values[symbol] = value
+    return symbol
 
 
 def _gathered(

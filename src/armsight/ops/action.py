@@ -89,7 +89,7 @@ class Action(CommandTraits):
     inputs=files) that writes the result into a YAML file, or into a folder where it keeps files; False: the result's
     own `write`; True: the function itself, while it works, or by more than one name. page: the function of (result,
     files that went in, what the action was called with) that returns the result's page. Both are loaded late: a name
-    of store.saving or 'module:function', and 'module:function' of report.
+    of store.saving, or 'module:function'; pages by those of report.
     """
 
     function: Callable[..., Output]

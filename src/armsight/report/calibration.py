@@ -26,11 +26,7 @@ LONG_TABLE = 12
 
 
 def calibration_report(
-    done: Done,
-    shown: str,
-    boards: BoardViews | None = None,
-    *,
-    facts: Sequence[tuple[str, str]] = (),
+    done: Done, shown: str, boards: BoardViews | None = None, *, facts: Sequence[tuple[str, str]] = ()
 ) -> str:
     """Return the page of a calibration as HTML text that needs no other file.
 

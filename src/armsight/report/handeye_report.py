@@ -45,7 +45,7 @@ def handeye_report(result: HandEyeResult, files: Sequence[Path] = (), given: Giv
     )
     page.add_notes(result.advice, "What to know, and to do")
     if result.comparison is not None:
-        page.add("From poses or from corners", result.comparison.sentence(), _comparison(result.comparison))
+        page.add("From poses or from corners", result.comparison.why, _comparison(result.comparison))
     page.add(
         "Result",
         "Position in mm, orientation as a rotation vector in degrees, in the axes of the frame named first. "

@@ -45,15 +45,7 @@ FLATTEST = 0.4
 """Of the picture of the path alone, as a share of its widest side."""
 
 
-def path_report(
-    path: TaughtPath,
-    arm: Arm,
-    limits: Limits,
-    found: PathCheck,
-    *,
-    name: str,
-    refused: str = "",
-) -> str:
+def path_report(path: TaughtPath, arm: Arm, limits: Limits, found: PathCheck, *, name: str, refused: str = "") -> str:
     """Return the page of what check_path found, as HTML text that needs no other file; path in world or base.
 
     refused: why play does not run it, where it does not.

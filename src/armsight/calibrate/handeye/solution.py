@@ -255,11 +255,7 @@ STEP = 1e-6
 
 
 def fit_drifting(
-    arrays: Arrays,
-    keep: NDArray[np.bool_],
-    start: Poses,
-    t_s: Array,
-    noise: Array | None = None,
+    arrays: Arrays, keep: NDArray[np.bool_], start: Poses, t_s: Array, noise: Array | None = None
 ) -> tuple[Poses, Array, Correlation]:
     """Return the fit to the kept pairs whose errors are white noise and a drift that is forgotten exponentially.
 

@@ -230,11 +230,7 @@ def _blank(g: int, n: int, V: int) -> tuple[Array, Array]:
 
 
 def _observations(
-    rig: Rig,
-    moments: Sequence[LitMoment],
-    of: Paired,
-    labelled: LabelledFrames,
-    order: Index,
+    rig: Rig, moments: Sequence[LitMoment], of: Paired, labelled: LabelledFrames, order: Index
 ) -> LightObservations:
     """Return the spots by which the lights were named, those of two cameras in each moment."""
     uv, cov = _blank(len(labelled.numbers), len(order), len(rig.cameras))

@@ -35,13 +35,13 @@ def krl(program: Program) -> str:
     A turns about z, B about the new y, C about the new x: R = Rz(A) Ry(B) Rx(C). The tool is a number of TOOL_DATA.
     Raises UsageError where tool or weld output are no numbers that KRL takes.
     """
-    tool, output = _number("tool", program.tool, 1, 16), program.weld_output
+    tool, T = _number("tool", program.tool, 1, 16), program.T_flange_tool
     if tool is None:
         raise UsageError(
             "KRL names its tool by number, and none is given",
             cure="Give the number of TOOL_DATA that holds this tool (--tool)",
         )
-    weld, T = _number("weld output", output, 1, 4096), program.T_flange_tool
+    weld = _number("weld output", program.weld_output, 1, 4096)
     taught = "the tool the path was taught with." if T is None else krl_frame(T)
     lines = [
         "&ACCESS RVP",

@@ -103,11 +103,7 @@ class PathPlan(Shape):
 
 
 def plan_path(
-    path: TaughtPath,
-    arm: Arm,
-    limits: Limits,
-    q: ArrayLike,
-    settings: PlaySettings | None = None,
+    path: TaughtPath, arm: Arm, limits: Limits, q: ArrayLike, settings: PlaySettings | None = None
 ) -> PathPlan:
     """Return the path made ready for an arm that stands at readings q (n,); arm's tool is the tip.
 
