@@ -42,12 +42,11 @@ def krl(program: Program) -> str:
             cure="Give the number of TOOL_DATA that holds this tool (--tool)",
         )
     weld = _number("weld output", program.weld_output, 1, 4096)
-    taught = "the tool the path was taught with." if T is None else krl_frame(T)
     lines = [
         "&ACCESS RVP",
         f"DEF {program.name}()",
         "; Poses are of the tool's tip in the robot's base ($ROBROOT), mm and degrees.",
-        f"; TOOL_DATA[{tool}] must be {taught}",
+        f"; TOOL_DATA[{tool}] must be {'the tool the path was taught with.' if T is None else krl_frame(T)}",
         "BAS(#INITMOV,0)",
         f"BAS(#VEL_PTP,{PTP_PERCENT})",
         f"BAS(#ACC_PTP,{PTP_PERCENT})",
