@@ -43,9 +43,9 @@ from armsight.calibrate.cameras.bundle_adjustment import (
 )
 from armsight.calibrate.cameras.graph import boards_of
 from armsight.calibrate.cameras.many import each_alone, solve_cameras
-from armsight.calibrate.cameras.many_checks import KnownLens
 from armsight.calibrate.cameras.observations import pack
 from armsight.calibrate.cameras.pairing import as_pose
+from armsight.calibrate.cameras.preconditions import KnownLens
 from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.optics import Camera
 from armsight.records import BoardView, spot_target

@@ -90,7 +90,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "calibrate/timing/result.py:CameraClock": "of each camera by name what a pair's result has of two",
         "calibrate/identify/result.py:JointStd": "an arm's entries have the same names everywhere",
         "app/live/views.py:Counts": "what a page counts and what a recorder does go on apart",
-        "verify/iso9283/figure.py:IsoFigure": "a figure of the standard, whose file holds no symbol",
     },
     "files": {
         "measure/spots/kernels/scan.py": "thresholds and connected components of one pass over an image",

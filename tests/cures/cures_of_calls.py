@@ -198,7 +198,7 @@ TRIED = {
         lambda: IRB.fk(np.radians([90.0, 0, 0, 0, 0, 0])),
     ),
     ("kinematics/joints.py", "Give a share of about one"): (coupled(57.3), coupled(1.0)),
-    ("kinematics/target.py", "Give metres: the numbers"): (
+    ("kinematics/numeric.py", "Give metres: the numbers"): (
         lambda: IRB.ik(RigidTransform.from_translation([300.0, 0.0, 400.0])),
         lambda: IRB.ik(RigidTransform.from_translation([0.3, 0.0, 0.4])),
     ),

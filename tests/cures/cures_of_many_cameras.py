@@ -10,7 +10,7 @@ import numpy as np
 
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.many import solve_cameras
-from armsight.calibrate.cameras.many_checks import KnownLens, require_lists, require_sizes
+from armsight.calibrate.cameras.preconditions import KnownLens, require_lists, require_sizes
 from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.ops.calibration.many_cameras import Wanted, require_names
 from armsight.ops.calibration.shown import require_lenses, shown_of
@@ -148,8 +148,8 @@ TRIED = {
             require_lenses(("left",), {}, TwoSided(FRONT, BACK)),
         ],
     ),
-    ("calibrate/cameras/many_checks.py", "Use the names of --camera"): (lists("top"), lists("right")),
-    ("calibrate/cameras/many_checks.py", "px, or leave it away"): (
+    ("calibrate/cameras/preconditions.py", "Use the names of --camera"): (lists("top"), lists("right")),
+    ("calibrate/cameras/preconditions.py", "px, or leave it away"): (
         sizes(640, 480),
         lambda: [sizes(320, 240)(), sizes(640, 480, lens="right")()],
     ),

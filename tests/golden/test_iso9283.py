@@ -48,7 +48,7 @@ def test_pose_accuracy():
     assert [found[f"AP_{turn}_rad"].value for turn in "abc"] == pytest.approx([0, 0, 5 * MRAD], **APPROX)
     # sample variances 2/5, 8/5, 18/5 mm^2; of the mean a sixth; along (0.6, 0.8, 0): (0.36*0.4 + 0.64*1.6) / 6
     assert found["AP_m"].std == pytest.approx(sqrt((0.36 * 0.4 + 0.64 * 1.6) / 6) * MM, **APPROX)
-    assert found["AP_m"].repeats == "6 of 30"
+    assert (found["AP_m"].n, found["AP_m"].wanted) == (6, 30)
 
 
 def test_pose_accuracy_with_the_cameras_covariance():
@@ -114,7 +114,7 @@ def test_exchangeability():
     robots = [visits("P1", spread + np.array(at), robot=name) for name, at in places.items()]
     found = figures(poses=robots)
     assert found["E_m"].value == pytest.approx(10 * MM, **APPROX)
-    assert found["E_m"].repeats == "3 of 5"
+    assert (found["E_m"].n, found["E_m"].wanted) == (3, 5)
 
 
 def line_runs(offsets_mm, slope=0.0):
@@ -185,7 +185,7 @@ def test_stabilisation_time_and_overshoot():
     # the two differ by time: variance time^2 / 2; two instants each even over 0.1 s: 2 * 0.01 / 12
     assert found["t_s"].std == pytest.approx(sqrt((time**2 / 2 + 0.01 / 6) / 2), rel=1e-9)
     assert found["OV_m"].value == pytest.approx(3 * MM, rel=1e-9)
-    assert found["OV_m"].repeats == "2 of 3"
+    assert (found["OV_m"].n, found["OV_m"].wanted) == (2, 3)
 
 
 def test_visits_that_drift_have_no_deviation_and_the_drift_is_a_figure():

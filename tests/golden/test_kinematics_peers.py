@@ -13,8 +13,8 @@ import pytest
 
 from armsight.errors import Inconsistent
 from armsight.kinematics import Arm, JointType, fk, fk_jacobian, ik_many, parameter_names, preset
-from armsight.kinematics.derivatives import moved
 from armsight.kinematics.dynamics import inverse_dynamics, track_load
+from armsight.kinematics.forward_kinematics import moved
 from armsight.kinematics.presets import PRESETS
 from armsight.records import Motion
 from armsight.store.urdf import arm_from_urdf, urdf_text

@@ -126,7 +126,7 @@ def test_every_part_of_a_page_shows_markup_as_text(name: str) -> None:
         title=name,
         subtitle=name,
         verdict=Verdict(level=name, headline=name, reasons=[name], next=[name]),
-        cards=[Card(name=name, value=name, note=name)],
+        cards=[Card(name, name, name)],
     )
     page.add(name, name, table([name], [[name]], numbers=[0]), bullets([name]))
     shown = page.html(created=datetime(2026, 1, 1))

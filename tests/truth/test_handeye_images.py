@@ -113,7 +113,7 @@ def test_what_is_kept_by_errors_left_out() -> None:
     assert compare(both).kept is ObservationModel.CORNERS
     freed = compare(both | {ObservationModel.CORNERS_AND_CAMERA: errors(0.95 * many, 0.95 * many)})
     assert freed.kept is ObservationModel.CORNERS
-    assert "stays as given" in freed.sentence()
+    assert "stays as given" in freed.why
 
 
 def test_four_images_are_calibrated_from_poses_and_say_so() -> None:

@@ -13,9 +13,9 @@ import pytest
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, problem_of
 from armsight.calibrate.cameras.many import ManySolved, extend_rig, moments_of, solve_cameras
-from armsight.calibrate.cameras.many_checks import KnownLens
 from armsight.calibrate.cameras.many_result import rig_of
 from armsight.calibrate.cameras.pairing import as_pose, in_frame
+from armsight.calibrate.cameras.preconditions import KnownLens
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.optics import Camera, Rig
 from armsight.records import NamedCovariance

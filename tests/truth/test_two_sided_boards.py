@@ -11,7 +11,7 @@ import pytest
 
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras.many import solve_cameras
-from armsight.calibrate.cameras.many_checks import KnownLens
+from armsight.calibrate.cameras.preconditions import KnownLens
 from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.optics import Camera

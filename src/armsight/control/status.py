@@ -6,7 +6,7 @@ import re
 import threading
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -165,13 +165,8 @@ class NoSink:
         """Forget it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Queued:
-    """One record that waits: the method of the recording's writer that takes it, and its arguments."""
-
-    method: str
-    args: tuple[Any, ...]
-    options: Mapping[str, Any] = field(default_factory=dict)
+Queued = tuple[str, tuple[Any, ...]]
+"""One record that waits: the method of the recording's writer that takes it, and its arguments."""
 
 
 class QueueSink:
@@ -190,19 +185,19 @@ class QueueSink:
     def event(self, t_s: float, message: str, level: str, name: str) -> None:
         """Queue it."""
         with self._lock:
-            self._items.append(Queued("event", (t_s, message), {"level": level, "name": name}))
+            self._items.append(("event", (t_s, message, level, name)))
 
     def command(self, t_s: float, kind: str, values: Mapping[str, Any]) -> None:
         """Queue it, or drop it where the queue is full."""
-        self._put(Queued("command", (t_s, kind, values)))
+        self._put(("command", (t_s, kind, values)))
 
     def joints(self, reading: JointReading) -> None:
         """Queue it, or drop it where the queue is full."""
-        self._put(Queued("joints", (reading,)))
+        self._put(("joints", (reading,)))
 
     def pose(self, pose: TargetPose) -> None:
         """Queue a pose of the target, from the thread that measures, or drop it where the queue is full."""
-        self._put(Queued("pose", (pose,)))
+        self._put(("pose", (pose,)))
 
     def drain(self) -> list[Queued]:
         """Return what waits, oldest first, and forget it; for the thread that writes."""

@@ -10,19 +10,28 @@ from armsight.kinematics.closed_form import (
     singularity_distance,
     singularity_measures,
 )
-from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
-from armsight.kinematics.forward_kinematics import fk, fk_jacobian, in_convention, jacobian, link_frames, pose
-from armsight.kinematics.inverse_kinematics import (
-    Inverse,
-    Solution,
-    Status,
-    branch_names,
-    ik,
-    ik_many,
-    singular_names,
+from armsight.kinematics.forward_kinematics import (
+    fk,
+    fk_jacobian,
+    in_convention,
+    jacobian,
+    link_frames,
+    moved,
+    parameter_jacobian,
+    parameter_names,
+    pose,
 )
+from armsight.kinematics.inverse_kinematics import Inverse, Solution, Status, branch_names, ik, ik_many, singular_names
 from armsight.kinematics.joints import Convention, Coupling, Joint, JointType, ToolPoint
-from armsight.kinematics.numeric import Attempt, Effort, Method, Stop, solve_numeric, solve_numeric_many
+from armsight.kinematics.numeric import (
+    Attempt,
+    Effort,
+    Method,
+    Stop,
+    Task,
+    Tolerance,
+    solve_numeric,
+    solve_numeric_many,
+)
 from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
 from armsight.kinematics.presets import PRESETS, preset, warm_up
-from armsight.kinematics.target import Task, Tolerance

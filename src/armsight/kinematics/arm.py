@@ -357,7 +357,7 @@ class Arm(records.Saveable):
 
     def moved(self, changes: Mapping[str, float]) -> Arm:
         """Return the arm with parameters changed by so much: {"j3.theta_rad": 0.005}; see kinematics.moved."""
-        from armsight.kinematics.derivatives import moved
+        from armsight.kinematics.forward_kinematics import moved
 
         records.require_kind("changes", changes, Mapping, cure='Give {"j3.theta_rad": 0.005}')
         for name, by in changes.items():

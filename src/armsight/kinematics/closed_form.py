@@ -13,7 +13,7 @@ from armsight.arrays import Array
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.forward_kinematics import jacobian, link_frames
 from armsight.kinematics.joints import link_matrix
-from armsight.kinematics.target import Task, task_of
+from armsight.kinematics.numeric import Task, task_of
 
 EXACT = 1e-10
 """A twist (rad) or offset (m) this close to the family's is the family's: an error of 0.1 nm at a metre's reach."""

@@ -23,10 +23,14 @@ from armsight.kinematics.numeric import (
     MAX_STEPS,
     Attempt,
     Stop,
+    Task,
+    Tolerance,
     attempt_from,
     search_starts,
+    start_values,
+    target_matrices,
+    task_of,
 )
-from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import freeze
 
 SAME_SOLUTION = 1e-5
@@ -185,11 +189,7 @@ def ik(
 
 
 def ik_each(
-    arm: Arm,
-    poses: RigidTransform | ArrayLike,
-    q_seed: ArrayLike | None = None,
-    *,
-    task: Task | str | None = None,
+    arm: Arm, poses: RigidTransform | ArrayLike, q_seed: ArrayLike | None = None, *, task: Task | str | None = None
 ) -> tuple[Inverse, ...]:
     """Return the solutions of each pose, near (n,), then the one before, or near rows (m, n). Raises as ik."""
     T = target_matrices(arm, poses)

@@ -18,8 +18,15 @@ from armsight.kinematics import closed_form
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
 from armsight.kinematics.inverse_kinematics import branch_names, ik, in_range
 from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
-from armsight.kinematics.numeric import FROM_START_ONLY, solve_numeric
-from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
+from armsight.kinematics.numeric import (
+    FROM_START_ONLY,
+    Task,
+    Tolerance,
+    solve_numeric,
+    start_values,
+    target_matrices,
+    task_of,
+)
 from armsight.records import Motion, freeze, frozen_array
 from armsight.records.output import Output, output
 

@@ -14,8 +14,7 @@ from armsight.arrays import Array
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.axes import AxisJoint, arm_from_axes
-from armsight.kinematics.derivatives import parameter_jacobian
-from armsight.kinematics.forward_kinematics import fk, fk_jacobian, link_frames
+from armsight.kinematics.forward_kinematics import fk, fk_jacobian, link_frames, parameter_jacobian
 from armsight.kinematics.inverse_kinematics import ik, ik_many, in_range
 from armsight.kinematics.joints import Convention, Joint, JointType
 from armsight.kinematics.numeric import Method, solve_numeric, solve_numeric_many
@@ -27,11 +26,7 @@ PER_M = 1000.0
 
 
 def _arm(
-    name: str,
-    columns: str,
-    rows: Sequence[Sequence[float]],
-    source: str,
-    convention: Convention = Convention.STANDARD,
+    name: str, columns: str, rows: Sequence[Sequence[float]], source: str, convention: Convention = Convention.STANDARD
 ) -> Arm:
     """Return an arm of joints j1, j2 ...; columns: fields of Joint, such as d_m:mm and lower:deg where so printed."""
     joints = (

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from armsight.arrays import Array
 from armsight.errors import Inconsistent
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
-from armsight.kinematics.forward_kinematics import fk
+from armsight.kinematics.forward_kinematics import fk, moved, parameter_jacobian, parameter_names
 from armsight.kinematics.joints import Coupling
 from armsight.kinematics.kernels.derivatives import PER_JOINT
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import keyword
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import sympy as sp  # type: ignore[import-untyped]  # sympy ships no types
@@ -36,26 +37,10 @@ class Formulas:
     short: dict[Any, Any]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Constants:
-    """Lengths and angles on their way into formulas: zeros and, where asked for, numbers; else symbols with values."""
-
-    numbers: bool
-    values: dict[Any, float] = field(default_factory=dict)
-
-    def __call__(self, name: str, value: float) -> Any:
-        if value == 0.0:
-            return sp.Integer(0)
-        if self.numbers:
-            return sp.Float(value, 17)
-        symbol = sp.Symbol(name, real=True)
-        self.values[symbol] = value
-        return symbol
-
-
-def formulas(arm: Arm, *, numbers: bool = False) -> Formulas:
-    """Return the arm's forward kinematics and Jacobian; lengths as symbols a1, d1.., or as numbers."""
-    constant = _Constants(numbers)
+def formulas(arm: Arm) -> Formulas:
+    """Return the arm's forward kinematics and Jacobian; lengths as symbols a1, d1.., but those that are zero."""
+    values: dict[Any, float] = {}
+    constant = partial(_constant, values)
     joints = sp.symbols(f"q1:{arm.n + 1}", real=True)
     base, links, tool = distal_rows(
         arm.convention,
@@ -88,7 +73,15 @@ def formulas(arm: Arm, *, numbers: bool = False) -> Formulas:
     tool_R, tool_p = _fixed(tool, "tool", constant)
     p = p + R * tool_p
     R = R * tool_R
-    return _gathered(arm, R, p, axes, kinds, joints, constant.values)
+    return _gathered(arm, R, p, axes, kinds, joints, values)
+
+
+def _constant(values: dict[Any, float], name: str, value: float) -> Any:
+    if value == 0.0:
+        return sp.Integer(0)
+    symbol = sp.Symbol(name, real=True)
+    values[symbol] = value
+    return symbol
 
 
 def _gathered(

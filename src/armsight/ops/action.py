@@ -86,10 +86,9 @@ class Action(CommandTraits):
 
     gives: the attribute of the result that Python gets; '' for all of it. beside: endings of the files that go beside a
     file `out`. None of them or of `keeps` is an input, but `in_place`. writes: the function of (path, result,
-    inputs=files) that writes the result into a YAML file, or into a folder where it keeps files; False: the result's
-    own `write`; True: the function itself, while it works, or by more than one name. page: the function of (result,
-    files that went in, what the action was called with) that returns the result's page. Both are loaded late: a name
-    of store.saving and report.pages, or 'module:function'.
+    inputs=files) that writes the result into a YAML file, or into a folder where it keeps files, by its name in
+    store.saving or 'module:function'; False: the result's own `write`; True: the function itself, while it works, or by
+    more than one name. page: 'module:function' in report, of (result, files that went in, what it was called with).
     """
 
     function: Callable[..., Output]

@@ -62,7 +62,7 @@ def compliance_called(name: str) -> bool | None:
     filed=True,
     judged=True,
     writes="write_cell",
-    page="cell",
+    page="cell_report:cell_report",
 )
 def calibrate_cell(
     robot_log: Annotated[

@@ -49,7 +49,7 @@ AtSetup: TypeAlias = Annotated[
     filed=True,
     judged=True,
     writes="armsight.store.handeye_file:write_handeye",
-    page="hand_eye",
+    page="handeye_report:handeye_report",
 )
 def calibrate_hand_eye(
     T_base_flange: Poses | None = None,

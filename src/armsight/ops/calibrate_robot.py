@@ -203,7 +203,7 @@ def _measured(point_m: ArrayLike | None, std_m: float) -> MeasuredPoint | None:
     filed=True,
     judged=True,
     writes="write_calibrated_arm",
-    page="arm",
+    page="arm_report:arm_report",
 )
 def calibrate_arm(
     nominal: Annotated[Any, Doc(f"The nominal arm: {KNOWN_ARM}."), CHAIN, Flag("--model", metavar="ARM")],

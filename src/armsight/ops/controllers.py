@@ -18,9 +18,8 @@ from armsight.arrays import Array
 from armsight.control.paths.exports import krl_frame, rapid_pose, ur_pose
 from armsight.control.paths.program import decimals
 from armsight.errors import Inconsistent, not_one_of
-from armsight.kinematics import Arm, JointType, fk
+from armsight.kinematics import Arm, JointType, fk, parameter_names
 from armsight.kinematics.axes import in_plain_rows
-from armsight.kinematics.derivatives import parameter_names
 from armsight.kinematics.rigid import as_rigid, drawn_postures, fitted
 from armsight.units import DEG, MM
 

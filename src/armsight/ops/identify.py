@@ -70,7 +70,7 @@ def joint_numbers(text: str) -> tuple[int, ...]:
     filed=True,
     judged=True,
     writes="write_identified",
-    page="identified",
+    page="arm_report:identify_report",
 )
 def identify_arm(
     joint: Annotated[

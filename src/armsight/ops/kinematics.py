@@ -187,7 +187,7 @@ def show_arm(
     import numpy as np
 
     from armsight.kinematics import fk as forward
-    from armsight.kinematics.target import start_values
+    from armsight.kinematics.numeric import start_values
     from armsight.ops.arm_files import arm_notes
     from armsight.ops.kinematics_results import ShowOutput, joint_values
     from armsight.report.arm_view import arm_report

@@ -26,8 +26,8 @@ from armsight.kinematics import (
     parameter_names,
     pose,
 )
+from armsight.kinematics.numeric import start_values, task_of
 from armsight.kinematics.path import Issue
-from armsight.kinematics.target import start_values, task_of
 from armsight.ops.arm_files import NOTES, arm_notes
 from armsight.ops.sources.bags import columns_of, joint_states
 from armsight.records import Motion, PoseStatus, TargetPose

@@ -71,7 +71,7 @@ def propose_mastering_poses(
     return mastering.propose_poses(placed, how, q, view, "" if out is None else str(Path(out) / POSES_TO_MEASURE))
 
 
-@action("verify", keeps=(VERIFY, REPORT), writes="write_verified", page="mastering")
+@action("verify", keeps=(VERIFY, REPORT), writes="write_verified", page="verify_pages:mastering_report")
 def check_mastering(
     measured: MeasuredFile,
     joints: JointsFile,

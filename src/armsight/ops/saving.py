@@ -32,9 +32,9 @@ def action_giving(result: object) -> Action | None:
     return next((done for kind in type(result).__mro__ if (done := _by_result().get(kind.__name__))), None)
 
 
-def _function(module: str, place: str) -> Callable[..., Any]:
-    """Return a function of a module of armsight, or of the one that its place names."""
-    made: Callable[..., Any] = loaded(place if ":" in place else f"armsight.{module}:{place}")()
+def _writer(place: str) -> Callable[..., Any]:
+    """Return a function of store.saving, or of the module that its place names."""
+    made: Callable[..., Any] = loaded(place if ":" in place else f"armsight.store.saving:{place}")()
     return made
 
 
@@ -50,7 +50,7 @@ def save(record: object, path: str | PathLike[str]) -> Path:
     if not writers:
         raise TypeError(f"{type(record).__name__} has no file of its own; {path} is not written")
     file = file_to_write(path, *writers)
-    _function("store.saving", writers[file.suffix.lower()])(file, record)
+    _writer(writers[file.suffix.lower()])(file, record)
     return file
 
 
@@ -63,9 +63,9 @@ def write_with_page(out: Path, result: Any, files: Sequence[Path] = (), given: G
     if done is None or not isinstance(done.writes, str):
         result.write(out)
         return
-    _function("store.saving", done.writes)(out, result, inputs=files)
+    _writer(done.writes)(out, result, inputs=files)
     if (page := page_path(out, result)) is not None:
-        write_text(page, _function("report.pages", done.page)(result, files, given))
+        write_text(page, loaded(f"armsight.report.{done.page}")()(result, files, given))
 
 
 def page_path(out: Path, result: object) -> Path | None:

@@ -62,7 +62,7 @@ TargetFile: TypeAlias = Annotated[AsFile, Doc("target.yaml of the lights on the 
     filed=True,
     judged=True,
     writes="write_verified",
-    page="verification",
+    page="verify_pages:verification",
 )
 def verify(
     measured: MeasuredFile,
@@ -196,7 +196,11 @@ def plan_verification(
 
 
 @action(
-    "verify", working="supervising", keeps=(VERIFY, ERRORS, REPORT, RECORDING), writes="write_verified", page="live"
+    "verify",
+    working="supervising",
+    keeps=(VERIFY, ERRORS, REPORT, RECORDING),
+    writes="write_verified",
+    page="verify_pages:live_report",
 )
 def supervise(
     robot: Annotated[str, Doc("Whose joints are read."), Flag(metavar="DRIVER:DEVICE", panel=LIVE)],

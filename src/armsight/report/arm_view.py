@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ MAX_POSTURES = 30
 """Postures drawn of a track; more of them hide each other."""
 
 
-def arm_report(arm: Arm, q: ArrayLike, *, created: datetime | None = None) -> str:
+def arm_report(arm: Arm, q: ArrayLike) -> str:
     """Return a page with the arm at q (n,), or along a track q (m, n), as HTML text that needs no other file."""
     values = np.atleast_2d(arm.checked(q))
     first = values[0]
@@ -50,7 +49,7 @@ def arm_report(arm: Arm, q: ArrayLike, *, created: datetime | None = None) -> st
         page.plot(arm_figure(arm, values)),
     )
     page.add("Joints", "", _joint_table(arm, first))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _verdict(inside: bool, names: Sequence[str]) -> Verdict:
@@ -70,10 +69,10 @@ def _cards(arm: Arm, q: Array, T: Array) -> list[Card]:
     nearness = float(singularity_distance(arm, q))
     distance = figure_of(nearness if nearness > NO_DISTANCE else 0.0)
     return [
-        Card(name="tool x", value=x),
-        Card(name="tool y", value=y),
-        Card(name="tool z", value=z),
-        Card(name="distance to singularity", value=distance, note="smallest singular value, scaled"),
+        Card("tool x", x),
+        Card("tool y", y),
+        Card("tool z", z),
+        Card("distance to singularity", distance, "smallest singular value, scaled"),
     ]
 
 
@@ -105,7 +104,9 @@ def arm_figure(arm: Arm, q: Array) -> Figure:
     frames = postures[0]
     bones = _skeleton(arm, frames)
     size = max(float(np.ptp(bones, axis=0).max()), 1e-3)
-    data += [line_mm(np.array([z0, z1]), GREY, 2, "axis") for z0, z1 in _axes(frames, 0.5 * ARROW * size)]
+    half = 0.5 * ARROW * size
+    ends = [np.array([T[:3, 3] - half * T[:3, 2], T[:3, 3] + half * T[:3, 2]]) for T in frames[:-2]]
+    data += [line_mm(axis, GREY, 2, "axis") for axis in ends]
     data.append(line_mm(bones, INK, 9, text(arm.name), mode="lines+markers", marker={"size": 4, "color": ORANGE}))
     for T, name in ((frames[0], "base"), (frames[-1], "tool")):
         for k, colour in enumerate((RED, GREEN, BLUE)):
@@ -135,11 +136,6 @@ def _skeleton(arm: Arm, frames: Array) -> Array:
         corners.append(there[:3, 3])
     corners.append(frames[-1][:3, 3])
     return np.array(corners)
-
-
-def _axes(frames: Array, half: float) -> list[tuple[Array, Array]]:
-    """Return both ends of a short stretch of each joint's axis."""
-    return [(T[:3, 3] - half * T[:3, 2], T[:3, 3] + half * T[:3, 2]) for T in frames[:-2]]
 
 
 def line_mm(points_m: Array, colour: str, width: int, name: str, **more: Any) -> Plot:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 
 import numpy as np
 
@@ -27,12 +26,7 @@ LONG_TABLE = 12
 
 
 def calibration_report(
-    done: Done,
-    shown: str,
-    boards: BoardViews | None = None,
-    *,
-    facts: Sequence[tuple[str, str]] = (),
-    created: datetime | None = None,
+    done: Done, shown: str, boards: BoardViews | None = None, *, facts: Sequence[tuple[str, str]] = ()
 ) -> str:
     """Return the page of a calibration as HTML text that needs no other file.
 
@@ -65,7 +59,7 @@ def calibration_report(
         )
     _add_rejected(page, done.rejected)
     page.add("What went in", "", table(["", ""], [[thing, shown], *([name, value] for name, value in facts)]))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _words(done: Done) -> tuple[str, str, int, str]:
@@ -119,30 +113,26 @@ def alignment_lines(done: StereoCalibration) -> list[tuple[str, str]]:
 def _cards(done: Done) -> list[Card]:
     _, noun, n, _ = _words(done)
     cards = [
-        Card(name=f"{noun} used", value=f"{done.n_used} of {n}", note=f"{len(done.rejected)} rejected"),
-        Card(name="fit", value=figure_of(done.rms_px, "px"), note="RMS"),
+        Card(f"{noun} used", f"{done.n_used} of {n}", f"{len(done.rejected)} rejected"),
+        Card("fit", figure_of(done.rms_px, "px"), "RMS"),
     ]
     if done.holdout_rms_px is not None:
-        cards.append(Card(name="left out", value=figure_of(done.holdout_rms_px, "px"), note="RMS, k-fold"))
+        cards.append(Card("left out", figure_of(done.holdout_rms_px, "px"), "RMS, k-fold"))
     if isinstance(done, StereoCalibration):
         held = done.holdout_epipolar_rms_px
         value = done.epipolar_rms_px if held is None else held
         cards += [
-            Card(
-                name="epipolar",
-                value=figure_of(value, "px"),
-                note="RMS, in the fit" if held is None else "RMS, left out",
-            ),
-            Card(name="baseline", value=figure_of(done.pair_rig().baseline_m / MM, "mm", digits=5)),
+            Card("epipolar", figure_of(value, "px"), "RMS, in the fit" if held is None else "RMS, left out"),
+            Card("baseline", figure_of(done.pair_rig().baseline_m / MM, "mm", digits=5)),
         ]
     metric = _metric(done)
     if metric:
         value = metric.get("rms_m", next(iter(metric.values())))
-        cards.append(Card(name="length on the board", value=figure_of(value / MM, "mm"), note="RMS error, left out"))
+        cards.append(Card("length on the board", figure_of(value / MM, "mm"), "RMS error, left out"))
     for name, (camera, uv_px, _) in _cameras(done).items():
         if len(uv_px):
             share = image_share(uv_px, camera.width, camera.height)
-            cards.append(Card(name=f"coverage, {name}", value=f"{100 * share:.0f} %", note="of the image"))
+            cards.append(Card(f"coverage, {name}", f"{100 * share:.0f} %", "of the image"))
     return cards
 
 

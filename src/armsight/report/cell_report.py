@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from itertools import cycle
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from armsight.arrays import Array
 from armsight.calibrate.cell import CellResult
 from armsight.calibrate.cell.model import CLOCK_AT, PER_CAMERA, POSE_AT
 from armsight.calibrate.cell.result import UNLEARNED_BITS, Learned
+from armsight.optics import SIDES
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -27,7 +29,7 @@ from armsight.report.figures import (
     subplot,
     trace,
 )
-from armsight.report.html import Card, Page, bullets, page_unit, table, text
+from armsight.report.html import NOTHING, Card, Given, Page, bullets, page_unit, table, text
 from armsight.report.scene import camera_line, line, scene_axes
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
@@ -47,11 +49,8 @@ BASE_M = 0.15
 PYRAMID_M = 0.12
 
 
-def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None) -> str:
-    """Return the page as HTML text that needs no other file.
-
-    inputs: (what, which) lines for the end of the page.
-    """
+def cell_report(done: CellResult, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
+    """Return the page as HTML text that needs no other file."""
     page = Page(
         title=f"Calibration of a cell with {done.nominal.name}",
         subtitle=f"{done.duration_s:.0f} s of motion, {done.n_frames} frames, {done.n_spots} spots",
@@ -87,8 +86,15 @@ def cell_report(done: CellResult, *, inputs: Sequence[tuple[str, str]] = (), cre
         "seconds hangs on few data.",
         page.plot(information_figure(done)),
     )
-    _add_parameters(page, done, inputs)
-    return page.html(created=created or datetime.now())
+    _add_parameters(page, done, _inputs(given))
+    return page.html()
+
+
+def _inputs(given: Given) -> list[tuple[str, str]]:
+    sides = [(f"{side} camera", name) for side in SIDES for name in (side, f"{side}_spots")]
+    named = (("arm", "model"), ("target", "target"), ("robot's log", "robot_log"), *sides)
+    told = [(what, given.get(name)) for what, name in named]
+    return [(what, str(one)) for what, one in told if isinstance(one, str | PathLike)]
 
 
 def _add_parameters(page: Page, done: CellResult, inputs: Sequence[tuple[str, str]]) -> None:
@@ -108,35 +114,34 @@ def _add_parameters(page: Page, done: CellResult, inputs: Sequence[tuple[str, st
     )
     if done.fixed:
         page.add("Held as in the arm's file", "", f"<p>{text(', '.join(done.fixed))}</p>")
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    page.add_inputs(inputs)
 
 
 def _cards(done: CellResult) -> list[Card]:
     tip = done.tip
     return [
         Card(
-            name="tip, as the cameras measure it",
-            value=f"± {figure_of(tip.measured_m / MM, 'mm', digits=2)}",
-            note=f"at worst {figure_of(tip.measured_worst_m / MM, 'mm', digits=2)}",
+            "tip, as the cameras measure it",
+            f"± {figure_of(tip.measured_m / MM, 'mm', digits=2)}",
+            f"at worst {figure_of(tip.measured_worst_m / MM, 'mm', digits=2)}",
         ),
         Card(
-            name="tip, as the joints say",
-            value=f"± {figure_of(tip.commanded_m / MM, 'mm', digits=2)}",
-            note=f"at worst {figure_of(tip.commanded_worst_m / MM, 'mm', digits=2)}",
+            "tip, as the joints say",
+            f"± {figure_of(tip.commanded_m / MM, 'mm', digits=2)}",
+            f"at worst {figure_of(tip.commanded_worst_m / MM, 'mm', digits=2)}",
         ),
         Card(
-            name="noise of one measurement",
-            value=f"± {figure_of(tip.noise_m / MM, 'mm', digits=2)}",
-            note="comes on top, goes with the mean",
+            "noise of one measurement",
+            f"± {figure_of(tip.noise_m / MM, 'mm', digits=2)}",
+            "comes on top, goes with the mean",
         ),
         *_baseline(done),
         Card(
-            name="residual, px",
-            value=", ".join(figure_of(px, digits=2) for px in done.residual_px.values()),
-            note=f"{' and '.join(done.rig.names)} camera, RMS",
+            "residual, px",
+            ", ".join(figure_of(px, digits=2) for px in done.residual_px.values()),
+            f"{' and '.join(done.rig.names)} camera, RMS",
         ),
-        Card(name="scale from", value=f"the {done.scale.set_by}", note=f"ratio {_ratio(done)}"),
+        Card("scale from", f"the {done.scale.set_by}", f"ratio {_ratio(done)}"),
     ]
 
 
@@ -145,7 +150,7 @@ def _baseline(done: CellResult) -> list[Card]:
     if far is None or std is None:
         return []
     value = f"{with_deviation(far / MM, std / MM)[0]} mm"
-    return [Card(name="baseline", value=value, note=f"± {figure_of(std / MM, 'mm', digits=2)}")]
+    return [Card("baseline", value, f"± {figure_of(std / MM, 'mm', digits=2)}")]
 
 
 def _ratio(done: CellResult) -> str:

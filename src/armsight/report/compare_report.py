@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from armsight.measure.series import SCALE, Series
 from armsight.records import PoseStatus
 from armsight.records.result_parts import Difference, Verdict
 from armsight.report.figures import BLUE, RED, Figure, axis, bars, layout, named_ticks, short_names
-from armsight.report.html import Card, Page, bullets, table
+from armsight.report.html import Card, Page, table
 from armsight.report.track import deviation_figure
 from armsight.units import figure_of, with_deviation
 
@@ -49,7 +48,6 @@ def compare_report(
     effects: Sequence[tuple[str, str]],
     notes: Sequence[str],
     course: Course | None = None,
-    created: datetime | None = None,
 ) -> str:
     """Return the page as HTML text that needs no other file.
 
@@ -59,7 +57,7 @@ def compare_report(
         title=f"Comparison of {KINDS[kind]}",
         subtitle=f"A is {names[0]}, B is {names[1]}",
         verdict=verdict,
-        cards=[Card(name=name, value=value) for name, value in effects[:CARDS]],
+        cards=[Card(name, value) for name, value in effects[:CARDS]],
     )
     if effects:
         cells = [list(item) for item in effects]
@@ -78,9 +76,8 @@ def compare_report(
             page.plot(_course(course)),
         )
     page.add("Number by number", "", _table(rows))
-    if notes:
-        page.add("What to know", "", bullets(notes))
-    return page.html(created=created or datetime.now())
+    page.add_notes(notes)
+    return page.html()
 
 
 def _table(rows: Sequence[Difference]) -> str:

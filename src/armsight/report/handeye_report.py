@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -26,7 +26,7 @@ from armsight.report.figures import (
     short_names,
     subplot,
 )
-from armsight.report.html import Card, Page, bullets, page_unit, table
+from armsight.report.html import FILES_SHOWN, NOTHING, Card, Given, Page, page_unit, table
 from armsight.report.scene import add_boards
 from armsight.units import DEG, MM, displayed_name, figure_of, with_deviation
 
@@ -35,26 +35,17 @@ AXIS_SHARE = 0.06
 """Length of a drawn axis over the size of the scene."""
 
 
-def handeye_report(
-    result: HandEyeResult,
-    *,
-    inputs: Sequence[tuple[str, str]] = (),
-    created: datetime | None = None,
-) -> str:
-    """Return the page as HTML text that needs no other file.
-
-    inputs: (what, which) lines for the end of the page.
-    """
+def handeye_report(result: HandEyeResult, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
+    """Return the page as HTML text that needs no other file. files: that went in."""
     page = Page(
         title="Hand-eye calibration",
         subtitle=f"{result.setup}, {result.n_used} of {len(result.pairs)} poses",
         verdict=result.verdict_,
         cards=_cards(result),
     )
-    if result.advice:
-        page.add("What to know, and to do", "", bullets(result.advice))
+    page.add_notes(result.advice, "What to know, and to do")
     if result.comparison is not None:
-        page.add("From poses or from corners", result.comparison.sentence(), _comparison(result.comparison))
+        page.add("From poses or from corners", result.comparison.why, _comparison(result.comparison))
     page.add(
         "Result",
         "Position in mm, orientation as a rotation vector in degrees, in the axes of the frame named first. "
@@ -63,7 +54,7 @@ def handeye_report(
     )
     page.add(
         "Poses in space",
-        f"In the base's axes: flange, camera and target as the calibration sees them. {_axes_note()}",
+        "In the base's axes: flange, camera and target as the calibration sees them. Axes are x red, y green, z blue.",
         page.plot(scene_figure(result)),
     )
     if result.boards is not None:
@@ -76,8 +67,8 @@ def handeye_report(
     )
     lead = "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open."
     page.add("Turns of the hand", lead, page.plot(turning_figure(result)))
-    _add_background(page, result, inputs)
-    return page.html(created=created or datetime.now())
+    _add_background(page, result, [("file", item.name) for item in files[:FILES_SHOWN]])
+    return page.html()
 
 
 def _add_background(page: Page, result: HandEyeResult, inputs: Sequence[tuple[str, str]]) -> None:
@@ -85,8 +76,7 @@ def _add_background(page: Page, result: HandEyeResult, inputs: Sequence[tuple[st
     page.add("Whose noise it is", "Standard deviations of one component of one pose.", _noise(result))
     if result.rejected_pairs:
         page.add("Left out", "", table(["pose", "why"], [[one.name, one.why] for one in result.rejected_pairs]))
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    page.add_inputs(inputs)
 
 
 def _cards(result: HandEyeResult) -> list[Card]:
@@ -94,29 +84,25 @@ def _cards(result: HandEyeResult) -> list[Card]:
     position_m = max(std[name] for name in POSITION)
     turn_rad = max(std[name] for name in ROTATION_VECTOR)
     cards = [
-        Card(name="camera's place, 95 %", value=figure_of(1.96 * position_m / MM, "mm"), note="weakest direction"),
-        Card(name="camera's orientation, 95 %", value=figure_of(1.96 * turn_rad / DEG, "°"), note="weakest axis"),
+        Card("camera's place, 95 %", figure_of(1.96 * position_m / MM, "mm"), "weakest direction"),
+        Card("camera's orientation, 95 %", figure_of(1.96 * turn_rad / DEG, "°"), "weakest axis"),
         Card(
-            name="pose left out",
-            value=figure_of(result.loo_rms_m / MM, "mm"),
-            note=f"{figure_of(result.loo_rms_rad / DEG, '°')}, RMS at the target",
+            "pose left out",
+            figure_of(result.loo_rms_m / MM, "mm"),
+            f"{figure_of(result.loo_rms_rad / DEG, '°')}, RMS at the target",
         ),
-        Card(
-            name="second turn",
-            value=figure_of(result.rotation_excitation.rms_rad[1] / DEG, "°"),
-            note="RMS, 8° and more is fine",
-        ),
+        Card("second turn", figure_of(result.rotation_excitation.rms_rad[1] / DEG, "°"), "RMS, 8° and more is fine"),
     ]
     if result.scale is not None:
         cards.append(
             Card(
-                name="target's size, true over given",
-                value=f"{result.scale.factor:.4f}",
-                note=f"+- {result.scale.std:.4f}, from the robot's motion",
+                "target's size, true over given",
+                f"{result.scale.factor:.4f}",
+                f"+- {result.scale.std:.4f}, from the robot's motion",
             )
         )
     if result.reprojection_rms_px is not None:
-        cards.append(Card(name="corners", value=figure_of(result.reprojection_rms_px, "px"), note="RMS"))
+        cards.append(Card("corners", figure_of(result.reprojection_rms_px, "px"), "RMS"))
     return cards
 
 
@@ -251,10 +237,6 @@ def turning_figure(result: HandEyeResult) -> Figure:
         )
     scene = {"aspectmode": "data", **{f"{k}axis": {"title": {"text": f"about {k}, °"}} for k in "xyz"}}
     return Figure(data=data, layout=layout(scene=scene), height_px=460)
-
-
-def _axes_note() -> str:
-    return "Axes are x red, y green, z blue."
 
 
 def _stacked(pose: RigidTransform) -> RigidTransform:

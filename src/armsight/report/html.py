@@ -8,15 +8,21 @@ import gzip
 import html
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import resources
+from types import MappingProxyType
 
 from armsight._version import __version__
 from armsight.records.result_parts import Verdict
 from armsight.report.figures import Figure, Plot, fitted_scene, json_text
 
+Given = Mapping[str, object]
+"""What an action was called with."""
+NOTHING: Given = MappingProxyType({})
+FILES_SHOWN = 20
+"""Files of what went in that a page lists; the result's own file has all, with their hashes."""
 PANEL_PX = 300
 """Width of a panel beside others from which on its numbers stand clear of each other."""
 
@@ -136,7 +142,7 @@ def text(value: object) -> str:
     return html.escape(re.sub(r"\+- ?(?=\d)", "± ", str(value)), quote=True)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Card:
     """One key figure: its name, its value with unit, a remark."""
 
@@ -162,6 +168,16 @@ class Page:
         lead = f"<p>{text(explanation)}</p>" if explanation else ""
         self._sections.append(f"<section><h2>{text(heading)}</h2>{lead}{''.join(parts)}</section>")
 
+    def add_notes(self, notes: Sequence[str], heading: str = "What to know") -> None:
+        """Add what to know of the result, where there is something."""
+        if notes:
+            self.add(heading, "", bullets(notes))
+
+    def add_inputs(self, inputs: Sequence[tuple[str, str]]) -> None:
+        """Add (what, which) of each thing that went in, where there is one."""
+        if inputs:
+            self.add("What went in", "", table(["", ""], inputs))
+
     def plot(self, figure: Figure) -> str:
         """Take a figure; return its place in the page."""
         name = f"figure{len(self._figures) + 1}"
@@ -174,8 +190,8 @@ class Page:
         style = f"height:{figure.height_px}px;--least:{_least_px(figure.layout)}px"
         return f'<div class="scroll"><div class="plot" id="{name}" style="{style}"></div></div>'
 
-    def html(self, *, created: datetime) -> str:
-        """Return the whole page."""
+    def html(self, *, created: datetime | None = None) -> str:
+        """Return the whole page. created: now where it is not given."""
         cards = "".join(
             f"<div><span>{text(card.name)}</span><b>{text(card.value)}</b><small>{text(card.note)}</small></div>"
             for card in self.cards
@@ -185,7 +201,7 @@ class Page:
             f"{text(' '.join(self.verdict.reasons))}<p><b>What to do</b> {text(' '.join(self.verdict.next))}</p></div>"
         )
         figures = _base64(gzip.compress(json_text(self._figures).encode(), 9, mtime=0))
-        when = created.strftime("%Y-%m-%d %H:%M")
+        when = (created or datetime.now()).strftime("%Y-%m-%d %H:%M")
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from datetime import datetime
 
 import numpy as np
 
@@ -27,7 +26,7 @@ MAX_LOSSES = 25
 MAX_SAMPLES = 6
 
 
-def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
+def measure_report(run: MeasureRun) -> str:
     """Return the page of a measurement as HTML text that needs no other file."""
     series = series_of(run.poses, timed=run.timed, apart=run.stills)
     errors = errors_of(run.poses, run.truth) if run.truth is not None else None
@@ -45,7 +44,7 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     _add_consistency(page, run)
     _add_losses(page, run, series)
     _add_inputs(page, run)
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _subtitle(run: MeasureRun, series: Series) -> str:
@@ -77,30 +76,30 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
     spots = sum(len(rows) for rows in run.residuals.values())
     cards = [
         Card(
-            name="full poses",
-            value=f"{int(series.whole.sum()):,}",
-            note=f"of {n:,}, {count[PoseStatus.DOUBTFUL]:,} doubtful; "
+            "full poses",
+            f"{int(series.whole.sum()):,}",
+            f"of {n:,}, {count[PoseStatus.DOUBTFUL]:,} doubtful; "
             f"{count[PoseStatus.POSITION_ONLY]:,} position only, {count[PoseStatus.LOST]:,} lost",
         ),
         Card(
-            name="position uncertainty",
-            value=figure_of(float(np.sqrt(np.sum(middle[:3] ** 2))), "mm"),
-            note="claimed, 3-D, one standard deviation, median",
+            "position uncertainty",
+            figure_of(float(np.sqrt(np.sum(middle[:3] ** 2))), "mm"),
+            "claimed, 3-D, one standard deviation, median",
         ),
         Card(
-            name="rotation uncertainty",
-            value=figure_of(float(np.sqrt(np.sum(middle[3:] ** 2))), "°"),
-            note="claimed, one standard deviation, median",
+            "rotation uncertainty",
+            figure_of(float(np.sqrt(np.sum(middle[3:] ** 2))), "°"),
+            "claimed, one standard deviation, median",
         ),
         Card(
-            name="reprojection",
-            value=figure_of(distance_rms([rows[:, 1:] for rows in run.residuals.values()]), "px"),
-            note=f"RMS distance, {spots:,} spots" if spots else "",
+            "reprojection",
+            figure_of(distance_rms([rows[:, 1:] for rows in run.residuals.values()]), "px"),
+            f"RMS distance, {spots:,} spots" if spots else "",
         ),
         Card(
-            name="time per pair" if run.rig.is_pair else "time per moment",
-            value=figure_of(run.median_ms, "ms"),
-            note=f"median; 99 % below {figure_of(run.p99_ms, 'ms')}" if run.p99_ms is not None else "median",
+            "time per pair" if run.rig.is_pair else "time per moment",
+            figure_of(run.median_ms, "ms"),
+            f"median; 99 % below {figure_of(run.p99_ms, 'ms')}" if run.p99_ms is not None else "median",
         ),
     ]
     return cards if errors is None else [cards[0], _error_card(errors), *cards[1:]]
@@ -108,7 +107,7 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
 
 def _error_card(errors: Errors) -> Card:
     rms = float(np.sqrt(np.nansum(_rms_columns(errors.values)[:3] ** 2)))
-    return Card(name="position error", value=figure_of(rms, "mm"), note="against the truth, 3-D RMS")
+    return Card("position error", figure_of(rms, "mm"), "against the truth, 3-D RMS")
 
 
 def _add_truth(page: Page, errors: Errors | None) -> None:
@@ -176,17 +175,18 @@ def _add_deviation(page: Page, series: Series, errors: Errors | None) -> None:
         text = "Half the width of the 95 % band: what may be read off the pose at each moment."
         page.add("Width of the band over time", text, page.plot(deviation_figure(series, None, std)))
         return
-    rms, claimed = (float(np.sqrt(np.nansum(_rms_columns(part)[:3] ** 2))) for part in (scatter.values, std))
+    values, resting = scatter
+    rms, claimed = (float(np.sqrt(np.nansum(_rms_columns(part)[:3] ** 2))) for part in (values, std))
     about = (
         "the mean, since nothing moved"
-        if scatter.resting
+        if resting
         else f"the smooth track, a parabola through {NEIGHBOURS} frames; a quicker motion shows here too"
     )
     page.add(
         "Deviation over time",
         f"No truth is known: each pose about {about}. Position scatters by {figure_of(rms, 'mm')} RMS (3-D); "
         f"{figure_of(claimed, 'mm')} are claimed, the band being 95 %. Errors that stay the same do not show.",
-        page.plot(deviation_figure(series, scatter.values, std)),
+        page.plot(deviation_figure(series, values, std)),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from types import MappingProxyType
 
 import numpy as np
@@ -13,7 +12,7 @@ from armsight.control.guard import Box, Limits
 from armsight.control.guard.limits import joint_bounds
 from armsight.control.paths import PathCheck, PathIssue, PathTrouble
 from armsight.kinematics import Arm
-from armsight.kinematics.target import start_values
+from armsight.kinematics.numeric import start_values
 from armsight.records import TaughtPath
 from armsight.records.result_parts import Verdict
 from armsight.report.arm_view import arm_figure, line_mm
@@ -46,16 +45,7 @@ FLATTEST = 0.4
 """Of the picture of the path alone, as a share of its widest side."""
 
 
-def path_report(
-    path: TaughtPath,
-    arm: Arm,
-    limits: Limits,
-    found: PathCheck,
-    *,
-    name: str,
-    refused: str = "",
-    created: datetime | None = None,
-) -> str:
+def path_report(path: TaughtPath, arm: Arm, limits: Limits, found: PathCheck, *, name: str, refused: str = "") -> str:
     """Return the page of what check_path found, as HTML text that needs no other file; path in world or base.
 
     refused: why play does not run it, where it does not.
@@ -67,7 +57,12 @@ def path_report(
     else:
         level, headline, said, todo = "bad", "cannot be run", _sentence(arm, found, runs, refused), MEND
     verdict = Verdict(level=level, headline=headline, reasons=[said], next=[todo])
-    page = Page(title=f"{name} on {arm.name}", subtitle=_subtitle(path), verdict=verdict, cards=_cards(path, found))
+    page = Page(
+        title=f"{name} on {arm.name}",
+        subtitle=f"{len(path)} rows in {path.parent}, {path.length_m[-1]:.3f} m",
+        verdict=verdict,
+        cards=_cards(path, found),
+    )
     around, alone = _scenes(path, arm, limits, found, runs)
     page.add(
         "Arm and path",
@@ -86,11 +81,7 @@ def path_report(
     if len(found.q) > 1:
         explained = "Shares of what limits and arm allow: of its range from the middle, and of its speed."
         page.add("Joints along the path", explained, *(page.plot(one) for one in _joints(path, arm, limits, found)))
-    return page.html(created=created or datetime.now())
-
-
-def _subtitle(path: TaughtPath) -> str:
-    return f"{len(path)} rows in {path.parent}, {path.length_m[-1]:.3f} m"
+    return page.html()
 
 
 def _sentence(arm: Arm, found: PathCheck, runs: Sequence[Sequence[PathIssue]], refused: str) -> str:
@@ -102,10 +93,10 @@ def _sentence(arm: Arm, found: PathCheck, runs: Sequence[Sequence[PathIssue]], r
 
 def _cards(path: TaughtPath, found: PathCheck) -> list[Card]:
     return [
-        Card(name="rows reached", value=f"{len(found.q)} of {found.rows}"),
-        Card(name="troubles", value=str(len(found.issues))),
-        Card(name="length", value=figure_of(float(path.length_m[-1]) / MM, "mm", digits=4)),
-        Card(name="time", value=figure_of(float(found.t_s[-1]), "s"), note="at its speeds, without starts and stops"),
+        Card("rows reached", f"{len(found.q)} of {found.rows}"),
+        Card("troubles", str(len(found.issues))),
+        Card("length", figure_of(float(path.length_m[-1]) / MM, "mm", digits=4)),
+        Card("time", figure_of(float(found.t_s[-1]), "s"), "at its speeds, without starts and stops"),
     ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -229,17 +228,9 @@ AT_REST = 6.0
 """Range of the smoothed values over the claimed standard deviation, up to which nothing moved."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scatter:
-    """How the poses lie about themselves where no truth is known: (n, 6) in mm and degrees, NaN where nothing can be
-    said. resting: about the mean of a target at rest; else about the smooth track."""
-
-    values: Array
-    resting: bool
-
-
-def scatter_of(series: Series) -> Scatter | None:
-    """Return each full pose less the mean at rest, or less the parabola through its NEIGHBOURS in a track.
+def scatter_of(series: Series) -> tuple[Array, bool] | None:
+    """Return each full pose less the mean at rest, or less the parabola through its NEIGHBOURS in a track, (n, 6) in mm
+    and degrees, NaN where nothing can be said; and whether the target rests.
 
     What a parabola takes along of white noise is put back: its residuals have the share 1 - c of the noise's variance,
     c the weight of the middle frame (Savitzky and Golay 1964). Frames near a gap have no full neighbourhood: NaN.
@@ -257,6 +248,6 @@ def scatter_of(series: Series) -> Scatter | None:
         return None
     typical = np.nanmedian(std[known], axis=0)
     if (np.ptp(smooth[known], axis=0) <= AT_REST * typical).all():
-        return Scatter(values=full - np.nanmean(full, axis=0), resting=True)
+        return full - np.nanmean(full, axis=0), True
     weight = float(PARABOLA[half])
-    return Scatter(values=(full - smooth) / np.sqrt(1.0 - weight), resting=False)
+    return (full - smooth) / np.sqrt(1.0 - weight), False

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
-from pathlib import PurePath
+from pathlib import Path, PurePath
 
 import numpy as np
 
 from armsight.arrays import Array
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, Plot, axis, layout, subplot, thinned, trace
-from armsight.report.html import Card, Page, add_recordings, bullets, page_unit, table, text
-from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
+from armsight.report.html import NOTHING, Card, Given, Page, add_recordings, page_unit, table, text
+from armsight.report.verify_report import (
+    BY_PLACE,
+    ISO_TOLD,
+    LISTED,
+    PRINT,
+    iso_by_place,
+    iso_table,
+    named_inputs,
+    verify_report,
+)
 from armsight.units import DEG, MM, displayed, figure_of, with_deviation
 from armsight.verify import Measured, Repeats
 from armsight.verify.iso9283.figure import IsoFigure
@@ -25,9 +33,12 @@ COURSE = (
 )
 
 
-def live_report(
-    summary: VerifyLiveOutput, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
-) -> str:
+def verification(result: VerifyResult, files: Sequence[Path], given: Given) -> str:
+    """Return the page of a verification, or of repeats alone."""
+    return repeats_report(result) if result.verification is None else verify_report(result, given)
+
+
+def live_report(summary: VerifyLiveOutput, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
     """Return the page as HTML text that needs no other file."""
     page = Page(
         title="Supervision of a running arm",
@@ -39,12 +50,13 @@ def live_report(
         rows = [[f"{item.t_s:.3f}", item.level, item.why] for item in summary.alarms]
         page.add("Alarms", "", table(["t, s", "level", "why"], rows, numbers=(0,)))
     page.add("Errors over time", COURSE, page.plot(_live_course(summary.log.series(), summary.levels)))
-    if summary.doubts:
-        page.add("What to know", "", bullets(summary.doubts))
+    page.add_notes(summary.doubts)
     add_recordings(page, [PurePath(summary.recording).name] if summary.recording else [])
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-    return page.html(created=created or datetime.now())
+    cameras = given.get("cameras")
+    more = cameras if isinstance(cameras, Mapping) else {}
+    devices = ("robot", *dict.fromkeys(("left", "right", *more)), "arm")
+    page.add_inputs(named_inputs({**given, **more}, (*devices, "rig", "target", "world"), devices))
+    return page.html()
 
 
 def _cards(summary: VerifyLiveOutput) -> list[Card]:
@@ -54,22 +66,14 @@ def _cards(summary: VerifyLiveOutput) -> list[Card]:
         return figure_of(None if value is None else value / factor, unit)
 
     cards = [
-        Card(
-            name="error of place",
-            value=shown(errors.rms_m, MM, "mm"),
-            note=f"RMS; noise {shown(errors.std_m, MM, 'mm')}",
-        ),
-        Card(name="largest", value=shown(errors.max_m, MM, "mm")),
-        Card(
-            name="error of rotation",
-            value=shown(errors.rms_rad, DEG, "°"),
-            note=f"RMS; noise {shown(errors.std_rad, DEG, '°')}",
-        ),
-        Card(name="pairs a second", value=figure_of(summary.rate_hz), note=f"{summary.missed} never came"),
-        Card(name="longest blind", value=figure_of(summary.blind_s, "s")),
+        Card("error of place", shown(errors.rms_m, MM, "mm"), f"RMS; noise {shown(errors.std_m, MM, 'mm')}"),
+        Card("largest", shown(errors.max_m, MM, "mm")),
+        Card("error of rotation", shown(errors.rms_rad, DEG, "°"), f"RMS; noise {shown(errors.std_rad, DEG, '°')}"),
+        Card("pairs a second", figure_of(summary.rate_hz), f"{summary.missed} never came"),
+        Card("longest blind", figure_of(summary.blind_s, "s")),
     ]
     if ms is not None:
-        cards.append(Card(name="decision", value=figure_of(ms.median, "ms"), note=f"p99 {figure_of(ms.p99, 'ms')}"))
+        cards.append(Card("decision", figure_of(ms.median, "ms"), f"p99 {figure_of(ms.p99, 'ms')}"))
     return cards
 
 
@@ -109,7 +113,7 @@ def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> Plot
 ZEROS = "What is believed with the cause told; deviations hold what the links' lengths and axes may be off by."
 
 
-def mastering_report(summary: MasteringOutput, *, created: datetime | None = None) -> str:
+def mastering_report(summary: MasteringOutput, files: Sequence[Path] = (), given: Given = NOTHING) -> str:
     """Return the page as HTML text that needs no other file."""
     slides = summary.slides
     page = Page(
@@ -117,8 +121,8 @@ def mastering_report(summary: MasteringOutput, *, created: datetime | None = Non
         subtitle=f"{summary.n} poses compared, {len(summary.rejected)} left out",
         verdict=summary.verdict_,
         cards=[
-            Card(name="error of place", value=figure_of(summary.rms_before_m / MM, "mm"), note="RMS, as measured"),
-            Card(name="without the cause", value=figure_of(summary.rms_after_m / MM, "mm"), note="RMS"),
+            Card("error of place", figure_of(summary.rms_before_m / MM, "mm"), "RMS, as measured"),
+            Card("without the cause", figure_of(summary.rms_after_m / MM, "mm"), "RMS"),
         ],
     )
     rows = []
@@ -128,11 +132,10 @@ def mastering_report(summary: MasteringOutput, *, created: datetime | None = Non
         shown = ("–", "–") if value is None else with_deviation(value / scale, None if std is None else std / scale)
         rows.append([f"{joint.index} {joint.name}", *shown, page_unit(unit), joint.why])
     page.add("Joints", ZEROS, table(["joint", "zero", "±", "unit", ""], rows, numbers=(1, 2)))
-    if summary.doubts:
-        page.add("What to know", "", bullets(summary.doubts))
+    page.add_notes(summary.doubts)
     if summary.rejected:
         page.add("Rows left out", "", table(["row", "why"], [[r.row, r.why] for r in summary.rejected]))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 CARD_NAMES: Mapping[str, str] = {
@@ -144,7 +147,7 @@ CARD_NAMES: Mapping[str, str] = {
 COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
-def repeats_report(summary: VerifyResult, *, created: datetime | None = None) -> str:
+def repeats_report(summary: VerifyResult) -> str:
     """Return the page of repeats alone as HTML text that needs no other file."""
     iso, other = summary.iso9283, summary.earlier
     page = Page(
@@ -165,12 +168,11 @@ def repeats_report(summary: VerifyResult, *, created: datetime | None = None) ->
     page.style = PRINT.format(first=4, zoom=0.72)
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)
-    if summary.doubts:
-        page.add("What to know", "", bullets(summary.doubts))
+    page.add_notes(summary.doubts)
     if summary.rejected:
         rows = [[item.row, item.why] for item in summary.rejected[:LISTED]]
         page.add("Rows left out", "", table(["row", "why"], rows))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _compared(iso: Mapping[str, IsoFigure], other: Mapping[str, IsoFigure]) -> str:
@@ -190,7 +192,7 @@ def _iso_cards(iso: Mapping[str, IsoFigure]) -> list[Card]:
         item = iso.get(name)
         if item is not None and item.value is not None:
             note = f"{item.n} of {item.wanted} repeats"
-            cards.append(Card(name=CARD_NAMES[name], value=f"{item.shown(MM)} mm", note=note))
+            cards.append(Card(CARD_NAMES[name], f"{item.shown(MM)} mm", note))
     return cards
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
+from armsight._files import arm_source
 from armsight.arrays import Array
 from armsight.geometry import xyz_quat
 from armsight.kinematics import Arm
@@ -27,7 +29,7 @@ from armsight.report.figures import (
     thinned,
     trace,
 )
-from armsight.report.html import Card, Page, bullets, page_unit, table, text
+from armsight.report.html import Card, Given, Page, bullets, page_unit, table, text
 from armsight.units import DEG, MM, MS, displayed_name, figure_of, pair_of, with_deviation
 from armsight.verify import Verification
 from armsight.verify.iso9283.figure import IsoFigure, symbol_of
@@ -74,9 +76,14 @@ LISTED = 40
 HISTOGRAM_BARS = 40
 
 
-def verify_report(
-    summary: VerifyResult, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None
-) -> str:
+def named_inputs(given: Given, names: Sequence[str], in_full: Sequence[str]) -> list[tuple[str, str]]:
+    """Return what went in by name where it was said in words: files by their names alone but for those in full."""
+    told = [(name, given.get(name)) for name in names]
+    texts = [(name, str(value)) for name, value in told if isinstance(value, str | PathLike)]
+    return [(name, text if name in in_full else Path(text).name) for name, text in texts]
+
+
+def verify_report(summary: VerifyResult, given: Given) -> str:
     """Return the page as HTML text that needs no other file; of what was compared with an arm or with commands."""
     result, arm, other = summary.verification, summary.model, summary.earlier
     if result is None:
@@ -104,21 +111,23 @@ def verify_report(
         page.add("Errors over joint angles", JOINTWISE, page.plot(over_joints(result, arm)))
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)
-    _add_background(page, summary, inputs)
-    return page.html(created=created or datetime.now())
+    _add_background(page, summary, given)
+    return page.html()
 
 
-def _add_background(page: Page, summary: VerifyResult, inputs: Sequence[tuple[str, str]]) -> None:
+def _add_background(page: Page, summary: VerifyResult, given: Given) -> None:
     """Add what the figures rest on: base and tool, what to know, rows left out, files."""
     page.add("Base and tool", "", _alignment_table(summary))
-    if summary.doubts:
-        page.add("What to know", "", bullets(summary.doubts))
+    page.add_notes(summary.doubts)
     if summary.rejected:
         rows = [[item.row, item.why] for item in summary.rejected[:LISTED]]
         more = len(summary.rejected) - LISTED
         page.add("Rows left out", f"And {more} more in verify.json." if more > 0 else "", table(["row", "why"], rows))
-    if inputs:
-        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    arm = given.get("arm")
+    if isinstance(arm, str | PathLike):
+        links = {name: str(given[name]) for name in ("tip", "base") if given.get(name) is not None}
+        given = {**given, "arm": arm_source(str(arm), **links)}
+    page.add_inputs(named_inputs(given, ("measured", "arm", "joints", "commanded", "world"), ("arm",)))
 
 
 def _cards(summary: VerifyResult) -> list[Card]:
@@ -130,22 +139,20 @@ def _cards(summary: VerifyResult) -> list[Card]:
         "" if len(own) < 3 else f"; the measurement's own {figure_of(float(np.linalg.norm(own)) / MM, 'mm', digits=2)}"
     )
     cards = [
-        Card(name="error of place", value=figure_of(after.rms_m / MM, "mm"), note=f"RMS{text}"),
-        Card(name="largest", value=figure_of(after.max_m / MM, "mm")),
+        Card("error of place", figure_of(after.rms_m / MM, "mm"), f"RMS{text}"),
+        Card("largest", figure_of(after.max_m / MM, "mm")),
     ]
     if after.rms_rad is not None:
-        cards.append(Card(name="error of rotation", value=figure_of(after.rms_rad / DEG, "°"), note="RMS"))
+        cards.append(Card("error of rotation", figure_of(after.rms_rad / DEG, "°"), "RMS"))
     free = " and ".join(summary.alignment.free)
     if free:
-        cards.append(Card(name="before aligning", value=figure_of(before.rms_m / MM, "mm"), note=f"aligned: {free}"))
+        cards.append(Card("before aligning", figure_of(before.rms_m / MM, "mm"), f"aligned: {free}"))
     if time.offset_s is not None and time.std_s is not None:
         shown, deviation = with_deviation(time.offset_s / MS, time.std_s / MS)
-        cards.append(Card(name="time offset", value=f"{shown} ms", note=f"± {deviation} ms"))
+        cards.append(Card("time offset", f"{shown} ms", f"± {deviation} ms"))
     share = summary.explained.measurement
     if share is not None:
-        cards.append(
-            Card(name="measurement explains", value=figure_of(100.0 * share, "%"), note="of the squared error")
-        )
+        cards.append(Card("measurement explains", figure_of(100.0 * share, "%"), "of the squared error"))
     return cards
 
 
@@ -255,15 +262,9 @@ def _alignment_table(summary: VerifyResult) -> str:
             rows.append([words, *shown, ", ".join(f"{v:.6f}" for v in quat)])
     parts = [table(["", "x", "y", "z", "quaternion x y z w"], rows, numbers=(1, 2, 3))]
     if alignment.undetermined:
-        parts.append(
-            bullets([f"not determined by these rows: {', '.join(_plain(name) for name in alignment.undetermined)}"])
-        )
+        open_ = [name.removesuffix("_rad").removesuffix("_m") for name in alignment.undetermined]  # without units
+        parts.append(bullets([f"not determined by these rows: {', '.join(open_)}"]))
     return "".join(parts)
-
-
-def _plain(name: str) -> str:
-    """Return a parameter's name without the unit that it has in files."""
-    return name.removesuffix("_rad").removesuffix("_m")
 
 
 def course(result: Verification) -> Figure:

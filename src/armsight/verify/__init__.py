@@ -2,8 +2,8 @@
 
 from armsight.verify.alignment import Align as Align
 from armsight.verify.cause import Cause as Cause
-from armsight.verify.effects import JointVerdict as JointVerdict
-from armsight.verify.effects import Kind as Kind
+from armsight.verify.model import JointVerdict as JointVerdict
+from armsight.verify.model import Kind as Kind
 from armsight.verify.pairing import Paired as Paired
 from armsight.verify.pairing import Reported as Reported
 from armsight.verify.records import Figures as Figures

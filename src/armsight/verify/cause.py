@@ -17,11 +17,11 @@ from armsight.calibrate.arm.covariance import APART
 from armsight.errors import NotConverged
 from armsight.fitting.groups import regions
 from armsight.kinematics import Arm
-from armsight.verify.effects import Effect, JointVerdict, Kind, effects, far_zeros, model_off, several_off, shown, still
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance, fit_linear, gain, moved_rig, poses_of
 from armsight.verify.evidence import falls as fall_by_chance
 from armsight.verify.explanations import ANGLE_RAD, LENGTH_M, Account, GeometryPrior, drifting
-from armsight.verify.model import ModelFit
+from armsight.verify.model import Effect, JointVerdict, Kind, ModelFit, effects, shown, still
+from armsight.verify.words import far_zeros, model_off, several_off
 
 FEWEST_POSES = 12
 """With fewer, poses left out say nothing."""

@@ -15,8 +15,7 @@ from armsight.fitting.groups import inflation, without
 from armsight.fitting.quantiles import chi2_sf, t_sf
 from armsight.geometry.poses import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
-from armsight.verify.effects import Effect, Kind
-from armsight.verify.model import Expected, Model, ModelFit, Mounts, Noise, fit_model
+from armsight.verify.model import Effect, Expected, Kind, Model, ModelFit, Mounts, Noise, fit_model
 from armsight.verify.records import Measured
 
 

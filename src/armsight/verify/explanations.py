@@ -19,9 +19,8 @@ from armsight.arrays import Array
 from armsight.fitting.groups import inflation
 from armsight.kinematics import fk, fk_jacobian
 from armsight.units import MM
-from armsight.verify.effects import Effect, Kind
 from armsight.verify.evidence import Case, Evidence, by_chance, fit_linear, placement, solved
-from armsight.verify.model import Model, ModelFit, Noise, extra_noise
+from armsight.verify.model import Effect, Kind, Model, ModelFit, Noise, extra_noise
 from armsight.verify.records import Measured
 
 LENGTH_M, ANGLE_RAD = 1e-3, 1e-3

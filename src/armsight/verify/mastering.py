@@ -18,10 +18,9 @@ from armsight.kinematics import Arm, fk
 from armsight.units import DEG, MM, displayed
 from armsight.verify.alignment import Align, align, free_names, gross
 from armsight.verify.cause import CHANCE, RIVAL_LOG, judge
-from armsight.verify.effects import Effect, JointVerdict, Kind
 from armsight.verify.evidence import Case, Evidence, Fitted, by_chance
 from armsight.verify.explanations import GeometryPrior, best_poses
-from armsight.verify.model import ModelFit, Mounts, mount_names
+from armsight.verify.model import Effect, JointVerdict, Kind, ModelFit, Mounts, mount_names
 from armsight.verify.pairing import bare_arm
 from armsight.verify.records import Measured, Rejected
 
@@ -98,7 +97,8 @@ def propose(arm: Arm, q: Array, how: Align, sigma: Array) -> Proposal:
             consequence="No poses are proposed",
             cure="Allow more: a wider span, or a middle pose in the middle of both views",
         )
-    bare, measured = bare_arm(arm), _anywhere(len(q))
+    bare, m = bare_arm(arm), len(q)
+    measured = Measured(xyz_m=np.zeros((m, 3)), rotation=np.tile(np.eye(3), (m, 1, 1)))  # anywhere
     mounts = Mounts(base=arm.T_world_base, tools=(arm.T_flange_tool,)).vector
     free = free_names(measured, Align.BOTH if "base" in how.parts else Align.TOOL)  # a bent tool is to be told as well
     case = Case(bare=bare, q=np.empty((0, arm.n)), measured=measured, free=free, block=np.empty(0, np.intp))
@@ -111,10 +111,6 @@ def propose(arm: Arm, q: Array, how: Align, sigma: Array) -> Proposal:
     expected = np.full(arm.n, np.inf)
     expected[list(joints)] = np.sqrt(variance[0])
     return Proposal(q=q[chosen], decides=decides, expected=expected)
-
-
-def _anywhere(m: int) -> Measured:
-    return Measured(xyz_m=np.zeros((m, 3)), rotation=np.tile(np.eye(3), (m, 1, 1)))
 
 
 def check_mastering(arm: Arm, q: Array, measured: Measured, how: Align) -> Mastering:

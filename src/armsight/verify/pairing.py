@@ -166,12 +166,7 @@ def _by_order(arm: Arm | None, reported: Reported, measured: Measured) -> Paired
 
 
 def _by_time(
-    arm: Arm | None,
-    reported: Reported,
-    measured: Measured,
-    nominal: Mounts,
-    how: Align,
-    clocked: Clocked | None,
+    arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align, clocked: Clocked | None
 ) -> Paired:
     if measured.t_s is None:
         raise UsageError("the measured rows have no stamps")

@@ -208,12 +208,7 @@ def _visit_numbers(repeats: Repeats, index: Index, notes: list[str]) -> Index:
 
 
 def _visits(
-    index: Index,
-    visit: Index,
-    measured: Measured,
-    repeats: Repeats,
-    command: Command | None,
-    notes: list[str],
+    index: Index, visit: Index, measured: Measured, repeats: Repeats, command: Command | None, notes: list[str]
 ) -> PoseVisits:
     """Return the visits of one robot at one pose: the mean of each visit's rows."""
     name, robot = repeats.pose[index[0]], repeats.robot[index[0]]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from armsight.records.result_parts import Verdict
 from armsight.units import MM
 from armsight.verify.alignment import FOREIGN
-from armsight.verify.effects import Kind
+from armsight.verify.model import Kind
 
 if TYPE_CHECKING:
     from armsight.verify.live import VerifyLiveOutput

@@ -20,10 +20,9 @@ from armsight.records.output import Output, output
 from armsight.units import MM
 from armsight.verify.alignment import Align, Aligned, align, check_tool, gross, realign, undetermined
 from armsight.verify.cause import Cause, find_cause
-from armsight.verify.effects import Kind
 from armsight.verify.evidence import Case, blocks, poses_of
 from armsight.verify.explanations import deciding_poses
-from armsight.verify.model import Model, Mounts, nothing_more
+from armsight.verify.model import Kind, Model, Mounts, nothing_more
 from armsight.verify.pairing import (
     CLOCK_ROUNDS,
     CLOCK_SETTLED,

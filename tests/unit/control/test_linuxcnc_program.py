@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import armsight
 from armsight.control.guard import Limits
 from armsight.control.guard.limits import JointLimit, joint_bounds
-from armsight.control.paths.gcode import gcode
+from armsight.control.paths.exports import gcode
 from armsight.control.paths.linuxcnc import MARGINS, Axes, LinuxcncPlan, plan_lines, require_kept
 from armsight.control.paths.program import program_moves
 from armsight.errors import Inconsistent, UsageError

@@ -105,11 +105,11 @@ def test_scatter_without_truth_is_the_noise(moves):
     values = way + std * rng.standard_normal((600, 6))
     status = [PoseStatus.LOST if 200 <= i < 204 else PoseStatus.OK for i in range(600)]
     series = Series(t_s=t_s, status=tuple(status), values=values, std=np.tile(std, (600, 1)))
-    found = scatter_of(series)
-    assert found.resting is not moves
-    known = np.isfinite(found.values[:, 0])
+    values, resting = scatter_of(series)
+    assert resting is not moves
+    known = np.isfinite(values[:, 0])
     assert known.sum() == (576 if moves else 596)  # five at each end of a stretch have no full neighbourhood
-    assert np.allclose(found.values[known].std(axis=0) / std, 1.0, atol=0.1)
+    assert np.allclose(values[known].std(axis=0) / std, 1.0, atol=0.1)
 
 
 def test_too_few_frames_in_a_row_say_nothing_of_scatter():

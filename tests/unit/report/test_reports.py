@@ -23,12 +23,13 @@ from armsight.measure.results import grounds_of, measure_verdict
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, TargetPose, spot_target
 from armsight.records.result_parts import Difference, Verdict
-from armsight.report import MeasureRun, Sample, calibration_report, measure_report
 from armsight.report.arm_view import arm_report
+from armsight.report.calibration import calibration_report
 from armsight.report.compare_report import Course, compare_report
 from armsight.report.figures import MAX_PLOTTED
 from armsight.report.html import Page
-from armsight.report.run import BoardPicture, BoardViews
+from armsight.report.measure import measure_report
+from armsight.report.run import BoardPicture, BoardViews, MeasureRun, Sample
 from armsight.report.scene import add_boards
 from armsight.units import figure_of
 from refusals import names_it, refuses

@@ -14,7 +14,7 @@ from armsight.control.paths import Program, program_moves
 from armsight.control.paths import krl as to_krl
 from armsight.control.paths import rapid as to_rapid
 from armsight.control.paths import urscript as to_ur
-from armsight.control.paths.gcode import gcode
+from armsight.control.paths.exports import gcode
 from armsight.control.paths.linuxcnc import Axes, plan_lines
 from armsight.errors import Ambiguous, ArmsightError, BadFile, DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Coupling, in_convention, preset

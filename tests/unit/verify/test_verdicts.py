@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from armsight.verify.alignment import FOREIGN
-from armsight.verify.effects import Kind
+from armsight.verify.model import Kind
 from armsight.verify.verdicts import FIND_MOVED, live_verdict, mastering_verdict, verify_verdict
 from refusals import names_it
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
-
 import numpy as np
 
 from armsight.arrays import Array
@@ -26,7 +24,7 @@ def _cameras(done: DesignOutput, found: Forecast) -> str:
     return f"cameras {', '.join(found.rig.names)}"
 
 
-def design_report(done: DesignOutput, found: Forecast, *, created: datetime) -> str:
+def design_report(done: DesignOutput, found: Forecast) -> str:
     """Return the page as HTML text that needs no other file; found: the cells that done sums up."""
     page = Page(
         title="What a rig will measure",
@@ -65,7 +63,7 @@ def design_report(done: DesignOutput, found: Forecast, *, created: datetime) -> 
     if done.simulation is not None:
         page.add("Simulated", _simulated(done), _places(done))
     page.add("Taken for granted", "", bullets([_sentence(text) for text in done.assumptions]))
-    return page.html(created=created)
+    return page.html()
 
 
 def _sentence(text: str) -> str:
@@ -75,16 +73,16 @@ def _sentence(text: str) -> str:
 def _cards(done: DesignOutput) -> list[Card]:
     at = ", ".join(f"{value:.3g}" for value in done.position.worst_at_m)
     cards = [
-        Card(name="position, median", value=f"{figure_of(done.position.median / MM)} mm"),
-        Card(name="position, 95 %", value=f"{figure_of(done.position.p95 / MM)} mm"),
-        Card(name="position, worst", value=f"{figure_of(done.position.worst / MM)} mm", note=f"at ({at}) m"),
-        Card(name="measured", value=f"{100.0 * done.measured:.0f} %", note="of the volume"),
+        Card("position, median", f"{figure_of(done.position.median / MM)} mm"),
+        Card("position, 95 %", f"{figure_of(done.position.p95 / MM)} mm"),
+        Card("position, worst", f"{figure_of(done.position.worst / MM)} mm", f"at ({at}) m"),
+        Card("measured", f"{100.0 * done.measured:.0f} %", "of the volume"),
     ]
     if done.orientation is not None:
-        cards.append(Card(name="orientation, 95 %", value=f"{figure_of(done.orientation.p95 / DEG)}°"))
+        cards.append(Card("orientation, 95 %", f"{figure_of(done.orientation.p95 / DEG)}°"))
     if done.aligned is not None and done.deviation_in == "rig":
         note = "once the volume is aligned"
-        cards.append(Card(name="position, 95 %, aligned", value=f"{figure_of(done.aligned.p95 / MM)} mm", note=note))
+        cards.append(Card("position, 95 %, aligned", f"{figure_of(done.aligned.p95 / MM)} mm", note))
     return cards
 
 

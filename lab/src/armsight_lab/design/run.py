@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from datetime import datetime
 
 import numpy as np
 
@@ -52,7 +51,7 @@ def run_design(job: DesignJob, progress: Progress | None = None) -> DesignOutput
     done = _output(job, plan, found, changes, simulation)
     job.out.mkdir(parents=True, exist_ok=True)
     write_text(job.out / MAP, _table(found))
-    write_text(job.out / REPORT, design_report(done, found, created=datetime.now()))
+    write_text(job.out / REPORT, design_report(done, found))
     write_json(job.out / SUMMARY, done.to_dict())
     return done
 

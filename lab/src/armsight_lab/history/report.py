@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,7 +51,7 @@ ABOUT = (
 )
 
 
-def trend_report(done: TrendOutput, judgements: Sequence[Judgement], *, created: datetime | None = None) -> str:
+def trend_report(done: TrendOutput, judgements: Sequence[Judgement]) -> str:
     """Return the page as HTML text that needs no other file; judgements: of done's figures, in their order."""
     days = [one.course.created[i][:10] for one in judgements for i in (0, -1)]
     every_days = YEAR_DAYS / float(np.median([one.runs_a_year for one in judgements]))
@@ -62,10 +61,10 @@ def trend_report(done: TrendOutput, judgements: Sequence[Judgement], *, created:
         subtitle=f"{done.n_runs} runs, {min(days)} to {max(days)}",
         verdict=done.verdict_,
         cards=[
-            Card(name="figures judged", value=str(len(judgements))),
-            Card(name="of these changed", value=str(sum(one.found.change is not None for one in judgements))),
-            Card(name="false alarms", value=f"1 in {apart_years:.4g}", note="cell-years, over all figures together"),
-            Card(name="a run every", value=_interval(every_days), note="on average"),
+            Card("figures judged", str(len(judgements))),
+            Card("of these changed", str(sum(one.found.change is not None for one in judgements))),
+            Card("false alarms", f"1 in {apart_years:.4g}", "cell-years, over all figures together"),
+            Card("a run every", _interval(every_days), "on average"),
         ],
     )
     rows = [_row(row, one) for row, one in zip(done.figures, judgements, strict=True)]
@@ -75,7 +74,7 @@ def trend_report(done: TrendOutput, judgements: Sequence[Judgement], *, created:
     if done.notes:
         page.add("What to know", "", bullets([in_degrees(note) for note in done.notes]))
     page.add("How it is judged", "", bullets(_method(apart_years, every_days)))
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _name(row: TrendFigure) -> str:

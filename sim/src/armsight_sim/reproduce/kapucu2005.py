@@ -15,7 +15,7 @@ from armsight.drivers import read_image
 from armsight.errors import Inconsistent
 from armsight.ops.identification.solve import BeaconFrames
 from armsight.optics import Rig
-from armsight.report.identify_report import identify_report
+from armsight.report.arm_report import identify_report
 from armsight.store import read_poses, read_rig, read_target, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_sweep_joints, write_sweeps

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 
 import numpy as np
 
@@ -142,7 +141,7 @@ class Reproduction:
         return [row for item in self.tables for row in item.rows if row.compared]
 
 
-def reproduce_report(done: Reproduction, *, created: datetime | None = None) -> str:
+def reproduce_report(done: Reproduction) -> str:
     """Return the page as HTML text that needs no other file."""
     page = Page(
         title=done.title, subtitle=f"{done.source}; seed {done.seed}", verdict=_verdict(done), cards=_cards(done)
@@ -163,7 +162,7 @@ def reproduce_report(done: Reproduction, *, created: datetime | None = None) -> 
             "Every number of the scenario and where it is from: the paper, derived from it, or chosen.",
             table(["setting", "value", "from"], done.settings),
         )
-    return page.html(created=created or datetime.now())
+    return page.html()
 
 
 def _verdict(done: Reproduction) -> Verdict:
@@ -205,13 +204,13 @@ def _cards(done: Reproduction) -> list[Card]:
     of_print = figure_of(float(np.median(shares)) if shares else None, digits=2)
     of_method = figure_of(float(np.median(methods)) if methods else None, digits=2)
     printed = [
-        Card(name="compared with print", value=str(len(shares)), note="rows whose printed figure can be believed"),
-        Card(name="error over the printed one", value=of_print, note="median over those rows"),
+        Card("compared with print", str(len(shares)), "rows whose printed figure can be believed"),
+        Card("error over the printed one", of_print, "median over those rows"),
     ]
     return [
-        Card(name="rows", value=str(sum(len(item.rows) for item in done.tables)), note="in all tables"),
+        Card("rows", str(sum(len(item.rows) for item in done.tables)), "in all tables"),
         *(printed if shares else ()),
-        Card(name="error over its method's", value=of_method, note="the paper's method on the same frames, median"),
+        Card("error over its method's", of_method, "the paper's method on the same frames, median"),
     ]
 
 

@@ -220,13 +220,7 @@ class ArmFit:
     prior_weight: Array
 
 
-def fit_arm(
-    model: ArmModel,
-    points: ArmPoints,
-    guess: Array,
-    free: Collection[str],
-    tolerance: Tolerance,
-) -> ArmFit:
+def fit_arm(model: ArmModel, points: ArmPoints, guess: Array, free: Collection[str], tolerance: Tolerance) -> ArmFit:
     """Return the parameters named in free, and base and tools, by maximum likelihood with priors from the tolerances.
 
     Base and tools may leave directions open (a tool on the last

@@ -131,13 +131,7 @@ def plain_level(model: ArmModel, points: ArmPoints, fitted: ArmFit, name: str, c
 
 
 def fit_levels(
-    model: ArmModel,
-    points: ArmPoints,
-    guess: Array,
-    tolerance: Tolerance,
-    *,
-    scale: bool,
-    like: Sequence[Level] = (),
+    model: ArmModel, points: ArmPoints, guess: Array, tolerance: Tolerance, *, scale: bool, like: Sequence[Level] = ()
 ) -> list[Level]:
     """Return the fits of all kinds of model, the nominal one first; richer ones that did not converge are left out.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,13 +202,8 @@ def _about_one(off_m: Array) -> float:
     return float(np.sqrt((off_m**2).sum() / max(len(off_m) - 1, 1)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Parting:
-    """Rows (m,) given to places (k, 3) in m, and the RMS distance in m that they keep from them."""
-
-    labels: Labels
-    positions: Array
-    left_m: float
+_Parting = tuple[Labels, Array, float]
+"""Rows (m,) given to places (k, 3) in m, and the RMS distance in m that they keep from them."""
 
 
 def _check(label: str, one_m: float, parts: list[_Parting]) -> None:
@@ -217,21 +211,20 @@ def _check(label: str, one_m: float, parts: list[_Parting]) -> None:
 
     label: their name, "" where they have none; one_m: their scatter about one in m; parts: them in 2, 3 .. places.
     """
-    best, left_m = None, one_m
-    for part in parts:
-        if np.bincount(part.labels, minlength=len(part.positions)).min() < FEWEST_EACH:
+    best, least_m = None, one_m
+    for labels, positions, left_m in parts:
+        if np.bincount(labels, minlength=len(positions)).min() < FEWEST_EACH:
             break
-        apart_m = pdist(part.positions).min()
-        if part.left_m < APART * one_m and part.left_m < FURTHER * left_m and apart_m > SEPARATE * part.left_m:
-            best, left_m = part, part.left_m
+        if left_m < min(APART * one_m, FURTHER * least_m) and pdist(positions).min() > SEPARATE * left_m:
+            best, least_m = positions, left_m
     if best is None:
         return
-    distance = pdist(best.positions)
+    distance = pdist(best)
     rows, by, cure = "rows", "no column `point` names them", "Name the place of each row in a column `point`"
     if label:
         rows, by, cure = f"rows of point {label!r}", "all have its name", "Give each place a name of its own"
     raise Inconsistent(
-        f"the {rows} are of {len(best.positions)} places on the tool, {distance.min() / MM:.3g} to "
+        f"the {rows} are of {len(best)} places on the tool, {distance.min() / MM:.3g} to "
         f"{distance.max() / MM:.3g} mm apart, and {by}; about one place they scatter by {one_m / MM:.3g} mm",
         consequence="They cannot be one place at these readings, and nothing is written",
         cure=f"{cure}, for instance A, B, C; or give the rows of one place",
@@ -247,7 +240,7 @@ def _parted_into(off_m: Array, labels: Labels) -> _Parting:
     """Return offsets (m, 3) given to the middles of theirs."""
     positions = _means(off_m, labels)
     left = np.square(off_m - positions[labels]).sum() / max(len(off_m) - len(positions), 1)
-    return _Parting(labels=labels, positions=positions, left_m=float(np.sqrt(left)))
+    return labels, positions, float(np.sqrt(left))
 
 
 def _nearest(off_m: Array, positions: Array) -> Labels:
@@ -291,4 +284,4 @@ def _mounted(F: Array, xyz_m: Array, wanted_m: Array, k: int) -> _Parting:
         if np.array_equal(now, labels) or len(np.unique(now)) < k:
             break
         labels = now
-    return _Parting(labels=labels, positions=at, left_m=left)
+    return labels, at, left

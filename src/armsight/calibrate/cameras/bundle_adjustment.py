@@ -145,11 +145,7 @@ def _of_rational(observations: Observations, coefficients: Iterable[str]) -> lis
 
 
 def _with_known(
-    evaluate: Callable[[Array, Array], Evaluation],
-    known: Known,
-    at: NDArray[np.intp],
-    shared: Array,
-    local: Array,
+    evaluate: Callable[[Array, Array], Evaluation], known: Known, at: NDArray[np.intp], shared: Array, local: Array
 ) -> Evaluation:
     """Return an evaluation with what is known beforehand: as further observations of the shared parameters `at`."""
     here = evaluate(shared, local)

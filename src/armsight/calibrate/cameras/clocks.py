@@ -16,14 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras.bundle_adjustment import (
-    Bundle,
-    adjust,
-    bundle_of,
-    delays_of,
-    readouts_of,
-    start_at,
-)
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, delays_of, readouts_of, start_at
 from armsight.calibrate.cameras.moving_board import alone, motion_of
 from armsight.calibrate.cameras.observations import BoardOptions, Observations
 from armsight.calibrate.cameras.outlier_rejection import fixed_names, named

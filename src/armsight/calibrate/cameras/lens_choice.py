@@ -9,14 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array
-from armsight.calibrate.cameras.bundle_adjustment import (
-    Bundle,
-    adjust,
-    bundle_of,
-    names_of,
-    residuals_px,
-    start_at,
-)
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, names_of, residuals_px, start_at
 from armsight.calibrate.cameras.initial_guess import (
     board_poses,
     focal_lengths,

@@ -9,15 +9,7 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.calibrate.cameras.board_shape import board_shape
-from armsight.calibrate.cameras.bundle_adjustment import (
-    BACK,
-    DELAY,
-    READOUT,
-    Bundle,
-    adjust,
-    bundle_of,
-    names_of,
-)
+from armsight.calibrate.cameras.bundle_adjustment import BACK, DELAY, READOUT, Bundle, adjust, bundle_of, names_of
 from armsight.calibrate.cameras.calibrate import caveats, require_points, require_views, required
 from armsight.calibrate.cameras.clocks import with_clocks
 from armsight.calibrate.cameras.extended import (
@@ -31,24 +23,22 @@ from armsight.calibrate.cameras.extended import (
 from armsight.calibrate.cameras.graph import placed, tilts_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays, poses_of_lights
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_chosen
-from armsight.calibrate.cameras.many_checks import (
+from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
+from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fit_without_outliers, left_out
+from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
+from armsight.calibrate.cameras.preconditions import (
+    LEAST_POINTS,
+    LEAST_VIEWS,
     KnownLens,
     beforehand,
+    check_count,
+    check_spread,
     on_exact,
     require_lenses,
     require_lists,
     require_one_clock,
     require_sizes,
 )
-from armsight.calibrate.cameras.observations import BoardOptions, Observations, pack
-from armsight.calibrate.cameras.outlier_rejection import (
-    RobustFit,
-    fit_tilted,
-    fit_without_outliers,
-    left_out,
-)
-from armsight.calibrate.cameras.pairing import as_pose, camera_of, in_frame
-from armsight.calibrate.cameras.preconditions import LEAST_POINTS, LEAST_VIEWS, check_count, check_spread
 from armsight.calibrate.cameras.two_sides import TwoSided, with_the_back
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 from armsight.optics import Camera, Rig

@@ -83,7 +83,7 @@ def pair_effects(observations: Observations, fit: Fit) -> PairEffects | None:
         model = _Model.of(observations, fit, names, effect)
         system = model.system(replace(start, own=np.zeros((observations.n_views, len(effect)))))
         best = system.best()
-        gain = float(system.solved(np.zeros((1, len(effect)))).worse[0] - system.solved(best[None]).worse[0])
+        gain = float(system.solved(np.zeros((1, len(effect))))[0][0] - system.solved(best[None])[0][0])
         if gain > chdtri(len(effect), BY_CHANCE) and (found is None or gain > found[0]):
             found = gain, kind, model, best
     if found is None:
@@ -196,17 +196,6 @@ class _Model:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Solved:
-    """For each of k sets of variances -2 log of the restricted likelihood (k,); the step (k, F) of the free parameters
-    and its covariance (k, F, F); the variance (k,) of the points' noise over what they are believed to have."""
-
-    worse: Array
-    step: Array
-    C: Array
-    noise2: Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _System:
     """Normal equations of the free parameters S (F, F), g (F,); of each pair's effect own (G, q, q), pull (G, q); mixed
     (G, F, q). at (G, q): effects so far. cost: sum of squares. size (q,): variance of an effect from one pair's points.
@@ -223,9 +212,10 @@ class _System:
     size: Array
     poses: tuple[Array, Array]
 
-    def solved(self, ratio: Array) -> _Solved:
+    def solved(self, ratio: Array) -> tuple[Array, Array, Array, Array]:
         """Return the answers for effects of variances ratio (k, q) times `size`, each zero in all k or in none, in
-        units of the points' noise."""
+        units of the points' noise: -2 log of the restricted likelihood (k,); the step (k, F) of the free parameters and
+        its covariance (k, F, F); the variance (k,) of the points' noise over what they are believed to have."""
         used = ratio[0] > 0.0
         precision = 1.0 / (ratio[:, used] * self.size[used])  # (k, u)
         mixed, at = self.mixed[:, :, used], self.at[:, used]
@@ -245,7 +235,7 @@ class _System:
         noise2 = np.maximum(cost, 1e-300) / self.dof
         worse = np.linalg.slogdet(D)[1].sum(axis=1) - D.shape[1] * np.log(precision).sum(axis=1)
         worse += np.linalg.slogdet(S * np.outer(scale, scale))[1] + self.dof * np.log(noise2)
-        return _Solved(worse=worse, step=step, C=noise2[:, None, None] * inverse, noise2=noise2)
+        return worse, step, noise2[:, None, None] * inverse, noise2
 
     def best(self) -> Array:
         """Return the likeliest ratios (q,), looked for one after the other, twice."""
@@ -253,20 +243,20 @@ class _System:
         for _ in range(2):
             for k in range(len(best)):
                 tries = [np.where(np.arange(len(best)) == k, ratio, best) for ratio in COARSE]
-                best = min(tries, key=lambda ratio: float(self.solved(ratio[None]).worse[0]))
+                best = min(tries, key=lambda ratio: float(self.solved(ratio[None])[0][0]))
         return best
 
     def averaged(self, best: Array) -> tuple[Array, Array, Array]:
         """Return step and covariance over all ratios about the best, weighed by likelihood, and the deviations (q,)."""
         # those that are zero stay zero
         ratios = best * np.array([*product(*[FINE if ratio > 0.0 else np.ones(1) for ratio in best])])
-        found = self.solved(ratios)
-        weight = np.exp(-0.5 * (found.worse - found.worse.min()))
+        worse, steps, covariances, noise2 = self.solved(ratios)
+        weight = np.exp(-0.5 * (worse - worse.min()))
         weight = weight / weight.sum()
-        step = weight @ found.step
-        spread = found.step - step
-        C = np.einsum("k,kab->ab", weight, found.C) + (spread.T * weight) @ spread
-        variance = weight @ (ratios * found.noise2[:, None])
+        step = weight @ steps
+        spread = steps - step
+        C = np.einsum("k,kab->ab", weight, covariances) + (spread.T * weight) @ spread
+        variance = weight @ (ratios * noise2[:, None])
         return step, 0.5 * (C + C.T), np.sqrt(variance * self.size)
 
     def effects(self, step: Array, ratio: Array) -> Array:

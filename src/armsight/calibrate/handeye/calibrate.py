@@ -114,18 +114,18 @@ def _calibrate(pairs: PosePairs, setup: Setup, pitch_m: float | None, height: Ta
     used = np.zeros(len(pairs), bool)
     used[rows[keep]] = True
     turned = require_turning(pairs.take(np.flatnonzero(used)))
-    uncertain = uncertainty(solution)
+    std, dof, of_variances = uncertainty(solution)
     found = residuals(pairs.arrays(setup), *solution.poses)
     errors = found.copy()
     errors[rows] = left_out
-    widen = uncertain.std / np.sqrt(np.diag(solution.C))
+    widen = std / np.sqrt(np.diag(solution.C))
     finished = HandEyeResult(
         setup=setup,
         T_parent_camera=pose(solution.R_X, solution.t_x),
         T_parent_target=pose(solution.R_Z, solution.t_z),
         covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
-        dof=float(uncertain.dof[:6].min()),
-        noise=noise_of_pairs(solution, uncertain.variance_covariance),
+        dof=float(dof[:6].min()),
+        noise=noise_of_pairs(solution, of_variances),
         scale=true_scale(solution),
         rotation_excitation=turned,
         pairs=pairs,
@@ -308,12 +308,12 @@ def true_scale(solution: Solution) -> Scale | None:
         )
     except DataRefused:
         return None
-    uncertain = uncertainty(free)
+    grown, dof, _ = uncertainty(free)
     std = float(np.sqrt(free.C[12, 12]))
     if not (free.gamma > 0.0 and std < 0.2):
         return None
-    p = 2.0 * float(t_sf(abs(free.gamma - 1.0) / std, uncertain.dof[12]))
-    return Scale(factor=1.0 / free.gamma, std=float(uncertain.std[12]) / free.gamma**2, p=p)
+    p = 2.0 * float(t_sf(abs(free.gamma - 1.0) / std, dof[12]))
+    return Scale(factor=1.0 / free.gamma, std=float(grown[12]) / free.gamma**2, p=p)
 
 
 def _rejected(

@@ -140,11 +140,7 @@ def _of_all(arrays: Arrays) -> Consensus | None:
 
 
 def _judged(
-    arrays: Arrays,
-    start: Poses,
-    gamma: float,
-    mask: NDArray[np.bool_] | None,
-    sigmas: tuple[float, float],
+    arrays: Arrays, start: Poses, gamma: float, mask: NDArray[np.bool_] | None, sigmas: tuple[float, float]
 ) -> Consensus:
     """mask (n,): which agree within the noise; None for those that are near."""
     RF, tF, RB, tB = arrays

@@ -121,10 +121,6 @@ class ImageComparison(Output):
 
     @figure("Why it was kept, in words.")
     def why(self) -> str:
-        return self.sentence()
-
-    def sentence(self) -> str:
-        """Return what was kept and why, in words."""
         if self.n_judged < FEWEST_JUDGED:
             return (
                 "The result from the poses is kept: a fit to the corners is judged by images left out, and here other "

@@ -17,13 +17,7 @@ from armsight.arrays import Array
 from armsight.calibrate.cameras.bundle_adjustment import EMPTY, Bundle, adjust, problem_of
 from armsight.calibrate.cameras.initial_guess import poses_by_rays
 from armsight.calibrate.cameras.observations import Observations, pack
-from armsight.calibrate.handeye.known_noise import (
-    CONDITION,
-    Restricted,
-    left_out,
-    linearise,
-    restricted_variances,
-)
+from armsight.calibrate.handeye.known_noise import CONDITION, Restricted, left_out, linearise, restricted_variances
 from armsight.calibrate.handeye.pairs import Arrays, Poses, Setup, components
 from armsight.calibrate.handeye.result import NAMES, HandEyeResult
 from armsight.errors import Inconsistent, NotEnoughData

@@ -14,11 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.arrays import Array
 from armsight.calibrate.cameras.pairing import turns_of
 from armsight.calibrate.handeye.advice import advise
-from armsight.calibrate.handeye.calibrate import (
-    calibrate_eye_in_hand,
-    calibrate_eye_to_hand,
-    places_of,
-)
+from armsight.calibrate.handeye.calibrate import calibrate_eye_in_hand, calibrate_eye_to_hand, places_of
 from armsight.calibrate.handeye.consensus import LEAST_SHARE
 from armsight.calibrate.handeye.image_comparison import ImageComparison, ImageErrors, ObservationModel, compare
 from armsight.calibrate.handeye.image_model import ImageModel, ViewPoses, camera_of, poses_of, poses_of_views

@@ -185,22 +185,13 @@ def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma:
     return out
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class VarianceUncertainty:
-    """What the estimated noises leave uncertain.
+def uncertainty(solution: Solution) -> tuple[Array, Array, Array]:
+    """Return what noises that were estimated from the fit's own residuals leave uncertain.
 
-    variance_covariance (k, k): of the variances. dof (m,): effective degrees of freedom behind each parameter's
-    variance (Satterthwaite 1946). std (m,): standard deviations with what wrong weights cost (Kenward, Roger 1997),
-    widened by Student's factor, so that +- 1.96 std holds 95 %.
+    std (m,): standard deviations with what wrong weights cost (Kenward, Roger 1997), widened by Student's factor, so
+    that +- 1.96 std holds 95 %. dof (m,): effective degrees of freedom behind each parameter's variance (Satterthwaite
+    1946). covariance (k, k): of the variances.
     """
-
-    variance_covariance: Array
-    dof: Array
-    std: Array
-
-
-def uncertainty(solution: Solution) -> VarianceUncertainty:
-    """Return the uncertainty of a fit whose noises were estimated from its own residuals."""
     Q = _shapes(solution)  # (k, n, 6, 6) whitened derivative of the noise by each variance
     J, C = solution.J, solution.C
     M = J @ C @ J.transpose(0, 2, 1)  # (n, 6, 6)
@@ -223,7 +214,7 @@ def uncertainty(solution: Solution) -> VarianceUncertainty:
     grown = variance + 2.0 * np.maximum(np.diag(C @ lost @ C), 0.0)
     dof = np.clip(2.0 * variance**2 / np.maximum(spread, 1e-300), 1.0, 1e6)
     factor = student_factor(dof)
-    return VarianceUncertainty(variance_covariance=covariance, dof=dof, std=np.sqrt(grown) * factor)
+    return np.sqrt(grown) * factor, dof, covariance
 
 
 def warm_up() -> None:
@@ -264,11 +255,7 @@ STEP = 1e-6
 
 
 def fit_drifting(
-    arrays: Arrays,
-    keep: NDArray[np.bool_],
-    start: Poses,
-    t_s: Array,
-    noise: Array | None = None,
+    arrays: Arrays, keep: NDArray[np.bool_], start: Poses, t_s: Array, noise: Array | None = None
 ) -> tuple[Poses, Array, Correlation]:
     """Return the fit to the kept pairs whose errors are white noise and a drift that is forgotten exponentially.
 

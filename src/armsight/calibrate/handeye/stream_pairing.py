@@ -144,12 +144,7 @@ class TimeOffset:
 
 
 def time_offset(
-    robot_t_s: ArrayLike,
-    robot: Rotation,
-    camera_t_s: ArrayLike,
-    camera: Rotation,
-    *,
-    within_s: float | None = None,
+    robot_t_s: ArrayLike, robot: Rotation, camera_t_s: ArrayLike, camera: Rotation, *, within_s: float | None = None
 ) -> TimeOffset:
     """Return the offset between two time-stamped streams of orientations: of the flange in the base (n), and of the
     target in the camera (m). Eye-in-hand and eye-to-hand alike. within_s: no offset beyond it is looked at.

@@ -50,7 +50,7 @@ def check_slopes(found: Sequence[JointPath], seen: SweepResiduals, axes: Sequenc
     open has no length to speak of.
     """
     for j, (item, possible) in enumerate(zip(found, axes, strict=True)):
-        best = min((one.chi2 for one in possible), default=np.inf)
+        best = min((chi2 for chi2, _ in possible), default=np.inf)
         if best < 3.0 * item.path.chi2 + PLAUSIBLE:
             continue
         q = seen.sweeps.q[item.main, j]
@@ -188,7 +188,7 @@ def possible_axes(seen: SweepResiduals, item: JointPath, joint: int) -> list[Can
     own = candidates(part, q, revolute=circle)
     sure = item.decided and (not circle or item.p_line < SURE)
     other = [] if sure else candidates(part, q, revolute=not circle)
-    best = min((one.chi2 for one in (*own, *other)), default=np.inf)
+    best = min((chi2 for chi2, _ in (*own, *other)), default=np.inf)
     return plausible(own, best) + plausible(other, best)
 
 
@@ -203,9 +203,9 @@ def _starts(
     # a beam: the best combinations of the joints so far are carried on, since all would be a product over the joints
     for possible in axes:
         more = [
-            (penalised_cost + 0.5 * one.chi2 + WORTH * one.axis.revolute, [*before, one.axis])
+            (penalised_cost + 0.5 * chi2 + WORTH * axis.revolute, [*before, axis])
             for penalised_cost, before in combined
-            for one in possible
+            for chi2, axis in possible
         ]
         combined = sorted(more, key=lambda item: item[0])[:STARTED]
     out = []
@@ -263,12 +263,8 @@ PLAUSIBLE = 60.0
 """Chi-square above the best one's up to which an axis is worth a start: positions are linearised there."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Candidate:
-    """An axis as one sweep shows it, the other joints at rest, and the sweep's chi-square with it."""
-
-    axis: Axis
-    chi2: float
+Candidate = tuple[float, Axis]
+"""An axis as one sweep shows it, the other joints at rest, behind the sweep's chi-square with it."""
 
 
 def candidates(seen: SweepResiduals, q: Array, *, revolute: bool) -> list[Candidate]:
@@ -287,17 +283,15 @@ def candidates(seen: SweepResiduals, q: Array, *, revolute: bool) -> list[Candid
     for start in _minima(grid, costs):
         direction, p = start.copy(), np.empty(6)
         cost = settle_axis(revolute, direction, 0.1, centred, W, value, p)
-        if not np.isfinite(cost) or any(one.axis.direction @ direction > SAME_COS for one in out):
+        if not np.isfinite(cost) or any(axis.direction @ direction > SAME_COS for _, axis in out):
             continue
-        axis = Axis(point_m=mean + p[:3], direction=direction, revolute=revolute)
-        out.append(Candidate(axis=axis, chi2=cost))
-    out.sort(key=lambda one: one.chi2)
-    return out
+        out.append((cost, Axis(point_m=mean + p[:3], direction=direction, revolute=revolute)))
+    return sorted(out, key=lambda one: one[0])
 
 
 def plausible(found: Sequence[Candidate], best: float) -> list[Candidate]:
     """Return those candidates that the noise does not exclude beside one of chi-square best."""
-    return [one for one in found if one.chi2 < best + PLAUSIBLE]
+    return [one for one in found if one[0] < best + PLAUSIBLE]
 
 
 def _information(seen: SweepResiduals) -> Array:

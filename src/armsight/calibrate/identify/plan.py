@@ -287,7 +287,9 @@ def _radius(arm: RoughArm, joint: int, q: Array) -> float:
 
 def _poor(expected: Sequence[dict[str, float]], sweeps: Sequence[PlannedSweep], arm: RoughArm) -> list[str]:
     """Return a note on every entry that will be known badly, with the sweep that is to blame."""
-    reach = {sweep.joint: _reach(sweep, arm) for sweep in sweeps}
+    reach = {  # in m: of a turn the chord, as far as it grows with the angle
+        one.joint: min(one.span, 1.0) * one.radius_m if arm.axes[one.joint].revolute else one.span for one in sweeps
+    }
     by_joint = {sweep.joint: sweep for sweep in sweeps}
     notes = []
     for i, entries in enumerate(expected):
@@ -300,11 +302,6 @@ def _poor(expected: Sequence[dict[str, float]], sweeps: Sequence[PlannedSweep], 
             why = (_parallel_said(i, arm) if key == "d_m" else "") or _sweep_said(weak, arm)
             notes.append(f"joint {i + 1}, {key}: only to {shown} is to be expected; {why}")
     return notes
-
-
-def _reach(sweep: PlannedSweep, arm: RoughArm) -> float:
-    """Return how far a sweep carries the beacon, in m: of a turn the chord, as far as it grows with the angle."""
-    return min(sweep.span, 1.0) * sweep.radius_m if arm.axes[sweep.joint].revolute else sweep.span
 
 
 def _parallel_said(joint: int, arm: RoughArm) -> str:

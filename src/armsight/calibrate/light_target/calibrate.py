@@ -73,7 +73,7 @@ def calibrate_target(
     where a symmetric arrangement leaves the names open, Inconsistent where the frames share no rigid shape.
     """
     require_lights(lights)
-    labelled = _name(rig, frames, lights, overlaid)
+    labelled = named_by_shape(*sights_of(rig, frames, lights), len(frames), lights, overlaid=overlaid)
     named, numbers = labelled.named, labelled.numbers
     flat = on_one_line(named)
     keep = np.ones(len(numbers), bool) if flat else clear_frames(labelled)
@@ -136,11 +136,6 @@ class LabelledFrames:
     numbers: NDArray[np.intp]
     rejected: Rejected
     overlaid: bool
-
-
-def _name(rig: Rig, frames: Sequence[LitFrame], lights: int, overlaid: bool) -> LabelledFrames:
-    """Return the frames that share one shape, with their lights named."""
-    return named_by_shape(*sights_of(rig, frames, lights), len(frames), lights, overlaid=overlaid)
 
 
 def named_by_shape(

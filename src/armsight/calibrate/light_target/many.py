@@ -230,11 +230,7 @@ def _blank(g: int, n: int, V: int) -> tuple[Array, Array]:
 
 
 def _observations(
-    rig: Rig,
-    moments: Sequence[LitMoment],
-    of: Paired,
-    labelled: LabelledFrames,
-    order: Index,
+    rig: Rig, moments: Sequence[LitMoment], of: Paired, labelled: LabelledFrames, order: Index
 ) -> LightObservations:
     """Return the spots by which the lights were named, those of two cameras in each moment."""
     uv, cov = _blank(len(labelled.numbers), len(order), len(rig.cameras))
@@ -258,14 +254,10 @@ class Shown(NamedTuple):
     unclear: int
 
 
-def _target(X: Array) -> Target:
-    return spot_target({name: tuple(xyz) for name, xyz in zip(LETTERS, X.tolist(), strict=False)})
-
-
 def _shown(rig: Rig, moments: Sequence[LitMoment], X: Array, naming: Naming) -> Shown:
     """Return the moments that show the lights X (n, 3)."""
     names = LETTERS[: len(X)]
-    look = naming(rig, _target(X))
+    look = naming(rig, spot_target({name: tuple(xyz) for name, xyz in zip(LETTERS, X.tolist(), strict=False)}))
     numbers, rejected, R, t, unclear = [], [], [], [], 0
     uv, cov = _blank(len(moments), len(X), len(rig.cameras))
     for number, moment in enumerate(moments):

@@ -22,14 +22,11 @@ from armsight.calibrate.timing.fit import (
     distances_along,
     solve_model,
 )
-from armsight.calibrate.timing.left_out import left_out_rms, onlookers
-from armsight.calibrate.timing.naming import lights_named, named_by_motion
+from armsight.calibrate.timing.naming import Tied, lights_named, named_by_motion, tied_cameras
 from armsight.calibrate.timing.result import CameraClock, CamerasTiming, TimingResult, time_names
-from armsight.calibrate.timing.rig_doubt import RigDoubt
 from armsight.calibrate.timing.stamps import SteadyStamps, camera_clock
-from armsight.calibrate.timing.tree import Tied, tied_cameras
-from armsight.calibrate.timing.views import Views, common_lights, views_of
-from armsight.calibrate.timing.widening import rig_pull, widened
+from armsight.calibrate.timing.views import RigDoubt, Views, common_lights, views_of
+from armsight.calibrate.timing.widening import left_out_rms, onlookers, rig_pull, widened
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData
 from armsight.fitting import Fit, Prior
 from armsight.optics import SIDES, Rig, RigKind
@@ -93,7 +90,7 @@ def calibrate_timing(
     tracks, times = (one, other), (clocks[0].t_s, clocks[1].t_s)
     if count > 1:
         tracks = named_by_motion(rig, tracks, times, count)
-    delay_s = coarse_delay(rig, tracks, times, common_lights(*tracks)[0]).delay_s
+    delay_s = coarse_delay(rig, tracks, times, common_lights(*tracks)[0])
     solved = _fitted(rig, tracks, clocks, np.array([0.0, delay_s]), positions_m or {})
     found, covariance = _clocks(rig, solved, clocks)
     first, second = found.values()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from armsight.arrays import Array
@@ -30,19 +28,8 @@ RIVAL_FLOOR_PX = 1.0
 APART_S = 0.15
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Coarse:
-    """A delay to begin with, and what speaks for it.
-
-    rms_px: distance from the epipolar lines at delay_s.
-    """
-
-    delay_s: float
-    rms_px: float
-
-
-def coarse_delay(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[Array, Array], name: str) -> Coarse:
-    """Return the delay that turns the second camera's times into the first one's, from the light of this name.
+def coarse_delay(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[Array, Array], name: str) -> float:
+    """Return the delay in s that turns the second camera's times into the first one's, from the light of this name.
 
     rig: of these two cameras.
     times_s: of the frames of each camera. Raises NotEnoughData, Inconsistent where no delay up to MAX_DELAY_S brings
@@ -96,7 +83,7 @@ def _distances(t: Array, normal: Array, t_other: Array, d: Array, delays: Array)
     return out
 
 
-def _chosen(delays: Array, rms: Array, names: tuple[str, ...], t: list[Array]) -> Coarse:
+def _chosen(delays: Array, rms: Array, names: tuple[str, ...], t: list[Array]) -> float:
     from scipy.signal import argrelmin  # imported here: it takes longer than most commands need to begin
 
     tried = np.isfinite(rms)
@@ -134,4 +121,4 @@ def _chosen(delays: Array, rms: Array, names: tuple[str, ...], t: list[Array]) -
             consequence="A delay of whole periods fits as well as the right one; no timing is given",
             cure="Wave irregularly, with changes of direction and pace; check that rig.yaml is of these cameras",
         )
-    return Coarse(delay_s=float(delays[best]), rms_px=least)
+    return float(delays[best])

@@ -101,7 +101,8 @@ def plan_lines(
     rows, T_tip = _fine(moves)
     q = _tracked(arm, arm.T_world_base.as_matrix() @ T_tip, arm.values(q_first))
     model = require_genserkins(controller)
-    X = _flanges(model, q)
+    # poses (m, 4, 4) of the last frame in LinuxCNC's world
+    X = np.asarray(np.linalg.inv(_world(model)) @ model.fk(q) @ model.T_flange_tool.inv().as_matrix())
     xyz, abc = X[:, :3, 3], np.unwrap(Rotation.from_matrix(X[:, :3, :3]).as_euler("xyz"), axis=0)
     _require_steady(X, abc)
     tool = (in_convention(arm, "craig").T_flange_tool if arm.n == 6 else arm.T_flange_tool).as_matrix()
@@ -184,11 +185,6 @@ def _tracked(arm: Arm, T_world_tip: Array, start: Array, how: str = "between its
 def _world(model: Arm) -> Array:
     """Return T_world_frame0: LinuxCNC's world is the first frame of its table."""
     return np.asarray((model.T_world_base * model.T_base_frame0).as_matrix())
-
-
-def _flanges(model: Arm, q: Array) -> Array:
-    """Return the poses (m, 4, 4) of the last frame in LinuxCNC's world at joint values q (m, 6)."""
-    return np.asarray(np.linalg.inv(_world(model)) @ model.fk(q) @ model.T_flange_tool.inv().as_matrix())
 
 
 def _matrices(way: Array) -> Array:

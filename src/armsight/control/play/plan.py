@@ -20,7 +20,7 @@ from armsight.defaults import APPROACH_SPEED_M_S, BLEND_M, PATH_SPEED_M_S, RETRA
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.geometry import pose_difference
 from armsight.kinematics import Arm, fk_jacobian
-from armsight.kinematics.target import target_matrices
+from armsight.kinematics.numeric import target_matrices
 from armsight.records import TaughtPath
 from armsight.units import DEG, MM
 
@@ -103,11 +103,7 @@ class PathPlan(Shape):
 
 
 def plan_path(
-    path: TaughtPath,
-    arm: Arm,
-    limits: Limits,
-    q: ArrayLike,
-    settings: PlaySettings | None = None,
+    path: TaughtPath, arm: Arm, limits: Limits, q: ArrayLike, settings: PlaySettings | None = None
 ) -> PathPlan:
     """Return the path made ready for an arm that stands at readings q (n,); arm's tool is the tip.
 

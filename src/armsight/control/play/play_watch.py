@@ -70,13 +70,7 @@ class PlayWatch:
     """Compares at each exposure. `cycle` is for the control loop, `observe` for the thread that measures."""
 
     def __init__(
-        self,
-        sight: CameraPlacement,
-        arm: Arm,
-        *,
-        stop_m: float | None,
-        arm_lag_s: float,
-        cycle_s: float,
+        self, sight: CameraPlacement, arm: Arm, *, stop_m: float | None, arm_lag_s: float, cycle_s: float
     ) -> None:
         """arm: its tool is the tip. stop_m: beyond it the arm is to stop, None: only told. arm_lag_s: at first."""
         self._sight, self._arm, self._stop_m = sight, arm, stop_m

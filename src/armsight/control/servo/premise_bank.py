@@ -62,11 +62,12 @@ def named_cause(wrong: Premise | None, rig: str = "") -> str | None:
     return Cause.RIG.value if rig else None if wrong is None else wrong.cause.value
 
 
-UNMOVED = Premise(
-    Cause.PICTURES,
-    "the target moves in the pictures as if they did not show what the arm does: old pictures, or other cameras",
-    30.0,
-)
+def _as_if(cause: Cause, what: str, handicap: float = 0.0) -> Premise:
+    return Premise(cause, f"the target moves in the pictures as if {what}", handicap)
+
+
+UNMOVED = _as_if(Cause.PICTURES, "they did not show what the arm does: old pictures, or other cameras", 30.0)
+INVERTED = _as_if(Cause.HAND_EYE, "the hand-eye calibration were inverted: T_camera_flange in its place", 2.0)
 
 
 def late_by(late_s: float) -> Premise:
@@ -74,20 +75,9 @@ def late_by(late_s: float) -> Premise:
     return Premise(Cause.PICTURES, f"the pictures are older than their times by about {late_s / MS:.0f} ms", 4.0)
 
 
-INVERTED = Premise(
-    Cause.HAND_EYE,
-    "the target moves in the pictures as if the hand-eye calibration were inverted: T_camera_flange in its place",
-    2.0,
-)
-
-
 def joint_reversed(joint: int) -> Premise:
     """Return the premise that a joint, from 0, goes the other way than the arm's model has it."""
-    return Premise(
-        Cause.ROBOT,
-        f"the target moves in the pictures as if joint {joint + 1} turned the other way than the model has it",
-        2.0,
-    )
+    return _as_if(Cause.ROBOT, f"joint {joint + 1} turned the other way than the model has it", 2.0)
 
 
 NEAR_M, FAR_M = 0.02, 20.0
@@ -121,44 +111,34 @@ def weights(M: Array, m: Array) -> Array:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bank:
-    """Premises under which what is seen is changed alike in each frame: the one believed first, its weights (39, 3 h),
-    and doubt (39, 3 r): what honest errors of a standard deviation do."""
-
-    premises: tuple[Premise, ...]
-    weights: Array
-    doubt: Array
-
-
 @cache
-def bank() -> Bank:
-    """Return the premises about the cameras."""
+def bank() -> tuple[tuple[Premise, ...], Array, Array]:
+    """Return the premises under which what is seen is changed alike in each frame: the one believed first, their
+    weights (39, 3 h), and the doubt (39, 3 r): what honest errors of a standard deviation do."""
     found: list[tuple[Premise, Array, Array]] = [(Premise(Cause.HAND_EYE, ""), np.eye(3), np.zeros(3))]
     directions = [np.array(v) - 1.0 for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]
     for direction in directions:
         axis = direction / np.linalg.norm(direction)
         half = (180.0,) if tuple(direction) > (0.0, 0.0, 0.0) else ()
         found += [
-            (turned(deg, axis), Rotation.from_rotvec(deg * DEG * axis).as_matrix(), np.zeros(3))
+            (_turned(deg, axis), Rotation.from_rotvec(deg * DEG * axis).as_matrix(), np.zeros(3))
             for deg in TURNS_DEG + half
         ]
         if np.abs(direction).sum() == 1.0:
-            found += [(aside(far_m, axis), np.eye(3), far_m * axis) for far_m in (0.03, 0.1)]
+            found += [(_aside(far_m, axis), np.eye(3), far_m * axis) for far_m in (0.03, 0.1)]
     for i, name in enumerate("xy"):
         M = np.eye(3)
         M[i, i] = -1.0
-        found.append((mirrored(name), M, np.zeros(3)))
+        found.append((_as_if(Cause.RIG, f"they were mirrored along {name}"), M, np.zeros(3)))
     for factor in (0.5, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 2.0):
-        found.append((scaled(factor), factor * np.eye(3), np.zeros(3)))
+        longer = _as_if(Cause.RIG, f"all lengths were {factor:.3g} times those measured", 10.0)
+        found.append((longer, factor * np.eye(3), np.zeros(3)))
         if abs(factor - 1.0) > 0.06:
-            found.append((deepened(factor), np.diag([1.0, 1.0, factor]), np.zeros(3)))
+            deeper = _as_if(Cause.RIG, f"its distance were {factor:.3g} times the one measured", 4.0)
+            found.append((deeper, np.diag([1.0, 1.0, factor]), np.zeros(3)))
     premises, maps, shifts = zip(*found, strict=True)
-    return Bank(
-        premises=premises,
-        weights=np.concatenate(list(map(weights, maps, shifts)), axis=1),
-        doubt=np.concatenate(honest_errors(), axis=1),
-    )
+    doubt = np.concatenate(honest_errors(), axis=1)
+    return premises, np.concatenate(list(map(weights, maps, shifts)), axis=1), doubt
 
 
 def honest_errors() -> list[Array]:
@@ -172,42 +152,16 @@ def honest_errors() -> list[Array]:
     ]
 
 
-def turned(deg: float, axis: Array) -> Premise:
+def _turned(deg: float, axis: Array) -> Premise:
     """Return the premise that the cameras are turned about an axis (3,) of theirs."""
     names = " and ".join(
         f"{'-' if part < 0.0 else ''}{name}" for part, name in zip(axis, "xyz", strict=True) if abs(part) > 0.1
     )
-    return Premise(
-        Cause.HAND_EYE,
-        f"the target moves in the pictures as if the cameras were turned by about {deg:.0f} deg about their {names}",
-    )
+    return _as_if(Cause.HAND_EYE, f"the cameras were turned by about {deg:.0f} deg about their {names}")
 
 
-def aside(far_m: float, axis: Array) -> Premise:
+def _aside(far_m: float, axis: Array) -> Premise:
     """Return the premise that the cameras are elsewhere on the flange, along an axis (3,) of theirs."""
     i = int(np.argmax(np.abs(axis)))
-    return Premise(
-        Cause.HAND_EYE,
-        f"the target moves in the pictures as if the cameras were {np.sign(axis[i]) * far_m / MM:.0f} mm further "
-        f"along their {'xyz'[i]}",
-        8.0,
-    )
-
-
-def mirrored(name: str) -> Premise:
-    """Return the premise that the pictures are mirrored."""
-    return Premise(Cause.RIG, f"the target moves in the pictures as if they were mirrored along {name}")
-
-
-def scaled(factor: float) -> Premise:
-    """Return the premise that all that is measured is too short by a factor."""
-    return Premise(
-        Cause.RIG, f"the target moves in the pictures as if all lengths were {factor:.3g} times those measured", 10.0
-    )
-
-
-def deepened(factor: float) -> Premise:
-    """Return the premise that distances from the cameras are too short by a factor."""
-    return Premise(
-        Cause.RIG, f"the target moves in the pictures as if its distance were {factor:.3g} times the one measured", 4.0
-    )
+    far = f"{np.sign(axis[i]) * far_m / MM:.0f} mm further along their {'xyz'[i]}"
+    return _as_if(Cause.HAND_EYE, f"the cameras were {far}", 8.0)

@@ -45,18 +45,6 @@ LEAST_S = 1e-6
 """Lateness is counted in bins 2.2 % wide, from 1 us to 1 s."""
 
 
-def _up() -> Queue:
-    return Queue(8192, RECORD_BYTES)
-
-
-def _newest_status() -> Newest:
-    return Newest(STATUS_BYTES)
-
-
-def _histogram() -> Any:
-    return RawArray("Q", BINS_PER_OCTAVE * OCTAVES)
-
-
 @dataclass(frozen=True, slots=True)
 class Channels:
     """What server and loop share. orders: to the loop; records: from it; state: its newest; lateness: of its cycles.
@@ -67,9 +55,9 @@ class Channels:
 
     orders: Queue = field(default_factory=lambda: Queue(1024, 1024))
     line: LineChannels = field(default_factory=LineChannels)
-    records: Queue = field(default_factory=_up)
-    state: Newest = field(default_factory=_newest_status)
-    lateness: Any = field(default_factory=_histogram)
+    records: Queue = field(default_factory=lambda: Queue(8192, RECORD_BYTES))
+    state: Newest = field(default_factory=lambda: Newest(STATUS_BYTES))
+    lateness: Any = field(default_factory=lambda: RawArray("Q", BINS_PER_OCTAVE * OCTAVES))
     track: JointTrack | None = None
 
 

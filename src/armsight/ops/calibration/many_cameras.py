@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.cameras import BoardOptions, CamerasCalibration
 from armsight.calibrate.cameras.many import extend_rig, solve_cameras
-from armsight.calibrate.cameras.many_checks import KnownLens
 from armsight.calibrate.cameras.many_result import result_of
+from armsight.calibrate.cameras.preconditions import KnownLens
 from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.drivers import AUTOMATIC, ImageReading, is_live, is_video
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError

@@ -10,7 +10,7 @@ from armsight.calibrate.cameras.two_sides import TwoSided
 from armsight.ops.calibration.board_pictures import BoardPictures, camera_boards, many_boards, rig_boards
 from armsight.ops.calibration.shown import front_of, words_of
 from armsight.records import Target
-from armsight.report import calibration_report
+from armsight.report.calibration import calibration_report
 from armsight.store import write_text
 from armsight.store.targets import board_text
 from armsight.units import MM

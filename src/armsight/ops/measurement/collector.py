@@ -18,12 +18,9 @@ from armsight.measure.results import CameraPart, MeasureResult
 from armsight.ops.measurement.outputs import Outputs
 from armsight.optics import ZoomState
 from armsight.records import Frame, PoseStatus, Progress, TargetPose
-from armsight.report import (
-    MeasureRun,
-    Sample,
-    measure_report,
-)
+from armsight.report.measure import measure_report
 from armsight.report.residuals import distance_rms
+from armsight.report.run import MeasureRun, Sample
 from armsight.store import World, write_text
 from armsight.store.atomic import write_json
 

@@ -23,8 +23,9 @@ from armsight.ops.measurement.warm_up import prepare
 from armsight.ops.sources.frames import recordings_in
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.records.result_parts import BothSeconds
-from armsight.report import MeasureRun, measure_report
+from armsight.report.measure import measure_report
 from armsight.report.residuals import distance_rms
+from armsight.report.run import MeasureRun
 from armsight.store import World, write_text
 from armsight.store.atomic import write_json
 from armsight.units import MM, MS

@@ -15,7 +15,7 @@ from armsight.arrays import Array
 from armsight.control.guard import Limits
 from armsight.control.guard.limits import joint_bounds
 from armsight.control.paths import PathCheck, Program, check_path, krl, python_module, rapid, urscript, with_approach
-from armsight.control.paths.gcode import gcode
+from armsight.control.paths.exports import gcode
 from armsight.control.paths.linuxcnc import Axes, plan_lines, require_genserkins, require_kept
 from armsight.control.paths.outliers import path_jumps
 from armsight.control.paths.program import ProgramMove, weld_state

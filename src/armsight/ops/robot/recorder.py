@@ -102,8 +102,8 @@ class LoopRecorder:
         if self.failed is not None:
             return
         try:
-            for item in items:
-                getattr(self._writer, item.method)(*item.args, **item.options)
+            for method, args in items:
+                getattr(self._writer, method)(*args)
             self._writer.tick()
         except ArmsightError as error:
             self.failed = error

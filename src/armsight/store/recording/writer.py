@@ -156,7 +156,7 @@ class RecordingWriter(Closing):
         self._json("/robot/command", schemas.COMMAND, t_s, {"t_s": t_s, "kind": kind, "values": dict(values)})
         self.tick()
 
-    def event(self, t_s: float, message: str, *, level: str = "info", name: str = "armsight") -> None:
+    def event(self, t_s: float, message: str, level: str = "info", name: str = "armsight") -> None:
         """Add something that happened; level: one of LEVELS."""
         self._json(
             schemas.EVENTS,

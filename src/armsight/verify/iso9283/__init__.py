@@ -2,8 +2,8 @@
 
 from armsight.verify.iso9283.evaluate import Iso9283Test as Iso9283Test
 from armsight.verify.iso9283.evaluate import evaluate as evaluate
-from armsight.verify.iso9283.figure import Figure as Figure
 from armsight.verify.iso9283.figure import Figures as Figures
+from armsight.verify.iso9283.figure import IsoFigure as IsoFigure
 from armsight.verify.iso9283.motions import TestCube as TestCube
 from armsight.verify.iso9283.observations import ArrivalTest as ArrivalTest
 from armsight.verify.iso9283.observations import CommandedPath as CommandedPath

@@ -14,7 +14,7 @@ from armsight.units import MM
 from armsight.verify.iso9283.figure import (
     SIGMAS,
     Estimate,
-    Figure,
+    IsoFigure,
     magnitude,
     noted,
     radial_repeatability,
@@ -82,7 +82,7 @@ def trend(visits: PoseVisits) -> Trend | None:
     return Trend(moved_m=moved, neighbours_m=radial_repeatability(steps - steps.mean(axis=0), None).value)
 
 
-def told_of_trend(figures: Sequence[Figure], visits: Sequence[PoseVisits]) -> list[Figure]:
+def told_of_trend(figures: Sequence[IsoFigure], visits: Sequence[PoseVisits]) -> list[IsoFigure]:
     """Return figures of these visits, without deviations and with the reason where the visits drift."""
     found = [one for one in map(trend, visits) if one is not None]
     if not found:
@@ -94,7 +94,7 @@ def told_of_trend(figures: Sequence[Figure], visits: Sequence[PoseVisits]) -> li
     ]
 
 
-def drift_figures(visits: PoseVisits) -> list[Figure]:
+def drift_figures(visits: PoseVisits) -> list[IsoFigure]:
     """Return dAP and dRP of one robot at one pose: how AP and RP of the last visits differ from those of the first.
 
     What the measurement errs alike in all visits cancels. n counts the visits.
@@ -110,7 +110,7 @@ def drift_figures(visits: PoseVisits) -> list[Figure]:
     return [_accuracy(first, last, n), _repeatability(first, last, n)]
 
 
-def _accuracy(first: PoseVisits, last: PoseVisits, n: int) -> Figure:
+def _accuracy(first: PoseVisits, last: PoseVisits, n: int) -> IsoFigure:
     if first.commanded_xyz_m is None or not first.in_measuring_frame:
         why = "no commanded pose is known in the measuring frame"
         return withheld(DRIFTS[:1], why, n=n, wanted=2 * GROUP, place=first.place)[0]
@@ -120,12 +120,12 @@ def _accuracy(first: PoseVisits, last: PoseVisits, n: int) -> Figure:
     return _difference("dAP", ends, n, first.place)
 
 
-def _repeatability(first: PoseVisits, last: PoseVisits, n: int) -> Figure:
+def _repeatability(first: PoseVisits, last: PoseVisits, n: int) -> IsoFigure:
     ends = [radial_repeatability(one.xyz_m - one.xyz_m.mean(axis=0), None) for one in (first, last)]
     return _difference("dRP", ends, n, first.place)
 
 
-def _difference(symbol: str, ends: Sequence[Estimate], n: int, place: str) -> Figure:
+def _difference(symbol: str, ends: Sequence[Estimate], n: int, place: str) -> IsoFigure:
     """Return the size of the difference of two estimates that are independent."""
     first, last = ends
     estimate = Estimate(value=abs(last.value - first.value), std=sqrt(first.std**2 + last.std**2))
@@ -148,7 +148,7 @@ FIGURES = (("t", "s"), ("OV", "m"))
 NO_BAND = "the limit band is not known: neither was it told, nor is there a pose repeatability of this pose"
 
 
-def arrival_figures(test: ArrivalTest) -> list[Figure]:
+def arrival_figures(test: ArrivalTest) -> list[IsoFigure]:
     """Return t, the mean of the arrivals, and OV, their largest; withheld where a trace does not carry them.
 
     t runs from the first entry into the limit band until the arm stays in it, both interpolated between samples. Its

@@ -11,7 +11,7 @@ import numpy as np
 
 from armsight.errors import Inconsistent
 from armsight.verify.iso9283 import drift, path, pose
-from armsight.verify.iso9283.figure import Estimate, Figure, Figures, magnitude, noted, too_few, withheld
+from armsight.verify.iso9283.figure import Estimate, Figures, IsoFigure, magnitude, noted, too_few, withheld
 from armsight.verify.iso9283.observations import ArrivalTest, PathTest, PoseVisits
 from armsight.verify.iso9283.pose import MIN_ACCURACY, TURNS, VISITS, barycentre_covariance, figure_of, turns_from
 
@@ -61,7 +61,7 @@ def evaluate(test: Iso9283Test) -> Figures:
     return Figures(figures=tuple(_all(test)))
 
 
-def _all(test: Iso9283Test) -> Iterator[Figure]:
+def _all(test: Iso9283Test) -> Iterator[IsoFigure]:
     if not test.poses:
         outer = [(f"{kind}{tail}", unit) for kind in ("AD", "RD") for tail, unit in pose.OUTER]
         symbols = (
@@ -87,7 +87,7 @@ def _all(test: Iso9283Test) -> Iterator[Figure]:
     yield from _paths(test)
 
 
-def _distances(test: Iso9283Test) -> Iterator[Figure]:
+def _distances(test: Iso9283Test) -> Iterator[IsoFigure]:
     """Yield AD and RD of each robot."""
     for robot in dict.fromkeys(visits.robot for visits in test.poses):
         own = {visits.pose: visits for visits in test.poses if visits.robot == robot}
@@ -116,7 +116,7 @@ def _farthest(own: dict[str, PoseVisits]) -> tuple[str, str] | None:
     )
 
 
-def _exchanged(test: Iso9283Test) -> Iterator[Figure]:
+def _exchanged(test: Iso9283Test) -> Iterator[IsoFigure]:
     """Yield E of each pose that several robots visited; withheld once where there is none."""
     names = dict.fromkeys(visits.pose for visits in test.poses)
     robots = {name: [visits for visits in test.poses if visits.pose == name] for name in names}
@@ -125,14 +125,14 @@ def _exchanged(test: Iso9283Test) -> Iterator[Figure]:
         yield from exchangeability(name, robots[name])
 
 
-def _arrivals(test: Iso9283Test) -> Iterator[Figure]:
+def _arrivals(test: Iso9283Test) -> Iterator[IsoFigure]:
     if not test.arrivals:
         yield from withheld(drift.FIGURES, "no arrivals were given", n=0, wanted=drift.ARRIVALS)
     for trace in test.arrivals:
         yield from drift.arrival_figures(trace)
 
 
-def _paths(test: Iso9283Test) -> Iterator[Figure]:
+def _paths(test: Iso9283Test) -> Iterator[IsoFigure]:
     if not test.paths:
         why = "no runs along a path were given"
         yield from withheld((*path.ACCURACY, *path.REPEATABILITY), why, n=0, wanted=path.RUNS)
@@ -157,7 +157,7 @@ VARIATION = (("vAP", "m"), *((f"vAP_{turn}", "rad") for turn in TURNS))
 EXCHANGEABILITY = (("E", "m"),)
 
 
-def variation(visits: PoseVisits) -> list[Figure]:
+def variation(visits: PoseVisits) -> list[IsoFigure]:
     """Return vAP, vAP_a .. vAP_c of one robot at one pose: the largest distance of barycentres by direction.
 
     The measurement's systematic part is the same in all directions and cancels. n counts the visits of the direction
@@ -180,7 +180,7 @@ def variation(visits: PoseVisits) -> list[Figure]:
     return withheld(VARIATION, why, n=fewest, wanted=VISITS, place=visits.place)
 
 
-def exchangeability(pose: str, robots: Sequence[PoseVisits]) -> list[Figure]:
+def exchangeability(pose: str, robots: Sequence[PoseVisits]) -> list[IsoFigure]:
     """Return E of one commanded pose: the largest distance of the robots' barycentres; n counts robots."""
     several = [visits for visits in robots if len(visits.directions) > 1]
     few = [visits for visits in robots if len(visits) < MIN_ACCURACY]
@@ -197,7 +197,7 @@ def exchangeability(pose: str, robots: Sequence[PoseVisits]) -> list[Figure]:
     return withheld(EXCHANGEABILITY, why, n=len(robots), wanted=ROBOTS, place=pose)
 
 
-def _largest_distance(symbol: str, parts: Sequence[PoseVisits], *, wanted: int, n: int, place: str) -> Figure:
+def _largest_distance(symbol: str, parts: Sequence[PoseVisits], *, wanted: int, n: int, place: str) -> IsoFigure:
     """Return the largest distance between barycentres, with the standard deviation of that pair's."""
     pairs = [
         magnitude(
@@ -212,7 +212,7 @@ def _largest_distance(symbol: str, parts: Sequence[PoseVisits], *, wanted: int, 
     return noted(figure, "no more than the barycentres' own scatter" if largest.value < CHANCE * largest.std else "")
 
 
-def _turned_farthest(parts: Sequence[PoseVisits], n: int, place: str) -> list[Figure]:
+def _turned_farthest(parts: Sequence[PoseVisits], n: int, place: str) -> list[IsoFigure]:
     """Return vAP_a .. vAP_c: the largest turn, by component, between the directions' mean orientations."""
     rotations = [part.rotation for part in parts]
     known = [rotation for rotation in rotations if rotation is not None]

@@ -36,8 +36,16 @@ def symbol_of(name: str) -> tuple[str, str, float]:
 
 @output
 class IsoFigure(Output):
-    """A figure of ISO 9283."""
+    """A figure of ISO 9283.
 
+    symbol, unit, place: what it is and where it holds; "" where it was read. value: by the standard's formula from the
+    data as measured. std: from the repeats and from the measurement's covariance. corrected: what remains for the robot
+    where the measurement's own scatter and the few repeats are taken out.
+    """
+
+    symbol: str = ""
+    unit: str = "1"
+    place: str = ""
     value: Annotated[float | None, Doc("The figure; null where withheld.")]
     n: Annotated[int, Doc("Visits that it rests on.")]
     wanted: Annotated[int, Doc("Visits that the norm asks for.")]
@@ -45,41 +53,12 @@ class IsoFigure(Output):
     std: Annotated[float | None, Doc("Its standard deviation.")]
     corrected: Annotated[float | None, Doc("Without the measurement's own scatter; null where not known.")]
     corrected_std: Annotated[float | None, Doc("Its standard deviation.")]
-    note: Annotated[str, Doc("What else to know of it; empty where nothing.")]
-
-    def shown(self, factor: float) -> str:
-        """Return it ± its standard deviation, where it has one, both to the same digit; a dash where withheld."""
-        if self.value is None or not self.std:
-            return figure_of(None if self.value is None else self.value / factor)
-        return " ± ".join(with_deviation(self.value / factor, self.std / factor))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figure:
-    """A figure: symbol and unit, where it holds, how many repeats it is of, and how many the standard asks for.
-
-    value: by the standard's formula from the data as measured; None where withheld says why not. std: its standard
-    deviation, from the repeats and from the measurement's covariance. corrected, corrected_std: what remains for the
-    robot where the measurement's own scatter and the few repeats are taken out; None where that is not done. note: what
-    else a reader should know.
-    """
-
-    symbol: str
-    unit: str
-    n: int
-    wanted: int
-    place: str = ""
-    value: float | None = None
-    std: float | None = None
-    corrected: float | None = None
-    corrected_std: float | None = None
-    withheld: str | None = None
-    note: str = ""
+    note: Annotated[str, Doc("What else to know of it; empty where nothing.")] = ""
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
             raise UsageError(f"the unit {self.unit!r} is not known", cure=f"Use one of: {', '.join(UNITS)}")
-        if (self.value is None) == (self.withheld is None):
+        if self.symbol and (self.value is None) == (self.withheld is None):
             raise UsageError(f"{self.symbol} needs either a value or the reason why it is withheld")
 
     @property
@@ -92,38 +71,26 @@ class Figure:
         """The name, with the pose behind it: 'RP_m P1'."""
         return f"{self.name} {self.place}".strip()
 
-    @property
-    def repeats(self) -> str:
-        """How many repeats there were of how many wanted: '10 of 30'; '30' where there were enough."""
-        return f"{self.n} of {self.wanted}" if self.n < self.wanted else f"{self.n}"
-
-    def result(self) -> IsoFigure:
-        """Return it as programs get it."""
-        return IsoFigure(
-            value=self.value,
-            n=self.n,
-            wanted=self.wanted,
-            withheld=self.withheld,
-            std=self.std,
-            corrected=self.corrected,
-            corrected_std=self.corrected_std,
-            note=self.note,
-        )
+    def shown(self, factor: float) -> str:
+        """Return it ± its standard deviation, where it has one, both to the same digit; a dash where withheld."""
+        if self.value is None or not self.std:
+            return figure_of(None if self.value is None else self.value / factor)
+        return " ± ".join(with_deviation(self.value / factor, self.std / factor))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
     """All figures of a test, in the standard's order."""
 
-    figures: tuple[Figure, ...]
+    figures: tuple[IsoFigure, ...]
 
-    def __iter__(self) -> Iterator[Figure]:
+    def __iter__(self) -> Iterator[IsoFigure]:
         return iter(self.figures)
 
     def __len__(self) -> int:
         return len(self.figures)
 
-    def __getitem__(self, key: str) -> Figure:
+    def __getitem__(self, key: str) -> IsoFigure:
         """Return the figure of a key: 'RP_m P1', or 'RP_m' for the worst of all poses; KeyError for another one."""
         for figure in self.figures:
             if figure.key == key:
@@ -133,12 +100,12 @@ class Figures:
             return worst[key]
         raise KeyError(f"there is no figure {key!r}; there are {', '.join(figure.key for figure in self.figures)}")
 
-    def worst(self) -> dict[str, Figure]:
+    def worst(self) -> dict[str, IsoFigure]:
         """Return by name the figure of the place at which it is largest in size.
 
         Where it is withheld everywhere, that of the place with the most repeats, whose reason says most.
         """
-        groups: dict[str, list[Figure]] = {}
+        groups: dict[str, list[IsoFigure]] = {}
         for figure in self.figures:
             groups.setdefault(figure.name, []).append(figure)
         return {
@@ -148,14 +115,17 @@ class Figures:
 
     def results(self) -> dict[str, IsoFigure]:
         """Return the worst of each figure by name and, where there are several poses, each of them by key."""
-        out = {name: figure.result() for name, figure in self.worst().items()}
+        out = self.worst()
         several = {name for name in out if sum(figure.name == name for figure in self.figures) > 1}
-        return out | {figure.key: figure.result() for figure in self.figures if figure.name in several}
+        return out | {figure.key: figure for figure in self.figures if figure.name in several}
 
 
-def withheld(figures: Iterable[tuple[str, str]], why: str, *, n: int, wanted: int, place: str = "") -> list[Figure]:
+def withheld(figures: Iterable[tuple[str, str]], why: str, *, n: int, wanted: int, place: str = "") -> list[IsoFigure]:
     """Return the figures of the given (symbol, unit), all withheld for one reason."""
-    return [Figure(symbol=s, unit=u, n=n, wanted=wanted, place=place, withheld=why) for s, u in figures]
+    none = dict.fromkeys(("value", "std", "corrected", "corrected_std"))
+    return [
+        IsoFigure(symbol=s, unit=u, n=n, wanted=wanted, place=place, withheld=why, note="", **none) for s, u in figures
+    ]
 
 
 def too_few(what: str, n: int, needed: int, wanted: int) -> str:
@@ -163,7 +133,7 @@ def too_few(what: str, n: int, needed: int, wanted: int) -> str:
     return f"{n} of the {needed} {what} that are needed at least; ISO 9283 asks for {wanted}"
 
 
-def noted(figure: Figure, note: str) -> Figure:
+def noted(figure: IsoFigure, note: str) -> IsoFigure:
     """Return the figure with a note added."""
     return replace(figure, note="; ".join(part for part in (figure.note, note) if part))
 

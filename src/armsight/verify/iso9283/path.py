@@ -12,7 +12,7 @@ from armsight.arrays import Array
 from armsight.verify.iso9283.figure import (
     SIGMAS,
     Estimate,
-    Figure,
+    IsoFigure,
     deviation_std,
     magnitude,
     noted,
@@ -44,7 +44,7 @@ ACCURACY = (("AT", "m"), *((f"AT_{turn}", "rad") for turn in TURNS))
 REPEATABILITY = (("RT", "m"), *((f"RT_{turn}", "rad") for turn in TURNS))
 
 
-def path_figures(test: PathTest) -> list[Figure]:
+def path_figures(test: PathTest) -> list[IsoFigure]:
     """Return AT, AT_a .. AT_c, RT, RT_a .. RT_c: each the largest over planes square to the path.
 
     The largest of many planes is found where chance helped as well: of few runs it is on average too large, and its
@@ -89,7 +89,7 @@ def _no_accuracy(test: PathTest) -> str | None:
     return None
 
 
-def _accuracy(test: PathTest, planes: Planes, crossings: Crossings, kept: NDArray[np.intp]) -> list[Figure]:
+def _accuracy(test: PathTest, planes: Planes, crossings: Crossings, kept: NDArray[np.intp]) -> list[IsoFigure]:
     """Return AT: the largest distance of the mean attained path from the command, and its turns."""
     n = len(test.runs)
     systematic = np.zeros((3, 3)) if test.systematic_m2 is None else test.systematic_m2
@@ -114,7 +114,7 @@ def _accuracy(test: PathTest, planes: Planes, crossings: Crossings, kept: NDArra
     return figures
 
 
-def _repeatability(test: PathTest, crossings: Crossings, kept: NDArray[np.intp], own: bool) -> list[Figure]:
+def _repeatability(test: PathTest, crossings: Crossings, kept: NDArray[np.intp], own: bool) -> list[IsoFigure]:
     """Return RT: the largest l + 3 S_l over the planes, and 3 S of the turns."""
     n = len(test.runs)
     note = "in planes square to the first run: the commanded path is not known in the measuring frame" if own else ""
@@ -160,7 +160,7 @@ CHORD = 25
 VELOCITY_FIGURES = (("AV", "1"), ("RV", "1"), ("FV", "m/s"))
 
 
-def velocity_figures(test: PathTest) -> list[Figure]:
+def velocity_figures(test: PathTest) -> list[IsoFigure]:
     """Return AV and RV as shares of the commanded speed, and FV in m/s.
 
     A speed is the central difference of the position along the path's direction, so that noise across the path, which
@@ -217,7 +217,7 @@ def _no_velocity(test: PathTest) -> str | None:
     return None
 
 
-def _against_command(test: PathTest, means: Array) -> list[Figure]:
+def _against_command(test: PathTest, means: Array) -> list[IsoFigure]:
     """Return AV and RV of the runs' mean speeds (n,)."""
     n = len(means)
     commanded = None if test.commanded is None else test.commanded.speed_m_s
@@ -261,7 +261,7 @@ WORTH = 0.2
 CORNER_FIGURES = (("CR", "m"), ("CO", "m"))
 
 
-def corner_figures(test: PathTest) -> list[Figure]:
+def corner_figures(test: PathTest) -> list[IsoFigure]:
     """Return CR and CO at every corner of a commanded path: the largest of the runs.
 
     CR: the least distance of a run from the corner. CO: the furthest that a run lies beyond the second leg, on the

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from armsight.arrays import Array
 from armsight.verify.iso9283.figure import (
     Estimate,
-    Figure,
+    IsoFigure,
     magnitude,
     noted,
     radial_repeatability,
@@ -42,7 +42,7 @@ NOISE_UNKNOWN = (
 BELOW_NOISE = "the scatter is no larger than the measurement's own: the robot's part cannot be seen"
 
 
-def pose_figures(visits: PoseVisits) -> list[Figure]:
+def pose_figures(visits: PoseVisits) -> list[IsoFigure]:
     """Return AP, AP_x .. AP_c, RP, RP_a .. RP_c of one robot at one pose, each given or withheld with the reason.
 
     a, b, c are turns about x, y, z of the measuring frame: components of the rotation vector from the commanded, or
@@ -62,9 +62,11 @@ def turns_from(rotation: Rotation, reference: Rotation) -> Array:
     return np.asarray((rotation * reference.inv()).as_rotvec())
 
 
-def figure_of(symbol: str, unit: str, estimate: Estimate, *, n: int, wanted: int, place: str, note: str = "") -> Figure:
+def figure_of(
+    symbol: str, unit: str, estimate: Estimate, *, n: int, wanted: int, place: str, note: str = ""
+) -> IsoFigure:
     """Return a given figure."""
-    return Figure(
+    return IsoFigure(
         symbol=symbol,
         unit=unit,
         n=n,
@@ -74,11 +76,12 @@ def figure_of(symbol: str, unit: str, estimate: Estimate, *, n: int, wanted: int
         std=estimate.std,
         corrected=estimate.corrected,
         corrected_std=estimate.corrected_std,
+        withheld=None,
         note=note,
     )
 
 
-def _accuracy(visits: PoseVisits) -> list[Figure]:
+def _accuracy(visits: PoseVisits) -> list[IsoFigure]:
     """Return AP: the barycentre against the command."""
     n, place = len(visits), visits.place
     why = _no_accuracy(visits)
@@ -126,14 +129,14 @@ def _no_accuracy(visits: PoseVisits) -> str | None:
     return None
 
 
-def _signed(symbol: str, unit: str, value: float, variance: float, visits: PoseVisits, note: str) -> Figure:
+def _signed(symbol: str, unit: str, value: float, variance: float, visits: PoseVisits, note: str) -> IsoFigure:
     """Return a component, of which noise makes no more on average: corrected is the value itself."""
     std = sqrt(max(variance, 0.0))
     estimate = Estimate(value=value, std=std, corrected=value, corrected_std=std)
     return figure_of(symbol, unit, estimate, n=len(visits), wanted=VISITS, place=visits.place, note=note)
 
 
-def _repeatability(visits: PoseVisits) -> list[Figure]:
+def _repeatability(visits: PoseVisits) -> list[IsoFigure]:
     """Return RP: the scatter about the barycentre, of visits from one direction."""
     n, place = len(visits), visits.place
     why = _no_repeatability(visits)
@@ -191,7 +194,7 @@ class _Axis:
     random: float | None
 
 
-def distance_figures(one: PoseVisits, other: PoseVisits) -> list[Figure]:
+def distance_figures(one: PoseVisits, other: PoseVisits) -> list[IsoFigure]:
     """Return AD, AD_x .. AD_c, RD, RD_x .. RD_c of the distance between two poses, cycle by cycle.
 
     AD needs no common frame with the command, since a distance is the same in every frame; its components do. The
@@ -216,7 +219,7 @@ def distance_figures(one: PoseVisits, other: PoseVisits) -> list[Figure]:
     return [noted(figure, note) if figure.value is not None else figure for figure in figures]
 
 
-def _position(a: PoseVisits, b: PoseVisits, place: str, mixed: str | None) -> list[tuple[Figure, Figure]]:
+def _position(a: PoseVisits, b: PoseVisits, place: str, mixed: str | None) -> list[tuple[IsoFigure, IsoFigure]]:
     """Return AD and RD of the distance and of its components."""
     step = a.xyz_m - b.xyz_m  # (n, 3)
     mean = step.mean(axis=0)
@@ -236,7 +239,7 @@ def _position(a: PoseVisits, b: PoseVisits, place: str, mixed: str | None) -> li
     return pairs
 
 
-def _rotation(a: PoseVisits, b: PoseVisits, place: str, mixed: str | None) -> list[tuple[Figure, Figure]]:
+def _rotation(a: PoseVisits, b: PoseVisits, place: str, mixed: str | None) -> list[tuple[IsoFigure, IsoFigure]]:
     """Return AD and RD of the turn between the two poses, by component."""
     one, other = a.rotation, b.rotation
     if one is None or other is None:
@@ -261,7 +264,7 @@ def _rotation(a: PoseVisits, b: PoseVisits, place: str, mixed: str | None) -> li
 
 def _pair(
     axis: _Axis, found: Array, wanted: float | None, why: str, place: str, mixed: str | None
-) -> tuple[Figure, Figure]:
+) -> tuple[IsoFigure, IsoFigure]:
     """Return AD and RD of distances found (n,); why: the reason where wanted, the commanded one, is not known."""
     n = len(found)
     if wanted is None:

@@ -15,7 +15,7 @@ from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import RISING, UNPROVED, candidates, significant_gain
 from armsight.calibrate.arm.plausibility import ranges
 from armsight.calibrate.arm.result import ArmResult, Errors, FixedParameter, TouchedFeature
-from armsight.calibrate.arm.touch.faults import Gross, Told, check_lengths, check_moved, gross_rows, other_senses, told
+from armsight.calibrate.arm.touch.faults import Told, check_lengths, check_moved, gross_rows, other_senses, told
 from armsight.calibrate.arm.touch.fit import TouchFit, fit_touches
 from armsight.calibrate.arm.touch.model import TouchModel, start
 from armsight.calibrate.arm.touch.touches import Kind, Touches, check_touches, of_postures
@@ -70,11 +70,11 @@ def calibrate_touched(
     for _ in range(REFITS):  # a gross row's pull is bounded, but along what the others hardly tell it is far
         if not gross:
             break
-        kept = np.setdiff1d(np.arange(len(touches)), [one.row for one in gross])
+        kept = np.setdiff1d(np.arange(len(touches)), [row for row, _, _ in gross])
         model = replace(every, touches=touches.take(kept))
         levels = _levels(model, levels[0].fitted.p, tried, tolerance)
         before, gross = gross, gross_rows(every, _plain(levels).fitted)
-        if [one.row for one in gross] == [one.row for one in before]:
+        if [row for row, _, _ in gross] == [row for row, _, _ in before]:
             break
     levels = _levels(model, levels[0].fitted.p, later, tolerance, levels)
     best = _chosen(model, levels, tolerance)
@@ -189,7 +189,7 @@ def _check_fit(model: TouchModel, full: TouchFit) -> None:
     if _fits(model, full):
         return
     gross = gross_rows(model, full)
-    rows = ranges([int(model.touches.row[one.row]) for one in gross]) if gross else ""
+    rows = ranges([int(model.touches.row[row]) for row, _, _ in gross]) if gross else ""
     told_rows = f"; rows {rows} do not agree with the others" if gross else ""
     raise _not_of_this_arm(
         f"with zeros and lengths corrected the touches still scatter by {full.scatter_m / MM:.3g} mm{told_rows}"
@@ -257,7 +257,7 @@ def _result(judged: _Judged, tolerance: Tolerance) -> ArmResult:
         fixed=_fixed(judged),
         condition=judged.told.condition if judged.gain else 1.0,
         covariance=covariance,
-        outlier_rows=tuple((int(judged.every.touches.row[one.row]), one.miss_m) for one in gross),
+        outlier_rows=tuple((int(judged.every.touches.row[row]), miss_m) for row, miss_m, _ in gross),
         couplings=(),
         still=still(arm_model, touches.as_points()),
         at_limit=at_limit,
@@ -352,13 +352,13 @@ def _feature(model: TouchModel, best: TouchFit, name: str) -> TouchedFeature:
     )
 
 
-def _notes(judged: _Judged, gross: Sequence[Gross]) -> tuple[str, ...]:
+def _notes(judged: _Judged, gross: Sequence[tuple[int, float, str]]) -> tuple[str, ...]:
     """Return what to know: rows of other features, what is open and why, what the tool's frame is."""
     touches = judged.every.touches
     told_rows = [
-        f"Row {touches.row[one.row] + 1} is called {touches.feature[one.row]} and fits {one.fits}: it is left out"
-        for one in gross
-        if one.fits
+        f"Row {touches.row[row] + 1} is called {touches.feature[row]} and fits {fits}: it is left out"
+        for row, _, fits in gross
+        if fits
     ]
     why: dict[str, list[str]] = {}
     for name, reason in judged.told.fixed:

@@ -45,17 +45,9 @@ LENGTH_OFF = 5.0
 """Standard deviations between a length that was measured and what the touches say of it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gross:
-    """A row (from 0 of those fitted) that misses its feature by so much, m, and the one that it fits, '' for none."""
-
-    row: int
-    miss_m: float
-    fits: str
-
-
-def gross_rows(model: TouchModel, fitted: TouchFit) -> tuple[Gross, ...]:
-    """Return the touches that are off beyond chance; a wrong spike's with the name of the right one."""
+def gross_rows(model: TouchModel, fitted: TouchFit) -> list[tuple[int, float, str]]:
+    """Return the touches that are off beyond chance: the row, from 0 of those fitted, by how much it misses its feature
+    in m, and the feature that it fits, '' for none."""
     e, _, by_q = model.misses(fitted.p, model.touches)
     whiten = fitted.noise.whitener(model.touches, by_q)
     size = np.linalg.norm(np.einsum("mij,mj->mi", whiten, e), axis=1)
@@ -68,8 +60,8 @@ def gross_rows(model: TouchModel, fitted: TouchFit) -> tuple[Gross, ...]:
             near = {name: float(np.linalg.norm(whiten[i] @ (tip - fitted.p[model.first(name)]))) for name in spikes}
             nearest = min(near, key=lambda name: near[name])
             fits = nearest if near[nearest] <= GROSS else ""
-        found.append(Gross(row=i, miss_m=float(np.linalg.norm(e[i])), fits=fits))
-    return tuple(found)
+        found.append((i, float(np.linalg.norm(e[i])), fits))
+    return found
 
 
 def check_moved(model: TouchModel, fitted: TouchFit, tolerance: Tolerance) -> None:
