@@ -82,9 +82,9 @@ def test_times_are_read_without_a_picture(tmp_path: Path, monkeypatch: pytest.Mo
 def test_the_rate_that_can_be_kept_is_said_beside_what_was_dropped(tmp_path: Path) -> None:
     done = record_moments(RecordJob(out=tmp_path / "a.mcap"), Fake(fakes(4)), live=False)
     (said,) = replace(done, n_dropped=7).summary()
-    assert "7 dropped because the disk or the processor is too slow and kept up with 60.0 a second" in str(said)
+    assert "7 dropped" in str(said) and "60.0 a second" in str(said)
     (said,) = done.summary()
-    assert "kept up" not in str(said)
+    assert "a second" not in str(said)
 
 
 def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path) -> None:
