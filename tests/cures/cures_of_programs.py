@@ -33,6 +33,9 @@ FILES = {
     "programs/no_unit.ngc": gcode(POSES).replace("G21 ", ""),
     "programs/in_mm.ngc": gcode(POSES),
     "programs/calibration.conf": OF_AN_UR10,
+    "programs/melfa.prg": "".join(
+        f"DEF POS P{k}=(300,{100 + 50 * k},400,{20.5 + k},170.2,0.00)(6,0)\n" for k in (1, 2)
+    ),
 }
 
 
@@ -102,6 +105,10 @@ TRIED = {
     ("store/programs/kinds.py", "Leave --columns away"): (
         f"{table('points.dat')} --columns x_mm,y_mm,z_mm",
         table("points.dat"),
+    ),
+    ("store/programs/calls.py", "Give --euler xyz-fixed if the arm has six axes"): (
+        table("melfa.prg"),
+        "{} --euler xyz-fixed",
     ),
     ("store/programs/kinds.py", "Give --pulses-per-degree S,L,U,R,B,T"): (
         table("job.jbi"),

@@ -102,8 +102,9 @@ class Command(CommandTraits):
 
     def run(self, face: Face = CommandUI, /, **given: Any) -> None:
         """Run the function; a run that fails leaves the results that were there, one that was stopped what it has."""
-        load_rotations()
         as_json, check = given.pop("json", False), self.judged and given.pop("check", False)
+        with face(as_json=as_json):
+            load_rotations()
         overwrite = given.pop("overwrite", False) if self.keeps else False
         with contextlib.ExitStack() as held:
             if self.filed:
