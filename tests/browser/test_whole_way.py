@@ -150,7 +150,7 @@ TURNS = (
 def hand_eye(page: Any, console: Any, address: str) -> None:
     page.goto(f"{address}/calibrate")
     console.measuring(page)
-    console.robot_says(page, "stands")
+    console.rests(page)
     page.locator("[data-testid=override]").fill("100")
     page.click("[data-testid=step-handeye]")
     page.click("[data-testid=jog-tool]")
