@@ -102,24 +102,6 @@ def test_a_light_that_touches_something_bright_is_measured_in_its_window_where_s
         track = measured.track
 
 
-@pytest.mark.parametrize("other", [False, True], ids=["alone", "beside another one"])
-def test_a_knock_is_measured_in_windows_where_nothing_else_could_be_the_target(other: bool) -> None:
-    track: Track | None = None
-    knock = RigidTransform.from_translation([0.003, 0.0, 0.0])
-    for number in range(9):
-        T = knock * pose_at(number) if number == 8 else pose_at(number)
-        lights = (
-            np.concatenate([T.apply(X), T.apply(X + np.array([0.0, 0.03, 0.0]))])
-            if other and number == 8
-            else T.apply(X)
-        )
-        measured = measure_pair(LIVE, *frames(lights, number), track)
-        if number < 8 or not other:
-            assert_pose(measured, T)
-        assert measured.tracked is (number > 0 and not (other and number == 8))
-        track = measured.track
-
-
 def test_a_jump_out_of_the_windows_falls_back_to_the_whole_frame() -> None:
     first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))
     jumped = RigidTransform.from_components([-0.1, 0.06, 0.7], Rotation.from_rotvec([-0.1, 0.3, 1.0]))

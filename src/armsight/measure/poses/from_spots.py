@@ -77,7 +77,7 @@ def measure_among(
         return lost_moment(t_s, (left, right), against, track), 1.0
     step = continuation(setup, track, t_s, solved)
     if track is not None and doubtful(setup, track, t_s, solved, step):
-        return refused_by_motion(t_s, (left, right), track), 1.0
+        return lost_moment(t_s, (left, right), NotSeen(_DOUBTFUL, Unseen.MOTION), replace(track, doubted=True)), 1.0
     misfit = 0.0 if setup.overlaid or picked else misfit_chi2(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
@@ -92,11 +92,6 @@ def measure_among(
         cause=solved.cause,
     )
     return measured, match.chance
-
-
-def refused_by_motion(t_s: float, seen: tuple[Spots, Spots], track: Track) -> Measured:
-    """Return a moment whose pose does not go on from the track's motion; the next one is believed."""
-    return lost_moment(t_s, seen, NotSeen(_DOUBTFUL, Unseen.MOTION), replace(track, doubted=True))
 
 
 def _look(

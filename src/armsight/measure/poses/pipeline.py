@@ -11,15 +11,14 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
-from armsight.measure.poses.from_spots import measure_among, measure_spots, refused_by_motion
+from armsight.measure.poses.from_spots import measure_among, measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_seen
-from armsight.measure.poses.tracking import MAX_GAP_S, continuation, doubtful, jumped, next_track
-from armsight.measure.settings import METHODS
-from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, candidates_within, find_candidates, track_spots
+from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
+from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, parallel_rig
 from armsight.records import (
@@ -40,10 +39,6 @@ NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring s
 _MASK = "mask the background, lower the exposure, or give the target one more light"
 FIT_SHARE = 0.15
 """Share of a deadline that is for measuring the chosen lights of an image."""
-ABOUT_PX = 48
-"""How far about the spots of knocked lights others are looked for: further than a window reaches."""
-SAME_PX = 2.0
-"""By how much a coarse centre may be off the spot that it is of: that of a light before something bright, a pixel."""
 
 
 def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = None) -> Measured:
@@ -264,14 +259,8 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     if not solved.fits or solved.pose.status is PoseStatus.LOST or seen.hidden:
         return None
     step = continuation(setup, track, t_s, solved)
-    if track.motion is None or not step.likely:
-        if jumped(setup, track, t_s, solved):
-            return None
-        if not step.likely:
-            if not _alone(setup, (left, right), (left_seen, right_seen)):
-                return None
-            if doubtful(setup, track, t_s, solved, step):
-                return refused_by_motion(t_s, (left_seen, right_seen), track)
+    if not step.likely or (track.motion is None and jumped(setup, track, t_s, solved)):
+        return None
     innovation = max(map(kernels.largest_innovation, (left_seen.uv_px, right_seen.uv_px), at))
     return Measured(
         pose=solved.pose,
@@ -283,38 +272,6 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         tracked=True,
         cause=solved.cause,
     )
-
-
-def _alone(setup: Setup, frames: Pair, seen: tuple[Spots, Spots]) -> bool:
-    """Tell whether nothing about the spots of lights that were knocked, but themselves, could be the target.
-
-    Of live pictures, where somebody waits: a light taken for another would be seen in complete ones, too, and those
-    take three times as long.
-    """
-    settings = setup.settings
-    if not setup.pace.live or settings.colour is not None or settings.method != METHODS[0] or settings.mask is not None:
-        return False
-    uv = [one.uv_px for one in seen]
-    uv = [np.concatenate(uv)] if setup.overlaid else uv
-    at = [_about(setup, s, frames[s], places) for s, places in enumerate(uv)]
-    among = shortlist(setup, at[0], at[-1])
-    chosen = (np.union1d(among.left, among.right),) if setup.overlaid else (among.left, among.right)
-    return not among.why and all(
-        _all_near(found.uv_px[rows], places) for found, rows, places in zip(at, chosen, uv, strict=True)
-    )
-
-
-def _about(setup: Setup, side: int, frame: Frame, uv_px: Array) -> Candidates:
-    """Return what may be a light in the part of a picture about the spots (n, 2)."""
-    x0, y0 = np.maximum(uv_px.min(axis=0).astype(int) - ABOUT_PX, 0)
-    x1, y1 = uv_px.max(axis=0).astype(int) + ABOUT_PX
-    return candidates_within(frame.image, (x0, x1, y0, y1), setup.sides[side], setup.pace)
-
-
-def _all_near(places_px: Array, uv_px: Array) -> bool:
-    """Tell whether each of the places (m, 2) is one of the spots (n, 2)."""
-    apart = np.abs(places_px[:, None] - uv_px[None]).max(axis=2)
-    return len(places_px) > 0 and bool((apart.min(axis=1) < SAME_PX).all())
 
 
 def _in_windows(setup: Setup, side: int, frame: Frame, expected: Array, half_window_px: int) -> Spots | None:

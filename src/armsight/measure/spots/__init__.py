@@ -1,7 +1,7 @@
 """Spots of light in an image: found, told apart, and measured with true covariances."""
 
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.find import candidates_within, find_candidates, find_spots, track_spots, warm_up
+from armsight.measure.spots.find import find_candidates, find_spots, track_spots, warm_up
 from armsight.measure.spots.grey import CANDIDATE, FIT_S, SECOND_LOOK, TOUCHING, Candidates
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "TOUCHING",
     "Candidates",
     "SpotSettings",
-    "candidates_within",
     "find_candidates",
     "find_spots",
     "track_spots",

@@ -56,18 +56,6 @@ def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, pace: Pace 
     return grey_candidates(image, settings, pace)
 
 
-def candidates_within(
-    image: Image, box: tuple[int, int, int, int], settings: SpotSettings, pace: Pace = BATCH
-) -> Candidates:
-    """Return what may be a light in a part of an image alone, columns x0 to x1 and rows y0 to y1 (ends excluded).
-
-    box: (x0, x1, y0, y1). Its background, noise and room are of that part; a light that the part cuts is none. Not for
-    settings with a mask. Raises as find_candidates.
-    """
-    x0, x1, y0, y1 = box
-    return find_candidates(image[y0:y1, x0:x1], settings, pace).shifted(x0, y0)
-
-
 def track_spots(
     image: Image,
     predicted_uv_px: ArrayLike,

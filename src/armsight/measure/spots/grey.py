@@ -32,7 +32,7 @@ from armsight.measure.spots.kernels.colour import whiten_clipped
 from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, grow_near, locate, locate_near
 from armsight.measure.spots.kernels.measure_areas import measure_areas
 from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
-from armsight.records import Spots, changed, trusted
+from armsight.records import Spots, trusted
 
 Rejected = tuple[tuple[float, float, str], ...]
 Located = tuple[Array, NDArray[np.int64], Array, int]
@@ -291,17 +291,6 @@ class Candidates:
         """Return what a closer look shows; itself where there is none."""
         return self if self.look_closer is None else self.look_closer()
 
-    def shifted(self, x: int, y: int) -> Candidates:
-        """Return the same of an image in which this one begins at (x, y) px, without the closer look."""
-        areas, fit = self.areas.copy(), self.fit
-        areas[:, [col.SUM_X, col.SUM_Y]] += areas[:, [col.WEIGHT]] * [x, y]
-        return replace(
-            self,
-            areas=areas,
-            fit=lambda chosen, others: _shifted(fit(chosen, others), x, y),
-            look_closer=None,
-        )
-
     def positions(self, most: int = MOST) -> Index:
         """Return the positions of the candidates, at most so many, of greatest contrast first."""
         at = np.flatnonzero(self.state[:, col.STATUS] == ACCEPTED)
@@ -314,11 +303,6 @@ class Candidates:
     def measure_strongest(self, most: int) -> Spots:
         """Return the spots of the `most` candidates of greatest contrast; the others are in `rejected` as too many."""
         return self.fit(self.positions(most), MANY)
-
-
-def _shifted(spots: Spots, x: int, y: int) -> Spots:
-    rejected = tuple((u + x, v + y, why) for u, v, why in spots.rejected)
-    return changed(spots, uv_px=spots.uv_px + np.array([x, y]), rejected=rejected)
 
 
 def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: bool) -> tuple[Array, bool]:
