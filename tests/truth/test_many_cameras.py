@@ -281,3 +281,6 @@ def test_one_source_by_two_names_another_size_and_clocks_seconds_apart_are_named
     stamps = {name: [0.1 * g + (7.0 if name == "c" else 0.0) for g in range(len(uv))] for name in C}
     with refuses(Inconsistent, "c", "7.0 s"):
         solve_cameras(two, BOARD, PLAIN, lenses=held(four), times_s=stamps)
+    again = {name: [0.1 * max(g, 1) for g in range(len(uv))] for name in C}
+    with refuses(Inconsistent, "two images"):
+        solve_cameras(two, BOARD, PLAIN, lenses=held(four), times_s=again)

@@ -276,7 +276,15 @@ def require_sizes(observations: Observations, lenses: Mapping[str, KnownLens]) -
 
 
 def require_one_clock(t_s: Array, seen: NDArray[np.bool_], names: tuple[str, ...]) -> None:
-    """Raise Inconsistent where images of one moment are seconds apart."""
+    """Raise Inconsistent where images of one moment are seconds apart, or a camera took two of them at one time."""
+    for c, name in enumerate(names):
+        at_s, often = np.unique(t_s[seen[:, c], c], return_counts=True)
+        if (often > 1).any():
+            raise Inconsistent(
+                f"{(often > 1).sum()} times of {name} are of two images, the first {at_s[often > 1][0]:.6f} s",
+                consequence="The board was not at two places at one time; nothing was calibrated",
+                cure="Give each image once, with the time of its exposure",
+            )
     for c, name in enumerate(names[1:], 1):
         # cameras that see nothing together are compared through the moments' usual time
         both = np.logical_and(seen[:, 0], seen[:, c])
