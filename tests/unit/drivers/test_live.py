@@ -83,7 +83,7 @@ def test_a_camera_unplugged_midway_is_lost_after_its_last_frames() -> None:
 def test_frames_that_newer_ones_displace_are_counted_anew_at_every_opening() -> None:
     camera = OpenCvCamera("3", clock=ManualClock(), open_capture=lambda _: Wire(9))
     for _ in range(2):
-        with camera, TimedMoments(camera, Scripted("right", [])) as pairs:
+        with TimedMoments(camera, Scripted("right", [])) as pairs:  # opens its cameras
             assert camera._thread is not None
             camera._thread.join()  # all has come before any frame is asked for, the end of it as well
             assert pairs.n_late == 9 + 1 - DEPTH
