@@ -10,7 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 from armsight.kinematics import preset
@@ -19,6 +19,7 @@ from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
 from armsight.store.path_file import write_path
 
+POSE = "x_m,y_m,z_m,qx,qy,qz,qw"
 LIT = "--rig lit/rig.yaml --target lit/target.yaml --left lit/left --right lit/right"
 BOARD = "--board checkerboard:7x5:0.02"
 PAIRS = f"--left boards/left --right boards/right {BOARD}"
@@ -29,9 +30,9 @@ CASES = {
     "calibrate_cameras.calibrate_stereo": f"calibrate stereo {PAIRS} -o new.yaml",
     "calibrate_cameras.calibrate_zoom_rig": "calibrate zoom-rig --rig zoom/rig.yaml --left zoom/left.yaml "
     "--zoom-left 35 --zoom-right 35 -o new.yaml",
-    "calibrate_hand_eye.calibrate_hand_eye": "calibrate handeye --pairs handeye/pairs.csv -o new.yaml",
+    "calibrate_hand_eye.calibrate_hand_eye": "calibrate handeye --pairs pairs.csv -o new.yaml",
     "calibrate_mirrors.calibrate_mirrors": f"calibrate mirrors --image complex {BOARD} -o new.yaml",
-    "calibrate_mirrors.check_mirrors": f"calibrate mirrors --check --rig mirrors.yaml --image complex {BOARD}",
+    "calibrate_mirrors.check_mirrors": f"calibrate mirrors --check --rig mirrors.yaml --image some {BOARD}",
     "calibrate_rig.calibrate_cameras": "calibrate cameras --camera west=boards/left --camera east=boards/right "
     f"{BOARD} -o new.yaml",
     "calibrate_rig.calibrate_target": "calibrate target --rig webcam/rig.yaml --left webcam/left --right webcam/right "
@@ -53,7 +54,7 @@ CASES = {
     "convert.arm": "convert arm robot.urdf -o new.yaml",
     "convert.export_recording": "convert recording lit.mcap -o new",
     "files.compare": "compare zoom/rig.yaml zoom/again.yaml --distance 1.2 -o new",
-    "files.join": "join --measured poses.csv --joints joints.csv --arm irb120 --as points -o new.csv",
+    "files.join": "join --measured poses.csv --joints joints.csv --arm irb120 --as points --offset 0 -o new.csv",
     "identify.identify_arm": "identify --sweep sweep.csv -o new.yaml",
     "kinematics.fk": "kinematics fk --arm irb120 --joints joints.csv -o new.csv",
     "kinematics.ik": "kinematics ik --arm irb120 --poses poses.csv --near joints.csv -o new.csv",
@@ -116,13 +117,11 @@ def make_files(folder: Path, drawn: Path, boards: Path, mirrors: Path) -> None:
     shutil.copytree(drawn, folder / "lit")
     shutil.copytree(boards, folder / "boards")
     shutil.copytree(mirrors, folder / "complex")
-    for name, scenario, frames in (
-        ("webcam", "webcam-cell", 3),
-        ("points", "arm-points", 40),
-        ("handeye", "handeye", 8),
-        ("pivot", "pivot", 16),
-        ("cell", "cell", 700),
-    ):
+    (folder / "some").mkdir()
+    for path in sorted(mirrors.iterdir())[:2]:
+        shutil.copy(path, folder / "some")
+    simulate("webcam-cell", folder / "webcam", frames=3, room="dark")
+    for name, scenario, frames in (("points", "arm-points", 40), ("pivot", "pivot", 16), ("cell", "cell", 700)):
         simulate(scenario, folder / name, frames=frames)
     make_tables()
     make_plane(folder / "plane")
@@ -146,6 +145,7 @@ def make_tables() -> None:
     q = 0.1 + 0.3 * np.sin(np.outer(t_s, [0.7, 1.1, 0.9, 1.7, 1.3, 2.1]) + np.arange(6))
     write_rows("joints.csv", "t_s,q1,q2,q3,q4,q5,q6", np.column_stack([t_s, q]))
     write_sweep()
+    write_pairs(Path("pairs.csv"))
     Path("log.txt").write_text("X,Y,Z,A,B,C\n" + "500.0,20.0,300.0,10.0,20.0,170.0\n" * 3)
     Path("picks.csv").write_text("u_px,v_px,edge\n60,40,label\n100,40,label\n3,40,\n")
     Path("limits.yaml").write_text("format: armsight/limits\nversion: 1\nspeed_m_s: 0.2\n")
@@ -200,6 +200,22 @@ def write_sweep() -> None:
     q[np.arange(30), joint - 1] = np.concatenate([np.linspace(*ends, 10) for ends in ((0, 4), (0.5, 1.8), (0.6, 1.1))])
     xyz_m = preset("stanford-rrp").fk(q)[:, :3, 3] + np.random.default_rng(0).normal(0.0, 2e-4, (30, 3))
     write_rows("sweep.csv", "joint,q1,q2,q3,x_m,y_m,z_m", np.column_stack([joint, q, xyz_m]))
+
+
+def write_pairs(path: Path) -> Path:
+    """Write 16 pose pairs of a camera on a hand."""
+    rng = np.random.default_rng(0)
+    T_flange_camera = RigidTransform.from_components([0.03, 0.01, 0.08], Rotation.from_rotvec([0.1, -0.2, 1.5]))
+    T_base_target = RigidTransform.from_components([0.6, 0.1, 0.0], Rotation.from_rotvec([0.0, 3.0, 0.3]))
+    xyz_m = rng.uniform([0.3, -0.2, 0.3], [0.7, 0.2, 0.7], (16, 3))
+    T_base_flange = RigidTransform.from_components(xyz_m, Rotation.random(16, rng=rng))
+    seen = T_flange_camera.inv() * T_base_flange.inv() * T_base_target
+    turned = Rotation.from_rotvec(rng.normal(0.0, 2e-4, (16, 3))) * seen.rotation
+    moved = seen.translation + rng.normal(0.0, 2e-4, (16, 3))
+    head = [f"{who}_{name}" for who in ("base_flange", "camera_target") for name in POSE.split(",")]
+    columns = [T_base_flange.translation, T_base_flange.rotation.as_quat(), moved, turned.as_quat()]
+    write_rows(str(path), ",".join(head), np.hstack(columns))
+    return path
 
 
 def write_rows(name: str, head: str, rows: np.ndarray) -> None:

@@ -25,11 +25,12 @@ from refusals import refuses
 
 @dataclass(frozen=True, kw_only=True)
 class Arg:
-    """What goes into a parameter: good; wrong, to be refused; same, to give what good gives."""
+    """What goes into a parameter: good; wrong, to be refused; same, to give what good gives; needed: in every call."""
 
     good: Any
     wrong: dict[str, Any]
     same: dict[str, Any] = field(default_factory=dict)
+    needed: bool = False
 
 
 NO_ARRAY: dict[str, Any] = {
@@ -104,10 +105,12 @@ def image(good: np.ndarray) -> Arg:
     return Arg(good=good, wrong=wrong, same={"read-only": still, "strided": np.repeat(good, 2, axis=1)[:, ::2]})
 
 
+NO_RECORD = {"a text": "rig.yaml", "a dict": {"left": 1}, "a tuple": (9, 6, 0.025), "a kind": armsight.Rig}
+
+
 def record(good: Any, **same: Any) -> Arg:
     """One of our records, or settings: a file's name, a dict or a tuple are none."""
-    wrong = {"a text": "rig.yaml", "a dict": {"left": 1}, "a tuple": (9, 6, 0.025), "the kind": type(good)}
-    return Arg(good=good, wrong=wrong | {"an array": np.eye(3)}, same=same)
+    return Arg(good=good, wrong=NO_RECORD | {"the kind": type(good), "an array": np.eye(3)}, same=same)
 
 
 def number(good: Any, **wrong: Any) -> Arg:
@@ -207,8 +210,8 @@ LINKS_TABLE_AND_OUT = {
 }
 
 WRONG: dict[str, dict[str, Any]] = {
-    "float": {"a text": "1.0", "nan": np.nan, "a row": [1.0, 2.0], "a dict": {}},
-    "int": {"a text": "1", "share": 1.5, "a row": [1]},
+    "float": {"a text": "1.0", "nan": np.nan, "a row": [1.0, 2.0], "a dict": {}, "complex": 1j},
+    "int": {"a text": "1", "share": 1.5, "a row": [1], "nan": np.nan, "a dict": {}},
     "bool": {"a text": "yes", "a number": 3},
     "Literal": {"another": "nonsense", "a list": ["a"], "a number": 3},
     "str": {"a number": 3, "a list": ["a"]},
@@ -234,21 +237,27 @@ WRONG: dict[str, dict[str, Any]] = {
     "Sequence": {"a number": 3, "texts": ["a"]},
     "RobotLike": {"a number": 3, "nonsense": "robot", "nobody": "nobody:1"},
     "FrameNames": {"a dict": {}, "a text": "tool0"},
+    "Cameras": CAMERA_VIEWS.wrong,
+    "Table": TABLES.wrong,
     "Limits": {"a number": 3, "a dict": {}},
 }
 WRONG |= dict.fromkeys(("Fps", "Threshold", "MaxSkew"), WRONG["float"])
+WRONG |= dict.fromkeys(("Convention", "LensKind", "Method", "Detector", "AtSetup"), WRONG["Literal"])
+WRONG |= dict.fromkeys(("RigidTransform", "SpotSettings", "Colour", "Rig", "Spots"), NO_RECORD)
 """What is refused by the kind that a parameter's annotation names first."""
 
 UNCHECKED = {("convert", "source"), ("compare", "a"), ("compare", "b"), ("write_table", "columns")}
 
 
-def by_annotation(call: Callable[..., Any], good: dict[str, Any]) -> tuple[Callable[..., Any], dict[str, Arg]]:
-    """What a function takes, by its annotations: good holds what it must be given."""
+def of(call: Callable[..., Any], **given: Any) -> tuple[Callable[..., Any], dict[str, Arg]]:
+    """What a function takes: an Arg as given, all else by its annotation; other values given are what it must have."""
     out = {}
     for name, one in inspect.signature(call).parameters.items():
         kinds = re.findall(r"[A-Za-z]+", str(one.annotation))
         kind = next((kind for kind in kinds if kind in WRONG), None)
-        out[name] = Arg(good=good.get(name), wrong=WRONG[kind] if kind else {"a number": 3})
+        needed, wrong = name in given, WRONG[kind] if kind else {"a number": 3}
+        value = given.get(name)
+        out[name] = value if isinstance(value, Arg) else Arg(good=value, wrong=wrong, needed=needed)
     return call, out
 
 
@@ -267,7 +276,7 @@ def _begun(*args: Any, **given: Any) -> str:
         return address
 
 
-READERS = (
+READERS = [
     "arm",
     "camera",
     "hand_eye",
@@ -280,62 +289,368 @@ READERS = (
     "target",
     "tool_tip",
     "world",
-)
-JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
-    **{f"read_{kind}": (getattr(armsight, f"read_{kind}"), {"path": "no-such-file.yaml"}) for kind in READERS},
-    "open_recording": (armsight.open_recording, {"path": MCAP}),
-    "connect": (armsight.connect, {"url": "ws://127.0.0.1:9"}),
-    "batch": (armsight.batch, {"function": armsight.measure, "jobs": {"a": {}}, "out": AWAY}),
-    "design": (
-        armsight.design,
-        {"target": TARGET, "volume": [(-0.1, 0.1), (-0.1, 0.1), (0.6, 0.8)], "rig": RIG, "board": BOARD},
+]
+TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
+    "Arm.values": of(ARM.values, readings=JOINT_VALUES),
+    "Arm.readings": of(ARM.readings, q=JOINT_VALUES),
+    "Arm.sagged": of(ARM.sagged, q=JOINT_VALUES),
+    "Arm.gravity_torque": of(ARM.gravity_torque, q=JOINT_VALUES),
+    "Arm.checked": of(ARM.checked, q=JOINT_VALUES),
+    "Arm.fk": of(ARM.fk, q=JOINT_VALUES),
+    "Arm.jacobian": of(ARM.jacobian, q=JOINT_VALUES),
+    "Arm.moved": of(
+        ARM.moved,
+        changes=Arg(
+            good={}, wrong={"a text": "j3", "no name": {"j9.a_m": 1.0}, "texts": {"j3.a_m": "1"}, "a list": [1]}
+        ),
     ),
-    "measure": (armsight.measure, PAIR),
-    "record": (armsight.record, {"out": AWAY, "cell": "hand-cell"}),
-    "repair_recording": (armsight.repair_recording, {"path": MCAP}),
-    "verify": (armsight.verify, {"measured": ARM.fk(SPREAD)}),
-    "plan_verification": (armsight.plan_verification, {"arm": ARM, "out": AWAY}),
-    "compare": (armsight.compare, {"a": RIG, "b": ARM}),
-    "join": (armsight.join, {"measured": ARM.fk(SPREAD)}),
-    "doctor": (armsight.doctor, {"depths_m": [1.0]}),
-    "reproduce": (armsight.reproduce, {"paper": "korayem2018", "out": AWAY}),
-    "calibrate_hand_eye": (armsight.calibrate_hand_eye, {"T_base_flange": FLANGE, "T_camera_target": SEEN}),
-    "calibrate_pivot": (armsight.calibrate_pivot, PAIR),
-    "calibrate_camera": (armsight.calibrate_camera, {"images": [LEFT], "board": BOARD}),
-    "calibrate_cameras": (armsight.calibrate_cameras, {"cameras": {"a": [LEFT], "b": [RIGHT]}, "board": BOARD}),
-    "calibrate_mirrors": (armsight.calibrate_mirrors, {"images": [LEFT], "board": BOARD}),
-    "calibrate_stereo": (armsight.calibrate_stereo, {"left_images": [LEFT], "right_images": [RIGHT], "board": BOARD}),
-    "calibrate_target": (armsight.calibrate_target, {"rig": RIG, "left": [LEFT], "right": [RIGHT]}),
-    "calibrate_timing": (armsight.calibrate_timing, PAIR),
-    "calibrate_cell": (armsight.calibrate_cell, {"robot_log": (np.arange(12.0), QS), "target": TARGET, "model": ARM}),
-    "calibrate_noise": (armsight.calibrate_noise, {"frames": [LEFT]}),
-    "calibrate_zoom_rig": (armsight.calibrate_zoom_rig, {"rig": RIG}),
-    "check_mirrors": (armsight.check_mirrors, {"image": [LEFT], "board": BOARD}),
-    "identify_arm": (armsight.identify_arm, {"joint": [1] * 9, "q": np.ones((9, 1)), "xyz_m": np.ones((9, 3))}),
-    "identify_arm_live": (armsight.identify_arm_live, {**LIVE, "limits": np.array([[-1.0, 1.0]] * 6)}),
-    "supervise": (armsight.supervise, {**LIVE, "arm": ARM, "world": np.eye(4)}),
-    "propose_mastering_poses": (
-        armsight.propose_mastering_poses,
-        {"arm": ARM, "around": Q, "rig": RIG, "target": TARGET, "world": np.eye(4)},
+    "Arm.within_limits": of(ARM.within_limits, q=JOINT_VALUES),
+    "Arm.ik": of(
+        ARM.ik,
+        T_world_tool=poses(RigidTransform.from_matrix(ARM.fk(Q)), millimetres=np.diag([1e3, 1e3, 1e3, 1.0])),
+        near=AT_HOME,
     ),
-    "check_mastering": (armsight.check_mastering, {"measured": ARM.fk(SPREAD), "joints": SPREAD, "arm": ARM}),
-    "servo": (armsight.servo, {**ROBOT, **SEEN_BY, "handeye": "no-such-file.yaml"}),
-    "teach": (armsight.teach, {}),
-    "play": (armsight.play, {**ROBOT, "path": PATH}),
-    "jog": (armsight.jog, {**ROBOT, "joint": 1, "by": 0.01}),
-    "check_robot": (armsight.check_robot, ROBOT),
-    "twin": (_begun, {"name": "alter"}),
-    "convert": (armsight.convert, {"source": CAMERA, "out": AWAY}),
-    "cut_recording": (armsight.cut_recording, {"path": MCAP, "out": AWAY, "start_s": 0.0, "end_s": 1.0}),
-    "export_recording": (armsight.export_recording, {"path": MCAP, "out": AWAY}),
-    "show_arm": (armsight.show_arm, {"arm": ARM, "out": AWAY}),
-    "write_formulas": (armsight.write_formulas, {"arm": ARM, "out": AWAY}),
-    "write_joints": (armsight.write_joints, {"path": AWAY, "t_s": [0.0], "q": np.zeros((1, 6))}),
-    "write_table": (armsight.write_table, {"path": AWAY, "columns": {"x_m": [0.0]}}),
-    "print_board": (armsight.print_board, {"board": BOARD, "out": AWAY}),
-    "write_simulation": (armsight.write_simulation, {"scenario": "hand-cell", "out": AWAY}),
+    "Arm.ik_many": of(
+        ARM.ik_many,
+        T_world_tool=poses(RigidTransform.from_matrix(ARM.fk(QS))),
+        near=Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "other rows": np.tile(Q, (5, 1))}),
+    ),
+    "Arm.track": of(
+        ARM.track,
+        T_world_tool=poses(RigidTransform.from_matrix(ARM.fk(np.array([Q, Q + 1e-3])))),
+        t_s=array(np.arange(2.0), more={"backwards": [1.0, 0.0]}),
+        near=AT_HOME,
+    ),
+    "Camera": of(
+        armsight.Camera,
+        width=320,
+        height=240,
+        intrinsics=array(INTRINSICS),
+        plate=Arg(good=None, wrong={"a number": 0.003, "a dict": {}}),
+    ),
+    "Camera.pinhole": of(armsight.Camera.pinhole, **LENS),
+    "Camera.fisheye": of(armsight.Camera.fisheye, **LENS),
+    "Camera.rational": of(armsight.Camera.rational, **LENS),
+    "Camera.project": of(CAMERA.project, points_m=array(POINTS, nan=True, more={"empty": []})),
+    "Camera.rays": of(CAMERA.rays, uv_px=array(PIXELS, nan=True, more={"empty": []})),
+    "Camera.is_close": of(CAMERA.is_close, other=record(CAMERA), tol=1e-9),
+    "Colour": of(
+        armsight.Colour,
+        hue_deg=array((340.0, 20.0), more={"too much": (0.0, 400.0)}),
+        min_saturation=number(0.3, percent=30.0),
+        min_value=number(0.3, percent=30.0),
+    ),
+    "Joint": of(armsight.Joint, name="j1"),
+    "Arm": of(
+        armsight.Arm,
+        name="arm",
+        joints=Arg(good=ARM.joints, wrong={"none": (), "numbers": (1, 2), "one": ARM.joints[0], "a text": "ur10"}),
+        covariance=Arg(good=None, wrong={"an array": np.eye(3)}),
+        couplings=Arg(good=(), wrong={"texts": ("j1", "j2"), "a number": 3}),
+        tool_points=Arg(good=(), wrong={"texts": ("A",), "a number": 3}),
+        down_in_base=array((0.0, 0.0, -1.0), more={"not of unit length": (0.0, 0.0, -9.8)}),
+    ),
+    "LightTarget": of(
+        armsight.LightTarget,
+        lights_m=Arg(
+            good=LIGHTS,
+            wrong={
+                "none": {},
+                "a list": list(LIGHTS.values()),
+                "a text": "target.yaml",
+                "flat": {"A": (0.0, 1.0)},
+                "nan": {"A": (0.0, 0.0, np.nan)},
+                "texts": {"A": ("0", "0", "0")},
+                "millimetres": {name: [1e3 * x for x in at] for name, at in LIGHTS.items()},
+                "numbers as names": {1: (0.0, 0.0, 0.0)},
+            },
+        ),
+        diameter_m=number(0.01, none_at_all=0.0),
+        covariance=array(np.eye(9)),
+    ),
+    "PoseTracker": of(armsight.PoseTracker, rig=RIG, target=record(TARGET), bits=BITS),
+    "PoseTracker.update": of(
+        lambda left=LEFT, right=RIGHT, t_s=0.0, cameras=None: armsight.PoseTracker(RIG, TARGET).update(
+            left, right, t_s, cameras=cameras
+        ),
+        left=image(LEFT),
+        right=image(RIGHT),
+        t_s=number(0.0),
+        cameras=CAMERA_VIEWS,
+    ),
+    "Rig": of(
+        partial(armsight.Rig, left=CAMERA, right=CAMERA, T_rig_left=RIG.T_rig_left, T_rig_right=RIG.T_rig_right),
+        kind=Arg(good="stereo", wrong={"another": "nonsense", "a number": 3, "a list": ["stereo"]}),
+        cameras=Arg(good=RIG.cameras, wrong={"a number": 3, "a text": "ab", "none": (), "plain": (CAMERA,)}),
+        left=record(CAMERA),
+        right=record(CAMERA),
+        covariance=Arg(good=None, wrong={"an array": np.eye(3)}),
+        noise=Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
+        timing=Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
+        zoom=Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
+    ),
+    "Rig.camera": of(RIG.camera, side=SIDE),
+    "Rig.T_rig_camera": of(RIG.T_rig_camera, side=SIDE),
+    "Rig.require_pair": of(RIG.require_pair, what="rig.yaml"),
+    "Rig.project": of(RIG.project, points_m=array(POINTS, nan=True, more={"empty": []})),
+    "SpotSettings": of(
+        armsight.SpotSettings,
+        threshold=number(40.0, too_high=300.0),
+        inverted=Arg(good=False, wrong={"a text": "no", "a row": [True]}),
+        mask=Arg(
+            good=LEFT > 20,
+            wrong={"a line": np.ones(3, bool), "a text": "mask.png", "floats": 0.5 * LEFT, "nan": LEFT * np.nan},
+            same={"bytes": (LEFT > 20).astype(np.uint8), "strided": np.repeat(LEFT > 20, 2, axis=1)[:, ::2]},
+        ),
+        min_pixels=number(3, none_at_all=0, share=0.5),
+        max_radius_px=number(32.0, none_at_all=0.0),
+        max_spots=number(64, none_at_all=0, share=0.5),
+        saturation=number(255, too_high=4095),
+        gain=number(0.1, negative=-1.0),
+        method=choice("likelihood"),
+    ),
+    "Spots": of(
+        armsight.Spots,
+        uv_px=array(PIXELS),
+        covariance_px2=array(np.stack([COV] * 3)),
+        peak=array(np.ones(3)),
+        size_px=array(np.ones(3)),
+        model=Arg(good=("gaussian",) * 3, wrong={"a text": "abc", "too few": ("gaussian",), "numbers": (1, 2, 3)}),
+        rejected=Arg(good=(), wrong={"a number": 3}),
+        point=Arg(good=None, wrong={"too few": np.array([1]), "a text": "abc"}),
+    ),
+    "Spots.none": of(armsight.Spots.none, rejected=Arg(good=(), wrong={"a number": 3})),
+    "Spots.of_centres": of(armsight.Spots.of_centres, uv_px=array(PIXELS), covariance_px2=array(np.stack([COV] * 3))),
+    "Spots.take": of(
+        FOUND.take,
+        index=Arg(good=[0, 1], wrong={"beyond": [9], "text": "A", "floats": [0.5], "rank": [[0]], "truth": [True]}),
+    ),
+    "Target": of(armsight.Target, kind="spots", names=tuple("ABC"), xyz_m=list(LIGHTS.values())),
+    "TaughtPath": of(
+        armsight.TaughtPath,
+        T_world_tip=poses(_poses(3, 1), as_matrix=True),
+        t_s=array(np.arange(3.0), nan=True, more={"backwards": [2.0, 1.0, 0.0]}),
+        speed_m_s=array(np.ones(3), nan=True, more={"negative": -np.ones(3)}),
+        tags=Arg(good=("",) * 3, wrong={"a text": "abc", "numbers": (1, 2, 3), "too few": ("",)}),
+    ),
+    "TaughtPath.of_poses": of(
+        armsight.TaughtPath.of_poses,
+        poses=poses(_poses(3, 1)),
+        t_s=array(np.arange(3.0), nan=True),
+        speed_m_s=array(np.ones(3), nan=True, more={"a number": -1.0}),
+    ),
+    "calibrate_arm": of(
+        armsight.calibrate_arm,
+        nominal=record(ARM),
+        q=array(np.zeros((9, 6)), more={"fewer rows": np.zeros((4, 6)), "degrees": np.full((9, 6), 90.0)}),
+        xyz_m=array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
+        rotation=array(np.tile(np.eye(3), (9, 1, 1)), more={"scaled": np.tile(2.0 * np.eye(3), (9, 1, 1))}),
+        point=POINT_NAMES,
+        touch=Arg(
+            good=(SPREAD, ["spike"] * len(SPREAD)),
+            wrong={
+                "a number": 3,
+                "nowhere": "no-such-file.csv",
+                "a list": [1, 2],
+                "5 joints": (SPREAD[:, :5], ["a"] * len(SPREAD)),
+                "names": (SPREAD, ["a"]),
+                "kinds": (SPREAD, ["a"] * len(SPREAD), ["point"]),
+                "tips": (SPREAD, ["a"] * len(SPREAD), ["point"] * len(SPREAD), ["long"]),
+                "five entries": (SPREAD, ["a"] * len(SPREAD), ["point"] * len(SPREAD), [], []),
+            },
+        ),
+        length=Arg(
+            good=(("a", "b", 0.27),),
+            wrong={"a text": "a,b,0.27", "two": (("a", "b"),), "nan": (("a", "b", np.nan),)},
+        ),
+        holdout=Arg(good=None, wrong={"a list": [1, 2], "one": (np.zeros((9, 6)),), "5 joints": (np.zeros((9, 5)), 1)}),
+        propose=number(1, negative=-1, share=1.5),
+        rig=record(RIG),
+        world=Arg(good=np.eye(4), wrong=WRONG["PoseLike"]),
+        **LINKS_TABLE_AND_OUT,
+    ),
+    "calibrate_robot_world": of(
+        armsight.calibrate_robot_world,
+        arm=record(ARM),
+        q=array(SPREAD, more={"fewer rows": np.zeros((4, 6)), "degrees": np.full((9, 6), 90.0)}),
+        xyz_m=array(ARM.fk(SPREAD)[:, :3, 3], more={"fewer rows": np.ones((4, 3))}),
+        point=POINT_NAMES,
+        **LINKS_TABLE_AND_OUT,
+    ),
+    "ArmResult.change": of(lambda name: _arm_result().change(name), name=choice(f"{ARM.joints[0].name}.a_m")),
+    "ArmResult.propose": of(
+        lambda n=1, rig=None, T_base_rig=None: _arm_result().propose(n, rig=rig, T_base_rig=T_base_rig),
+        n=number(1, none_at_all=0),
+        rig=record(RIG),
+        T_base_rig=poses(_poses(1, 4)[0]),
+    ),
+    "HandEyeResult.propose": of(
+        lambda n=1, reachable=None: armsight.calibrate_hand_eye(FLANGE, SEEN).propose(n, reachable),
+        n=number(1, none_at_all=0),
+        reachable=Arg(good=None, wrong={"nowhere": lambda T: False}),
+    ),
+    "estimate_pose_from_spots": of(
+        partial(armsight.estimate_pose_from_spots, left=FOUND, right=FOUND, rig=RIG, target=TARGET),
+        target=record(TARGET),
+    ),
+    "calibrate_tool_tip": of(
+        armsight.calibrate_tool_tip,
+        T_world_target=poses(TURNED),
+        covariances=array(np.tile(1e-8 * np.eye(6), (12, 1, 1)), more={"one": np.eye(6)}),
+        point_m=array(np.zeros(3)),
+        point_std_m=number(0.001, negative=-1.0),
+        t_s=array(np.arange(12.0)),
+        out=OUT,
+    ),
+    "estimate_pose": of(
+        partial(armsight.estimate_pose, left=LEFT, right=RIGHT, rig=RIG, target=TARGET),
+        left=image(LEFT),
+        right=image(RIGHT),
+        target=record(TARGET),
+        bits=BITS,
+    ),
+    "find_spots": of(armsight.find_spots, image=image(LEFT), bits=BITS),
+    "presets.preset": of(armsight.presets.preset, name=choice("ur10")),
+    "read_scenario": of(armsight.read_scenario, scenario=choice("webcam-cell")),
+    "simulate": of(
+        armsight.simulate,
+        scenario=choice("webcam-cell"),
+        frames=number(2, none_at_all=0, share=1.5),
+        seed=number(1, negative=-1, share=1.5),
+        room=Arg(good=None, wrong={"a number": 3, "nowhere": "no-such-room", "a list": ["office"]}),
+    ),
+    "triangulate": of(
+        armsight.triangulate,
+        rig=RIG,
+        uv_left_px=array(PIXELS, nan=True, more={"fewer rows": PIXELS[:2]}),
+        uv_right_px=array(PIXELS - (20.0, 0.0), nan=True, more={"fewer rows": PIXELS[:2]}),
+        covariance_left_px2=array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
+        covariance_right_px2=array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
+    ),
     **{
-        f"paths.{name}": (getattr(armsight.paths, name), {"path": PATH, **more})
+        f"{kind}.save": of(thing.save, path=AWAY)
+        for kind, thing in {
+            "Arm": ARM,
+            "Camera": CAMERA,
+            "Rig": RIG,
+            "Target": TARGET,
+            "TaughtPath": armsight.TaughtPath.of_poses(_poses(3, 1)),
+            "PoseTrack": armsight.PoseTrack(),
+            "Limits": armsight.Limits(),
+            "World": armsight.World(parent="base", T_parent_rig=RigidTransform.identity()),
+        }.items()
+    },
+    # what fills a job: each with what must be given, so that it refuses at once whatever else is wrong
+    **{f"read_{kind}": of(getattr(armsight, f"read_{kind}"), path="no-such-file.yaml") for kind in READERS},
+    "open_recording": of(armsight.open_recording, path=MCAP),
+    "connect": of(armsight.connect, url="ws://127.0.0.1:9"),
+    "batch": of(armsight.batch, function=armsight.measure, jobs={"a": {}}, out=AWAY),
+    "design": of(armsight.design, target=TARGET, volume=[(-0.1, 0.1), (-0.1, 0.1), (0.6, 0.8)], rig=RIG, board=BOARD),
+    "measure": of(armsight.measure, **PAIR),
+    "record": of(armsight.record, out=AWAY, cell="hand-cell"),
+    "repair_recording": of(armsight.repair_recording, path=MCAP),
+    "verify": of(armsight.verify, measured=ARM.fk(SPREAD)),
+    "plan_verification": of(armsight.plan_verification, arm=ARM, out=AWAY),
+    "compare": of(armsight.compare, a=RIG, b=ARM),
+    "join": of(armsight.join, measured=ARM.fk(SPREAD)),
+    "doctor": of(armsight.doctor, depths_m=[1.0]),
+    "reproduce": of(armsight.reproduce, paper="korayem2018", out=AWAY),
+    "calibrate_hand_eye": of(
+        armsight.calibrate_hand_eye,
+        T_base_flange=poses(FLANGE),
+        T_camera_target=poses(SEEN),
+        setup=choice("eye-in-hand"),
+        names=NAMES,
+        camera_covariance=array(np.tile(1e-8 * np.eye(6), (len(SEEN), 1, 1)), more={"one": np.eye(6)}),
+    ),
+    "calibrate_pivot": of(armsight.calibrate_pivot, **PAIR),
+    "calibrate_camera": of(armsight.calibrate_camera, images=[LEFT], board=BOARD),
+    "calibrate_cameras": of(
+        armsight.calibrate_cameras,
+        cameras=Arg(
+            good={"a": [LEFT], "b": [RIGHT]},
+            wrong={
+                "a number": 3,
+                "a text": "a",
+                "without names": ["images/left", "images/right"],
+                "images alone": [LEFT, RIGHT],
+                "one": {"a": [LEFT]},
+                "none": {},
+                "numbers": {"a": 1, "b": 2},
+                "numbers as names": {1: [LEFT], 2: [RIGHT]},
+                "floats": {"a": [LEFT * 1.0], "b": [RIGHT]},
+            },
+        ),
+        board=Arg(
+            good=BOARD, wrong={"another": "chess", "a number": 3, "a list": [BOARD], "lights": TARGET, "none": None}
+        ),
+        lenses=Arg(
+            good=None,
+            wrong={
+                "a number": 3,
+                "another kind": "oval",
+                "numbers": {"a": 3},
+                "nowhere": {"a": "no-such-file.yaml"},
+                "a rig": {"a": RIG},
+                "another camera's": {"c": CAMERA},
+            },
+        ),
+        rig=Arg(good=None, wrong=WRONG["RigLike"]),
+        add=Arg(good=None, wrong={"a number": 3, "without a rig": {"c": [LEFT]}, "numbers": {"c": 3}}),
+        again=Arg(good=None, wrong={**WRONG["str"], "without a rig": "a"}),
+        options=Arg(good=None, wrong={"a number": 3, "a dict": {}, "a text": "fisheye"}),
+        every=Arg(good=1, wrong={**WRONG["int"], "none": 0}),
+        frames=Arg(good=None, wrong={**WRONG["Limit"], "none": 0}),
+        detector=choice("auto"),
+        strict=Arg(good=False, wrong=WRONG["bool"]),
+        out=OUT,
+    ),
+    "calibrate_mirrors": of(armsight.calibrate_mirrors, images=[LEFT], board=BOARD),
+    "calibrate_stereo": of(armsight.calibrate_stereo, left_images=[LEFT], right_images=[RIGHT], board=BOARD),
+    "calibrate_target": of(armsight.calibrate_target, rig=RIG, left=[LEFT], right=[RIGHT]),
+    "calibrate_timing": of(armsight.calibrate_timing, **PAIR),
+    "calibrate_cell": of(armsight.calibrate_cell, robot_log=(np.arange(12.0), QS), target=TARGET, model=ARM),
+    "calibrate_noise": of(armsight.calibrate_noise, frames=[LEFT]),
+    "calibrate_zoom_rig": of(armsight.calibrate_zoom_rig, rig=RIG),
+    "check_mirrors": of(armsight.check_mirrors, image=[LEFT], board=BOARD),
+    "identify_arm": of(
+        armsight.identify_arm,
+        joint=Arg(
+            good=[1] * 9, wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1}
+        ),
+        q=array(np.ones((9, 1)), more={"fewer rows": np.zeros((4, 1))}),
+        xyz_m=array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
+        rig=record(RIG),
+        uv_px=array(np.ones((9, 2, 2))),
+        T_base_rig=poses(_poses(1, 4)[0]),
+        method=choice("ml"),
+        increments=choice("known"),
+        sigma=number(1e-4),
+        name=text("arm"),
+    ),
+    "identify_arm_live": of(armsight.identify_arm_live, **LIVE, limits=np.array([[-1.0, 1.0]] * 6)),
+    "supervise": of(armsight.supervise, **LIVE, arm=ARM, world=np.eye(4)),
+    "propose_mastering_poses": of(
+        armsight.propose_mastering_poses, arm=ARM, around=Q, rig=RIG, target=TARGET, world=np.eye(4)
+    ),
+    "check_mastering": of(armsight.check_mastering, measured=ARM.fk(SPREAD), joints=SPREAD, arm=ARM),
+    "servo": of(armsight.servo, **ROBOT, **SEEN_BY, handeye="no-such-file.yaml"),
+    "teach": of(armsight.teach),
+    "play": of(armsight.play, **ROBOT, path=PATH),
+    "jog": of(armsight.jog, **ROBOT, joint=1, by=0.01),
+    "check_robot": of(armsight.check_robot, **ROBOT),
+    "twin": of(_begun, name="alter"),
+    "convert": of(armsight.convert, source=CAMERA, out=AWAY),
+    "cut_recording": of(armsight.cut_recording, path=MCAP, out=AWAY, start_s=0.0, end_s=1.0),
+    "export_recording": of(armsight.export_recording, path=MCAP, out=AWAY),
+    "show_arm": of(armsight.show_arm, arm=ARM, out=AWAY),
+    "write_formulas": of(armsight.write_formulas, arm=ARM, out=AWAY),
+    "write_joints": of(armsight.write_joints, path=AWAY, t_s=[0.0], q=np.zeros((1, 6))),
+    "write_table": of(armsight.write_table, path=AWAY, columns={"x_m": [0.0]}),
+    "print_board": of(armsight.print_board, board=BOARD, out=AWAY),
+    "write_simulation": of(armsight.write_simulation, scenario="hand-cell", out=AWAY),
+    **{
+        f"paths.{name}": of(getattr(armsight.paths, name), path=PATH, **more)
         for name, more in {
             "smooth": {},
             "resample": {"step_m": 0.01},
@@ -348,7 +663,7 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         }.items()
     },
     **{
-        f"history.{name}": (getattr(armsight.history, name), {**more, "history": "no-such-history.sqlite"})
+        f"history.{name}": of(getattr(armsight.history, name), history="no-such-history.sqlite", **more)
         for name, more in {
             "add": {"result": "no-such-file.json", "cell": "a"},
             "runs": {},
@@ -358,411 +673,13 @@ JOBS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             "export": {"out": AWAY},
         }.items()
     },
-    "paths.join": (armsight.paths.join, {"first": PATH, "second": PATH}),
-    "paths.from_picks": (
-        armsight.paths.from_picks,
-        {"left": [LEFT], "right": [RIGHT], "rig": RIG, "picks": {"u_px": [1.0], "v_px": [1.0]}},
+    "paths.join": of(armsight.paths.join, first=PATH, second=PATH),
+    "paths.from_picks": of(
+        armsight.paths.from_picks, left=[LEFT], right=[RIGHT], rig=RIG, picks={"u_px": [1.0], "v_px": [1.0]}
     ),
-}
-"""Functions that fill a job: each with what must be given, so that it refuses at once whatever else is wrong."""
-
-TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
-    "Arm.values": (ARM.values, {"readings": JOINT_VALUES}),
-    "Arm.readings": (ARM.readings, {"q": JOINT_VALUES}),
-    "Arm.sagged": (ARM.sagged, {"q": JOINT_VALUES}),
-    "Arm.gravity_torque": (ARM.gravity_torque, {"q": JOINT_VALUES}),
-    "Arm.checked": (ARM.checked, {"q": JOINT_VALUES}),
-    "Arm.fk": (ARM.fk, {"q": JOINT_VALUES}),
-    "Arm.jacobian": (ARM.jacobian, {"q": JOINT_VALUES, "axes": choice("world")}),
-    "Arm.moved": (
-        ARM.moved,
-        {
-            "changes": Arg(
-                good={}, wrong={"a text": "j3", "no name": {"j9.a_m": 1.0}, "texts": {"j3.a_m": "1"}, "a list": [1]}
-            )
-        },
-    ),
-    "Arm.within_limits": (ARM.within_limits, {"q": JOINT_VALUES}),
-    "Arm.ik": (
-        ARM.ik,
-        {
-            "T_world_tool": poses(RigidTransform.from_matrix(ARM.fk(Q)), millimetres=np.diag([1e3, 1e3, 1e3, 1.0])),
-            "near": AT_HOME,
-            "task": TASK,
-        },
-    ),
-    "Arm.ik_many": (
-        ARM.ik_many,
-        {
-            "T_world_tool": poses(RigidTransform.from_matrix(ARM.fk(QS))),
-            "near": Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "other rows": np.tile(Q, (5, 1))}),
-            "task": TASK,
-        },
-    ),
-    "Arm.track": (
-        ARM.track,
-        {
-            "T_world_tool": poses(RigidTransform.from_matrix(ARM.fk(np.array([Q, Q + 1e-3])))),
-            "t_s": array(np.arange(2.0), more={"backwards": [1.0, 0.0]}),
-            "near": AT_HOME,
-            "task": TASK,
-        },
-    ),
-    "Camera": (
-        armsight.Camera,
-        {
-            "width": number(320),
-            "height": number(240),
-            "intrinsics": array(INTRINSICS),
-            "plate": Arg(good=None, wrong={"a number": 0.003, "a dict": {}}),
-            "lens": choice("pinhole"),
-        },
-    ),
-    "Camera.pinhole": by_annotation(armsight.Camera.pinhole, LENS),
-    "Camera.fisheye": by_annotation(armsight.Camera.fisheye, LENS),
-    "Camera.rational": by_annotation(armsight.Camera.rational, LENS),
-    "Camera.project": (CAMERA.project, {"points_m": array(POINTS, nan=True, more={"empty": []})}),
-    "Camera.rays": (CAMERA.rays, {"uv_px": array(PIXELS, nan=True, more={"empty": []})}),
-    "Camera.is_close": (CAMERA.is_close, {"other": record(CAMERA), "tol": number(1e-9)}),
-    "Colour": (
-        armsight.Colour,
-        {
-            "hue_deg": array((340.0, 20.0), more={"too much": (0.0, 400.0)}),
-            "min_saturation": number(0.3, percent=30.0),
-            "min_value": number(0.3, percent=30.0),
-        },
-    ),
-    "Joint": by_annotation(armsight.Joint, {"name": "j1"}),
-    "Arm": (
-        armsight.Arm,
-        {
-            "name": text("arm"),
-            "joints": Arg(
-                good=ARM.joints, wrong={"none": (), "numbers": (1, 2), "one": ARM.joints[0], "a text": "ur10"}
-            ),
-            "convention": choice("standard"),
-            "T_world_base": record(RigidTransform.identity()),
-            "T_flange_tool": record(RigidTransform.identity()),
-            "T_base_frame0": record(RigidTransform.identity()),
-            "base_link": text("base_link"),
-            "tool_link": text("tool0"),
-            "source": text("sheet"),
-            "covariance": Arg(good=None, wrong={"an array": np.eye(3)}),
-            "couplings": Arg(good=(), wrong={"texts": ("j1", "j2"), "a number": 3}),
-            "tool_points": Arg(good=(), wrong={"texts": ("A",), "a number": 3}),
-            "down_in_base": array((0.0, 0.0, -1.0), more={"not of unit length": (0.0, 0.0, -9.8)}),
-        },
-    ),
-    "LightTarget": (
-        armsight.LightTarget,
-        {
-            "lights_m": Arg(
-                good=LIGHTS,
-                wrong={
-                    "none": {},
-                    "a list": list(LIGHTS.values()),
-                    "a text": "target.yaml",
-                    "flat": {"A": (0.0, 1.0)},
-                    "nan": {"A": (0.0, 0.0, np.nan)},
-                    "texts": {"A": ("0", "0", "0")},
-                    "millimetres": {name: [1e3 * x for x in at] for name, at in LIGHTS.items()},
-                    "numbers as names": {1: (0.0, 0.0, 0.0)},
-                },
-            ),
-            "diameter_m": number(0.01, none_at_all=0.0),
-            "colour": record(armsight.Colour(hue_deg=(340.0, 20.0))),
-            "covariance": array(np.eye(9)),
-        },
-    ),
-    "PoseTracker": (
-        armsight.PoseTracker,
-        {"rig": record(RIG), "target": record(TARGET), "settings": SETTINGS, "bits": BITS},
-    ),
-    "PoseTracker.update": (
-        lambda left=LEFT, right=RIGHT, t_s=0.0, cameras=None: armsight.PoseTracker(RIG, TARGET).update(
-            left, right, t_s, cameras=cameras
-        ),
-        {"left": image(LEFT), "right": image(RIGHT), "t_s": number(0.0), "cameras": CAMERA_VIEWS},
-    ),
-    "Rig": (
-        partial(armsight.Rig, left=CAMERA, right=CAMERA, T_rig_left=RIG.T_rig_left, T_rig_right=RIG.T_rig_right),
-        {
-            "kind": Arg(good="stereo", wrong={"another": "nonsense", "a number": 3, "a list": ["stereo"]}),
-            "cameras": Arg(good=RIG.cameras, wrong={"a number": 3, "a text": "ab", "none": (), "plain": (CAMERA,)}),
-            "left": record(CAMERA),
-            "right": record(CAMERA),
-            "T_rig_left": record(RIG.T_rig_left),
-            "T_rig_right": record(RIG.T_rig_right),
-            "covariance": Arg(good=None, wrong={"an array": np.eye(3)}),
-            "rms_px": number(0.1),
-            "noise": Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
-            "timing": Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
-            "zoom": Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
-        },
-    ),
-    "Rig.camera": (RIG.camera, {"side": SIDE}),
-    "Rig.T_rig_camera": (RIG.T_rig_camera, {"side": SIDE}),
-    "Rig.require_pair": (RIG.require_pair, {"what": text("rig.yaml")}),
-    "Rig.project": (RIG.project, {"points_m": array(POINTS, nan=True, more={"empty": []})}),
-    "SpotSettings": (
-        armsight.SpotSettings,
-        {
-            "threshold": number(40.0, too_high=300.0),
-            "inverted": Arg(good=False, wrong={"a text": "no", "a row": [True]}),
-            "mask": Arg(
-                good=LEFT > 20,
-                wrong={"a line": np.ones(3, bool), "a text": "mask.png", "floats": 0.5 * LEFT, "nan": LEFT * np.nan},
-                same={"bytes": (LEFT > 20).astype(np.uint8), "strided": np.repeat(LEFT > 20, 2, axis=1)[:, ::2]},
-            ),
-            "min_pixels": number(3, none_at_all=0, share=0.5),
-            "max_radius_px": number(32.0, none_at_all=0.0),
-            "max_spots": number(64, none_at_all=0, share=0.5),
-            "model": choice("auto"),
-            "saturation": number(255, too_high=4095),
-            "gain": number(0.1, negative=-1.0),
-            "colour": record(armsight.Colour(hue_deg=(340.0, 20.0))),
-            "method": choice("likelihood"),
-        },
-    ),
-    "Spots": (
-        armsight.Spots,
-        {
-            "uv_px": array(PIXELS),
-            "covariance_px2": array(np.stack([COV] * 3)),
-            "peak": array(np.ones(3)),
-            "size_px": array(np.ones(3)),
-            "model": Arg(
-                good=("gaussian",) * 3, wrong={"a text": "abc", "too few": ("gaussian",), "numbers": (1, 2, 3)}
-            ),
-            "rejected": Arg(good=(), wrong={"a number": 3}),
-            "point": Arg(good=None, wrong={"too few": np.array([1]), "a text": "abc"}),
-        },
-    ),
-    "Spots.none": (armsight.Spots.none, {"rejected": Arg(good=(), wrong={"a number": 3})}),
-    "Spots.of_centres": (
-        armsight.Spots.of_centres,
-        {"uv_px": array(PIXELS), "covariance_px2": array(np.stack([COV] * 3))},
-    ),
-    "Spots.take": (
-        FOUND.take,
-        {
-            "index": Arg(
-                good=[0, 1], wrong={"beyond": [9], "text": "A", "floats": [0.5], "rank": [[0]], "truth": [True]}
-            )
-        },
-    ),
-    "Target": by_annotation(armsight.Target, {"kind": "spots", "names": tuple("ABC"), "xyz_m": list(LIGHTS.values())}),
-    "TaughtPath": (
-        armsight.TaughtPath,
-        {
-            "T_world_tip": poses(_poses(3, 1), as_matrix=True),
-            "t_s": array(np.arange(3.0), nan=True, more={"backwards": [2.0, 1.0, 0.0]}),
-            "speed_m_s": array(np.ones(3), nan=True, more={"negative": -np.ones(3)}),
-            "tags": Arg(good=("",) * 3, wrong={"a text": "abc", "numbers": (1, 2, 3), "too few": ("",)}),
-            "parent": text("world"),
-        },
-    ),
-    "TaughtPath.of_poses": (
-        armsight.TaughtPath.of_poses,
-        {
-            "poses": poses(_poses(3, 1)),
-            "t_s": array(np.arange(3.0), nan=True),
-            "speed_m_s": array(np.ones(3), nan=True, more={"a number": -1.0}),
-            "parent": text("world"),
-        },
-    ),
-    "calibrate_arm": (
-        armsight.calibrate_arm,
-        {
-            "nominal": record(ARM),
-            "q": array(np.zeros((9, 6)), more={"fewer rows": np.zeros((4, 6)), "degrees": np.full((9, 6), 90.0)}),
-            "xyz_m": array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
-            "rotation": array(np.tile(np.eye(3), (9, 1, 1)), more={"scaled": np.tile(2.0 * np.eye(3), (9, 1, 1))}),
-            "point": POINT_NAMES,
-            "touch": Arg(
-                good=(SPREAD, ["spike"] * len(SPREAD)),
-                wrong={
-                    "a number": 3,
-                    "nowhere": "no-such-file.csv",
-                    "a list": [1, 2],
-                    "5 joints": (SPREAD[:, :5], ["a"] * len(SPREAD)),
-                    "names": (SPREAD, ["a"]),
-                    "kinds": (SPREAD, ["a"] * len(SPREAD), ["point"]),
-                    "tips": (SPREAD, ["a"] * len(SPREAD), ["point"] * len(SPREAD), ["long"]),
-                    "five entries": (SPREAD, ["a"] * len(SPREAD), ["point"] * len(SPREAD), [], []),
-                },
-            ),
-            "length": Arg(
-                good=(("a", "b", 0.27),),
-                wrong={"a text": "a,b,0.27", "two": (("a", "b"),), "nan": (("a", "b", np.nan),)},
-            ),
-            "holdout": Arg(
-                good=None, wrong={"a list": [1, 2], "one": (np.zeros((9, 6)),), "5 joints": (np.zeros((9, 5)), 1)}
-            ),
-            "scale": Arg(good=True, wrong={"a text": "yes"}),
-            "tolerance_m": number(0.002),
-            "tolerance_rad": number(0.03),
-            "propose": number(1, negative=-1, share=1.5),
-            "rig": record(RIG),
-            "world": Arg(good=np.eye(4), wrong=WRONG["PoseLike"]),
-            **LINKS_TABLE_AND_OUT,
-        },
-    ),
-    "calibrate_robot_world": (
-        armsight.calibrate_robot_world,
-        {
-            "arm": record(ARM),
-            "q": array(SPREAD, more={"fewer rows": np.zeros((4, 6)), "degrees": np.full((9, 6), 90.0)}),
-            "xyz_m": array(ARM.fk(SPREAD)[:, :3, 3], more={"fewer rows": np.ones((4, 3))}),
-            "point": POINT_NAMES,
-            **LINKS_TABLE_AND_OUT,
-        },
-    ),
-    "ArmResult.change": (lambda name: _arm_result().change(name), {"name": choice(f"{ARM.joints[0].name}.a_m")}),
-    "ArmResult.propose": (
-        lambda n=1, rig=None, T_base_rig=None: _arm_result().propose(n, rig=rig, T_base_rig=T_base_rig),
-        {"n": number(1, none_at_all=0), "rig": record(RIG), "T_base_rig": poses(_poses(1, 4)[0])},
-    ),
-    "HandEyeResult.propose": (
-        lambda n=1, reachable=None: armsight.calibrate_hand_eye(FLANGE, SEEN).propose(n, reachable),
-        {"n": number(1, none_at_all=0), "reachable": Arg(good=None, wrong={"nowhere": lambda T: False})},
-    ),
-    "estimate_pose_from_spots": (
-        partial(armsight.estimate_pose_from_spots, left=FOUND, right=FOUND, rig=RIG, target=TARGET),
-        {
-            "left": record(FOUND),
-            "right": record(FOUND),
-            "cameras": CAMERA_VIEWS,
-            "rig": record(RIG),
-            "target": record(TARGET),
-            "t_s": number(0.0),
-        },
-    ),
-    "calibrate_tool_tip": (
-        armsight.calibrate_tool_tip,
-        {
-            "T_world_target": poses(TURNED),
-            "covariances": array(np.tile(1e-8 * np.eye(6), (12, 1, 1)), more={"one": np.eye(6)}),
-            "point_m": array(np.zeros(3)),
-            "point_std_m": number(0.001, negative=-1.0),
-            "t_s": array(np.arange(12.0)),
-            "table": TABLES,
-            "out": OUT,
-        },
-    ),
-    "estimate_pose": (
-        partial(armsight.estimate_pose, left=LEFT, right=RIGHT, rig=RIG, target=TARGET),
-        {
-            "left": image(LEFT),
-            "right": image(RIGHT),
-            "cameras": CAMERA_VIEWS,
-            "rig": record(RIG),
-            "target": record(TARGET),
-            "settings": SETTINGS,
-            "t_s": number(0.0),
-            "bits": BITS,
-        },
-    ),
-    "find_spots": (armsight.find_spots, {"image": image(LEFT), "settings": SETTINGS, "bits": BITS}),
-    "presets.preset": (armsight.presets.preset, {"name": choice("ur10")}),
-    "read_scenario": (armsight.read_scenario, {"scenario": choice("webcam-cell")}),
-    "simulate": (
-        armsight.simulate,
-        {
-            "scenario": choice("webcam-cell"),
-            "frames": number(2, none_at_all=0, share=1.5),
-            "seed": number(1, negative=-1, share=1.5),
-            "room": Arg(good=None, wrong={"a number": 3, "nowhere": "no-such-room", "a list": ["office"]}),
-            "zoom": number(100.0),
-        },
-    ),
-    "triangulate": (
-        armsight.triangulate,
-        {
-            "rig": record(RIG),
-            "uv_left_px": array(PIXELS, nan=True, more={"fewer rows": PIXELS[:2]}),
-            "uv_right_px": array(PIXELS - (20.0, 0.0), nan=True, more={"fewer rows": PIXELS[:2]}),
-            "covariance_left_px2": array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
-            "covariance_right_px2": array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
-        },
-    ),
-    **{
-        f"{kind}.save": by_annotation(thing.save, {"path": AWAY})
-        for kind, thing in {
-            "Arm": ARM,
-            "Camera": CAMERA,
-            "Rig": RIG,
-            "Target": TARGET,
-            "TaughtPath": armsight.TaughtPath.of_poses(_poses(3, 1)),
-            "PoseTrack": armsight.PoseTrack(),
-            "Limits": armsight.Limits(),
-            "World": armsight.World(parent="base", T_parent_rig=RigidTransform.identity()),
-        }.items()
-    },
-    **{name: by_annotation(call, good) for name, (call, good) in JOBS.items()},
 }
 """By public name: what is called, and each of its parameters."""
 
-TABLE["calibrate_hand_eye"][1].update(
-    T_base_flange=poses(FLANGE),
-    T_camera_target=poses(SEEN),
-    setup=choice("eye-in-hand"),
-    names=NAMES,
-    camera_covariance=array(np.tile(1e-8 * np.eye(6), (len(SEEN), 1, 1)), more={"one": np.eye(6)}),
-)
-
-TABLE["calibrate_cameras"][1].update(
-    cameras=Arg(
-        good={"a": [LEFT], "b": [RIGHT]},
-        wrong={
-            "a number": 3,
-            "a text": "a",
-            "without names": ["images/left", "images/right"],
-            "images alone": [LEFT, RIGHT],
-            "one": {"a": [LEFT]},
-            "none": {},
-            "numbers": {"a": 1, "b": 2},
-            "numbers as names": {1: [LEFT], 2: [RIGHT]},
-            "floats": {"a": [LEFT * 1.0], "b": [RIGHT]},
-        },
-    ),
-    board=Arg(good=BOARD, wrong={"another": "chess", "a number": 3, "a list": [BOARD], "lights": TARGET, "none": None}),
-    lenses=Arg(
-        good=None,
-        wrong={
-            "a number": 3,
-            "another kind": "oval",
-            "numbers": {"a": 3},
-            "nowhere": {"a": "no-such-file.yaml"},
-            "a rig": {"a": RIG},
-            "another camera's": {"c": CAMERA},
-        },
-    ),
-    rig=Arg(good=None, wrong=WRONG["RigLike"]),
-    add=Arg(good=None, wrong={"a number": 3, "without a rig": {"c": [LEFT]}, "numbers": {"c": 3}}),
-    again=Arg(good=None, wrong={**WRONG["str"], "without a rig": "a"}),
-    options=Arg(good=None, wrong={"a number": 3, "a dict": {}, "a text": "fisheye"}),
-    every=Arg(good=1, wrong={**WRONG["int"], "none": 0}),
-    frames=Arg(good=None, wrong={**WRONG["Limit"], "none": 0}),
-    detector=choice("auto"),
-    strict=Arg(good=False, wrong=WRONG["bool"]),
-    out=OUT,
-)
-
-TABLE["identify_arm"][1].update(
-    joint=Arg(
-        good=[1] * 9, wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1}
-    ),
-    q=array(np.ones((9, 1)), more={"fewer rows": np.zeros((4, 1))}),
-    xyz_m=array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
-    rig=record(RIG),
-    uv_px=array(np.ones((9, 2, 2))),
-    T_base_rig=poses(_poses(1, 4)[0]),
-    method=choice("ml"),
-    increments=choice("known"),
-    sigma=number(1e-4),
-    name=text("arm"),
-)
 
 MADE_BY_US = (
     *("Identification", "ArmResult", "CameraResult", "HandEyeResult", "PoseEstimate", "PoseTrack", "RigResult"),
@@ -799,6 +716,7 @@ NEEDED_TOGETHER = {
     "length": ("touch",),
 }
 """Parameters that mean something only with another."""
+WITH_ALL = ("q", "xyz_m", "joint", "T_base_flange", "T_camera_target", "board")
 
 
 @cache
@@ -852,10 +770,11 @@ def _called(name: str, parameter: str, value: Any) -> Any:
         plain = inspect.signature(call).parameters[key].default
         if key == parameter:
             given[key] = value
-        elif plain is inspect.Parameter.empty or key in (
-            *(() if parameter in ("touch", "length") else ("q", "xyz_m")),
-            *NEEDED_TOGETHER.get(parameter, ()),
-            *JOBS.get(name, (None, ()))[1],
+        elif (
+            plain is inspect.Parameter.empty
+            or argument.needed
+            or key in (() if parameter in ("touch", "length") else WITH_ALL)
+            or key in NEEDED_TOGETHER.get(parameter, ())
         ):
             given[key] = argument.good
     return call(**given)

@@ -85,29 +85,6 @@ def test_a_bigger_first_dot_tells_where_x_begins(tmp_path: Path) -> None:
 
 
 @needs_poppler
-def test_opencv_reads_the_same_sizes(tmp_path: Path) -> None:
-    for text in ("checkerboard:9x6:0.025", "circles:7x5:0.03", "acircles:4x11:0.02"):
-        board = parse_board(text)
-        _, page = rendered(tmp_path, text)
-        size = (board.columns, board.rows)
-        if board.kind == "checkerboard":
-            found, uv = cv2.findChessboardCornersSB(page, size)
-        else:
-            grid = cv2.CALIB_CB_ASYMMETRIC_GRID if board.kind == "acircles" else cv2.CALIB_CB_SYMMETRIC_GRID
-            settings = cv2.SimpleBlobDetector.Params()
-            settings.maxArea = 1e5
-            found, uv = cv2.findCirclesGrid(
-                page, size, flags=grid, blobDetector=cv2.SimpleBlobDetector.create(settings)
-            )
-        assert found
-        xy = places(uv.reshape(-1, 2).astype(float))
-        apart = np.linalg.norm(xy[:, None] - xy[None], axis=2)
-        wanted = 1e3 * np.linalg.norm(board.xyz_m[:, None] - board.xyz_m[None], axis=2)
-        assert apart == pytest.approx(wanted, abs=0.05)
-        assert (apart * wanted).sum() / (wanted**2).sum() * wanted.max() == pytest.approx(wanted.max(), abs=0.01)
-
-
-@needs_poppler
 @pytest.mark.parametrize("old_layout", [False, True])
 def test_a_charuco_board_is_the_one_that_opencv_draws(tmp_path: Path, old_layout: bool) -> None:
     _, page = rendered(tmp_path, CHARUCO, old_layout=old_layout)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import json
 import sqlite3
@@ -12,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 import histories
+from action_cases import write_pairs
 from armsight.ops.simulation.run import simulate
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.entry import Entry
@@ -35,25 +35,7 @@ def history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(scope="session")
 def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pose pairs of a simulated hand-eye calibration."""
-    folder = tmp_path_factory.mktemp("pairs")
-    rng = np.random.default_rng(0)
-    T_flange_camera = RigidTransform.from_components([0.03, 0.01, 0.08], Rotation.from_rotvec([0.1, -0.2, 1.5]))
-    T_base_target = RigidTransform.from_components([0.6, 0.1, 0.0], Rotation.from_rotvec([0.0, 3.0, 0.3]))
-    rows = []
-    for _ in range(16):
-        T_base_flange = RigidTransform.from_components(
-            rng.uniform([0.3, -0.2, 0.3], [0.7, 0.2, 0.7]), Rotation.random(rng=rng)
-        )
-        seen = T_flange_camera.inv() * T_base_flange.inv() * T_base_target
-        noisy = seen.translation + rng.normal(0.0, 2e-4, 3)
-        quat = (Rotation.from_rotvec(rng.normal(0.0, 2e-4, 3)) * seen.rotation).as_quat()
-        rows.append([*T_base_flange.translation, *T_base_flange.rotation.as_quat(), *noisy, *quat])
-    names = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-    with (folder / "pairs.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([f"{who}_{name}" for who in ("base_flange", "camera_target") for name in names])
-        writer.writerows(rows)
-    return folder / "pairs.csv"
+    return write_pairs(tmp_path_factory.mktemp("pairs") / "pairs.csv")
 
 
 def fill(path: Path, entries: Iterable[Entry]) -> None:

@@ -67,18 +67,12 @@ def tips(folder: Path) -> Case:
 def arms(folder: Path) -> Case:
     true = moved(ARM, {f"{ARM.joints[1].name}.theta_rad": np.deg2rad(1.0)})
     rng = np.random.default_rng(0)
-    q = rng.uniform(-0.9, 0.9, (60, 6))
-    xyz_m = fk(true, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (60, 3))
-    rows = np.hstack([q, xyz_m])
+    q = rng.uniform(-0.9, 0.9, (40, 6))
+    xyz_m = fk(true, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (40, 3))
     return Case(
         call=calibrate_arm,
-        given={
-            "nominal": "irb120",
-            "q": table(folder / "points.csv", READINGS, rows[:40]),
-            "holdout": table(folder / "holdout.csv", READINGS, rows[40:]),
-            "propose": "1",
-        },
-        arrays={"nominal": ARM, "q": q[:40], "xyz_m": xyz_m[:40], "holdout": (q[40:], xyz_m[40:]), "propose": 1},
+        given={"nominal": "irb120", "q": table(folder / "points.csv", READINGS, np.hstack([q, xyz_m]))},
+        arrays={"nominal": ARM, "q": q, "xyz_m": xyz_m},
     )
 
 
@@ -101,8 +95,10 @@ def case(request: pytest.FixtureRequest, tmp_path: Path) -> Case:
 
 
 def test_arrays_and_files_come_to_the_same(case: Case, tmp_path: Path) -> None:
-    given = {name: int(one) if name == "propose" else one for name, one in case.given.items()}
-    of_files, out = case.call(**given, out=tmp_path / "out.yaml"), yaml.safe_load((tmp_path / "out.yaml").read_text())
+    of_files, out = (
+        case.call(**case.given, out=tmp_path / "out.yaml"),
+        yaml.safe_load((tmp_path / "out.yaml").read_text()),
+    )
     assert len(out["inputs"]) == sum(isinstance(one, Path) for one in case.given.values())
     of_arrays = case.call(**case.arrays).to_dict()
     assert of_arrays["verdict_"]["level"] == of_files.to_dict()["verdict_"]["level"] == "good"
@@ -123,7 +119,7 @@ def test_bounds_and_kinds_are_pythons_too(case: Case, tmp_path: Path) -> None:
     for name, wrong in [(name, -1.0) for name in bounded] + [(name, "far") for name in bounded] + [("out", 3)]:
         with refuses(UsageError, name):
             case.call(**{**case.arrays, "out": out, name: wrong})
-    for name in case.arrays.keys() - {"propose"}:
+    for name in case.arrays:
         with pytest.raises((UsageError, Inconsistent), match=name):
             case.call(**{**case.arrays, "out": out, name: object()})
     with pytest.raises(TypeError):

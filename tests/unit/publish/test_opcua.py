@@ -179,25 +179,19 @@ def test_a_process_that_was_held_up_does_not_answer_with_what_was_good_before(gu
         ({"role": None}, "kept out"),
         ({"token": "wrong"}, "wrong name or token"),
         ({"role": "acknowledge", "token": ""}, "wrong name or token"),
+        ({"role": "watch", "token": "that of drive"}, "wrong name or token"),
         ({"pair": "stranger"}, "not trusted"),
     ],
 )
-def test_who_is_not_known_is_refused_and_logged(guarded, who, why):
+def test_who_is_not_known_is_refused_and_logged(guarded, keys, who, why):
+    token = {"token": keys.of["drive"]} if who.get("token") == "that of drive" else {}
+
     async def body(served):
         with pytest.raises(UaError):
-            async with served.client(**who):
+            async with served.client(**{**who, **token}):
                 pass
         assert any(why in note and "127.0.0.1" in note for note in served.notes())
         assert not any("wrong" in note and note.endswith("wrong") for note in served.notes())
-
-    guarded(body)
-
-
-def test_the_token_of_another_name_lets_nobody_in(guarded, keys):
-    async def body(served):
-        with pytest.raises(UaError):
-            async with served.client("watch", token=keys.of["drive"]):
-                pass
 
     guarded(body)
 
