@@ -14,10 +14,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
 from armsight.kinematics import preset
-from armsight.ops.simulation.run import simulate
 from armsight.records import TaughtPath
 from armsight.store.arm_file import read_arm
 from armsight.store.path_file import write_path
+from simulated import simulated
 
 POSE = "x_m,y_m,z_m,qx,qy,qz,qw"
 LIT = "--rig lit/rig.yaml --target lit/target.yaml --left lit/left --right lit/right"
@@ -113,16 +113,18 @@ def run(words: str) -> Any:
 
 
 def make_files(folder: Path, drawn: Path, boards: Path, mirrors: Path) -> None:
-    """Make the files that CASES name, in `folder`, which is the working folder."""
+    """Make the files that CASES name, in a new `folder`, which becomes the working folder."""
+    folder.mkdir()
+    os.chdir(folder)
     shutil.copytree(drawn, folder / "lit")
     shutil.copytree(boards, folder / "boards")
     shutil.copytree(mirrors, folder / "complex")
     (folder / "some").mkdir()
     for path in sorted(mirrors.iterdir())[:2]:
         shutil.copy(path, folder / "some")
-    simulate("webcam-cell", folder / "webcam", frames=3, room="dark")
+    shutil.copytree(simulated("webcam-cell", frames=3, room="dark"), folder / "webcam")
     for name, scenario, frames in (("points", "arm-points", 40), ("pivot", "pivot", 16), ("cell", "cell", 700)):
-        simulate(scenario, folder / name, frames=frames)
+        shutil.copytree(simulated(scenario, frames=frames), folder / name)
     make_tables()
     make_plane(folder / "plane")
     make_paths("webcam")

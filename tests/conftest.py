@@ -131,21 +131,23 @@ def draw(xyz_m: np.ndarray, camera_x_m: float, rng: np.random.Generator) -> np.n
 
 
 @pytest.fixture(scope="session")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def scene() -> Scene:
     """Three lights that move slowly before a parallel pair, COUNT frames."""
-    folder = tmp_path_factory.mktemp("scene")
-    (folder / "rig.yaml").write_text(RIG)
-    (folder / "target.yaml").write_text(TARGET)
     steps = np.arange(COUNT)
     xyz = np.stack([0.05 + 0.002 * steps, 0.01 - 0.001 * steps, 0.6 + 0.001 * steps], axis=1)
     rotation = Rotation.from_rotvec(np.stack([0.1 + 0.01 * steps, -0.05 + 0.0 * steps, 0.02 * steps], axis=1))
-    rng = np.random.default_rng(11)
-    for side, shift in (("left", 0.0), ("right", BASELINE)):
-        (folder / side).mkdir()
-        for i in steps:
-            lights = rotation[i].apply(np.array(list(LIGHTS.values()))) + xyz[i]
-            cv2.imwrite(str(folder / side / f"frame{i}.png"), draw(lights, shift, rng))
-    return Scene(folder, xyz, rotation)
+
+    def fill(folder: Path) -> None:
+        rng = np.random.default_rng(11)
+        for side, shift in (("left", 0.0), ("right", BASELINE)):
+            (folder / side).mkdir(parents=True)
+            for i in steps:
+                lights = rotation[i].apply(np.array(list(LIGHTS.values()))) + xyz[i]
+                cv2.imwrite(str(folder / side / f"frame{i}.png"), draw(lights, shift, rng))
+        (folder / "rig.yaml").write_text(RIG)
+        (folder / "target.yaml").write_text(TARGET)
+
+    return Scene(warm_python.once("scene", fill), xyz, rotation)
 
 
 @dataclass(frozen=True)
@@ -159,9 +161,13 @@ class Boards:
 
 
 @pytest.fixture(scope="session")
-def boards(tmp_path_factory: pytest.TempPathFactory) -> Boards:
+def boards() -> Boards:
     """Ten pairs of a board in different poses, seen by a parallel pair of 640x480 cameras."""
-    made = Boards(tmp_path_factory.mktemp("boards"))
+    return Boards(warm_python.once("boards", lambda folder: draw_boards(Boards(folder))))
+
+
+def draw_boards(made: Boards) -> None:
+    """Draw the pairs."""
     K = np.array([[made.focal_px, 0.0, 322.0], [0.0, made.focal_px, 238.0], [0.0, 0.0, 1.0]])
     squares = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((40, 40)))  # black and white, 40 px a square
     sheet = np.pad(200.0 * squares + 25.0, 40, constant_values=225.0).astype(np.uint8)
@@ -171,7 +177,7 @@ def boards(tmp_path_factory: pytest.TempPathFactory) -> Boards:
     double = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])  # drawn twice as large, then averaged
     rng = np.random.default_rng(3)
     for side in ("left", "right"):
-        (made.folder / side).mkdir()
+        (made.folder / side).mkdir(parents=True)
     for i, (rx, ry) in enumerate(turns):
         R = Rotation.from_euler("xyz", [rx, ry, 7.0 * i - 20.0], degrees=True).as_matrix()
         t = np.array(places[i % len(places)]) / 1e3 + R @ np.array([-0.06, -0.04, 0.0])
@@ -181,7 +187,6 @@ def boards(tmp_path_factory: pytest.TempPathFactory) -> Boards:
             image = large.reshape(480, 2, 640, 2).mean(axis=(1, 3))
             noisy = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0.0, 3.0, image.shape)
             cv2.imwrite(str(made.folder / side / f"shot{i}.png"), np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
-    return made
 
 
 @dataclass(frozen=True)
@@ -198,10 +203,18 @@ class MirrorBoards:
 
 
 @pytest.fixture(scope="session")
-def mirror_boards(tmp_path_factory: pytest.TempPathFactory) -> MirrorBoards:
+def mirror_boards() -> MirrorBoards:
     """Eight complex images of 640x480, and two with a mirror turned; where corners are is traced by the simulation."""
-    folder = tmp_path_factory.mktemp("mirror-boards")
-    made = MirrorBoards(folder / "straight", folder / "off")
+    folder = warm_python.once("mirror-boards", lambda made: draw_mirror_boards(mirror_boards_of(made)))
+    return mirror_boards_of(folder)
+
+
+def mirror_boards_of(folder: Path) -> MirrorBoards:
+    return MirrorBoards(folder / "straight", folder / "off")
+
+
+def draw_mirror_boards(made: MirrorBoards) -> None:
+    """Draw the images."""
     rng = np.random.default_rng(5)
     turns = [(0, 0), (28, 5), (-28, 0), (5, 28), (0, -28), (22, 22), (-22, 22), (20, -22)]
     places = [
@@ -214,13 +227,12 @@ def mirror_boards(tmp_path_factory: pytest.TempPathFactory) -> MirrorBoards:
         (0, -60, 330),
     ]
     for goal, count, tilt in ((made.straight, len(turns), (0.0, 0.0)), (made.off, 2, made.tilt)):
-        goal.mkdir()
+        goal.mkdir(parents=True)
         for i, (rx, ry) in enumerate(turns[:count]):
             R = Rotation.from_euler("xyz", [rx, ry, 5.0 * i - 15.0], degrees=True)
             image = complex_board(made, R, np.array(places[i % len(places)]) / 1e3, tilt)
             noisy = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0.0, 1.5, image.shape)
             cv2.imwrite(str(goal / f"shot{i}.png"), np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
-    return made
 
 
 def complex_board(made: MirrorBoards, turned: Rotation, middle_m: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:

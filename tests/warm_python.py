@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import fcntl
 import gc
 import os
 import runpy
@@ -22,6 +23,7 @@ import tempfile
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
@@ -57,6 +59,19 @@ def begin() -> None:
 def rooms() -> Path:
     """Return the folder of the rooms that all processes of this run of tests share."""
     return Path(os.environ[FOLDER]) / "rooms"
+
+
+def once(name: str, fill: Callable[[Path], object]) -> Path:
+    """Return a folder that is filled once for all processes of this run of tests: nobody writes into it later."""
+    folder = Path(os.environ[FOLDER]) / name
+    with folder.with_name(f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            part = folder.with_name(f"{name}.part")
+            shutil.rmtree(part, ignore_errors=True)
+            fill(part)
+            part.rename(folder)
+    return folder
 
 
 def commands() -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import sys
@@ -21,24 +20,18 @@ from cure_tables import FILES
 import warm_python
 from armsight_lab.design.changes import CHANGES
 from histories import baseline_runs, runs
+from simulated import simulated
 
 
 @pytest.fixture(scope="session")
 def given_files(request):
-    """The folder of `fill`, made once for all processes of this run of tests."""
-    folder = warm_python.rooms().with_name("given")
-    with folder.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not folder.exists():
-            made = folder.with_suffix(".part")
-            fill(made, *map(request.getfixturevalue, ("scene", "boards", "mirror_boards")))
-            made.rename(folder)
-    return folder
+    """The folder of `fill`."""
+    drawn = [request.getfixturevalue(name) for name in ("scene", "boards", "mirror_boards")]
+    return warm_python.once("given", lambda folder: fill(folder, *drawn))
 
 
 def fill(folder, scene, boards, mirror_boards):
     """left/ and right/ with rig.yaml and target.yaml; boards/; cell/ of `simulate`; j.csv and poses.csv of an arm."""
-    from armsight.ops.simulation.run import simulate
     from armsight.store.tokens import add_token
     from armsight_plant.certificates import make_pair
 
@@ -46,7 +39,7 @@ def fill(folder, scene, boards, mirror_boards):
     shutil.copytree(boards.folder, folder / "boards")
     shutil.copytree(mirror_boards.straight, folder / "mirrors")
     write_stills(folder / "stills")
-    simulate("webcam-cell", folder / "cell", frames=3, room="dark")
+    shutil.copytree(simulated("webcam-cell", frames=3, room="dark"), folder / "cell")
     for name, text in FILES.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)

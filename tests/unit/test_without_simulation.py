@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -23,7 +24,7 @@ from scipy.spatial.transform import Rotation
 import armsight
 from armsight._version import __version__
 from armsight.kinematics import fk, presets
-from armsight.ops.simulation.run import simulate
+from simulated import simulated
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -89,8 +90,11 @@ print(json.dumps(out))
 def bare(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return what every command does there: exit code, stdout, stderr."""
     work = tmp_path_factory.mktemp("bare")
-    simulate("hand-cell", work / "cell", seed=1, frames=4, room="dark")
-    simulate("arm-points", work / "arm", seed=1)
+    for name, made in (
+        ("cell", simulated("hand-cell", seed=1, frames=4, room="dark")),
+        ("arm", simulated("arm-points", seed=1)),
+    ):
+        shutil.copytree(made, work / name)
     write_sweep(work)
     write_track(work)
     venv.create(work / "venv")

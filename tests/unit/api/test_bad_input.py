@@ -20,6 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
 from armsight.optics import parallel_rig
+from hand_cell import CAMERA, LIGHTS, drawn, some_poses
 from refusals import refuses
 
 
@@ -152,9 +153,7 @@ def poses(good: RigidTransform, *, as_matrix: bool = False, **wrong: Any) -> Arg
     return Arg(good=a if as_matrix else good, wrong=none | wrong, same=same)
 
 
-CAMERA = armsight.Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0)
 RIG = parallel_rig(CAMERA, 0.1)
-LIGHTS = {"A": (-0.05, 0.0, 0.0), "B": (0.05, 0.04, 0.0), "C": (0.03, -0.04, 0.0)}
 TARGET = armsight.LightTarget(LIGHTS)
 ARM = armsight.presets.ur10()
 Q = np.array([0.0, -1.0, 1.0, 1.0, 2.0, 0.0])
@@ -165,26 +164,9 @@ PIXELS = np.array([[160.0, 120.0], [200.0, 100.0], [210.0, 60.0]])
 BOARD = "checkerboard:9x6:0.025"
 
 
-def _images() -> list[np.ndarray]:
-    y, x = np.mgrid[0:240, 0:320]
-    out = []
-    for side in (0.0, 0.1):
-        grey = np.full((240, 320), 8.0)
-        for light in LIGHTS.values():
-            X, Y, Z = np.add(light, (0.05 - side, 0.0, 0.5))
-            grey += 150.0 * np.exp(-((x - 160 - 250 * X / Z) ** 2 + (y - 120 - 250 * Y / Z) ** 2) / 8.0)
-        out.append(grey.astype(np.uint8))
-    return out
-
-
-def _poses(n: int, seed: int) -> RigidTransform:
-    rng = np.random.default_rng(seed)
-    return RigidTransform.from_components(rng.normal(0, 0.2, (n, 3)), Rotation.from_rotvec(rng.normal(0, 0.5, (n, 3))))
-
-
-LEFT, RIGHT = _images()
-FLANGE = _poses(12, 1)
-SEEN = (FLANGE * _poses(1, 4)[0]).inv() * _poses(1, 3)[0]
+LEFT, RIGHT = drawn()
+FLANGE = some_poses(12, 1)
+SEEN = (FLANGE * some_poses(1, 4)[0]).inv() * some_poses(1, 3)[0]
 TIP = np.array([0.0, 0.0, 0.2])
 TURNED = RigidTransform.from_components(FLANGE.rotation.apply(-TIP), FLANGE.rotation)
 SETTINGS = record(armsight.SpotSettings())
@@ -265,7 +247,7 @@ ROBOT = {"robot": "sim:webcam-cell"}
 SEEN_BY = {"rig": RIG, "target": TARGET}
 LIVE = {**ROBOT, **SEEN_BY, "left": "camera:sim:webcam-cell:left", "right": "camera:sim:webcam-cell:right"}
 PAIR = {**SEEN_BY, "left": [LEFT], "right": [RIGHT]}
-PATH = armsight.TaughtPath.of_poses(_poses(3, 1))
+PATH = armsight.TaughtPath.of_poses(some_poses(3, 1))
 AWAY = "/dev/null/out"
 MCAP = str(Path(__file__).parents[2] / "golden" / "no-such.mcap")
 
@@ -276,20 +258,10 @@ def _begun(*args: Any, **given: Any) -> str:
         return address
 
 
-READERS = [
-    "arm",
-    "camera",
-    "hand_eye",
-    "joints",
-    "limits",
-    "path",
-    "poses",
-    "rig",
-    "table",
-    "target",
-    "tool_tip",
-    "world",
-]
+READERS = (
+    *("arm", "camera", "hand_eye", "joints", "limits", "path", "poses"),
+    *("rig", "table", "target", "tool_tip", "world"),
+)
 TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "Arm.values": of(ARM.values, readings=JOINT_VALUES),
     "Arm.readings": of(ARM.readings, q=JOINT_VALUES),
@@ -428,14 +400,14 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "Target": of(armsight.Target, kind="spots", names=tuple("ABC"), xyz_m=list(LIGHTS.values())),
     "TaughtPath": of(
         armsight.TaughtPath,
-        T_world_tip=poses(_poses(3, 1), as_matrix=True),
+        T_world_tip=poses(some_poses(3, 1), as_matrix=True),
         t_s=array(np.arange(3.0), nan=True, more={"backwards": [2.0, 1.0, 0.0]}),
         speed_m_s=array(np.ones(3), nan=True, more={"negative": -np.ones(3)}),
         tags=Arg(good=("",) * 3, wrong={"a text": "abc", "numbers": (1, 2, 3), "too few": ("",)}),
     ),
     "TaughtPath.of_poses": of(
         armsight.TaughtPath.of_poses,
-        poses=poses(_poses(3, 1)),
+        poses=poses(some_poses(3, 1)),
         t_s=array(np.arange(3.0), nan=True),
         speed_m_s=array(np.ones(3), nan=True, more={"a number": -1.0}),
     ),
@@ -482,7 +454,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         lambda n=1, rig=None, T_base_rig=None: _arm_result().propose(n, rig=rig, T_base_rig=T_base_rig),
         n=number(1, none_at_all=0),
         rig=record(RIG),
-        T_base_rig=poses(_poses(1, 4)[0]),
+        T_base_rig=poses(some_poses(1, 4)[0]),
     ),
     "HandEyeResult.propose": of(
         lambda n=1, reachable=None: armsight.calibrate_hand_eye(FLANGE, SEEN).propose(n, reachable),
@@ -534,7 +506,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "Camera": CAMERA,
             "Rig": RIG,
             "Target": TARGET,
-            "TaughtPath": armsight.TaughtPath.of_poses(_poses(3, 1)),
+            "TaughtPath": armsight.TaughtPath.of_poses(some_poses(3, 1)),
             "PoseTrack": armsight.PoseTrack(),
             "Limits": armsight.Limits(),
             "World": armsight.World(parent="base", T_parent_rig=RigidTransform.identity()),
@@ -622,7 +594,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         xyz_m=array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
         rig=record(RIG),
         uv_px=array(np.ones((9, 2, 2))),
-        T_base_rig=poses(_poses(1, 4)[0]),
+        T_base_rig=poses(some_poses(1, 4)[0]),
         method=choice("ml"),
         increments=choice("known"),
         sigma=number(1e-4),

@@ -12,36 +12,16 @@ from pathlib import Path
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from scipy.spatial.transform import RigidTransform, Rotation
 
 import armsight
+from hand_cell import CAMERA, LIGHTS, drawn
 from refusals import refuses
-
-CAMERA = armsight.Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0)
-LIGHTS = {"A": (-0.05, 0.0, 0.0), "B": (0.05, 0.04, 0.0), "C": (0.03, -0.04, 0.0)}
 
 
 def rig() -> armsight.Rig:
     from armsight.optics import parallel_rig
 
     return parallel_rig(CAMERA, 0.1)
-
-
-def images(shift_m: tuple[float, float, float] = (0.05, 0.0, 0.5)) -> list[np.ndarray]:
-    y, x = np.mgrid[0:240, 0:320]
-    out = []
-    for side in (0.0, 0.1):
-        image = np.full((240, 320), 8.0)
-        for light in LIGHTS.values():
-            X, Y, Z = np.array(light) + shift_m - (side, 0.0, 0.0)
-            image += 150.0 * np.exp(-((x - 160 - 250 * X / Z) ** 2 + (y - 120 - 250 * Y / Z) ** 2) / 8.0)
-        out.append(image.astype(np.uint8))
-    return out
-
-
-def poses(n: int, seed: int) -> RigidTransform:
-    rng = np.random.default_rng(seed)
-    return RigidTransform.from_components(rng.normal(0, 0.2, (n, 3)), Rotation.from_rotvec(rng.normal(0, 0.5, (n, 3))))
 
 
 def test_importing_armsight_loads_nothing_heavy() -> None:
@@ -71,7 +51,7 @@ def test_every_public_name_resolves_and_type_checkers_see_the_same() -> None:
 
 
 def test_a_pose_from_arrays_is_the_true_one_and_shows_itself() -> None:
-    left, right = images()
+    left, right = drawn()
     result = armsight.estimate_pose(left, right, rig(), armsight.LightTarget(LIGHTS))
     assert result.ok and result.lights == ("A", "B", "C")
     error = result.xyz_m - (0.05, 0.0, 0.5)
@@ -86,15 +66,15 @@ def test_a_pose_from_arrays_is_the_true_one_and_shows_itself() -> None:
 def test_a_tracker_keeps_its_poses_and_refuses_time_that_stands(tmp_path: Path) -> None:
     tracker = armsight.PoseTracker(rig(), armsight.LightTarget(LIGHTS))
     for i in range(4):
-        assert tracker.update(*images((0.05 + 0.001 * i, 0.0, 0.5)), 0.02 * i).ok
+        assert tracker.update(*drawn((0.05 + 0.001 * i, 0.0, 0.5)), 0.02 * i).ok
     assert tracker.consistency.verdict == "ok"
     with refuses(armsight.Inconsistent, "0.06 s"):
-        tracker.update(*images(), 0.06)
+        tracker.update(*drawn(), 0.06)
     track = armsight.read_poses(tracker.track.save(tmp_path / "poses.csv"))
     np.testing.assert_allclose(track.T_parent_target, tracker.track.T_parent_target, atol=1e-12)
     assert len(track.table()["x_m"]) == 4 and isinstance(track.plot(), go.Figure)
     tracker.reset()
-    assert tracker.update(*images(), 0.0).ok and len(tracker.track) == 1
+    assert tracker.update(*drawn(), 0.0).ok and len(tracker.track) == 1
 
 
 def test_an_arm_is_taken_as_a_record_by_its_name_and_as_a_file(tmp_path: Path) -> None:

@@ -16,10 +16,6 @@ def test_a_wrong_board_is_refused_with_the_size_that_is_there(armsight: Any, boa
     assert done.code == 3
     assert "8x5" in done.json["error"]["cause"]
     assert "7x5" in done.text
-    for board in ("checkerboard:7x5", "checkerboard:7x5:20mm", "chess:7x5:0.02", "checkerboard:1x5:0.02"):
-        done = armsight(*words, board)
-        assert done.code == 2
-        assert "checkerboard:COLUMNSxROWS:SQUARE_M" in done.text
     assert not (tmp_path / "c.yaml").exists()
 
 

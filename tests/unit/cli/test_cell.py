@@ -13,13 +13,13 @@ import pytest
 
 from armsight.errors import Inconsistent
 from armsight.ops.calibration.cell import read_priors
-from armsight.ops.simulation.run import simulate
 from armsight.records import Frame, JointReading
 from armsight.store import read_rig, read_target, read_world
 from armsight.store.arm_file import read_arm
 from armsight.store.recording import RecordingWriter
 from armsight_lab.history.figures import parameters_of
 from refusals import refuses
+from simulated import simulated
 
 Run = Callable[..., Any]
 WRITTEN = {"rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "report.html"}
@@ -27,8 +27,7 @@ WRITTEN = {"rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "re
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("cell")
-    simulate("cell", folder, frames=700)
+    folder: Path = shutil.copytree(simulated("cell", frames=700), tmp_path_factory.mktemp("cell") / "set")
     return folder
 
 
@@ -117,9 +116,6 @@ def draw(uv: np.ndarray) -> np.ndarray:
 NO_SPOTS = {"left_spots": None, "right_spots": None}
 WRONG: dict[str, tuple[dict[str, object], tuple[str, ...], int]] = {
     "no frames": (NO_SPOTS, ("which frames", "--left-spots"), 2),
-    "one table": ({"right_spots": None}, ("which frames",), 2),
-    "live": (NO_SPOTS | {"left": "camera:0", "right": "camera:1"}, ("live", "armsight record"), 2),
-    "no size": ({"size": None}, ("--size", "1280x720"), 2),
     "small size": ({"size": "640x480"}, ("left.csv", "640x480", "--size"), 3),
     "no size at all": ({"size": "wide"}, ("wide",), 2),
     "no tip": ({"tip": "here"}, ("here", "X,Y,Z"), 2),

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 
 import histories
 from action_cases import write_pairs
-from armsight.ops.simulation.run import simulate
 from armsight_lab.history.adding import file_entry
 from armsight_lab.history.entry import Entry
 from armsight_lab.history.figures import figures_of, parameters_of
 from armsight_lab.history.place import place_of
+from simulated import simulated
 
 WEEK = timedelta(days=7)
 
@@ -120,8 +120,8 @@ def test_what_cannot_be_filed_is_refused_before_the_work(armsight, history, pair
 
 
 def test_an_arms_calibration_files_its_table_and_verify_its_zeros(armsight, history, tmp_path):
-    simulate("arm-points", tmp_path / "set", seed=1)
-    words = ["--model", tmp_path / "set/arm.yaml", "--points", tmp_path / "set/holdout.csv"]
+    made = simulated("arm-points", seed=1)
+    words = ["--model", made / "arm.yaml", "--points", made / "holdout.csv"]
     done = armsight("calibrate", "arm", *words, "-o", tmp_path / "arm.yaml", "--cell", "a", "--no-scale")
     assert done.code == 0
     shown = armsight("history", "show", 1).json

@@ -19,7 +19,6 @@ from armsight.drivers.jog_inputs import listening
 from armsight.errors import Cancelled, UsageError
 from armsight.ops import motion
 from armsight.ops.robot.opening import ClockedRobot, arm_of, open_robot
-from armsight.ops.simulation.run import simulate
 from armsight.ops.teaching import TaughtBeside
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 from armsight.store import read_poses, write_text
@@ -28,6 +27,7 @@ from armsight.store.recording import Recording
 from armsight.units import MM
 from refusals import refuses
 from robot_runs import acted
+from simulated import simulated
 
 SIM = "sim:webcam-cell"
 
@@ -38,10 +38,8 @@ def command(*args: object) -> tuple[int, dict, str]:
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("cell") / "webcam"
-    simulate("webcam-cell", out, frames=3, room="dark")
-    return out
+def cell() -> Path:
+    return simulated("webcam-cell", frames=3, room="dark")
 
 
 @pytest.fixture
@@ -112,20 +110,6 @@ def test_the_speed_that_is_told_is_the_largest_of_the_recording(path: Path) -> N
         for place in ([0.02, 0.0, 0.1], [0.0, 0.0, 0.0])
     ]
     assert max(speed) / MM == pytest.approx(told_mm_s, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("more", "why"),
-    [
-        ({"approach_speed_m_s": 50.0}, ("--approach-speed 50", "m/s")),
-        ({"path_speed_m_s": 10.0}, ("--path-speed 10", "m/s")),
-        ({"stop_m": 10.0}, ("--stop-at 10", "0.01")),
-    ],
-)
-def test_speeds_and_lengths_in_millimetres_are_refused(path: Path, more: dict, why: str) -> None:
-    with refuses(UsageError, why) as refused:
-        played(path, **more)
-    assert "mm" in str(refused.value.cure)
 
 
 def test_nothing_is_written_or_moved_without_a_yes(path: Path) -> None:

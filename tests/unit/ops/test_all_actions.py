@@ -5,6 +5,7 @@ A new action needs its case in tests/action_cases.py.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import math
@@ -20,6 +21,7 @@ from typing import Any
 import pytest
 
 import armsight.ops
+import warm_python
 from action_cases import CASES, COSTLY, ON_DEVICES, lend, make_files, run
 from armsight.cli.command import Command
 from armsight.cli.commands import app
@@ -68,12 +70,10 @@ def test_every_action_has_a_case_or_a_reason() -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory, scene: Any, boards: Any, mirror_boards: Any) -> Path:
-    folder = tmp_path_factory.mktemp("made")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        make_files(folder, scene.folder, boards.folder, mirror_boards.straight)
-    return folder
+def made(scene: Any, boards: Any, mirror_boards: Any) -> Path:
+    with contextlib.chdir(ROOT):
+        drawn = scene.folder, boards.folder, mirror_boards.straight
+        return warm_python.once("actions", lambda folder: make_files(folder, *drawn))
 
 
 @pytest.fixture

@@ -159,9 +159,7 @@ def test_a_driver_s_yaml_of_a_real_robot_is_near_its_nominal_arm(repo, commit, p
 @pytest.mark.parametrize(
     ("text", "nominal", "error", "match"),
     [
-        (conf("far"), None, UsageError, "--nominal"),
         (conf("far"), "kr6", Inconsistent, "another arm|from the nominal kr6"),
-        (conf("far"), "ur5", Inconsistent, "from the nominal ur5"),
         (conf("far"), "iiwa14", UsageError, "plain"),
         (conf("far", status=1), "ur10", Inconsistent, "calibration_status is 1"),
         (conf("far", status=0), "ur10", Inconsistent, "calibration_status is 0"),
@@ -175,7 +173,7 @@ def test_what_a_calibration_leaves_open_is_refused(text, nominal, error, match, 
     path = tmp_path / "calibration.conf"
     path.write_text(text)
     with pytest.raises(error, match=match) as found:
-        read_factory_arm(path, None if nominal is None else preset(nominal))
+        read_factory_arm(path, preset(nominal))
     assert found.value.cure
 
 

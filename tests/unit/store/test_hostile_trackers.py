@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.errors import Ambiguous, BadFile, DataRefused, Degenerate, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Ambiguous, DataRefused, UsageError
 from armsight.ops.verify import verify
 from armsight.store.interpret import TableFormat
 from armsight.store.verify_files import read_measured
@@ -279,72 +279,6 @@ def test_c3d_cut_or_damaged_is_refused_or_true(tmp_path):
         seen.append(outcome(path, {}))
     assert "called good" not in seen
     assert set(seen[1::2]) == {"refused"}  # what is cut off
-
-
-def written(path, made, change=lambda text: text):
-    lines, by, stated = made()
-    path.write_text(change("\n".join(by.join(line) for line in lines) + "\n"))
-    return stated
-
-
-def reads(path, **stated):
-    return is_true(read_measured(path, TableFormat(**stated)).measured)
-
-
-def test_what_a_file_leaves_open_is_read_once_its_cure_is_followed(tmp_path):
-    path = tmp_path / "a.csv"
-    written(path, motive)
-    with refuses(Ambiguous, "Flange, Base"):
-        reads(path)
-    with refuses(UsageError, "'Hand'"):
-        reads(path, body="Hand")
-    assert reads(path, body="Flange")
-    written(path, trc, lambda text: text.replace("\tmm", "\t"))
-    with refuses(UsageError, "--units mm"):
-        reads(path)
-    assert reads(path, units="mm")
-    with refuses(UsageError, "A, B, C, D"):
-        reads(path, units="mm", body="Z*")
-    assert reads(path, units="mm", body="A,B,C,D")
-    lines, by, _ = vicon()
-    for line in lines[5:]:
-        line[3] = f"{0.1 * float(line[3]):.6f}"  # RY within what both kinds of angles may be
-        line[2], line[4] = line[3], line[3]
-    path.write_text("\n".join(by.join(line) for line in lines) + "\n")
-    with refuses(Ambiguous, "--euler rotvec"):
-        read_measured(path)
-    assert len(read_measured(path, TableFormat(euler="rotvec")).measured.xyz_m) == N
-    lines, by, _ = qtm()
-    cut = [line[:8] if len(line) > 8 else line for line in lines]  # without matrices
-    written(path, lambda: (cut, by, {}), lambda text: text.replace("Roll\tPitch\tYaw", "Ang1\tAng2\tAng3"))
-    with refuses(BadFile, "ang1, ang2, ang3", "--euler"):
-        reads(path)
-    assert reads(path, euler="xyz")
-
-
-def test_markers_of_two_bodies_are_refused_with_those_that_belong_together(tmp_path):
-    lines, by, _ = trc()
-    still = [f"{value:.6f}" for value in (5.0, 5, 5, 95, 5, 5, 5, 75, 5)]
-    for k, line in enumerate(lines):
-        if k in data_rows(lines):
-            line += still
-    lines[2][2] = "7"
-    lines[3] += ["E", "", "", "F", "", "", "G", "", ""]
-    lines[4] += [f"{axis}{k}" for k in (5, 6, 7) for axis in "XYZ"]
-    path = tmp_path / "a.trc"
-    path.write_text("\n".join(by.join(line) for line in lines) + "\n")
-    with refuses(Inconsistent, "A, B, C, D; E, F, G", "--body"):
-        reads(path)
-    assert reads(path, body="A,B,C,D")
-    with refuses(NotEnoughData, "A, B"):
-        reads(path, body="A,B")
-    for line in lines:
-        if line and line[0].isdecimal() and len(line) > 8:
-            line[8:11] = [f"{2.0 * float(b) - float(a):.6f}" for a, b in zip(line[2:5], line[5:8], strict=True)]
-    path.write_text("\n".join(by.join(line) for line in lines) + "\n")
-    with refuses(Degenerate, "A, B, C", "line"):
-        reads(path, body="A,B,C")
-    assert len(read_measured(path, TableFormat(body="A")).measured.xyz_m) == N
 
 
 def test_groups_of_one_last_word_are_asked_for_and_one_is_taken_by_it(tmp_path):

@@ -316,14 +316,6 @@ def test_angles_of_a_scara_have_any_order(tmp_path):
     refused(tmp_path, written("denso", xyz_mm, down), Ambiguous, "--euler")
 
 
-def test_a_mitsubishi_of_five_axes_is_asked_for(tmp_path):
-    text = "DEF POS P1=(300,100,400,20.5,170.2,0.00)(6,0)\nDEF POS P2=(300,150,400,31.5,170.2,0.00)(6,0)\n"
-    refused(tmp_path, text, Ambiguous, "five axes")
-    _, columns = read(tmp_path, text, "poses", euler="xyz-fixed")
-    asked = Rotation.from_euler("xyz", [[20.5, 170.2, 0.0], [31.5, 170.2, 0.0]], degrees=True)
-    assert (poses_of(columns)[1].inv() * asked).magnitude().max() < 1e-6
-
-
 @pytest.mark.parametrize(("repo", "commit", "path", "kind", "n", "note"), PUBLIC)
 def test_public_programs(repo, commit, path, kind, n, note, tmp_path):
     file = tmp_path / Path(path).name
@@ -411,7 +403,7 @@ def dropped(text, rng):
     return text[: at.start()] + text[at.end() :]
 
 
-def radians(text, rng, name, xyz_mm, rotation):
+def radians(rng, name, xyz_mm):
     """Angles in radians, where degrees are meant."""
     small = Rotation.from_euler("xyz", rng.uniform(-0.9, 0.9, (len(xyz_mm), 3)))
     rows = [(*p, *np.deg2rad(a)) for p, a in zip(xyz_mm, turned(name, small), strict=True)]
@@ -445,6 +437,5 @@ def test_no_spoiled_program_is_read_wrong(seed, tmp_path):
 @pytest.mark.parametrize("name", [name for name in PROGRAMS if name not in ("rapid", "urscript")])
 def test_radians_for_degrees_are_refused(name, tmp_path):
     rng = np.random.default_rng(5)
-    xyz_mm, rotation, _ = world()
-    text = radians("", rng, name, xyz_mm, rotation)
+    text = radians(rng, name, world()[0])
     refused(tmp_path, text, Inconsistent, "look like radians", euler=ASKED.get(name, ""))

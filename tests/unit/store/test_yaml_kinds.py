@@ -126,10 +126,6 @@ REFUSED_TARGETS = {
         {"kind": "checkerboard", "columns": 9, "rows": 6, "pitch_m": 0.02},
         ("pitch_m", "square_m"),
     ),
-    "marker": (
-        {"kind": "charuco", "columns": 9, "rows": 6, "square_m": 0.02, "marker_m": 0.03, "dictionary": "D"},
-        "do not fit",
-    ),
 }
 
 
@@ -226,6 +222,7 @@ def test_boards_in_one_word(text):
         "checkerboard:9x6:25mm",
         "checkerboard:9x6:-0.025",
         "checkerboard:9x6:25",
+        "checkerboard:1x5:0.02",
         "checkerboard:9x6:0.025:1",
         "charuco:8x5:0.04:0.03",
     ],
