@@ -1,7 +1,5 @@
 """One cheap good call of each action, as command words on files that are made once, and those that need a device."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil
@@ -123,7 +121,7 @@ def make_files(folder: Path, drawn: Path, boards: Path, mirrors: Path) -> None:
     for path in sorted(mirrors.iterdir())[:2]:
         shutil.copy(path, folder / "some")
     shutil.copytree(simulated("webcam-cell", frames=3, room="dark"), folder / "webcam")
-    for name, scenario, frames in (("points", "arm-points", 40), ("pivot", "pivot", 16), ("cell", "cell", 700)):
+    for name, scenario, frames in (("points", "arm-points", 40), ("pivot", "pivot", 16), ("cell", "cell", 600)):
         shutil.copytree(simulated(scenario, frames=frames), folder / name)
     make_tables()
     make_plane(folder / "plane")

@@ -1,7 +1,5 @@
 """All cures that the product gives, read from its source: what stands as cure=... in a call."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

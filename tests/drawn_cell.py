@@ -1,7 +1,5 @@
 """What two webcams see of the simulated set `cell`, drawn at half its size: spots of Gaussian light on noise."""
 
-from __future__ import annotations
-
 import csv
 from collections import defaultdict
 from collections.abc import Iterator

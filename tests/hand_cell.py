@@ -1,7 +1,5 @@
 """Small scenes that tests of the Python face share: the simulated cell with a hand, and lights drawn by hand."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

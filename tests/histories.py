@@ -1,7 +1,5 @@
 """Cells that were calibrated again and again, without the calibrations: the results as they would be filed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta

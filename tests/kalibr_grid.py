@@ -1,7 +1,5 @@
 """Kalibr's AprilGrid by its own description; nothing of OpenCV's markers or of armsight draws."""
 
-from __future__ import annotations
-
 import numpy as np
 
 CODES = (

@@ -4,8 +4,6 @@ It needs Debian's linuxcnc-uspace, which refuses root: as root it is run as nobo
 time. `play(program, craig_rows, ...)` returns the joints once a millisecond, and what LinuxCNC said.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -6,8 +6,6 @@ those that come while nothing may be jogged. In its world (MDI, AUTO, teleop) ax
 of its program, and the sum becomes joints whatever they need.
 """
 
-from __future__ import annotations
-
 import math
 import socket
 from collections.abc import Iterator

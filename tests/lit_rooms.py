@@ -5,8 +5,6 @@ the key, so that another one is never taken for it. tests/unit/sim/test_rooms.py
 lights and boards look like among other things is for tests/truth and tests/golden to tell, and a few named in LIT.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

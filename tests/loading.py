@@ -1,7 +1,5 @@
 """Modules that belong to no package: tools, and what tests of another folder share."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ A name is what the data or the call bring along (a file, a flag, a joint, a row,
 class are near each other, the word that tells them apart. It is never the sentence: tests/cures holds those.
 """
 
-from __future__ import annotations
-
 import re
 from typing import TypeVar
 

@@ -1,7 +1,5 @@
 """Strangers' cases, which stand beside the project in ../shared/data/reports: a folder each, with what is right."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """An arm whose first joint stands aside from its base link, turned; where its links are, by the URDF's own products."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 

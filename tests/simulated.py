@@ -1,7 +1,5 @@
 """Sets of `armsight simulate` that many tests read: each made once for all processes of a run; none is written into."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

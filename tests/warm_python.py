@@ -5,8 +5,6 @@ script). Both hand their words, folder, environment and streams to the server, p
 does; where they are killed, so is the fork. How a process starts (locales, streams that are closed) they do not show.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import fcntl

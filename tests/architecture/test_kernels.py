@@ -1,7 +1,5 @@
 """Compiled code follows one rule: only `_numba` says how, so that no kernel raises on exact data."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import pkgutil

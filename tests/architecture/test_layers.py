@@ -1,7 +1,5 @@
 """The import contract holds, and each planted violation trips it."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What armsight stands on may be used beside it: a licence that asks for more is seen."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -4,8 +4,6 @@ Every flag of every command, every public function and every number field of a p
 stands in DIFFERENT with the reason, and an entry that is needed no more fails too.
 """
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import inspect

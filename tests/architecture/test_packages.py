@@ -1,7 +1,5 @@
 """Wheels and sources hold all that the packages need, and nothing that lies beside them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tarfile

@@ -1,7 +1,5 @@
 """What makes the house larger, or says a thing once more, is counted; make check holds the source against it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

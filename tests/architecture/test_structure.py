@@ -1,7 +1,5 @@
 """What is planted beyond the limits of size is seen; `make check` holds the source itself against them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

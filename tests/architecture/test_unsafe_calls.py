@@ -1,7 +1,5 @@
 """What the source must not call: what runs foreign text, unpickles foreign bytes, or sets foreign text as markup."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Tests hold classes, fields and names, not sentences: rewording a message breaks the tests of messages alone."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """All tables of cures that are tried, of which each says by what."""
 
-from __future__ import annotations
-
 import cures_of_arms
 import cures_of_calls
 import cures_of_camera_files

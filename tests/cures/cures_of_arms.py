@@ -1,7 +1,5 @@
 """Cures of arms: their kinematics, paths, calibrations, and measurements held against them."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cures of calls in Python: units and shapes of what is given."""
 
-from __future__ import annotations
-
 import socket
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cures of cameras' files of devices and other programs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Cures of cameras: lenses, noise, zooms, mirrors, and measuring and recording with them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Cures of whole cells: the motion planned and recorded, the clocks of its cameras, tips and lights of its targets."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 from pathlib import Path
 from unittest.mock import patch

@@ -1,7 +1,5 @@
 """Cures of cameras, links, servers and files as devices have them, some of them by stand-ins of a few lines."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 from datetime import UTC, datetime, timedelta

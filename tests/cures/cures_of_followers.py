@@ -1,7 +1,5 @@
 """Cures of arms that touch, and of simulated cameras that follow a controller's arm."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cures of what cameras see of lights and boards: tips pivoted, targets measured, sweeps, noise, planes of glass."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Cures of rigs of some cameras: their names, what joins a rig or is placed anew, and lenses known before."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import SimpleNamespace

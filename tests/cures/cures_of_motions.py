@@ -1,7 +1,5 @@
 """Cures of what runs along: paths played, targets followed, taught and identified, arms supervised."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

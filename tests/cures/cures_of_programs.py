@@ -1,7 +1,5 @@
 """Cures of robots' programs, of arms as their controllers have them, and of trackers that watch an arm."""
 
-from __future__ import annotations
-
 import contextlib
 
 import pytest

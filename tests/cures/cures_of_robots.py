@@ -1,7 +1,5 @@
 """Cures of robots: moving, playing, following, supervising, serving, publishing. Times pass by a clock set by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from armsight.clock import ManualClock

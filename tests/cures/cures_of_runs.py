@@ -1,7 +1,5 @@
 """Cures of batches, the history, joined tables, plans and verifications."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import random

@@ -1,7 +1,5 @@
 """Cures of what is seen and planned: motions among walls, mirrors, paths that jump, cameras that wait, tables."""
 
-from __future__ import annotations
-
 import queue
 from pathlib import Path
 from types import SimpleNamespace

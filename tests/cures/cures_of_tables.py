@@ -1,7 +1,5 @@
 """Cures of files: calibrations of others, tables, arms, targets, cameras."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 

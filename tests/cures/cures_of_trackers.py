@@ -1,7 +1,5 @@
 """Cures of trackers' files: which body is meant, of which markers, in which unit and order of angles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

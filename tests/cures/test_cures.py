@@ -3,8 +3,6 @@
 A new cure that names a flag, a command or a unit needs its entry: the number of those without one may only fall.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

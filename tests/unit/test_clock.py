@@ -1,7 +1,5 @@
 """Clocks: the manual one is exact, the system's never returns early."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

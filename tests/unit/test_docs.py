@@ -4,8 +4,6 @@ Blocks marked `text` are output, need hardware or take long, and are not run her
 `make` lines are checked against the Makefile.
 """
 
-from __future__ import annotations
-
 import csv
 import os
 import re

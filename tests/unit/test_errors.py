@@ -1,7 +1,5 @@
 """The exception tree is the one drawn in errors.py, and every branch has its exit code."""
 
-from __future__ import annotations
-
 import inspect
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Every example runs as written, is short, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

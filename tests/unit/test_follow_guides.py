@@ -1,7 +1,5 @@
 """The tool that follows the guides sees every command, and its lists name only what the guides still say."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

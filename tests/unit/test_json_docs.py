@@ -1,7 +1,5 @@
 """The page on JSON output and the JSON schemas say what the models say."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """What a LinuxCNC twin is started from, and what it refuses; nothing is started here."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

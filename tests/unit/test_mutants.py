@@ -1,7 +1,5 @@
 """The tool that plants faults: its table fits the source, and it tells a fault that is found from a missed one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType

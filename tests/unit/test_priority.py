@@ -1,7 +1,5 @@
 """What runs before what: the loop's thread alone, within its bound, and a system that refuses changes nothing."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -3,8 +3,6 @@
 The environment is a new one that holds links to all that is installed here, those distributions excepted.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -3,8 +3,6 @@
 The table is held against the face: a public name, or a parameter, without an entry fails.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Callable, Iterator

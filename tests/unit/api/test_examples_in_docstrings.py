@@ -1,7 +1,5 @@
 """The examples in the docstrings of public names run, and every public function has one, or says why not."""
 
-from __future__ import annotations
-
 import doctest
 import inspect
 from pathlib import Path

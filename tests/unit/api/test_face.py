@@ -1,7 +1,5 @@
 """The public names: all there, loaded when used, and deaf to no wrong argument."""
 
-from __future__ import annotations
-
 import ast
 import pkgutil
 import subprocess

@@ -1,7 +1,5 @@
 """The Python face does what the command line does: every flag has a name, types are told, units and words agree."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """armsight.connect: watch, drive and stop a served robot, its loop and guard on a clock moved by the test."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform

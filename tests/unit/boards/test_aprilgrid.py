@@ -1,8 +1,6 @@
 """Kalibr's AprilGrid, drawn here by its own description (codes of the family, two cells of border, squares at the
 corners, tag 0 at the lower left, y up) and traced through a lens; nothing of OpenCV's markers or of armsight draws."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Boards as they are printed, read back from renderings of other programs by armsight, by OpenCV and by eye."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One board twice in one image: two views cast through the same lens from two places, and added."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Boards painted by tracing every sub-pixel back to the print, and found again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Counts that are not the board's, on a board that ends in half squares all round, as some printed ones do."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Checkerboards found by ordered segmentation and X templates, on boards cast through a lens by the simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

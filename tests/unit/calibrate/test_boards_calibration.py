@@ -1,7 +1,5 @@
 """Camera and stereo calibration: what is recovered, what is refused and how it is said."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The mathematics of a cell's calibration, each part held against a plainer way to the same number."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Errors that drift: the filter against whole matrices, blocks of time, and what is told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Control charts: limits against the exact chain, false alarms counted, drifts found, one wild run left out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm

@@ -1,7 +1,5 @@
 """Fisheye lenses calibrated from boards that the simulated lens has seen; the wrong kind of lens told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,8 +1,6 @@
 """Planned sweeps: expected standard deviations against many identifications, views and limits against projection by
 hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Millimetres given as metres are refused by whatever is calibrated, identified or verified; large arms are not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

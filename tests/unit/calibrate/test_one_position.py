@@ -1,7 +1,5 @@
 """Rows without names: of one place on the tool, or of several; and the names' way into arm.yaml and back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Boards that are others than they are said to be: named by what fits, and the cure works."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

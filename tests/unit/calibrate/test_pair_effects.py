@@ -1,7 +1,5 @@
 """Pairs whose points share an error that no rigid rig has: weighed, claimed, named; and no lens is accused of it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

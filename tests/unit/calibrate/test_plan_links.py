@@ -1,7 +1,5 @@
 """Links as lines with a thickness: distances by brute force, walls, boxes, and an arm that folds onto itself."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armsight.kinematics import Arm, Joint

@@ -1,7 +1,5 @@
 """Answers are believed as far as regions of the rows agree on them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """armsight identify, calibrate arm, calibrate robot-world: files in, the promised keys and files out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """ROS 1 and ROS 2 bags, written by the stock writer, as sources of frames and of joint values."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """armsight batch: its jobs are the commands themselves, and what cannot be is refused before the first begins."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """armsight calibrate, as a person calls it: figures, rejected images, and bad input."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

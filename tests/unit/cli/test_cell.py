@@ -1,7 +1,5 @@
 """armsight calibrate cell: from one recording to a cell's files, a report and the history; and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -27,7 +25,7 @@ WRITTEN = {"rig.yaml", "world.yaml", "target.yaml", "arm.yaml", "cell.json", "re
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder: Path = shutil.copytree(simulated("cell", frames=700), tmp_path_factory.mktemp("cell") / "set")
+    folder: Path = shutil.copytree(simulated("cell", frames=600), tmp_path_factory.mktemp("cell") / "set")
     return folder
 
 

@@ -1,7 +1,5 @@
 """--check: exit code 3 where a verdict is not good, with the files written; `verdict_` in the words of the report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """armsight demo and doctor: what the person is told, and that the demo's frames measured from files say the same."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 from typing import Any

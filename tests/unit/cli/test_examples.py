@@ -1,7 +1,5 @@
 """The examples below each command's help can be typed."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shlex

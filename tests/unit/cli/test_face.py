@@ -1,7 +1,5 @@
 """What all commands share: help that is quick, one JSON object, exit codes, messages, a log for the unforeseen."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """GenICam cameras: Aravis's fake GigE camera on loopback, read by the driver and measured by the command."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Iterator
 from itertools import islice

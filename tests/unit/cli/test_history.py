@@ -1,7 +1,5 @@
 """armsight history, and --cell of the commands whose results are filed."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sqlite3

@@ -1,7 +1,5 @@
 """An arm moved by keys and by a gamepad: what is read of them, and that the arm stands where nobody holds them."""
 
-from __future__ import annotations
-
 import os
 import struct
 from collections.abc import Callable, Iterator

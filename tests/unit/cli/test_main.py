@@ -1,7 +1,5 @@
 """What the command line sets before anything is imported."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

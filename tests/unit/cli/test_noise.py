@@ -1,7 +1,5 @@
 """armsight calibrate camera --noise: into a camera's file, into a rig's, with a board; and bad input."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """armsight reproduce: every table complete, armsight's errors beside the paper's, wrong use told."""
 
-from __future__ import annotations
-
 import html
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Results of an earlier run: refused, replaced by finished ones only, never mixed; inputs are never written over."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import gzip

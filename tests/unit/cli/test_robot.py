@@ -1,7 +1,5 @@
 """robot test and robot jog, as a person and as a program would call them."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Sets simulated for one calibration: their own commands read them, and find the truth that stands beside them."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a command stands in: streams that are closed or full, other locales, interrupts at any moment, odd places."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

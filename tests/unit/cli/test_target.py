@@ -1,7 +1,5 @@
 """armsight calibrate target: from drawn frames to a target.yaml that measure reads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

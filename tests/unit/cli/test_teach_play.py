@@ -1,7 +1,5 @@
 """armsight teach and armsight play: their files, what they refuse before any motion, and how they end."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """armsight calibrate timing of a rig of three cameras: tables of spots to a rig.yaml, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """armsight verify: files of several kinds in, the promised keys and files out, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """armsight verify: arrivals at a pose and exchanged robots, from columns of the measured file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

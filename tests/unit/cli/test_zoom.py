@@ -1,7 +1,5 @@
 """Zoom lenses as a person calibrates and uses them: settings added, a rig at one of them, and what does not fit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

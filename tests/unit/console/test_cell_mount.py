@@ -1,7 +1,5 @@
 """What the page Cell says before anything moves: each lamp that is not good names cause and cure."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Files brought to the console, its folder, and one console for each folder."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the console says of measuring: pictures that stop coming are never shown as how it is now."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

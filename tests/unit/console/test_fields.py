@@ -1,7 +1,5 @@
 """What a page sends in place of what was typed or drawn: refused by name, never taken for something else."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The pictures' socket: each page says how wide it shows them, and all get what the widest needs."""
 
-from __future__ import annotations
-
 import socket
 import threading
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ The models are written anew here, with derivatives by finite differences. Spots 
 their data: tests/truth/test_spots.py, test_pose.py.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Quantiles and chances against scipy.stats."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """The engine against closed forms, planted degeneracies, and its own claims of doubt."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pose conventions, and covariance propagation against a Monte Carlo of the perturbation's definition."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

@@ -1,7 +1,5 @@
 """calibrate handeye and calibrate tooltip from files: contract, exit codes, report, round trips."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The pieces of hand-eye calibration: derivatives, closed forms, the compiled fit against the engine, variances."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

@@ -1,7 +1,5 @@
 """A tip recorded on the fly: from a stream of poses, and from rendered frames through the command."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

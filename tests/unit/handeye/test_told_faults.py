@@ -1,7 +1,5 @@
 """Faults of pose pairs that are told by their cause: readings that stand still, mirrored axes; the cures work."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

@@ -1,7 +1,5 @@
 """What cannot be: refused with cause, consequence and cure."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

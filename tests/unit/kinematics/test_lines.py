@@ -1,7 +1,5 @@
 """Denavit-Hartenberg links from axes in space."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

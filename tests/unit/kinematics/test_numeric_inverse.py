@@ -1,7 +1,5 @@
 """Numeric inverse kinematics: convergence, limits, restarts, reasons."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tracks along paths: continuity, speeds, jumps, singular passages, with their places."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

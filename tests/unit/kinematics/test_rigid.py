@@ -1,7 +1,5 @@
 """The rigid arm nearest to one that gives way: nearer than the arm with its compliance left out, on the same base."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

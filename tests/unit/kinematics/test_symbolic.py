@@ -1,7 +1,5 @@
 """The formulas, run and read."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Naming the spots: extra, missing and hidden ones, one epipolar line, symmetry, swapped views, predictions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

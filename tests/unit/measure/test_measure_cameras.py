@@ -1,7 +1,5 @@
 """`measure` by rigs that are no pairs: files, JSON and page by the cameras' names; what only pairs have is refused."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Spots that stand still in one camera's frames: lamps and reflections, each frame counted once."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armsight.measure.poses.beacon import without_standing

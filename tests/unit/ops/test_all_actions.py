@@ -3,8 +3,6 @@
 A new action needs its case in tests/action_cases.py.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import json

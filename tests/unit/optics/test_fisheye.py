@@ -1,7 +1,5 @@
 """A fisheye lens: against OpenCV's own, by finite differences, and where it ends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every analytic derivative of the optics against central differences."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armsight.optics.kernels.camera import intrinsics_jacobian, project_point, undistort_point

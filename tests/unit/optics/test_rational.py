@@ -1,7 +1,5 @@
 """A rational lens: against OpenCV's own and the simulated one, by finite differences, and where it ends."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

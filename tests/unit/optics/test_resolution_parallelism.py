@@ -1,7 +1,5 @@
 """What a rig resolves (MATH 2.3) and how parallel it stands (Kapucu's alignment)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

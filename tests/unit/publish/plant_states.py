@@ -1,7 +1,5 @@
 """States as they are published."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armsight.control.guard import GuardState

@@ -1,7 +1,5 @@
 """Alarms by the states of ISA-18.2: raised, acknowledged, gone, and what stays."""
 
-from __future__ import annotations
-
 import pytest
 
 from armsight.errors import UsageError

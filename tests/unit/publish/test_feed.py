@@ -1,7 +1,5 @@
 """From what runs to the publishers' process, and back: alarms that are kept, what is acknowledged, starts that fail."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from pathlib import Path

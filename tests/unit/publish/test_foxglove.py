@@ -1,7 +1,5 @@
 """Foxglove's WebSocket, by its protocol: the channels and schemas of a recording, and the newest values on them."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import struct

@@ -1,7 +1,5 @@
 """MQTT through Mosquitto: what is retained, the last will, TLS and passwords, a broker that comes later."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import json

@@ -1,7 +1,5 @@
 """OPC UA with asyncua's own client over loopback: what is read, who is kept out, who may acknowledge."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import threading

@@ -1,7 +1,5 @@
 """Addresses, certificates and secrets: what is refused before anything is opened, and in which words."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

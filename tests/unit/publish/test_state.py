@@ -1,7 +1,5 @@
 """How far a state may be trusted as time goes on, what is wrong in it, and that old data never say yes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recordings: what goes in comes out, what is cut off or damaged is told and mended, what cannot be is refused."""
 
-from __future__ import annotations
-
 import errno
 from io import FileIO
 from pathlib import Path

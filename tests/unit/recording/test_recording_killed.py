@@ -3,8 +3,6 @@
 Here it is checked that the file is good; how much is lost, benchmarks/recording.py measures over many trials.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """Keys of results: left out or null as promised. Which they are is held by docs/schemas (test_json_docs)."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import FrozenInstanceError
 from math import inf, nan

@@ -1,7 +1,5 @@
 """Records copy, check and freeze what they are given."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

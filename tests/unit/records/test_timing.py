@@ -1,7 +1,5 @@
 """A camera's timing: stamps to times, what is not known of them, and what cannot be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Who drives, what is done of what they ask, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform

@@ -1,7 +1,5 @@
 """What a caller may cost: who is cut off where there is no room, before a first byte, and beyond a budget."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import socket

@@ -1,7 +1,5 @@
 """The door of pages: tokens in a cookie, and nobody without one where there are some."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A robot's loop on its side of the shared memory: what it obeys, when it holds, what it tells."""
 
-from __future__ import annotations
-
 import pickle
 import time
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The log of a server: everything is in the recording, whichever side told it first."""
 
-from __future__ import annotations
-
 import armsight
 from armsight.clock import ManualClock
 from armsight.ops.robot.recorder import RecordingLog

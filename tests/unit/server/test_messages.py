@@ -1,7 +1,5 @@
 """Commands and states as the wire has them: nothing is lost on the way in or out."""
 
-from __future__ import annotations
-
 import pytest
 
 from armsight.control.session.loop_host import LoopEvent

@@ -1,7 +1,5 @@
 """Who drives from a page: the enable that is held, what is stale, what is lost, and work that moves with it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

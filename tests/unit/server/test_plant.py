@@ -1,7 +1,5 @@
 """What a served robot is, as the plant's systems are told it."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import pytest

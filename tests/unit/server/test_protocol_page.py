@@ -1,7 +1,5 @@
 """The protocol's page and schema tell every message and every key."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The robot's connection of a page: whatever a browser says, nothing is raised and nothing moves without the enable."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from types import SimpleNamespace

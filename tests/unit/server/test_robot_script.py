@@ -1,7 +1,5 @@
 """The page's script of the robot, run by node without a browser: what it says on which socket."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

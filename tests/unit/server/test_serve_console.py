@@ -1,7 +1,5 @@
 """`armsight serve --console`: programs and the operator's pages of one robot, with one right to drive."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 from collections.abc import Iterator

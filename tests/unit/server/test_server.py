@@ -1,7 +1,5 @@
 """A server on loopback: who is let in, what is refused and logged, and that a driver who leaves holds the robot."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

@@ -1,7 +1,5 @@
 """Which messages of a connection are taken."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The line for stops: who may say what on it, a page too, and whose enable counts."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import pickle

@@ -5,8 +5,6 @@
 writes the transcript that is compared with. Of refusals it has the class, not the words.
 """
 
-from __future__ import annotations
-
 import json
 import pickle
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A browser that comes before the pages are there is told what is waited for."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import socket

@@ -1,7 +1,5 @@
 """A coloured beacon and what may be taken for it; the images are made here."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

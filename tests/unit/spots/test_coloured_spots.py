@@ -1,7 +1,5 @@
 """Beacons found by their colour among lights of other colours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

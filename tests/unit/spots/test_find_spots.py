@@ -1,7 +1,5 @@
 """Spots that are found, spots that are refused by name, and images that are not images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The seams of the compiled search: last blocks, touching corners, tiles at the border, window ends; against scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """The lights' models over a patch: derivatives against finite differences, the normal distribution against scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

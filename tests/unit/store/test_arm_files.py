@@ -1,7 +1,5 @@
 """arm.yaml and URDF: round trips exact to 1e-12, and files that are refused, by name."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Masses and compliance of an arm: kept by its file, read from a URDF, and refused where they mean nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

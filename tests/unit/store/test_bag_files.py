@@ -1,7 +1,5 @@
 """Bags as recorders, players and editors leave them: what metadata.yaml says of them, what stands beside them."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The history's database: the same class of tests over SQLite and over a PostgreSQL that the tests start themselves."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

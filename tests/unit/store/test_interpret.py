@@ -1,7 +1,5 @@
 """Tables that contradict themselves or leave something open are refused with what they look like, never guessed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fisheye and rational lenses in our files and in other programs'."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

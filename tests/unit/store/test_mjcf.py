@@ -1,7 +1,5 @@
 """MJCF as MuJoCo loads it: the same poses at the same readings, the same weight on the joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Where results may be written: files and folders, one writer at a time, also from Python."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Tables of one camera's spots: what is read, and what is refused by its line and column."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Which chain of a branching URDF is the arm: tips, bases, grippers, mimicking joints."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The backlash of every joint as a figure of its own, against what was planted, beside other faults."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

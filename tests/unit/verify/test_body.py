@@ -1,7 +1,5 @@
 """Three points of one body at each visit: its pose is judged, turns too, and how rigid the points are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """After a crash: the joint that moved, the tool, nothing, or that it cannot be told; poses that decide."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A verification whose rows are of two placements of the rig, or of a few poses many times, names no cause."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

@@ -1,7 +1,5 @@
 """Joints at a moment; levels raised only beyond what noise explains, and held."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
