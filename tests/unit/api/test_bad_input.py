@@ -170,7 +170,6 @@ TURNED = RigidTransform.from_components(FLANGE.rotation.apply(-TIP), FLANGE.rota
 SETTINGS = record(armsight.SpotSettings())
 SIDE = choice("left")
 CAMERA_VIEWS = Arg(good=None, wrong={"a number": 3, "a list": ["left"], "none": {}, "another": {"top": None}})
-TASK = Arg(good="pose", wrong={"another": "nonsense", "a number": 3, "a list": ["pose"]})
 JOINT_VALUES = array(QS, more={"degrees": DEGREES, "empty": []})
 AT_HOME = Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "many": QS}, same=array(Q).same)
 COV = np.array([[1.0, 0.0], [0.0, 1.0]])
