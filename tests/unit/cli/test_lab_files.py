@@ -1,4 +1,4 @@
-"""Each tracker's file through each command that takes what was measured, and robots' programs beside them, against a
+"""Trackers' files through each command that takes what was measured, and robots' programs beside them, against a
 laboratory that is known: tests/tracker_lab.py, which shares no code with what is tested."""
 
 from dataclasses import replace
@@ -35,7 +35,11 @@ def base_off(world):
     return np.abs(product.read_world(world).T_parent_rig.as_matrix() @ lab.TRACKER_BASE - np.eye(4)).max()
 
 
-@pytest.mark.parametrize("kind", [*OF_BODIES, *OF_MARKERS])
+READ = ("qtm-6d", "qtm-3d", "trc")
+"""Kinds whose files go through commands below, and are read in tests/unit/store/test_marker_bodies.py."""
+
+
+@pytest.mark.parametrize("kind", [kind for kind in (*OF_BODIES, *OF_MARKERS) if kind not in READ])
 def test_a_trackers_file_goes_through_every_command(armsight, tmp_path, kind):
     log, stream, take = tmp_path / "log.csv", tmp_path / "robot.csv", written(tmp_path, "run", kind, lab.moving())
     log.write_text(lab.log())
