@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import armsight as product
 import tracker_lab as lab
 from armsight.store.handeye_file import read_handeye
-from program_writers import PULSES, fanuc, jbi, kawasaki, krl, rapid, rows_of, val3
+from program_writers import PULSES, fanuc, jbi, rapid, rows_of
 from tracker_writers import OF_BODIES, OF_MARKERS, written
 
 BODY = ["--body", "Flange"]
@@ -35,7 +35,7 @@ def base_off(world):
     return np.abs(product.read_world(world).T_parent_rig.as_matrix() @ lab.TRACKER_BASE - np.eye(4)).max()
 
 
-READ = ("qtm-6d", "qtm-3d", "trc")
+READ = ("qtm-6d", "qtm-3d", "trc", "vicon-trajectories")
 """Kinds whose files go through commands below, and are read in tests/unit/store/test_marker_bodies.py."""
 
 
@@ -120,7 +120,8 @@ def test_visits_of_poses_in_a_take_give_the_figures_of_iso_9283(armsight, tmp_pa
         assert abs(found["value"] - apart.mean() - 3.0 * apart.std(ddof=1)) < 4e-5  # of the tracker's own scatter
 
 
-PROGRAMS = {"krl": krl, "fanuc": fanuc, "jbi": jbi, "rapid": rapid, "as": kawasaki, "val3": val3}
+PROGRAMS = {"fanuc": fanuc, "jbi": jbi, "rapid": rapid}
+"""With joints that count together, in pulses, as quaternions; the others: tests/unit/store/test_programs.py."""
 
 
 def programs(folder, kind):

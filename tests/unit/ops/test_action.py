@@ -95,10 +95,8 @@ def case(request: pytest.FixtureRequest, tmp_path: Path) -> Case:
 
 
 def test_arrays_and_files_come_to_the_same(case: Case, tmp_path: Path) -> None:
-    of_files, out = (
-        case.call(**case.given, out=tmp_path / "out.yaml"),
-        yaml.safe_load((tmp_path / "out.yaml").read_text()),
-    )
+    of_files = case.call(**case.given, out=tmp_path / "out.yaml")
+    out = yaml.safe_load((tmp_path / "out.yaml").read_text())
     assert len(out["inputs"]) == sum(isinstance(one, Path) for one in case.given.values())
     of_arrays = case.call(**case.arrays).to_dict()
     assert of_arrays["verdict_"]["level"] == of_files.to_dict()["verdict_"]["level"] == "good"
