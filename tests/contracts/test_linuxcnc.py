@@ -307,7 +307,7 @@ def moved(here: Any, there: Any) -> str:
     way = 1e3 * (ends[1] - ends[0])[:3, 3]
     turn = np.subtract(*(Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True) for T in ends[::-1]))
     axes = " ".join(f"{axis}{value:.4f}" for axis, value in zip("XYZABC", [*way, *turn], strict=True))
-    return f"G21 G91 G64\nG1 F150 {axes}"
+    return f"G21 G91 G64\nG1 F300 {axes}"
 
 
 def test_a_killed_client_leaves_its_correction_and_a_paused_program(twin: LinuxcncTwin) -> None:
