@@ -61,8 +61,8 @@ GROUP = "239.255.42.99"
 
 
 class Motive(threading.Thread):
-    """NatNet 3.1: number, size, content; frames follow the definitions, to each that asks or to a group: the first again
-    and again until it is known that they are heard."""
+    """NatNet 3.1: number, size, content; frames follow the definitions, to each that asks or to a group: the first
+    again and again until it is known that they are heard."""
 
     def __init__(self, rotations=R, places_m=T_M, *, multicast=False):
         super().__init__(daemon=True)

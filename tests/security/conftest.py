@@ -97,9 +97,7 @@ def new_nicegui() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def served(
-    tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: None, patient: None
-) -> Iterator[Any]:
+def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: None, patient: None) -> Iterator[Any]:
     """A console with a robot in memory behind its door, and its line for stops; tokens: drive of ann, watch of eve."""
     from armsight.app.operator.robot_cell import RobotCell
     from armsight.console.application import add_console

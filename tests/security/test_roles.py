@@ -484,9 +484,7 @@ EXPECTED: dict[str, Callable[[str, str, str], str]] = {
 
 
 @pytest.fixture(scope="module")
-def world(
-    tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: None, patient: None
-) -> Iterator[World]:
+def world(tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: None, patient: None) -> Iterator[World]:
     with pytest.MonkeyPatch.context() as patched, ExitStack() as stack:
         made = World(tmp_path_factory.mktemp("roles"), fakes, stack)
         patched.setattr(robot_link, "STATE_S", 0.005)

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from cell_calibrated import calibrated
 from cell_world import CellWorld, make_cell
 
-SECONDS, SEED = 25.0, 1
+SECONDS, SEED = 40.0, 1
 EXACT_PX = 1e-3
 
 
