@@ -145,6 +145,7 @@ class World:
         self.taps: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.clicked = threading.Event()
         self.click = (0, "")
+        self.links, self.gone = 0, threading.Semaphore(0)
         self._pages: dict[str, Client] = {}
 
     @staticmethod
@@ -189,7 +190,10 @@ class World:
         return Caller(who, self.tokens[who], mine=not kind.endswith(" as"))
 
     def at_rest(self) -> None:
-        """Nobody drives, and nothing is stopped."""
+        """Nobody drives, and nothing is stopped; what pages said of the robot before has been let go of."""
+        while self.links:
+            assert self.gone.acquire(timeout=WAIT_S)
+            self.links -= 1
         authority = self.service.authority
         if self.session.browser:
             self.session.beat(self.session.browser, ANN, enable=False)
@@ -342,6 +346,7 @@ def on_page(world: World, kind: str, caller: Caller, phase: str) -> str:
     page_drives(world, phase)
     with ExitStack() as stack:
         line = Line(stack, world.at, "/console/robot", caller)
+        world.links += 1
         seen = line.next(lambda one: "t" in one)["t"]
         anns = caller.who == "ann" or not caller.mine
         page = {"do": "page", "page": world.page_by("ann" if anns else "eve").storage[PAGE_NAME]}

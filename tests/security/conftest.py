@@ -76,9 +76,10 @@ def fakes() -> Any:
 
 @pytest.fixture(scope="module")
 def patient() -> Iterator[None]:
-    """Wait long for heads and pongs: clients that a busy machine lets wait for seconds are no attack."""
+    """Wait long for heads, pongs and parsing: clients that a busy machine lets wait are no attack, nor is what the
+    collection of this process' garbage takes while bytes are parsed."""
     with pytest.MonkeyPatch.context() as patched:
-        for name in ("connections.HEAD_S", "limited.HEAD_S", "web_server.PING_S"):
+        for name in ("connections.HEAD_S", "limited.HEAD_S", "limited.PARSING_BURST_S", "web_server.PING_S"):
             patched.setattr(f"armsight.server.{name}", 10.0 * WAIT_S)
         yield
 

@@ -114,6 +114,7 @@ def world(tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: Non
         patched.setattr(robot_link, "STATE_S", 0.005)
         taps = made.taps
         take, admit, said = robot_link.RobotLink.take, page_socket._Line._admit, routes._said
+        give_up = robot_link.RobotLink._give_up
 
         def tapped_take(self: Any, text: str | None, age_s: float = 0.0) -> None:
             self._refused = ""
@@ -134,7 +135,12 @@ def world(tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: Non
             taps.put(TOLD)
             return found
 
+        def tapped_give_up(self: Any) -> None:
+            give_up(self)
+            made.gone.release()
+
         patched.setattr(robot_link.RobotLink, "take", tapped_take)
+        patched.setattr(robot_link.RobotLink, "_give_up", tapped_give_up)
         patched.setattr(page_socket._Line, "_admit", tapped_admit)
         patched.setattr(routes, "_said", tapped_said)
         yield made
