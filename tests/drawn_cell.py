@@ -32,7 +32,7 @@ class DrawnCell:
     def images(self, side: str) -> Iterator[Image]:
         """Yield what a camera sees, 15 times a second."""
         rng = np.random.default_rng([1, SIDES.index(side)])
-        noise = DARK + rng.normal(0.0, NOISE, (NOISES, HEIGHT, WIDTH))
+        noise = np.rint(DARK + rng.normal(0.0, NOISE, (NOISES, HEIGHT, WIDTH))).clip(0, 255).astype(np.uint8)
         v, u = np.mgrid[:HEIGHT, :WIDTH]
         for k in range(0, self.n, 2):
             image = noise[rng.integers(NOISES)].copy()
@@ -41,8 +41,9 @@ class DrawnCell:
                 rows = slice(max(int(y) - REACH, 0), int(y) + REACH + 1)
                 columns = slice(max(int(x) - REACH, 0), int(x) + REACH + 1)
                 square = (u[rows, columns] - x) ** 2 + (v[rows, columns] - y) ** 2
-                image[rows, columns] += PEAK * np.exp(-0.5 * square / SIGMA_PX**2)
-            yield np.clip(np.rint(image), 0, 255).astype(np.uint8)
+                lit = np.rint(image[rows, columns] + PEAK * np.exp(-0.5 * square / SIGMA_PX**2))
+                image[rows, columns] = np.minimum(lit, 255.0)
+            yield image
 
 
 def drawn_cell(folder: Path, *, frames: int, seed: int = 1) -> DrawnCell:

@@ -61,7 +61,8 @@ GROUP = "239.255.42.99"
 
 
 class Motive(threading.Thread):
-    """NatNet 3.1: number, size, content; frames follow the definitions, to each that asks or to a group."""
+    """NatNet 3.1: number, size, content; frames follow the definitions, to each that asks or to a group: the first
+    again and again until it is known that they are heard."""
 
     def __init__(self, rotations=R, places_m=T_M, *, multicast=False):
         super().__init__(daemon=True)
@@ -73,7 +74,7 @@ class Motive(threading.Thread):
         self.socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
         self.port = self.socket.getsockname()[1]
         self.group = GROUP, self.port + 1
-        self.ending = threading.Event()
+        self.ending, self.heard = threading.Event(), threading.Event()
         self.k = 0
 
     def run(self):
@@ -92,7 +93,7 @@ class Motive(threading.Thread):
                 streaming = asker
             if streaming and self.k < N:
                 self.send(self.group if self.multicast else streaming, 7, self.frame(self.k))
-                self.k += 1
+                self.k += self.heard.is_set()
 
     def send(self, to, kind, content):
         self.socket.sendto(struct.pack("<HH", kind, len(content)) + content, to)

@@ -44,6 +44,14 @@ WRONG = {
     WrongController.RADIANS: Wrong(scale=57.3),
     WrongController.GEAR: Wrong(gear=(2, 2.0)),
 }
+OF_EVERY_LINK = (
+    WrongController.RELATIVE,
+    WrongController.HALF_CYCLE,
+    WrongController.RADIANS,
+    WrongController.EXCHANGED,
+)
+"""What each link's own units, order of axes and counter of cycles decide."""
+SAME_CODE = "what finds it is the same code for all links: tried with RSI"
 
 
 def until(holds: Callable[[], bool]) -> None:

@@ -190,15 +190,3 @@ def test_garbage_on_the_line_is_counted_and_moves_nothing(make_alter: Any) -> No
         assert robot.counts.garbage_bytes > 500
         assert robot.state is RobotState.READY
     assert np.abs(pair.twin.q - pair.home).max() <= 1e-5
-
-
-@given(st.binary(max_size=200))
-@settings(max_examples=25, deadline=None)
-def test_the_twin_takes_no_way_from_garbage(data: bytes) -> None:
-    twin = AlterController(arm=small_arm(), drive=twin_drive(small_arm(), CYCLE_S), home=HOME)
-    with contextlib.closing(twin):
-        twin.cycle()
-        twin._data = data
-        twin.cycle()
-        assert twin.counts.taken == 0
-        assert np.abs(twin.q - HOME).max() <= 1e-5

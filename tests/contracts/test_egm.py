@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from typing import Any
 
 import numpy as np
@@ -84,19 +83,3 @@ def test_garbage_on_the_wire_is_counted_and_moves_nothing(make_egm: Any) -> None
         assert robot.counts.refused > 100
         pair.advance(10 * CYCLE_S)
     assert np.abs(pair.twin.q - pair.home).max() < 0.25  # what a packet says of the arm is no goal
-
-
-def test_the_twin_takes_no_guidance_from_garbage(make_egm: Any) -> None:
-    pair = make_egm()
-    rng = np.random.default_rng(8)
-    with pair.robot as robot:
-        pair.advance(CYCLE_S)
-        robot.stop()
-        sensor = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        with sensor:
-            for _ in range(200):
-                sensor.sendto(rng.bytes(int(rng.integers(0, 300))), pair.twin.link.getsockname())
-        pair.advance(5 * CYCLE_S)
-        pair.twin._guide(rng.bytes(100))
-        assert pair.twin.counts.refused >= 100
-    assert np.abs(pair.twin.q - pair.home).max() < 2e-5

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.contracts.conftest import WRONG
+from tests.contracts.conftest import OF_EVERY_LINK, SAME_CODE, WRONG
 from tests.truth.emulated_links import World, link_of
 
 from armsight.clock import ManualClock
@@ -38,10 +38,11 @@ class TestContract(RobotContract):
         )
 
     def make_wrong(self, fault: WrongController) -> WrongCase | str:
-        if (kind := self._make.of.kind) == "linuxcnc":
+        kind = self._make.of.kind
+        if kind != "rsi" and fault not in OF_EVERY_LINK:
+            return SAME_CODE
+        if kind == "linuxcnc":
             return linuxcnc_wrong(fault, self._make)
-        if kind != "rsi" and fault in (WrongController.QUARTER_CYCLE, WrongController.DOUBLE_CYCLE):
-            return "what finds the half and the threefold of a cycle is the same code for all links: tried with RSI"
         link = link_of(kind, ManualClock(100.0), World(wrong=WRONG.get(fault, RIGHT), cycles=fault.cycles))
         return link.wrong_case()
 

@@ -230,7 +230,7 @@ def flange(twin: LinuxcncTwin) -> RigidTransform:
     return MODEL.fk(np.radians(twin.joints_deg()))
 
 
-TOO_LATE = ("no answer for too long", "fallen silent")
+TOO_LATE = ("no answer for too long", "fallen silent", "stood still")
 """Why a busy machine's link is lost; LinuxCNC's program is then paused, and the arm comes to rest: as it should."""
 
 
@@ -306,8 +306,9 @@ def moved(here: Any, there: Any) -> str:
     ends = [MODEL.flange(q) for q in (here, there)]
     way = 1e3 * (ends[1] - ends[0])[:3, 3]
     turn = np.subtract(*(Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True) for T in ends[::-1]))
+    turn = (turn + 180.0) % 360.0 - 180.0  # the short way round
     axes = " ".join(f"{axis}{value:.4f}" for axis, value in zip("XYZABC", [*way, *turn], strict=True))
-    return f"G21 G91 G64\nG1 F150 {axes}"
+    return f"G21 G91 G64\nG1 F600 {axes}"
 
 
 def test_a_killed_client_leaves_its_correction_and_a_paused_program(twin: LinuxcncTwin) -> None:

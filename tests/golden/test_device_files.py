@@ -231,17 +231,6 @@ def test_halcons_division_and_polynomial_lenses_are_read(tmp_path):
     assert names_it(done.note, "nearest", "px apart")
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["[LEFT]\nfx=1\nfx=2\n", "a,b\n1,2\n", "<a/>", "TRACKER 1\n  x y z\n", '{"a": [1,', "[[[\n", "ParGroup: X: Y;\n"],
-)
-def test_an_unknown_file_is_answered_with_what_is_known(tmp_path, text):
-    (tmp_path / "file.dat").write_text(text)
-    with pytest.raises(BadFile) as raised:
-        load_rig([tmp_path / "file.dat"])
-    assert "file.dat" in raised.value.cause and raised.value.cure
-
-
 def test_a_rig_of_colmap_is_read_and_written(tmp_path):
     lines = ["# Camera list with one line of data per camera:"]
     for k, view in enumerate((LEFT, RIGHT, THIRD), 1):

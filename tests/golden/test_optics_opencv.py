@@ -53,13 +53,6 @@ def test_rays_are_opencvs_and_invert_the_projection() -> None:
     np.testing.assert_allclose(camera().project(np.column_stack([ours, np.ones(len(ours))])), uv, atol=1e-9)
 
 
-def test_skew_moves_u_by_y() -> None:
-    point = np.array([[0.1, 0.2, 1.0]])
-    plain, skewed = camera().project(point), camera(skew=3.0).project(point)
-    y = (plain[0, 1] - 352.25) / 1127.0
-    np.testing.assert_allclose(skewed - plain, [[3.0 * y, 0.0]], atol=1e-9)
-
-
 @pytest.mark.parametrize("method", [triangulate, triangulate_closed])
 def test_exact_pixels_of_opencv_triangulate_to_the_point(method) -> None:
     points = points_in_front(rig(), 100, 3)

@@ -75,6 +75,16 @@ def fakes() -> Any:
 
 
 @pytest.fixture(scope="module")
+def patient() -> Iterator[None]:
+    """Wait long for heads, pongs and parsing: clients that a busy machine lets wait are no attack, nor is what the
+    collection of this process' garbage takes while bytes are parsed."""
+    with pytest.MonkeyPatch.context() as patched:
+        for name in ("connections.HEAD_S", "limited.HEAD_S", "limited.PARSING_BURST_S", "web_server.PING_S"):
+            patched.setattr(f"armsight.server.{name}", 10.0 * WAIT_S)
+        yield
+
+
+@pytest.fixture(scope="module")
 def new_nicegui() -> Iterator[None]:
     """NiceGUI keeps one application a process: a second server in the same one needs it as it was before the first."""
     from nicegui import Client, core
@@ -88,7 +98,7 @@ def new_nicegui() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: None) -> Iterator[Any]:
+def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any, new_nicegui: None, patient: None) -> Iterator[Any]:
     """A console with a robot in memory behind its door, and its line for stops; tokens: drive of ann, watch of eve."""
     from armsight.app.operator.robot_cell import RobotCell
     from armsight.console.application import add_console

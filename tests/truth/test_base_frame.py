@@ -71,19 +71,6 @@ def test_all_forms_of_an_arm_have_one_base(arm: Arm, tmp_path: Path) -> None:
     assert kept.T_base_frame0.translation == pytest.approx([0.15, 0.1, 0.3])  # the shoulder
 
 
-def test_without_a_world_the_root_is_base_and_world() -> None:
-    arm = arm_from_urdf(shouldered_urdf(world=False))
-    assert arm.T_world_base.as_matrix() == pytest.approx(np.eye(4))
-    assert fk(arm, drawn(1)[0]) == pytest.approx(base_tool(drawn(1)[0]).as_matrix(), abs=1e-12)
-
-
-def test_a_table_without_the_new_key_keeps_its_meaning() -> None:
-    """Files from before, and every DH table: base is the table's first frame."""
-    arm = armsight.Arm(name="a", joints=(armsight.Joint(name="j1", a_m=0.3),), T_world_base=placed(*BASE))
-    assert "T_base_frame0" not in arm_mapping(arm)
-    assert fk(arm, [0.0]) == pytest.approx((placed(*BASE) * RigidTransform.from_translation([0.3, 0, 0])).as_matrix())
-
-
 @pytest.mark.parametrize("convention", ["standard", "craig"])
 def test_derivatives_by_the_base_are_about_its_own_origin(arm: Arm, convention: str) -> None:
     form = in_convention(arm, convention)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
-from typer.testing import CliRunner
 
 from armsight.calibrate.handeye import (
     ImageHandEye,
@@ -22,15 +19,11 @@ from armsight.calibrate.handeye.image_comparison import ImageErrors, compare
 from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of, poses_of_views
 from armsight.calibrate.handeye.images import turned_views
 from armsight.calibrate.handeye.pairs import pose
-from armsight.cli.commands import app
 from armsight.records import TargetKind, board_target
 from armsight.records.views import symmetries
-from armsight.store import write_camera
 
 sys.path.insert(0, str(Path(__file__).parent))
 from handeye_scenes import BOARD, CAMERA, CELLS, Scene, error_mm, scene
-
-from refusals import names_it
 
 
 def calibrated(s: Scene, *, free_camera: bool) -> ImageHandEye:
@@ -122,49 +115,3 @@ def test_four_images_are_calibrated_from_poses_and_say_so() -> None:
     assert done.result.comparison is not None
     assert done.result.comparison.kept is ObservationModel.POSES
     assert done.camera is CAMERA
-
-
-def pictures_in(folder: Path, s: Scene) -> None:
-    """Write the scene's robot poses, and its boards drawn into images of 1280 x 960 px."""
-    rows = ["file,x_m,y_m,z_m,qx,qy,qz,qw"]
-    corners = np.array([[x, y] for y in range(-1, 7) for x in range(-1, 10)], float) * 0.025
-    for k, view in enumerate(s.views):
-        H, _ = cv2.findHomography(BOARD.xyz_m[view.index, :2], view.uv_px)
-        image = np.full((960 * 2, 1280 * 2), 235, np.uint8)
-        for x, y in corners:
-            if round(x / 0.025 + y / 0.025) % 2 == 0 and x < 0.2249 and y < 0.1499:
-                square = np.array([[x, y], [x + 0.025, y], [x + 0.025, y + 0.025], [x, y + 0.025]])[None]
-                uv = cv2.perspectiveTransform(square, H)[0]
-                cv2.fillConvexPoly(image, np.round((2 * uv + 0.5) * 16).astype(int), 20, cv2.LINE_AA, shift=4)
-        cv2.imwrite(str(folder / f"{k}.png"), cv2.resize(image, (1280, 960), interpolation=cv2.INTER_AREA))
-        T = s.robot[k]
-        rows.append(",".join([f"{k}.png", *(repr(float(v)) for v in (*T.translation, *T.rotation.as_quat()))]))
-    (folder / "robot_poses.csv").write_text("\n".join(rows) + "\n")
-
-
-def test_the_command_says_what_is_kept_with_both_numbers(tmp_path: Path) -> None:
-    photos = tmp_path / "photos"
-    photos.mkdir()
-    pictures_in(photos, scene(CELLS["noisy robot"], 6, 2))
-    (photos / "robot_poses.csv").rename(tmp_path / "robot_poses.csv")
-    write_camera(tmp_path / "camera.yaml", CAMERA)
-    out = tmp_path / "handeye.yaml"
-    words = ["calibrate", "handeye", "--images", photos, "--camera", tmp_path / "camera.yaml", "--workers", 1]
-    words += ["--board", "checkerboard:9x6:0.025", "--robot", tmp_path / "robot_poses.csv", "--free-camera", "-o", out]
-    done = CliRunner().invoke(app, [*map(str, words), "--json"])
-    assert done.exit_code == 0, done.output
-    crossval = json.loads(done.stdout)["crossval"]
-    assert (crossval["kept"], crossval["n_images"]) == ("poses", 6)
-    assert names_it(crossval["why"], "from the poses", "not proved")
-    for name in ("poses", "corners", "corners_and_camera"):
-        assert 0.0 < crossval[name]["position_m"] < 0.01
-        assert 0.0 < crossval[name]["reprojection_px"] < 5.0
-    assert not (tmp_path / "handeye.camera.yaml").exists()
-    over = [str(word).replace("handeye.yaml", "camera.yaml") for word in words]
-    (tmp_path / "camera.camera.yaml").write_bytes((tmp_path / "camera.yaml").read_bytes())
-    over[over.index(str(tmp_path / "camera.yaml"))] = str(tmp_path / "camera.camera.yaml")
-    refused = CliRunner().invoke(app, over)
-    assert refused.exit_code == 2
-    assert "written over" in refused.stderr
-    assert "kept: poses" in out.read_text() and "corners and camera:" in out.read_text()
-    assert "From poses" in (tmp_path / "handeye.report.html").read_text(encoding="utf-8")

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
-from armsight.kinematics import JointType, fk
+from armsight.kinematics import fk
 from armsight.optics import Camera, Rig, parallel_rig
 from refusals import refuses
 
@@ -147,19 +147,6 @@ def test_random_arms_move_as_the_true_ones() -> None:
             worst.append(float(off.max()) / 2e-4)
     assert len(worst) > 25
     assert np.median(worst) < 6.0 and np.percentile(worst, 90) < 25.0  # readings' noise, enlarged at unseen poses
-
-
-def test_what_is_chosen_has_no_deviation_and_is_said() -> None:
-    rows: list[Row] = [(0.0, 0.4, 0.3, 0.0, True), (0.3, 0.1, 0.25, 0.0, True), (0.0, 0.1, 0.2, 0.0, True)]
-    joint, q = swept(np.full(3, -1.0), np.full(3, 1.0), np.zeros((3, 3)), 12)
-    xyz = tip(rows, q) + np.random.default_rng(0).normal(0.0, 1e-4, (36, 3))
-    result = identify(Sweeps(joint=joint, q=q, xyz_m=xyz))
-    assert any("parallel" in note for note in result.notes)
-    assert np.isnan(result.joints[0].std["d_m"]) and np.isfinite(result.joints[0].std["a_m"])
-    assert result.arm.covariance is not None
-    assert "j1.d_m" not in result.arm.covariance.names and "j1.a_m" in result.arm.covariance.names
-    assert result.arm.joints[0].a_m == pytest.approx(0.3, abs=2e-3)
-    assert all(joint.type is JointType.REVOLUTE for joint in result.arm.joints)
 
 
 def test_gross_readings_are_named_and_left_out() -> None:

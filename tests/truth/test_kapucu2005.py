@@ -11,7 +11,6 @@ from armsight.optics import Camera, Rig, RigKind
 from armsight_sim.papers.kapucu2005 import (
     beacon_centroid,
     camera_places,
-    circumcentres,
     from_world,
     joint_of_path,
     plane_frame,
@@ -50,12 +49,6 @@ def test_the_plane_of_three_points_becomes_x_y() -> None:
         assert local[1, 0] > 0.0 and local[2, 1] > 0.0
         assert local[2, 2] == pytest.approx(0.0, abs=1e-12)
         assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
-
-
-def test_circumcentres_leave_lines_out() -> None:
-    centres, radii = circumcentres(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
-    assert len(centres) == 3  # of four combinations one is a line
-    assert centres[0] == pytest.approx([0.5, 0.5]) and radii[0] == pytest.approx(np.sqrt(0.5))
 
 
 def test_a_straight_path_is_a_slide_and_bad_paths_are_named() -> None:

@@ -148,16 +148,6 @@ def test_lamps_at_mains_frequency_are_taken_off() -> None:
     assert any("brightness" in text for text in found.advice)
 
 
-def test_one_lamp_of_several_is_taken_off() -> None:
-    beside = np.exp(-(((np.arange(W) - 90.0) / 70.0) ** 2))[None]
-    found = calibrate_noise(
-        shots(
-            room(np.random.default_rng(7)), 8, seed=7, change=lambda light, i: light * (1.0 + 0.02 * (i % 3) * beside)
-        )
-    )
-    assert_is_the_line(found, model=0.03)
-
-
 def test_what_moves_is_left_out() -> None:
     def walks(light: Array, i: int) -> Array:
         light = light.copy()
@@ -168,18 +158,6 @@ def test_what_moves_is_left_out() -> None:
     assert_is_the_line(found, model=0.01)
     assert 0.02 < found.moving < 0.4
     assert any("moves" in text for text in found.advice)
-
-
-def test_a_pendulum_spoils_nothing_beside_it() -> None:
-    def swings(light: Array, i: int) -> Array:
-        light = light.copy()
-        at = int(160 + 45 * np.sin(i))
-        light[:, at - 12 : at + 12] *= 0.7
-        return light
-
-    found = calibrate_noise(shots(room(np.random.default_rng(17)), 10, seed=17, change=swings))
-    assert_is_the_line(found, model=0.03)
-    assert found.moving > 0.15
 
 
 def test_a_trembling_camera_is_told_and_a_moved_one_refused() -> None:
@@ -250,14 +228,6 @@ def test_frames_averaged_over_time_are_told_or_refused() -> None:
     assert told.frame_ratio == pytest.approx(1.2, abs=0.03)
     assert any("alike" in text for text in told.advice)
     assert calibrate_noise(smoothed(0.4, every=6)).frame_ratio == pytest.approx(1.047, abs=0.03)  # 0.6^6
-
-
-def test_light_that_changes_is_no_noise() -> None:
-    rng = np.random.default_rng(12)
-    light = room(rng)
-    clouds = [cv2.GaussianBlur(rng.normal(0.0, 30.0, light.shape), (0, 0), 3.0).clip(-8.0) for _ in range(6)]
-    with refuses(Degenerate, "alike"):
-        calibrate_noise([rounded(exposed(light + cloud, rng, gain=0.01, read=0.3)) for cloud in clouds])
 
 
 def test_too_little_is_refused() -> None:

@@ -175,18 +175,6 @@ def test_a_wall_of_equal_lights_names_nothing_wrongly() -> None:
             assert position_error(measured, T)[0] < 2e-3
 
 
-def test_stills_far_from_each_other_give_what_each_alone_gives() -> None:
-    rng, track = np.random.default_rng(25), None
-    for number in range(8):
-        T = random_pose(rng)
-        frames = pair_of(rng, T.apply(MODEL))
-        moved = [Frame(image=f.image, t_s=number / 30.0, sequence=number, source="drawn") for f in frames]
-        measured = measure_pair(SETUP, moved[0], moved[1], track)
-        assert measured.pose.status is PoseStatus.OK, measured.pose.why
-        assert position_error(measured, T)[0] < 2e-3
-        track = measured.track
-
-
 def test_a_target_that_moves_in_a_room_is_tracked() -> None:
     rng = np.random.default_rng(26)
     walls, track, tracked = [room(rng), room(rng)], None, 0

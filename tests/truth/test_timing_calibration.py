@@ -201,16 +201,6 @@ def test_one_beacon_before_parallel_cameras_tells_the_difference_of_the_read_out
     assert found.verdict.startswith("weak") and "firm" in found.verdict
 
 
-def test_files_hold_what_was_found() -> None:
-    found = calibrated("30 and 30", 0)
-    left, right = found.cameras()
-    assert (left.delay_s, left.drift_ppm) == (0.0, 0.0)
-    assert left.names == ("readout_s", "jitter_s")
-    assert right.names == ("delay_s", "drift_ppm", "readout_s", "jitter_s")
-    assert right.std["delay_s"] == pytest.approx(found.std["delay_s"])
-    assert right.clock_std_s([found.middle_s])[0] < right.clock_std_s([found.middle_s + 1000.0])[0]
-
-
 def refused(kind: type[DataRefused], name: str | tuple[str, ...], rig: Rig, left: SpotTrack, right: SpotTrack) -> None:
     with refuses(kind, name) as caught:
         calibrate_timing(rig, left, right)
@@ -273,18 +263,6 @@ def _unnamed(track: SpotTrack, rng: np.random.Generator) -> SpotTrack:
     )
 
 
-def test_a_mirror_rig_is_refused() -> None:
-    rig, left, right = record(Truth(), np.random.default_rng(1))
-    refused(Inconsistent, "mirror", replace(rig, kind=RigKind.MIRROR), left, right)
-
-
-def test_stamps_without_a_rate_are_refused() -> None:
-    rng = np.random.default_rng(1)
-    rig, left, right = record(Truth(), rng)
-    wild = replace(left, t_s=np.cumsum(rng.uniform(0.005, 0.06, len(left))))
-    refused(Inconsistent, "steady rate", rig, wild, right)
-
-
 def test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure() -> None:
     units = (1e3, 1e6)
     rig, left, right = record(Truth(), np.random.default_rng(1))
@@ -295,11 +273,6 @@ def test_stamps_in_ms_us_or_ns_are_named_by_their_step_and_seconds_are_the_cure(
         side = "left" in error.value.cause.split()
         tracks[not side] = replace(tracks[not side], t_s=tracks[not side].t_s / float(error.value.cure.split()[-1]))
     assert calibrate_timing(rig, *tracks).delay_s == pytest.approx(0.012, abs=1e-4)
-
-
-def test_stamps_that_count_from_1970_are_refused() -> None:
-    rig, left, right = record(Truth(start_s=1.7e9), np.random.default_rng(1))
-    refused(Inconsistent, "days ago", rig, left, right)
 
 
 def test_too_few_frames_and_no_common_light_are_refused() -> None:
@@ -319,14 +292,3 @@ def test_too_few_frames_and_no_common_light_are_refused() -> None:
 
 def _other(track: SpotTrack) -> SpotTrack:
     return replace(track, names=tuple(f"other {name}" for name in track.names))
-
-
-def test_spots_of_something_else_now_and_then_do_no_harm() -> None:
-    rng = np.random.default_rng(7)
-    truth = Truth()
-    rig, left, right = record(truth, rng, waving(rng, 0.5, 15.0))
-    uv = left.uv_px.copy()
-    wrong = rng.random(len(uv)) < 0.01
-    uv[wrong] += rng.normal(0.0, 30.0, (int(wrong.sum()), 2))
-    e, s = off(truth, calibrate_timing(rig, replace(left, uv_px=uv), right, PLACES))
-    assert (np.abs(e) < 4.0 * s).all() and abs(e[0]) < 2e-4

@@ -11,14 +11,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.timing.sampling import sampling_times
 from armsight.errors import Ambiguous, Inconsistent
-from armsight.fitting.groups import regions
 from armsight.kinematics import Arm, Joint, JointType, dh_arm, fk, preset
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import write_poses
 from armsight.store.verify_files import read_measured
 from armsight.verify import Align, Kind, Measured, Reported, Verification, verify
 from armsight.verify.alignment import align
-from armsight.verify.evidence import Linear, fit_linear, jackknife_std
 from armsight.verify.model import Mounts
 from refusals import refuses
 
@@ -320,15 +318,6 @@ def test_a_clock_takes_up_nothing_of_a_joint_that_is_off() -> None:
     assert abs(value - 7e-3) < 3.0 * std
 
 
-def test_rows_in_a_gap_of_the_joints_are_named() -> None:
-    reported, t_m, q, rng = stream(4)
-    assert reported.q is not None and reported.t_s is not None
-    there = (reported.t_s < 8.0) | (reported.t_s > 10.0)
-    result = verify(arm(), Reported(q=reported.q[there], t_s=reported.t_s[there]), seen(TABLE, q, rng, t_m), Align.BOTH)
-    assert len(result.rejected) == pytest.approx(100, abs=5)
-    assert all("gap" in why for _, why in result.rejected)
-
-
 def test_a_repeating_motion_another_motion_and_mirrored_streams_are_refused() -> None:
     reported, t_m, q, rng = stream(5, period=4.0)
     short = t_m < 9.0
@@ -358,26 +347,6 @@ def test_stamps_that_are_none_are_refused_and_uneven_bursts_followed() -> None:
     found = sampling_times(stamps, "the rows")
     assert found.bursts and (np.diff(found.t_s) > 0.0).all()
     assert np.abs(found.t_s - t).max() < 0.015
-
-
-def test_a_wrong_model_shows_in_the_deviations_of_what_is_fitted_with_it() -> None:
-    rng = np.random.default_rng(5)
-    q = rng.uniform(-1.0, 1.0, (400, 2))
-    slope, bent = 0.3, 0.2  # the truth is bent, the model is not
-    y = slope * q[:, 0] + bent * q[:, 0] ** 2 + rng.normal(0.0, 0.01, 400)
-    one = np.ones((400, 1, 1))
-    for part in (q[:, 0] < 0.5, q[:, 0] > -0.5):  # two series of one arm
-        rows = np.flatnonzero(part)
-        problem = Linear(
-            residual=y[rows, None], fixed=one[rows], block=np.zeros(len(rows), dtype=np.intp), inflation=1.0
-        )
-        added = q[rows, :1, None]
-        region = regions(q[rows])
-        assert np.unique(region, return_counts=True)[1].min() > 30
-        off = abs(fit_linear(problem, added).values[0] - slope)
-        assert 0.1 * off < 2.0 * jackknife_std(problem, added, region)[0]
-        exact = Linear(residual=slope * q[rows, :1], fixed=one[rows], block=problem.block, inflation=1.0)
-        assert jackknife_std(exact, added, region)[0] < 1e-6
 
 
 @pytest.mark.parametrize("known", [True, False])

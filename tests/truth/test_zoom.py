@@ -78,22 +78,6 @@ def test_between_settings_the_focal_length_lies_within_its_claim(focal_errors: n
     assert low <= hits <= min(high, N_LENSES - 1), f"{hits} of {N_LENSES}"
 
 
-def test_at_a_setting_the_calibration_comes_back_as_it_is(lens: ZoomLens) -> None:
-    for one in lens.settings:
-        state = lens.at(one.zoom)
-        assert not state.interpolated
-        assert state.camera is one.camera
-        np.testing.assert_array_equal(state.covariance.block(NAMES), one.covariance.matrix)
-
-
-def test_beside_a_setting_the_curve_goes_through_it(lens: ZoomLens) -> None:
-    one = lens.settings[2]
-    state = lens.at(one.zoom + 1e-4)
-    np.testing.assert_allclose(state.camera.intrinsics[:4], one.camera.intrinsics[:4], atol=0.01)
-    ratio = state.covariance.std()["fx"] / one.covariance.std()["fx"]
-    assert ratio == pytest.approx(1.0, abs=0.02)
-
-
 def test_the_claim_holds_calibration_and_interpolation(lens: ZoomLens, plain: SimZoomLens) -> None:
     exact = ZoomLens(settings=tuple(replace(one, covariance=None) for one in lens.settings))
     both, alone = lens.at(250.0), exact.at(250.0)

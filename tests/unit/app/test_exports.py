@@ -11,14 +11,14 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import Setup
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import UsageError
 from armsight.geometry import is_close
-from armsight.ops.conversion import convert_camera, convert_handeye, convert_rig
+from armsight.ops.conversion import convert_handeye, convert_rig
 from armsight.ops.recording.export import export
 from armsight.ops.sources.bags import joint_states
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import Frame, JointReading, PoseStatus, TargetPose
-from armsight.store import write_camera, write_rig
+from armsight.store import write_rig
 from armsight.store.bags import IMAGE, BagTopic
 from armsight.store.foreign import FrameNames
 from armsight.store.handeye_file import write_handeye_poses
@@ -73,19 +73,6 @@ def test_opencv_gets_what_its_own_sample_writes(rig_file: Path, tmp_path: Path) 
     disparity = flat[0][:, 0] - flat[1][:, 0]
     back = np.column_stack([flat[0], disparity, np.ones(30)]) @ got["Q"].T
     np.testing.assert_allclose(back[:, :3] / back[:, 3:] @ got["R1"], points, atol=1e-5)
-
-
-def test_colmap_counts_from_the_corner(rig_file: Path, tmp_path: Path) -> None:
-    done = convert_rig([rig_file], [tmp_path / "cameras.txt"], to="colmap")
-    assert done.target == "colmap"
-    rows = [line.split() for line in (tmp_path / "cameras.txt").read_text().splitlines() if line[0] != "#"]
-    assert [row[:4] for row in rows] == [["1", "FULL_OPENCV", "640", "480"], ["2", "OPENCV", "640", "480"]]
-    values = [float(cell) for cell in rows[0][4:]]
-    assert values == [612.5, 611.0, 318.7, 242.2, -0.21, 0.07, 1e-4, -2e-4, 0.01, 0.0, 0.0, 0.0]
-    assert len(rows[1]) == 4 + 8
-    write_camera(tmp_path / "c.yaml", Camera.pinhole(640, 480, 600.0, 600.0, 320.0, 240.0, skew=0.5))
-    with pytest.raises(Inconsistent, match="skew"):
-        convert_camera(tmp_path / "c.yaml", tmp_path / "cameras2.txt", to="colmap")
 
 
 def transforms(path: Path) -> dict[tuple[str, str], RigidTransform]:

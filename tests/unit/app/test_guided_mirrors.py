@@ -11,7 +11,7 @@ import pytest
 
 from armsight.app.guided.mirror_alignment import COARSE_RAD, MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
-from armsight.app.guided.step import Figure, Next
+from armsight.app.guided.step import Next
 from armsight.app.guided.step_runner import History, figures_of
 from armsight.app.live.measurement import LiveJob
 from armsight.console import texts
@@ -132,14 +132,6 @@ def test_the_cell_keeps_how_the_mirrors_were_built(tmp_path: Path) -> None:
     assert {"mirrors", "stereo"} <= set(steps_of(two)) <= set(texts.STEPS)
     with refuses(UsageError, "one camera", "left, right"):
         two.step("mirrors")
-
-
-def test_a_chart_forgets_what_was_dropped() -> None:
-    history = History()
-    for n, value in ((5, 3.0), (6, 2.0), (7, 1.0)):
-        history.remember(n, (Figure(name="± x", value=value, unit="mm"),))
-    history.remember(6, (Figure(name="± x", value=2.5, unit="mm"),))
-    assert history.curves() == {("± x", "mm"): [(5, 3.0), (6, 2.5)]}
 
 
 def test_every_hint_has_its_words() -> None:

@@ -13,9 +13,8 @@ import pytest
 
 from armsight.clock import ManualClock
 from armsight.control.joint_sweep import Pace
-from armsight.drivers import AUTOMATIC, RobotState
+from armsight.drivers import RobotState
 from armsight.errors import (
-    BadFile,
     Cancelled,
     DeviceFailed,
     DeviceLost,
@@ -26,11 +25,10 @@ from armsight.errors import (
 )
 from armsight.ops.arm_files import load_arm
 from armsight.ops.identification.left_out import FirstJoints, read_limits
-from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_live, open_devices
+from armsight.ops.identification.live import Known, LiveSweeps, OperatorCallbacks, identify_live
 from armsight.ops.requests.motion import RobotJob
 from armsight.ops.saving import write_with_page
 from armsight.ops.simulation.scenarios import load_scenario
-from armsight.optics import Camera, parallel_rig
 from armsight.records import Frame, TargetKind, board_target, spot_target
 from armsight.store import (
     read_rig,
@@ -352,23 +350,6 @@ def test_ctrl_c_stops_it(tmp_path: Path) -> None:
     with refuses(Cancelled, "stopped"):
         cell.run(progress=progress)
     assert calls.n == 101
-
-
-def test_limits_and_devices_are_read_as_written(tmp_path: Path) -> None:
-    (tmp_path / "limits.yaml").write_text("limits: [[-1, 1], [0.1, 0.5]]\n")
-    np.testing.assert_allclose(read_limits(str(tmp_path / "limits.yaml")), [[-1, 1], [0.1, 0.5]])
-    np.testing.assert_allclose(read_limits("-1:1,1e-1:.5"), [[-1, 1], [0.1, 0.5]])
-    for wrong in ("1", "a:b", "0:1,2", ""):
-        with pytest.raises(UsageError, match="limits"):
-            read_limits(wrong)
-    (tmp_path / "limits.yaml").write_text("limits: {j1: 3}\n")
-    with pytest.raises(BadFile):
-        read_limits(str(tmp_path / "limits.yaml"))
-    target = target_from_mapping({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}}, "target")
-    rig = parallel_rig(Camera.pinhole(640, 480, 800.0, 800.0, 319.5, 239.5), 0.1)
-    for robot, left in (("sim:kapucu2005-rrp", "camera:0"), ("sim", "left/*.png")):
-        with pytest.raises(UsageError):
-            open_devices(RobotJob(robot=robot), rig, {"left": left, "right": "x"}, AUTOMATIC, target, ManualClock())
 
 
 def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-import armsight
 from armsight.calibrate.handeye import Setup
 from armsight.kinematics import fk, preset
 from armsight.ops.files import join
@@ -87,15 +86,6 @@ def test_one_row_for_each_rest(run: Path, tmp_path: Path) -> None:
     assert 2 <= done.n < 10
     assert check_points(tmp_path / "p.csv", 2.5e-4) == done.n  # means of noise of 0.1 mm
     assert (tmp_path / "p.csv").read_text().startswith("q1,q2,q3,q4,q5,q6,x_m,y_m,z_m,qx,qy,qz,qw,t_s\n")
-
-
-def test_joints_and_points_of_one_file_belong_together_row_by_row(run: Path, tmp_path: Path) -> None:
-    table = tmp_path / "p.csv"
-    known = {"joints": run / "joints.csv", "arm": "ur10", "offset_s": -LEAD_S}
-    join(run / "poses.csv", out=table, **known)
-    own = armsight.verify(table, arm="ur10").to_dict()
-    assert armsight.verify(table, arm="ur10", joints=table).to_dict() == own
-    assert own["n"] == len(read_arm_points(table).q)
 
 
 @pytest.mark.parametrize(("setup", "by"), [(Setup.EYE_IN_HAND, "joints"), (Setup.EYE_TO_HAND, "stream")])

@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.live.measurement import DetectionSettings, LiveJob, LiveMeasurement, MeasuredMoment
+from armsight.app.live.measurement import LiveJob, LiveMeasurement, MeasuredMoment
 from armsight.app.live.views import complex_view
-from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
 from armsight.console.state import Console
 from armsight.errors import UsageError
-from armsight.ops.recording.recorder import Recorder
-from armsight.ops.requests.motion import RobotJob
 from armsight.ops.simulation.run import simulate
 from armsight.store import read_poses
 from armsight.store.cell_file import COMPLEX, CellFile
-from armsight.store.recording import ImageFormat, Recording, RecordingWriter
 from refusals import refuses
 
 FRAMES = 3
@@ -80,17 +76,6 @@ def near(curve: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.asarray(ways[np.argmin(np.linalg.norm(ways, axis=1))])
 
 
-def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list[MeasuredMoment]) -> None:
-    spot = next(one for one in complex_view(seen[0].view).spots if (one.name, one.view) == ("A", "right"))
-    measurement = LiveMeasurement(job(cell), ManualClock())
-    measurement.look(
-        DetectionSettings(masked={COMPLEX: ((spot.u_px - 9, spot.v_px - 9, spot.u_px + 9, spot.v_px + 9),)})
-    )
-    view = complex_view(moments(measurement)[0].view)
-    assert min(np.hypot(one.u_px - spot.u_px, one.v_px - spot.v_px) for one in view.spots) > 9.0
-    assert view != complex_view(seen[0].view)
-
-
 def test_the_wrong_number_of_cameras_is_refused(cell: Path, scene: Any) -> None:
     with refuses(UsageError, "one picture", "left, right"):
         LiveMeasurement(
@@ -102,22 +87,3 @@ def test_the_wrong_number_of_cameras_is_refused(cell: Path, scene: Any) -> None:
         Console(folder=cell).job_of(CellFile(right="camera:0"))
     console = Console(folder=cell, cell=CellFile(left="image"))
     assert console.pictures == (COMPLEX,) and Console(folder=cell).pictures == ("left", "right")
-
-
-def test_a_recording_of_it_has_one_camera(seen: list[MeasuredMoment], tmp_path: Path) -> None:
-    file = tmp_path / "one.mcap"
-    with Recorder(RecordingWriter(file, clock=ManualClock()), ImageFormat.PNG, live=False) as recorder:
-        for one in seen:
-            recorder.put({"image": one.frames[COMPLEX]})
-    with Recording(file) as recording:
-        assert tuple(recording.cameras) == ("image",) and recording.count("/image/image") == FRAMES
-        frames = list(recording.frames("image"))
-    np.testing.assert_array_equal(frames[0].image, seen[0].frames[COMPLEX].image)
-
-
-def test_a_simulated_robot_with_a_mirror_rig_brings_its_one_camera(tmp_path: Path) -> None:
-    made = prepare_simulated(RobotJob(robot="sim:pachidis2005-static"), tmp_path)
-    assert made is not None and (made.left, made.right) == ("camera:sim:pachidis2005-static:image", "")
-    assert made.cameras == "carried"
-    job = Console(folder=tmp_path, cell=made).job_of(made)
-    assert job is not None and job.complex and job.rig == tmp_path / "rig.yaml"

@@ -15,7 +15,6 @@ from armsight.app.live.station import MeasurementProcess
 from armsight.clock import ManualClock, SystemClock
 from armsight.errors import DeviceFailed
 from armsight.measure.poses.outcome import judged_by
-from armsight.store.recording import Recording
 
 PATIENCE_S = 60.0
 
@@ -103,18 +102,6 @@ def test_what_is_shown_since_a_moment_was_exposed_after_it(station: MeasurementP
     wait(lambda: station.shown is not None)
     now_s = SystemClock().now_s()
     assert station.shown_since(now_s).view.t_s >= now_s
-
-
-def test_its_recording_is_complete(station: MeasurementProcess, tmp_path: Path) -> None:
-    wait(lambda: station.shown is not None)
-    file = tmp_path / "live.mcap"
-    station.record(file)
-    wait(lambda: station.recording.n_pairs > 5)
-    station.record(None)
-    wait(lambda: station.recording.file is None)
-    assert station.recording.failure == ""
-    with Recording(file) as recording:
-        assert recording.count("/left/image") == recording.count("/right/image") > 5
 
 
 def test_a_recording_that_cannot_be_begun_is_told_and_measuring_goes_on(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +13,7 @@ from armsight.app.operator.iso_run import IsoRequest
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState, Sent
-from armsight.errors import DataRefused, NotEnoughData, UsageError
+from armsight.errors import NotEnoughData
 from armsight.ops.requests.motion import RobotJob
 from armsight.records import JointReading, PoseStatus, Silent, TargetPose
 from armsight.store.arm_file import read_arm
@@ -141,13 +140,6 @@ def test_a_run_that_ends_early_is_judged_by_what_there_is(cell, tmp_path):
     assert 3 <= done.cycles < 8 and done.ended == ended
 
 
-def test_too_few_visits_are_kept_and_not_judged(cell, tmp_path):
-    plan, visits, ended, _ = made(cell, tmp_path, blind=60)
-    with refuses(NotEnoughData, "cycles"):
-        iso_run.judged(plan, cell.asked, visits, ended, tmp_path / "iso")
-    assert (tmp_path / "iso" / "visits.csv").exists() and not (tmp_path / "iso" / "verify.json").exists()
-
-
 def test_a_robot_that_is_stopped_ends_the_run(cell):
     clock = ManualClock()
     robot = Robot(clock, np.random.default_rng(3))
@@ -169,11 +161,3 @@ def test_a_robot_that_does_not_go_on_is_told(cell):
     plan = iso_run.plan(cell.asked, cell.robot)
     _, ended = iso_run.visited(plan, cell.asked, robot, Cameras(cell, robot), clock, Silent())
     assert "towards" in ended and "the fence" in ended
-
-
-@pytest.mark.parametrize(
-    ("change", "error"), [({"side_m": 0.9}, DataRefused), ({"cycles": 1}, UsageError), ({"speed_m_s": 0.0}, UsageError)]
-)
-def test_what_cannot_be_is_refused_before_anything_moves(cell, change, error):
-    with pytest.raises(error):
-        iso_run.plan(replace(cell.asked, **change), cell.robot)
