@@ -16,15 +16,18 @@ from types import FunctionType
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from llvmlite.binding import ffi  # type: ignore[import-untyped]
 from numba import njit, prange, types
-from numba.core import compiler, errors, event, ir
+from numba.core import base, compiler, errors, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.cpu_options import FastMathOptions
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
+from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.registry import CPUDispatcher
 from numba.core.targetconfig import ConfigStack
+from numba.core.transforms import canonicalize_cfg
 from numba.core.types.functions import BaseFunction
-from numba.core.typing import templates
+from numba.core.typing import context, templates
 
 from armsight._kernel_cache import keep
 
@@ -149,7 +152,7 @@ def _decorator(template: Any) -> Callable[..., Any]:
     return decorate
 
 
-def _typed(function: Any, context: Any, args: Any, kws: Any) -> Any:
+def _typed(function: Any, contexts: Any, args: Any, kws: Any) -> Any:
     """Return the signature of a call of one of numba's functions, as numba finds it, each only once.
 
     numba asks for it anew at each call in each kernel, and twice: it tries ten candidates for the sum of two numbers.
@@ -158,11 +161,11 @@ def _typed(function: Any, context: Any, args: Any, kws: Any) -> Any:
     flags = ConfigStack.top_or_none()
     rules = None if flags is None else _rules(flags)
     if rules is None or not all(one.is_precise() for one in (*args, *kws.values())):
-        return NUMBAS_TYPING(function, context, args, kws)
+        return NUMBAS_TYPING(function, contexts, args, kws)
     known = KNOWN.setdefault(function, {})
-    key = context, rules, tuple(args), tuple(kws.items())
+    key = contexts, rules, tuple(args), tuple(kws.items())
     if key not in known:
-        signature = NUMBAS_TYPING(function, context, args, kws)
+        signature = NUMBAS_TYPING(function, contexts, args, kws)
         known[key] = signature, function.get_impl_key(signature)
     signature, implementation = known[key]
     function._impl_keys[signature.args] = implementation
@@ -182,21 +185,47 @@ def _rules(flags: Any) -> frozenset[Any] | None:
     return frozenset(found)
 
 
-def _listed(instruction: Any, value: Any) -> list[Any]:
-    """Return the variables in a part of an instruction, as numba does: most parts are one, or hold none."""
-    kind = type(value)
-    if kind in WITHOUT_VARIABLES:
-        return []
-    return [value] if kind is ir.Var else NUMBAS_LISTING(instruction, value)
+def _processed(post: PostProcessor, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+    """Renew what is known of a function's variables, as numba does; which live where is found only when asked for.
+
+    numba finds it nine times for each function: only generators and its code for Python's objects need that.
+    """
+    function: Any = post.func_ir
+    if function.is_generator:
+        NUMBAS_PROCESSING(post, emit_dels, extend_lifetimes)
+        return
+    function.blocks = canonicalize_cfg(function.blocks)
+    function.variable_lifetime, function.generator_info = VariableLifetime(function.blocks), None
+    if emit_dels:
+        post._insert_var_dels(extend_lifetimes)
+
+
+def _refreshed(context: Any) -> None:
+    """Take over new declarations, as numba does, where there are any: it looks fifteen times for each function."""
+    declared = sum(len(part) for registry in context._registries for part in vars(registry).values())
+    if DECLARED.get(context) != declared:
+        NUMBAS_REFRESHING[isinstance(context, base.BaseContext)](context)
+        DECLARED[context] = declared
 
 
 KNOWN = WeakKeyDictionary[Any, dict[Any, tuple[Any, Any]]]()
+DECLARED = WeakKeyDictionary[Any, int]()  # by context
 PLAIN = frozenset({"nopython", "no_cpython_wrapper", "no_cfunc_wrapper", "fastmath", "forceobj", "boundscheck"})
-WITHOUT_VARIABLES = frozenset({ir.Loc, str, int, bool, float, type(None)})
 OVERLOADS: Any = templates._OverloadFunctionTemplate
 NUMBAS_DECORATOR: Any = OVERLOADS._get_jit_decorator
 NUMBAS_TYPING: Any = BaseFunction.get_call_type
-NUMBAS_LISTING: Any = ir.Inst._rec_list_vars
+NUMBAS_PROCESSING: Any = PostProcessor.run
+NUMBAS_REFRESHING: Any = context.BaseContext.refresh, base.BaseContext.refresh
+QUICK: tuple[tuple[Any, str, Any], ...] = (
+    (OVERLOADS, "_get_jit_decorator", _decorator),
+    (BaseFunction, "get_call_type", _typed),
+    (PostProcessor, "run", _processed),
+    (context.BaseContext, "refresh", _refreshed),
+    (base.BaseContext, "refresh", _refreshed),
+    (ffi.lib._lock, "_cblist", []),  # at each call of LLVM numba starts and stops a timer, which has no reader here
+)
+"""Parts of numba, and what stands for them while kernels are compiled."""
+NUMBAS = tuple((owner, name, getattr(owner, name)) for owner, name, _ in QUICK)
 
 
 class _Quickly(event.Listener):
@@ -213,20 +242,19 @@ class _Quickly(event.Listener):
         if self.depth == 0:
             self.was_on = gc.isenabled()
             gc.disable()
-            self._set(_decorator, _typed, _listed)
+            self._set(QUICK)
         self.depth += 1
 
     def on_end(self, _: event.Event) -> None:
         self.depth -= 1
         if self.depth == 0:
-            self._set(NUMBAS_DECORATOR, NUMBAS_TYPING, NUMBAS_LISTING)
+            self._set(NUMBAS)
             if self.was_on:
                 gc.enable()
 
-    def _set(self, decorator: Any, typing: Any, listing: Any) -> None:
-        OVERLOADS._get_jit_decorator = decorator
-        BaseFunction.get_call_type = typing  # type: ignore[method-assign]
-        ir.Inst._rec_list_vars = listing  # type: ignore[method-assign]
+    def _set(self, parts: tuple[tuple[Any, str, Any], ...]) -> None:
+        for owner, name, part in parts:
+            setattr(owner, name, part)
 
 
 event.register("numba:compile", _Quickly())  # called with the compiler's lock held

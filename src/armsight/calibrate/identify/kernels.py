@@ -114,7 +114,7 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
         first[j] = k
         tilted(B[j], p[k], p[k + 1], d[j], dd[j])
         k += 2
-        at[j] = points[j]
+        copy_1(points[j], at[j])
         if revolute[j]:
             for r in range(3):
                 at[j, r] += B[j, r, 0] * p[k] + B[j, r, 1] * p[k + 1]
