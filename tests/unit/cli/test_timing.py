@@ -74,6 +74,16 @@ def draw(uv: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
+def test_tables_exchanged_are_told(armsight: Run, tables: Path, scene: Any, tmp_path: Path) -> None:
+    def timed(left: str, right: str) -> Any:
+        words = ["--left-spots", tables / left, "--right-spots", tables / right, "-o", tmp_path / "timed.yaml"]
+        return armsight("calibrate", "timing", "--rig", scene.folder / "rig.yaml", *words)
+
+    exchanged = timed("right.csv", "left.csv")
+    assert exchanged.code == 3 and "left and right are swapped" in exchanged.text
+    assert timed("left.csv", "right.csv").code == 0
+
+
 def test_frames_give_the_timing(armsight: Run, scene: Any, tmp_path: Path) -> None:
     rng, lights = np.random.default_rng(2), 3
     for side, name in enumerate(("left", "right")):
