@@ -230,7 +230,7 @@ def lights_of_pairs(rig: Rig, pairs: Sequence[LitMoment], lights: int, *, overla
 
 
 def refuse_swapped(exchanged: Callable[[], Moment], better: Callable[[Moment], bool] = lambda _: True) -> None:
-    """Raise Inconsistent where what was refused is not with left and right exchanged, or what it then gives is better."""
+    """Raise Inconsistent where what was refused, or fits badly, is given, and better, with left and right exchanged."""
     try:
         if not better(exchanged()):
             return
