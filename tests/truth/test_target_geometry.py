@@ -333,7 +333,7 @@ def test_exchanged_views_that_meet_far_away_are_refused() -> None:
         )
         moments.append(LitMoment(name=str(i), views=tuple(spots(uv, 0.1) for uv in look(T.apply(ISOSCELES), rig))))
     assert lights_of_pairs(rig, moments, 3, overlaid=False).residual_px.max() < 1.0
-    with refuses(Inconsistent, "left and right are swapped"):
+    with refuses(Inconsistent, "swapped"):
         lights_of_pairs(rig, [replace(one, views=one.views[::-1]) for one in moments], 3, overlaid=False)
 
 

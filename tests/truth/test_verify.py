@@ -344,7 +344,7 @@ def test_a_repeating_motion_another_motion_and_mirrored_streams_are_refused() ->
     with pytest.raises(Inconsistent, match="left-handed"):
         verify(arm(), own, mirrored, Align.BOTH)
     back = Reported(q=own.q * [1, 1, 1, -1, 1, 1], t_s=own.t_s)
-    with refuses(Inconsistent, "counted the other way"):
+    with refuses(Inconsistent, "j4", "other way"):
         verify(arm(), back, Measured(xyz_m=seen(TABLE, q, rng).xyz_m, t_s=t_m), Align.BOTH)
 
 

@@ -80,7 +80,7 @@ def test_tables_exchanged_are_told(armsight: Run, tables: Path, scene: Any, tmp_
         return armsight("calibrate", "timing", "--rig", scene.folder / "rig.yaml", *words)
 
     exchanged = timed("right.csv", "left.csv")
-    assert exchanged.code == 3 and "left and right are swapped" in exchanged.text
+    assert exchanged.code == 3 and "swapped" in exchanged.text
     assert timed("left.csv", "right.csv").code == 0
 
 

@@ -250,9 +250,8 @@ class TargetTracker:
         if not (self._looks and measured.busy and left is not None and right is not None):
             return
         self._looks -= 1
-        if left.image.shape[:2] != right.image.shape[:2]:
-            return
-        if measure_pair(self._setup, right, left).pose.status is PoseStatus.OK:
+        alike = left.image.shape[:2] == right.image.shape[:2]
+        if alike and measure_pair(self._setup, right, left).pose.status is PoseStatus.OK:
             raise swapped()
 
 
