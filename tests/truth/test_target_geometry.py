@@ -12,8 +12,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
-from armsight.calibrate.light_target import LitFrame, TargetResult, calibrate_target
+from armsight.calibrate.light_target import LitFrame, LitMoment, TargetResult, calibrate_target
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError
+from armsight.ops.calibration.spots_of_frames import lights_of_pairs
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, Spots
@@ -300,6 +301,21 @@ def test_exchanged_views_are_refused() -> None:
     with pytest.raises(Inconsistent) as refusal:
         calibrate_target(RIG, [LitFrame(name=f.name, left=f.right, right=f.left) for f in frames])
     assert "left one" in refusal.value.cure
+
+
+def test_exchanged_views_that_meet_far_away_are_refused() -> None:
+    """Of cameras toed in by 5 degrees the exchanged views of lights at one distance make lights ten times as large."""
+    rng = np.random.default_rng(3)
+    rig = converged_rig(CAMERA, CAMERA, 0.12, 0.0, -0.0873)
+    moments = []
+    for i in range(40):
+        T = RigidTransform.from_components(
+            rng.uniform([-0.1, -0.08, 0.74], [0.1, 0.08, 0.76]), Rotation.from_rotvec(rng.normal(0.0, 0.15, 3))
+        )
+        moments.append(LitMoment(name=str(i), views=tuple(spots(uv, 0.1) for uv in look(T.apply(ISOSCELES), rig))))
+    assert lights_of_pairs(rig, moments, 3, overlaid=False).residual_px.max() < 1.0
+    with refuses(Inconsistent, "swapped"):
+        lights_of_pairs(rig, [replace(one, views=one.views[::-1]) for one in moments], 3, overlaid=False)
 
 
 def test_too_little_is_refused() -> None:

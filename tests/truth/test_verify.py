@@ -332,6 +332,9 @@ def test_a_repeating_motion_another_motion_and_mirrored_streams_are_refused() ->
     mirrored = Measured(xyz_m=seen(TABLE, q, rng).xyz_m * [1.0, 1.0, -1.0], t_s=t_m)
     with pytest.raises(Inconsistent, match="left-handed"):
         verify(arm(), own, mirrored, Align.BOTH)
+    back = Reported(q=own.q * [1, 1, 1, -1, 1, 1], t_s=own.t_s)
+    with refuses(Inconsistent, "j4", "other way"):
+        verify(arm(), back, Measured(xyz_m=seen(TABLE, q, rng).xyz_m, t_s=t_m), Align.BOTH)
 
 
 def test_stamps_that_are_none_are_refused_and_uneven_bursts_followed() -> None:

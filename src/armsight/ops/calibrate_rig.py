@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from armsight.defaults import LIT_LIGHTS
-from armsight.errors import UsageError
+from armsight.errors import DataRefused, UsageError
 from armsight.fields import Bounds, Doc, Flag
 from armsight.ops.action import action
 from armsight.ops.calibrate_cameras import Detector, RigOut
@@ -281,7 +281,7 @@ def calibrate_timing(
     """
     from armsight.calibrate.timing import calibrate_clocks, calibrate_timing
     from armsight.drivers import AUTOMATIC
-    from armsight.ops.calibration.spots_of_frames import SpotSearch, seen_tracks
+    from armsight.ops.calibration.spots_of_frames import SpotSearch, refuse_swapped, seen_tracks
     from armsight.ops.sources.cameras import named_cameras
     from armsight.records import Silent
 
@@ -301,7 +301,11 @@ def calibrate_timing(
     known = target is not None and target.model_known
     positions = dict(zip(target.names, target.xyz_m, strict=True)) if known else None
     if rig.is_pair:
-        return calibrate_timing(rig, tracks["left"], tracks["right"], positions)
+        try:
+            return calibrate_timing(rig, tracks["left"], tracks["right"], positions)
+        except DataRefused:
+            refuse_swapped(lambda: calibrate_timing(rig, tracks["right"], tracks["left"], positions))
+            raise
     return calibrate_clocks(rig, tracks, positions)
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.points import ArmPoints, check_scale
 from armsight.calibrate.arm.rotations import computed
+from armsight.calibrate.arm.senses import other_senses
 from armsight.calibrate.timing.sampling import SamplingTimes, sampling_times, without_seams
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
@@ -211,8 +213,21 @@ def _clock(stream: Stream, measured: Measured, t_s: Array, nominal: Mounts, how:
         try:
             synchronise(stream, flipped, t_s, nominal, Align.BOTH)
         except DataRefused:
+            if isinstance(stream, JointStream):  # stamped by one clock, as far as these rows tell
+                check_senses(stream.bare, stream.q_at(t_s), measured, np.flatnonzero(covered(stream.t_s, t_s)))
             raise error from None
         raise left_handed("no time offset makes the path the arm's, and one does when it is mirrored") from error
+
+
+def check_senses(arm: Arm | None, q: Array | None, measured: Measured, rows: NDArray[np.intp]) -> None:
+    """Raise Inconsistent where the arm explains rows once some of its joints, q (n, joints), count the other way."""
+    if arm is None or q is None:
+        return
+    part = measured.take(rows)
+    found = other_senses(arm, ArmPoints(q=q[rows], xyz_m=part.xyz_m, point=part.point))
+    # a mirrored frame is as if nearly all joints ran the other way, and is told as that; zeros are found and told here
+    if found is not None and (found[0].exchanged or 0 < len(found[0].joints) <= arm.n // 2):
+        raise found[0].refusal(arm, found[1])
 
 
 def _uncovered(stream: Stream, at_s: float) -> str:

@@ -11,8 +11,6 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.arrays import Array
 from armsight.calibrate.arm.plausibility import MOST_SHARE, exceeded, spread_m
-from armsight.calibrate.arm.points import ArmPoints
-from armsight.calibrate.arm.senses import other_senses
 from armsight.errors import DataRefused, Inconsistent, NotEnoughData
 from armsight.fields import Doc
 from armsight.kinematics import Arm, fk, fk_jacobian, solve_numeric_many
@@ -30,6 +28,7 @@ from armsight.verify.pairing import (
     Paired,
     Reported,
     bare_arm,
+    check_senses,
     check_spread,
     pair,
     repeated,
@@ -169,22 +168,11 @@ def _aligned(arm: Arm | None, paired: Paired, known: NDArray[np.intp], nominal: 
     try:
         aligned = align(paired.F[known], measured, nominal, how)
     except Inconsistent:
-        _check_senses(arm, paired, known)
+        check_senses(arm, paired.q, paired.measured, known)
         raise
     if exceeded(np.linalg.norm(aligned.fitted.residual[:, :3], axis=1)) > MOST_SHARE * spread_m(measured.xyz_m):
-        _check_senses(arm, paired, known)
+        check_senses(arm, paired.q, paired.measured, known)
     return aligned
-
-
-def _check_senses(arm: Arm | None, paired: Paired, known: NDArray[np.intp]) -> None:
-    """Raise Inconsistent where the arm explains the rows once some of its joints count the other way."""
-    if arm is None or paired.q is None:
-        return
-    measured = paired.measured.take(known)
-    found = other_senses(arm, ArmPoints(q=paired.q[known], xyz_m=measured.xyz_m, point=measured.point))
-    # a mirrored frame is as if nearly all joints ran the other way, and is told as that; zeros are found and told here
-    if found is not None and (found[0].exchanged or 0 < len(found[0].joints) <= arm.n // 2):
-        raise found[0].refusal(arm, found[1])
 
 
 def _nominal(arm: Arm | None, measured: Measured) -> Mounts:

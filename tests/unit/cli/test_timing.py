@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -50,6 +51,30 @@ def draw(uv: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     for u, v in uv:
         image += 150.0 * np.exp(-((columns - u) ** 2) / (2.0 * 1.8**2)) * np.exp(-((rows - v) ** 2) / (2.0 * 1.8**2))
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def test_exchanged_views_are_said(armsight: Run, scene: Any, tmp_path: Path) -> None:
+    """Of tables to calibrate timing, of drawn frames to calibrate target: neither is written."""
+    rng, heads = np.random.default_rng(1), "t_s,u_px,v_px,su_px,sv_px,spot\n"
+    for side, name in enumerate(("left", "right")):
+        (tmp_path / name).mkdir()
+        rows = []
+        for k in range(int(8.0 * RATE)):
+            uv = pixels((k + 0.37 * side) / RATE, side, 3) + rng.normal(0.0, 0.03, (3, 2))
+            rows += [
+                f"{k / RATE!r},{u!r},{v!r},0.03,0.03,{light}" for (u, v), light in zip(uv.tolist(), "ABC", strict=True)
+            ]
+        (tmp_path / f"{name}.csv").write_text(heads + "\n".join(rows) + "\n")
+        for k in range(10):
+            cv2.imwrite(str(tmp_path / name / f"frame{k}.png"), draw(pixels(0.31 * k, side, 3), rng))
+    out = ["--rig", scene.folder / "rig.yaml", "-o", tmp_path / "out.yaml"]
+    for words in (
+        ["timing", "--left-spots", tmp_path / "right.csv", "--right-spots", tmp_path / "left.csv"],
+        ["target", "--left", tmp_path / "right", "--right", tmp_path / "left", "--lights", 3],
+    ):
+        exchanged = armsight("calibrate", *words, *out)
+        assert exchanged.code == 3 and "swapped" in exchanged.text, exchanged.text
+    assert not (tmp_path / "out.yaml").exists()
 
 
 class LiveLights:

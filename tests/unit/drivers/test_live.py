@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
 
 from armsight import simulate
 from armsight.clock import ManualClock
-from armsight.drivers import FileMoments, OpenCvCamera, TimedMoments
+from armsight.drivers import FileMoments, Moment, OpenCvCamera, TimedMoments
 from armsight.drivers.live import DEPTH
 from armsight.errors import DeviceLost
 from armsight.measure.poses.setup import Setup
 from armsight.ops.measurement.run import run
+from armsight.ops.recording.record import RecordJob, record_moments
 from armsight.optics import SIDES
 from armsight.records import Frame, Silent
 from refusals import refuses
@@ -87,6 +90,44 @@ def test_frames_that_newer_ones_displace_are_counted_anew_at_every_opening() -> 
             assert camera._thread is not None
             camera._thread.join()  # all has come before any frame is asked for, the end of it as well
             assert pairs.n_late == 9 + 1 - DEPTH
+
+
+class Burst(Wire):
+    """A camera of 20 frames a second that sends frame 0, twelve more once `taken` is set, and goes on at `ended`."""
+
+    def __init__(self) -> None:
+        super().__init__(100)
+        self.clock, self.taken, self.sent, self.ended = ManualClock(), Event(), Event(), Event()
+
+    def read(self):
+        if self.count == 99:
+            self.taken.wait()
+        if self.count == 99 - 12:
+            self.sent.set()
+            self.ended.wait()
+        self.clock.advance(0.05)
+        return super().read()
+
+
+def test_frames_that_newer_ones_displace_while_recording_are_not_missed_by_the_cameras(tmp_path: Path) -> None:
+    wires = Burst(), Burst()
+
+    class Slow(TimedMoments):
+        def __iter__(self) -> Iterator[Moment]:
+            for moment in super().__iter__():
+                yield moment
+                for wire in wires:
+                    wire.taken.set()
+                    wire.sent.wait()
+
+        def __exit__(self, *args: object) -> None:
+            for wire in wires:
+                wire.ended.set()
+            super().__exit__(*args)
+
+    sides = (OpenCvCamera("3", clock=wire.clock, origin_s=0.0, open_capture=lambda _, w=wire: w) for wire in wires)
+    done = record_moments(RecordJob(out=tmp_path / "a.mcap", limit=1 + DEPTH), Slow(*sides), live=True)
+    assert (done.n_pairs, done.n_missed, done.n_late) == (1 + DEPTH, 0, 2 * (12 - DEPTH))
 
 
 def test_the_rate_that_measuring_keeps_is_said_where_live_frames_were_displaced() -> None:

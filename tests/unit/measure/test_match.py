@@ -152,6 +152,17 @@ def test_swapped_views_are_recognised(rig: Rig, target: Target) -> None:
     assert measure_spots(Setup(rig, target), 0.0, spots(left), spots(right)).pose.status is PoseStatus.OK
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_swapped_views_of_which_some_lights_still_meet_are_recognised(seed: int) -> None:
+    """Of cameras that look at one point a light near it pairs exchanged as well, and gave a position."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform([-0.1, -0.08, 0.5], [0.1, 0.08, 0.8])
+    T = RigidTransform.from_components(place, Rotation.from_rotvec(rng.normal(0.0, 0.25, 3)))
+    left, right = RIG.project(points_of(EQUILATERAL, T))
+    with refuses(Inconsistent, "swapped"):
+        measure_spots(Setup(RIG, spot_target(EQUILATERAL)), 0.0, spots(right), spots(left))
+
+
 def test_unmeasured_target_is_named_by_position() -> None:
     T = RigidTransform.from_components([0.02, -0.01, 0.6], Rotation.from_rotvec([0.1, -0.1, 0.1]))
     points = points_of(ISOSCELES, T)

@@ -24,6 +24,10 @@ RIG = converged_rig(CAMERA, CAMERA, 0.1, 0.08, -0.08)
 TRIANGLE = {"A": (-0.05, 0.0, 0.0), "B": (0.04, 0.045, 0.0), "C": (0.02, -0.04, 0.0)}
 X = np.array(list(TRIANGLE.values()))
 SETUP = Setup(RIG, spot_target(TRIANGLE))
+STARS = np.zeros((2, 480, 640), np.uint8)
+"""What else is bright in each image."""
+for v, u in np.random.default_rng(5).integers(8, 470, (60, 2)):
+    STARS[u % 2, v : v + 3, u : u + 3] = 120
 
 
 def pixels(points: np.ndarray) -> list[np.ndarray]:
@@ -186,6 +190,11 @@ def test_a_tracker_goes_on_after_what_shows_nothing() -> None:
     broken = tracker.take(replace(left, unreadable="cut off"), right)
     assert broken.cause is Unseen.UNREADABLE and broken.pose.why.endswith("cut off") and tracker.swapped is None
     assert_pose(tracker.take(left, right), pose_at(1))
+    lost = TargetTracker(SETUP)
+    busy = [replace(one, image=np.maximum(one.image, STARS[side])) for side, one in enumerate((left, right))]
+    assert measure_pair(SETUP, *busy).busy
+    assert lost.take(*busy[::-1]).cause is Unseen.SWAPPED and lost.swapped is not None
+    assert_pose(lost.take(*busy), pose_at(1))
     with refuses(Inconsistent, "650x480", "left camera", "640x480"):
         tracker.take(*frames(pose_at(0).apply(X), 0, width=650))
 

@@ -119,7 +119,7 @@ def swapped() -> Inconsistent:
     """Return the error that says that left and right are exchanged."""
     return Inconsistent(
         "left and right are swapped: the target is found, or fits, only with the two images exchanged",
-        consequence="No pose is given: the depths would be turned round",
+        consequence="Nothing is measured: the depths would be turned round",
         cure="Exchange the two sources, or calibrate the rig with the cameras as they are now",
     )
 

@@ -78,7 +78,9 @@ def measure_among(
     step = continuation(setup, track, t_s, solved)
     if track is not None and doubtful(setup, track, t_s, solved, step):
         return lost_moment(t_s, (left, right), NotSeen(_DOUBTFUL, Unseen.MOTION), replace(track, doubted=True)), 1.0
-    misfit = 0.0 if setup.overlaid or picked else misfit_chi2(solved, *matched)
+    misfit = 0.0 if picked else misfit_chi2(solved, *matched)
+    if solved.T is None and track is None and not picked:
+        misfit = inf  # one or two lights fit anywhere: all of them may, exchanged
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
     measured = Measured(

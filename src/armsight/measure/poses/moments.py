@@ -12,6 +12,7 @@ import numpy as np
 
 from armsight.arrays import Array
 from armsight.errors import Inconsistent, Unseen, UsageError
+from armsight.measure.poses.board_pose import swapped
 from armsight.measure.poses.board_views import measure_board_views
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
@@ -32,6 +33,9 @@ FEWEST_FOR_ROTATION = 3
 """Lights below which a target shows no rotation."""
 IDLE_LOOKS, LOOK_AGAIN = 24, 30
 """Moments, one after the other, in which a camera that took no part is searched as a whole; and then one of so many."""
+
+SWAP_LOOKS = 6
+"""Busy pictures at the start, without a pose, that are looked at with left and right exchanged as well."""
 
 
 def measure_moment(
@@ -206,6 +210,7 @@ class TargetTracker:
         self.swapped: Inconsistent | None = None
         self.without: tuple[str, ...] = ()
         self._idle = [0] * len(setup.rig.cameras)
+        self._looks = SWAP_LOOKS
 
     def take(self, *frames: Frame | None) -> Measured:
         """Return what is measured; a pose that is lost, with the reason, where a frame cannot be read or the views look
@@ -226,12 +231,28 @@ class TargetTracker:
             whole = [s for s, n in enumerate(self._idle) if 0 < n <= IDLE_LOOKS or n % LOOK_AGAIN == LOOK_AGAIN - 1]
             try:
                 measured = measure_moment(self._setup, seen, self.track, whole)
+                self._refuse_swapped(measured, seen)
             except Inconsistent as error:
                 self.swapped = error
                 measured = lost_frames(frames, error.cause, Unseen.SWAPPED)
             self._idle = [0 if len(one) else n + 1 for one, n in zip(measured.spots, self._idle, strict=True)]
         self.track = measured.track
         return measured
+
+    def _refuse_swapped(self, measured: Measured, seen: Sequence[Frame | None]) -> None:
+        """Raise Inconsistent where a pair shows the target among much that is bright only with its views exchanged.
+
+        Which of it is measured is chosen for one order of the views, so that its spots tell nothing of the other.
+        """
+        if measured.pose.status is PoseStatus.OK:
+            self._looks = 0
+        left, right = (*seen, None, None)[:TWO]
+        if not (self._looks and measured.busy and left is not None and right is not None):
+            return
+        self._looks -= 1
+        alike = left.image.shape[:2] == right.image.shape[:2]
+        if alike and measure_pair(self._setup, right, left).pose.status is PoseStatus.OK:
+            raise swapped()
 
 
 def lost_frames(frames: Sequence[Frame | None], why: str, cause: Unseen = Unseen.OTHER) -> Measured:

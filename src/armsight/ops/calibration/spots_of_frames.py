@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from threading import Event
 from typing import TypeVar
@@ -25,6 +26,7 @@ from armsight.clock import SystemClock
 from armsight.drivers import AUTOMATIC, CameraSettings, MomentSource, is_live, moments_of, pairs_of
 from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
 from armsight.measure.poses.beacon import without_standing
+from armsight.measure.poses.board_pose import swapped
 from armsight.measure.poses.from_spots import measure_spots
 from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.pipeline import check_size, check_sizes
@@ -41,6 +43,9 @@ Moment = TypeVar("Moment")
 OTHER_FRAMES = "The calibration says nothing about such frames; no target is given"
 LIVE_S = 20.0
 """For how long live cameras are watched where --frames says nothing."""
+LOOSE = 2.0
+"""Residuals, in the spots' own standard deviations, from which left and right may be exchanged, and by how many times
+exchanged ones must fit better: as many as 3.5 where they are, in a cell of two webcams."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,14 +208,35 @@ def lights_of_pairs(rig: Rig, pairs: Sequence[LitMoment], lights: int, *, overla
     overlaid: see pair_spots. Raises as calibrate_target.
     """
     packed = PackedRig.of(rig)
-    frames = [lit_frame(packed, one.name, *one.views, overlaid=overlaid) for one in pairs]
-    try:
+
+    def by_pairs(order: slice) -> TargetResult:
+        frames = [lit_frame(packed, one.name, *one.views[order], overlaid=overlaid) for one in pairs]
         return calibrate_target(rig, frames, lights, overlaid=overlaid)
-    except NotEnoughData:
-        if not overlaid:
+
+    exchanged = partial(by_pairs, slice(None, None, -1))
+    try:
+        found = by_pairs(slice(None))
+    except DataRefused as error:
+        if overlaid:
+            raise
+        refuse_swapped(exchanged, lambda other: other.scale < LOOSE)
+        if isinstance(error, NotEnoughData):
             with suppress(DataRefused):
                 return calibrate_lights(rig, pairs, lights, paired=paired, naming=naming)
         raise
+    if found.scale > LOOSE and not overlaid:
+        refuse_swapped(exchanged, lambda other: LOOSE * other.scale < found.scale)
+    return found
+
+
+def refuse_swapped(exchanged: Callable[[], Moment], better: Callable[[Moment], bool] = lambda _: True) -> None:
+    """Raise Inconsistent where what was refused, or fits badly, is given, and better, with left and right exchanged."""
+    try:
+        if not better(exchanged()):
+            return
+    except DataRefused:
+        return
+    raise swapped()
 
 
 def lit_pairs(

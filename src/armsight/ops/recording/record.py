@@ -65,6 +65,7 @@ class RecordOutput(Output):
     n_pairs: Annotated[int, Doc("Pairs recorded.")]
     n_dropped: Annotated[int, Doc("Pairs that found no room: the disk or the processor is too slow.")]
     n_missed: Annotated[int, Doc("Frames lost by the cameras or without a partner.")]
+    n_late: Annotated[int, Doc("Frames that newer ones displaced before they were taken up: this machine is too slow.")]
     duration_s: Annotated[float, Doc("From the first pair to the last, s.")]
     pairs_per_s: Annotated[float | None, Doc("Pairs a second.", unit="1/s")]
     size_bytes: Annotated[int, Doc("Size of the file, bytes.")]
@@ -78,6 +79,7 @@ class RecordOutput(Output):
         lost = (
             f", {self.n_dropped} dropped because the disk or the processor is too slow{kept}" if self.n_dropped else ""
         )
+        lost += f", {self.n_late} displaced by newer ones because this machine is too slow" if self.n_late else ""
         lost += f", {self.n_missed} missed by the cameras" if self.n_missed else ""
         size = f"{self.size_bytes / 1e6:.1f} MB as {self.format}"
         what = "pairs" if self.n_frames is None else "moments"
@@ -139,7 +141,7 @@ def record_moments(
     clock: Clock | None = None,
 ) -> RecordOutput:
     """Record the moments of a source not yet open; live: what finds no room is dropped. See record."""
-    tally = Tally(names)
+    tally = Tally(names, moments)
     with moments, closing(moments_of(moments)) as source:
         first = next(source, None)
         if first is None:
@@ -174,7 +176,8 @@ def _output(job: RecordJob, recorder: Recorder, tally: Tally, source: MomentSour
         format=job.kind.value,
         n_pairs=recorder.written,
         n_dropped=recorder.dropped,
-        n_missed=tally.missed + (skew.n_dropped if skew else 0) if live else 0,
+        n_missed=tally.missed if live else 0,
+        n_late=tally.n_late,
         duration_s=duration_s,
         pairs_per_s=(recorder.written - 1) / duration_s if duration_s > 0.0 else None,
         size_bytes=job.out.stat().st_size,
@@ -193,11 +196,13 @@ def _attach(writer: RecordingWriter, files: Mapping[str, Path], rig: Rig | None,
 
 class Tally:
     """What went through: n moments, frames of each camera by name, first and last time; missed frames by the gaps in
-    the numbers of the first camera that is there."""
+    the numbers of the first camera that is there and those without a partner, where n_late, frames of the source that
+    newer ones displaced meanwhile, do not explain them."""
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self.names = names
-        self.n = self.missed = 0
+    def __init__(self, names: Sequence[str], source: MomentSource) -> None:
+        self.names, self._source = names, source
+        self.n = self.missed = self.n_late = 0
+        self._before = 0, 0
         self.n_frames = dict.fromkeys(names, 0)
         self.first_s = self.last_s = 0.0
         self._last: tuple[str, int] | None = None
@@ -205,11 +210,15 @@ class Tally:
     def add(self, frames: Mapping[str, Frame]) -> None:
         """Count a moment; its time and number are those of its first frame."""
         name, first = next(iter(frames.items()))
+        now = getattr(self._source, "n_late", 0), getattr(self._source, "n_dropped", 0)
+        late, lost = (after - before for after, before in zip(now, self._before, strict=True))
         if self.n == 0:
-            self.first_s = first.t_s
+            self.first_s, late = first.t_s, 0  # those before the first moment are none of it
         elif self._last is not None and self._last[0] == name:
-            self.missed += max(0, first.sequence - self._last[1] - 1)
-        self.last_s, self._last = first.t_s, (name, first.sequence)
+            lost += max(0, first.sequence - self._last[1] - 1)
+        self.missed += max(0, lost - 2 * late)  # one displaced leaves a gap, and a frame without a partner
+        self.n_late += late
+        self._before, self.last_s, self._last = now, first.t_s, (name, first.sequence)
         for each in frames:
             self.n_frames[each] += 1
         self.n += 1
@@ -228,8 +237,8 @@ def _pump(
     end_s = clock.now_s() + job.seconds_s if job.seconds_s is not None else float("inf")
     for moment in source:
         frames = by_name(tally.names, moment)
-        recorder.put(frames)
         tally.add(frames)
+        recorder.put(frames)
         for message in lost(told):
             recorder.add(partial(RecordingWriter.event, t_s=tally.last_s, message=message, level="warning"))
         notes = [f"{recorder.dropped} dropped"] if recorder.dropped else []
