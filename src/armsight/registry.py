@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from armsight.errors import DeviceNotFound
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint, EntryPoints
 
 CAMERAS = "armsight.cameras"
 """Group of callables (device: str, *, colour: bool, clock: Clock, origin_s: float[, settings: CameraSettings]) ->
@@ -48,13 +46,6 @@ FILING = "armsight.history"
 
 SIMULATION = (CELLS, SETS, SCENARIOS, TWINS, PAPERS)
 """Groups that armsight-sim fills, a distribution of its own; it also brings the name `sim` of ROBOTS and CAMERAS."""
-
-
-def entry_points(*, group: str) -> EntryPoints:
-    """Return what installed packages register in a group."""
-    from importlib import metadata  # here, as it takes a twelfth of the help, which needs none of it
-
-    return metadata.entry_points(group=group)
 
 
 def known(group: str) -> tuple[str, ...]:

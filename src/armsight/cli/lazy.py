@@ -75,7 +75,7 @@ def load_rotations() -> None:
     empty = {name: ModuleType(name) for name in {"f2py", "ma", "polynomial", "testing"} - set(vars(np))}
     vars(np).update(empty)
     try:
-        with _stand_ins({one.__name__: one for one in (spatial, linalg)}), contextlib.suppress(ImportError):
+        with _stand_ins({one.__name__: one for one in (spatial, linalg)}), contextlib.suppress(Exception):
             importlib.import_module("scipy.spatial.transform")  # where it needs more it is imported as a whole later
     finally:
         for name, module in empty.items():

@@ -16,7 +16,7 @@ from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
-from armsight.store import covariances, interpret
+from armsight.store import covariances
 from armsight.store.atomic import RowFile, read_bytes, write_text
 from armsight.store.codec import LARGEST, named
 from armsight.store.interpret import OURS, TableFormat
@@ -155,7 +155,9 @@ def read_poses(
 
     timed: times are needed; else rows without them are counted. See parse_poses and interpret.
     """
-    data = interpret.standard_bytes(path, "poses" if timed else "untimed-poses", format_)
+    from armsight.store.interpret.read import standard_bytes  # in functions, as most commands read no table
+
+    data = standard_bytes(path, "poses" if timed else "untimed-poses", format_)
     return parse_poses(data, str(path), parent=parent, notify=format_.notify, stream=stream, measured=measured)
 
 
@@ -279,15 +281,19 @@ def read_joints(path: Path, format_: TableFormat = OURS, *, timed: bool = True, 
     (lost_rows) are left out; where it is asked for, every row counts. Raises BadFile that names line and column,
     Inconsistent for degrees where radians are meant.
     """
-    data = interpret.standard_bytes(path, "joints" if timed else "untimed-joints", format_)
+    from armsight.store.interpret.read import standard_bytes
+
+    data = standard_bytes(path, "joints" if timed else "untimed-joints", format_)
     return parse_joints(data, str(path), format_, measured=measured)
 
 
 def parse_joints(data: bytes, where: str, format_: TableFormat = OURS, *, measured: bool = False) -> Motion:
     """Return the joint values in the bytes of a joints.csv; see read_joints."""
+    from armsight.store.interpret.read import check_joint_values
+
     table = parse_table(data, where, ("t_s", "q1"), series="q", blank=("q",) if measured else ())
     table = in_time(without_lost(table, format_.notify) if measured else table, format_.notify)
-    interpret.check_joint_values(table.stacked(table.series("q")), where, format_)
+    check_joint_values(table.stacked(table.series("q")), where, format_)
     q = table.stacked(table.series("q"))
     if measured:
         from armsight.calibrate.timing.sampling import without_seams  # with all of the clocks, which few commands need
