@@ -9,6 +9,7 @@ import numpy as np
 from armsight.arrays import Array
 from armsight.calibrate.cameras import CameraCalibration, CamerasCalibration, StereoCalibration
 from armsight.calibrate.cameras.preconditions import image_share
+from armsight.calibrate.mirrors.result import MirrorsOutput
 from armsight.optics import SIDES, Camera
 from armsight.records import NamedCovariance
 from armsight.report.figures import BLUE, Figure, axis, bars, layout, named_ticks, short_names
@@ -41,7 +42,8 @@ def calibration_report(
     metric = _metric(done)
     _add_parameters(page, done, metric)
     if isinstance(done, StereoCalibration):
-        rows = [[name, value] for name, value in (*alignment_lines(done), *done.plate_words())]
+        plate = done.plate_words() if isinstance(done, MirrorsOutput) else ()
+        rows = [[name, value] for name, value in (*alignment_lines(done), *plate)]
         page.add("Alignment", "How the two views stand to each other.", table(["", ""], rows))
     _add_images(page, done)
     if boards is not None:
@@ -66,7 +68,7 @@ def _words(done: Done) -> tuple[str, str, int, str]:
         return "camera", "images", done.n_images, "board"
     if isinstance(done, CamerasCalibration):
         return f"rig of {len(done.rig.names)} cameras", "moments", done.n_moments, "board"
-    return "mirror rig" if done.plate_words() else "pair of cameras", "pairs", done.n_pairs, done.thing
+    return "mirror rig" if isinstance(done, MirrorsOutput) else "pair of cameras", "pairs", done.n_pairs, done.thing
 
 
 def _cameras(done: Done) -> dict[str, tuple[Camera, Array, Array]]:

@@ -231,10 +231,6 @@ class StereoCalibration(FromBoards):
     def alignment(self) -> Parallelism:
         return parallelism(self.pair_rig())
 
-    def plate_words(self) -> list[tuple[str, str]]:
-        """Return what the report says of the plate of a mirror rig; nothing for other rigs."""
-        return []
-
     @figure(MEANING, optional=True)
     def verdict_(self) -> Verdict:
         found = (
