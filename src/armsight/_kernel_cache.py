@@ -132,7 +132,9 @@ class KernelCache(FunctionCache):
 
 def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """Let a kernel's machine code be kept from process to process, where there is a folder for it."""
-    dispatcher._cache = KernelCache(dispatcher.py_func)  # type: ignore[attr-defined]
+    made: Any = dispatcher
+    made._cache = KernelCache(dispatcher.py_func)
+    made._compilation_chain_init_hook = bool  # numba looks for extensions among all that is installed, for 30 ms
     return dispatcher
 
 

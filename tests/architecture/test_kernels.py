@@ -228,9 +228,13 @@ def test_a_kept_kernel_is_called_without_the_compiler_and_goes_into_other_kernel
     (package / "other.py").write_text(
         f"{head}from planted.outer import outer\n\n\n@kernel\ndef other(x):\n    return 2.0 * outer(x).sum()\n"
     )
-    show = "import sys\nfrom planted.outer import outer\nprint(outer(1.5), 'numba.np.linalg' in sys.modules)"
-    assert printed(tmp_path, show) == "[1.5 1.5 1.5] True"
-    assert printed(tmp_path, show) == "[1.5 1.5 1.5] False"
+    show = (
+        "import sys\nfrom numba import njit\nfrom numba.core import entrypoints\nfrom planted.outer import outer\n"
+        "print(outer(1.5), 'numba.np.linalg' in sys.modules, entrypoints._already_initialized)\n"
+        "njit(lambda x: x)(1.5)\nprint(entrypoints._already_initialized)"
+    )
+    assert printed(tmp_path, show) == "[1.5 1.5 1.5] True True\nTrue"
+    assert printed(tmp_path, show) == "[1.5 1.5 1.5] False False\nTrue"  # a person's own kernel has the extensions
     both = "from planted.outer import outer\nouter(1.5)\nfrom planted.other import other\nprint(other(1.5))"
     assert printed(tmp_path, both) == "9.0"
 

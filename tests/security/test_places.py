@@ -26,7 +26,7 @@ from armsight.drivers.rsi import read_tags
 from armsight.errors import BadFile, DataRefused, DeviceFailed, UsageError
 from armsight.store import atomic, read_rig, write_text
 from armsight.store.atomic import sha256
-from armsight.store.interpret import interpret
+from armsight.store.interpret.read import interpret
 from armsight.store.recording.mcapfile import McapFile
 from armsight.store.recording.reader import Recording
 from armsight.store.recording.repair import repair

@@ -7,6 +7,7 @@ import importlib
 import inspect
 import math
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -46,22 +47,35 @@ def load_help() -> None:
         importlib.import_module("typer.rich_utils")
 
 
+class _NoHelp(defaultdict[str, list[Any]]):
+    """What scipy makes of a function's help to add a note to it: nothing, which takes no time."""
+
+    def __init__(self, _function: object) -> None:
+        super().__init__(list)
+
+    def __str__(self) -> str:
+        return "\n"
+
+
 def load_rotations() -> None:
     """Load scipy's rotations without the rest of scipy.spatial, without scipy.linalg, of which splines take functions,
     and without what scipy, copying numpy's names, loads.
 
-    All are loaded when they are asked for. Only a command does so: no other thread asks at the same moment.
+    All are loaded when they are asked for. Only a command does so: no other thread asks at the same moment. Nor does
+    one read the help of scipy's functions, to which scipy adds notes: most of the time of its special functions.
     """
     import numpy as np  # here, as the help needs none of this
     import scipy
 
+    with contextlib.suppress(ImportError):
+        vars(importlib.import_module("scipy._lib._docscrape"))["FunctionDoc"] = _NoHelp
     spatial, linalg = map(ModuleType, ("scipy.spatial", "scipy.linalg"))
     spatial.__path__ = [f"{scipy.__path__[0]}/spatial"]
     vars(linalg)["__getattr__"] = lambda name: lambda *given, **more: getattr(scipy.linalg, name)(*given, **more)
     empty = {name: ModuleType(name) for name in {"f2py", "ma", "polynomial", "testing"} - set(vars(np))}
     vars(np).update(empty)
     try:
-        with _stand_ins({one.__name__: one for one in (spatial, linalg)}), contextlib.suppress(ImportError):
+        with _stand_ins({one.__name__: one for one in (spatial, linalg)}), contextlib.suppress(Exception):
             importlib.import_module("scipy.spatial.transform")  # where it needs more it is imported as a whole later
     finally:
         for name, module in empty.items():

@@ -17,14 +17,8 @@ from armsight.kinematics import Arm
 from armsight.records.output import output
 from armsight.shown import Shown, Table, digits
 from armsight.store.atomic import TextOutput
-from armsight.store.interpret import (
-    OURS,
-    TableFormat,
-    check_joint_values,
-    check_positions,
-    interpret,
-    kind_of_table,
-)
+from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret.read import check_joint_values, check_positions, interpret, kind_of_table
 from armsight.store.tables import Table as ParsedTable
 from armsight.store.tables import bare, parse_table, word
 

@@ -56,6 +56,7 @@ class Parallelism(Output):
 
 
 _SCALARS = ("convergence_rad", "vertical_rad", "vertical_px", "roll_rad", "height_m", "advance_m")
+_MATTERS = ("right.fx", "right.fy", "right.t", "right.r")  # how names begin that _measures changes with at all
 
 
 def parallelism(rig: Rig, depths_m: ArrayLike = (0.5, 1.0, 2.0, 4.0)) -> Parallelism:
@@ -100,6 +101,9 @@ def _deviations(rig: Rig, covariance: NamedCovariance, depths: Array) -> Array:
     names = tuple(name for name in rig.parameters if name in covariance.names)
     columns = []
     for name in names:
+        if not name.startswith(_MATTERS):
+            columns.append(np.zeros(len(_SCALARS) + len(depths)))
+            continue
         step = np.zeros(len(rig.parameters))
         i = rig.parameters.index(name)
         step[i] = difference_step(name)

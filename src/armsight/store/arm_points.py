@@ -20,7 +20,8 @@ from armsight.records import PoseStatus
 from armsight.store.atomic import write_text
 from armsight.store.codec import named
 from armsight.store.covariances import POSITION_COVARIANCE, all_covariances
-from armsight.store.interpret import OURS, TableFormat, check_joint_values, joint_readings, standard_bytes
+from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret.read import check_joint_values, joint_readings, standard_bytes
 from armsight.store.lost import without_lost, without_rare_rotations
 from armsight.store.tables import Table, cells, parse_table
 from armsight.store.verify_files import KNOWN

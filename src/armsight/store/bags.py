@@ -23,8 +23,6 @@ from armsight.drivers.images import CHANNELS, decode_image, grey_or_bgr, unpack_
 from armsight.errors import ArmsightError, BadFile, BadImage, DeviceNotFound, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame, Motion
 from armsight.store.atomic import read_bytes
-from armsight.store.recording import Recording
-from armsight.store.recording.record_reader import MAX_CHUNK
 from armsight.store.yamls import parse_yaml
 
 PREFIX = "bag:"
@@ -278,6 +276,8 @@ def _readable(path: Path, stack: ExitStack) -> Path:
 
 def _unpacked(data: bytes) -> bytes:
     """Return a message that was written compressed. Raises ValueError: a few bytes can unpack to any size."""
+    from armsight.store.recording.record_reader import MAX_CHUNK  # in functions, as every measurement imports this
+
     with zstandard.ZstdDecompressor().stream_reader(data) as reader:
         plain = bytes(reader.read(MAX_CHUNK + 1))
     if len(plain) > MAX_CHUNK:
@@ -316,6 +316,8 @@ def _db3(path: Path, stack: ExitStack) -> _File:
 
 
 def _mcap(path: Path, stack: ExitStack) -> _File:
+    from armsight.store.recording import Recording
+
     file = Recording(path)
     stack.callback(file.close)
     if not file.finished:

@@ -21,7 +21,8 @@ from armsight.records import NamedCovariance
 from armsight.store import codec
 from armsight.store.atomic import write_text
 from armsight.store.covariances import CAMERA_COVARIANCE, above_diagonal, all_covariances
-from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
+from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret.read import check_positions, standard_bytes
 from armsight.store.lost import without_lost
 from armsight.store.rigs import write_camera
 from armsight.store.schema import Kind, Origin, write_document

@@ -11,7 +11,8 @@ from armsight.calibrate.arm.touch.touches import Kind
 from armsight.columns import POSITION
 from armsight.defaults import TOUCH_LENGTH_STD_M
 from armsight.errors import BadFile
-from armsight.store.interpret import OURS, TableFormat, joint_readings
+from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret.read import joint_readings
 from armsight.store.tables import Table, read_table
 
 FEATURE, KIND, TIP, READING, SIGMA = "feature", "kind", "tip", "reading_m", "sigma_m"

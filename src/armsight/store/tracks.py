@@ -19,7 +19,7 @@ from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store import covariances
 from armsight.store.atomic import RowFile, read_bytes, write_text
 from armsight.store.codec import LARGEST, named
-from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
+from armsight.store.interpret import OURS, TableFormat
 from armsight.store.lost import lost_rows, lost_words, without_lost
 from armsight.store.tables import MAX_BYTES, Table, cells, in_time, number, parse_table, word
 
@@ -155,6 +155,8 @@ def read_poses(
 
     timed: times are needed; else rows without them are counted. See parse_poses and interpret.
     """
+    from armsight.store.interpret.read import standard_bytes  # in functions, as most commands read no table
+
     data = standard_bytes(path, "poses" if timed else "untimed-poses", format_)
     return parse_poses(data, str(path), parent=parent, notify=format_.notify, stream=stream, measured=measured)
 
@@ -279,12 +281,16 @@ def read_joints(path: Path, format_: TableFormat = OURS, *, timed: bool = True, 
     (lost_rows) are left out; where it is asked for, every row counts. Raises BadFile that names line and column,
     Inconsistent for degrees where radians are meant.
     """
+    from armsight.store.interpret.read import standard_bytes
+
     data = standard_bytes(path, "joints" if timed else "untimed-joints", format_)
     return parse_joints(data, str(path), format_, measured=measured)
 
 
 def parse_joints(data: bytes, where: str, format_: TableFormat = OURS, *, measured: bool = False) -> Motion:
     """Return the joint values in the bytes of a joints.csv; see read_joints."""
+    from armsight.store.interpret.read import check_joint_values
+
     table = parse_table(data, where, ("t_s", "q1"), series="q", blank=("q",) if measured else ())
     table = in_time(without_lost(table, format_.notify) if measured else table, format_.notify)
     check_joint_values(table.stacked(table.series("q")), where, format_)

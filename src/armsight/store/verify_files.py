@@ -20,7 +20,8 @@ from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import PoseStatus
 from armsight.store import covariances
-from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
+from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret.read import check_joint_values, standard_bytes
 from armsight.store.lost import NOTHING_LEFT, lost_rows, lost_words, without_rare_rotations
 from armsight.store.tables import Table, no_rows, parse_table
 from armsight.verify import Measured, Repeats, Reported

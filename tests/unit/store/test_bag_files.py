@@ -202,7 +202,7 @@ def test_compressed_by_message_or_by_file(tmp_path: Path, how: str, monkeypatch:
     before = untouched(run)
     assert all_there(run)
     assert untouched(run) == before
-    monkeypatch.setattr(bags, "MAX_CHUNK", 10)
+    monkeypatch.setattr("armsight.store.recording.record_reader.MAX_CHUNK", 10)
     monkeypatch.setattr(bags, "ROOM_LEFT", 1 << 62)
     with refuses(BadFile, "unpacks"):
         all_there(run)

@@ -11,7 +11,8 @@ from armsight.errors import Ambiguous, ArmsightError, BadFile, Inconsistent, Not
 from armsight.store import read_joints, read_poses
 from armsight.store.arm_points import read_arm_points, read_sweeps
 from armsight.store.handeye_file import read_pairs, read_robot_poses
-from armsight.store.interpret import OURS, TableFormat, interpret
+from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret.read import interpret
 from refusals import refuses
 
 RNG = np.random.default_rng(7)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import cv2
 import numpy as np
@@ -36,7 +36,9 @@ from armsight.optics import Rig, RigKind
 from armsight.records import Frame
 from armsight.store import read_times
 from armsight.store.bags import is_bag
-from armsight.store.recording import Recording
+
+if TYPE_CHECKING:
+    from armsight.store.recording import Recording
 
 TIMES = "times.csv"
 SOURCE = re.compile(r"(.+\.mcap)(?::([\w-]+))?", re.IGNORECASE | re.DOTALL)
@@ -80,6 +82,8 @@ class RecordedFrames(FileSource):
         return self._recording.count(f"/{self._camera}/image") if self._recording and self._camera else None
 
     def __enter__(self) -> Self:
+        from armsight.store.recording import Recording  # here, as every measurement imports this
+
         recording = Recording(recording_path(self.name))
         if self._camera is None:
             if len(recording.cameras) > 1:

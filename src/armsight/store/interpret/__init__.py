@@ -1,14 +1,8 @@
-"""Tables as people have them: other units, rotations, names, files; brought to the columns of ours."""
+"""Tables as people have them: other units, rotations, names, files; brought to the columns of ours.
 
-from armsight.store.interpret.read import (
-    Interpreted,
-    check_joint_values,
-    check_positions,
-    interpret,
-    joint_readings,
-    kind_of_table,
-    standard_bytes,
-)
+What reads them is in `read`, which takes as long to load as all else that most commands need of files.
+"""
+
 from armsight.store.interpret.rotations import (
     ROBOT_FORMATS,
     largest,
