@@ -11,14 +11,13 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
-from armsight.measure.poses.from_spots import measure_among, measure_spots
+from armsight.measure.poses.from_spots import left_out_notes, look_at, measure_among, measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
-from armsight.measure.poses.solving import solve_seen
 from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
-from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, find_candidates, track_spots
+from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, Grown, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, parallel_rig
 from armsight.records import (
@@ -63,8 +62,8 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
         return measure_board_pair(setup, left, right, t_s)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
-    if track is not None and track.complete:
-        measured = _measure_windows(setup, left, right, t_s, track)
+    for grown in _looks(setup, track):
+        measured = _measure_windows(setup, left, right, t_s, track, grown)
         if measured is not None:
             return measured
     at_left, at_right = _candidates(setup, left, right)
@@ -80,6 +79,18 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
         return measured
     again = _measure_candidates(setup, frames, t_s, *_closer(setup, at_left, at_right), track)
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
+
+
+def _looks(setup: Setup, track: Track | None) -> tuple[Grown, ...]:
+    """Return how the lights are looked for in windows before complete pictures are searched; live, where it hastens.
+
+    There the windows follow a light that was hidden in the moment before as well, and each light is grown from its peak
+    where what lies above a threshold gave no pose.
+    """
+    live = setup.pace.live and setup.target.model_known
+    if track is None or not (track.complete or (live and len(track.names) == len(setup.model))):
+        return ()
+    return (Grown.MISSED, Grown.EACH) if live else (Grown.MISSED if setup.pace.live else Grown.NONE,)
 
 
 def _too_many(setup: Setup, measured: Measured) -> bool:
@@ -237,46 +248,59 @@ def check_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
         )
 
 
-def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
-    """Return the pose from windows around the predicted spots; None where not every one of them is found and fits."""
+def _measure_windows(
+    setup: Setup, left: Frame, right: Frame, t_s: float, track: Track, grown: Grown
+) -> Measured | None:
+    """Return the pose from windows around the predicted spots; None where not every one of them is found and fits.
+
+    Live, a pose of lights beside which nothing else is bright is taken where a knock may have brought the target there.
+    """
     n, packed = len(track.names), setup.packed
     predicted, at = np.empty((n, 3)), np.empty((2, n, 2))
     dt = t_s - track.t_s
     if not kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, dt, predicted, at):
         return None
     if setup.overlaid:
-        both = _in_windows(setup, 0, left, at.reshape(2 * n, 2), track.half_window_px)
+        both = _in_windows(setup, 0, left, at.reshape(2 * n, 2), track.half_window_px, grown)
         left_seen, right_seen = (
             (None, None) if both is None else (both.take(list(range(n))), both.take(list(range(n, 2 * n))))
         )
     else:
-        left_seen = _in_windows(setup, 0, left, at[0], track.half_window_px)
-        right_seen = None if left_seen is None else _in_windows(setup, 1, right, at[1], track.half_window_px)
+        left_seen = _in_windows(setup, 0, left, at[0], track.half_window_px, grown)
+        right_seen = None if left_seen is None else _in_windows(setup, 1, right, at[1], track.half_window_px, grown)
     if left_seen is None or right_seen is None:
         return None
-    seen = solve_seen(setup, t_s, track.names, left_seen, right_seen, (left, right))
-    solved, left_seen, right_seen = seen.solved, seen.left, seen.right
-    if not solved.fits or solved.pose.status is PoseStatus.LOST or seen.hidden:
+    look = look_at(setup, t_s, track.names, (left_seen, right_seen), (left, right))
+    if isinstance(look, NotSeen) or not look.solved.fits or (look.hidden and grown is not Grown.EACH):
         return None
+    solved, matched = look.solved, (look.left, look.right)
     step = continuation(setup, track, t_s, solved)
-    if not step.likely or (track.motion is None and jumped(setup, track, t_s, solved)):
+    alone = setup.pace.live and track.complete and not (left_seen.rejected or right_seen.rejected)
+    if not (step.likely or (step.possible and alone)):
         return None
-    innovation = max(map(kernels.largest_innovation, (left_seen.uv_px, right_seen.uv_px), at))
+    innovation = None
+    if not look.hidden:
+        if track.motion is None and jumped(setup, track, t_s, solved):
+            return None
+        innovation = max(map(kernels.largest_innovation, (left_seen.uv_px, right_seen.uv_px), at))
     return Measured(
         pose=solved.pose,
         points=solved.points,
-        spots=(left_seen, right_seen),
-        names=track.names,
+        spots=matched,
+        names=look.names,
         seen=(left_seen, right_seen),
-        track=next_track(setup, t_s, solved, (left_seen, right_seen), track, step, innovation),
+        track=next_track(setup, t_s, solved, matched, track, step, innovation),
+        notes=left_out_notes(setup, solved, left_seen, right_seen),
         tracked=True,
         cause=solved.cause,
     )
 
 
-def _in_windows(setup: Setup, side: int, frame: Frame, expected: Array, half_window_px: int) -> Spots | None:
+def _in_windows(
+    setup: Setup, side: int, frame: Frame, expected: Array, half_window_px: int, grown: Grown
+) -> Spots | None:
     """Return the spots in the order of expected (n, 2); None where not every one was found, or one twice."""
-    spots, of = track_spots(frame.image, expected, half_window_px, setup.sides[side], grown=setup.pace.live)
+    spots, of = track_spots(frame.image, expected, half_window_px, setup.sides[side], grown)
     order, whole = of.tolist(), list(range(len(expected)))
     if order == whole:
         return spots

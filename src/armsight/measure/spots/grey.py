@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from functools import cached_property, partial
 
 import cv2
@@ -118,20 +119,29 @@ def _too_bright(outcome: int, number: float) -> str:
     return f"{100.0 * number:.0f} % of the image lies above the threshold"
 
 
+class Grown(IntEnum):
+    """Of which predictions the light is grown from its peak: before something bright a threshold cuts no light out."""
+
+    NONE, MISSED, EACH = range(3)
+
+
 def track_grey(
-    image: Image, predicted: Array, half_window_px: float, settings: SpotSettings, *, grown: bool = False
+    image: Image, predicted: Array, half_window_px: float, settings: SpotSettings, grown: Grown = Grown.NONE
 ) -> tuple[Spots, Index]:
     """Return the spots in windows around predicted (n, 2), and the prediction of each; see track_spots."""
     grey = searchable(image, settings)
     half = int(half_window_px + 0.5)
-    areas, state, survey, cut = locate_near(grey, settings.mask_bytes, settings.options, predicted, half)
+    look, grown = (grey, settings.mask_bytes, settings.options, predicted), grown if settings.threshold is None else 0
+    areas, state, survey, cut = locate_near(*look, half)
+    if grown == Grown.EACH:
+        areas, state = grow_near(*look, np.arange(len(predicted)), half)
     uv, covariance, looks, refused = measured(grey, settings, areas, state, survey)
     if len(cut):
         refused = np.concatenate([refused, cut])
-    seen = set(looks[3].tolist()) if grown and settings.threshold is None else range(len(predicted))
+    seen = set(looks[3].tolist()) if grown == Grown.MISSED else range(len(predicted))
     missed = [k for k in range(len(predicted)) if k not in seen]
     if missed:
-        areas, state = grow_near(grey, settings.mask_bytes, settings.options, predicted, np.array(missed), half)
+        areas, state = grow_near(*look, np.array(missed), half)
         more = measured(grey, settings, areas, state, survey)
         uv, covariance = np.concatenate([uv, more[0]]), np.concatenate([covariance, more[1]])
         looks = np.concatenate([looks, more[2]], axis=1)
