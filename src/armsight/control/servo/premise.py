@@ -188,5 +188,7 @@ def likelihoods(paths: Array, doubt: Array, variances: Array, variance_m2: Array
     projector = (np.linalg.inv(root) @ weighed).reshape(-1, len(x))
     explained = np.square(projector @ x).reshape(len(LEVELS), len(g), -1).sum(axis=1)
     spread_log = np.log(V).sum(axis=1) + 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-    likely = -0.5 * ((1.0 / V) @ np.square(x) - explained + spread_log[:, None]) - CALM * np.arange(len(LEVELS))[:, None]
+    likely = (
+        -0.5 * ((1.0 / V) @ np.square(x) - explained + spread_log[:, None]) - CALM * np.arange(len(LEVELS))[:, None]
+    )
     return likely.max(axis=0), likely.argmax(axis=0)

@@ -140,7 +140,7 @@ def bank() -> tuple[tuple[Premise, ...], Array, Array]:
 
 
 def honest_errors() -> list[Array]:
-    """Return the weights (TERMS, 3) of small errors of a calibration: by turn, scale, place, a standard deviation each."""
+    """Return the weights (TERMS, 3) of a calibration's errors by turn, scale and place, a standard deviation each."""
     believed, still, eps = np.eye(3), np.zeros(3), 1e-6
     steps = [(HONEST_RAD, skew(axis), still) for axis in np.eye(3)]
     steps += [(HONEST_SCALE, believed, still)] + [(HONEST_M, np.zeros((3, 3)), axis) for axis in np.eye(3)]

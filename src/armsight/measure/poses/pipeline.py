@@ -16,8 +16,8 @@ from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
-from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
-from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, Grown, find_candidates, track_spots
+from armsight.measure.poses.tracking import MAX_GAP_S, continuation, half_window_px, jumped, next_track
+from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, Grown, alone, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, parallel_rig
 from armsight.records import (
@@ -62,10 +62,11 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
         return measure_board_pair(setup, left, right, t_s)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
-    for grown in _looks(setup, track):
-        measured = _measure_windows(setup, left, right, t_s, track, grown)
-        if measured is not None:
-            return measured
+    if track is not None:
+        for grown in _looks(setup, track):
+            measured = _measure_windows(setup, left, right, t_s, track, grown)
+            if measured is not None:
+                return measured
     at_left, at_right = _candidates(setup, left, right)
     frames = left, right
     measured = _measure_candidates(setup, frames, t_s, at_left, at_right, track)
@@ -81,16 +82,16 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
 
 
-def _looks(setup: Setup, track: Track | None) -> tuple[Grown, ...]:
-    """Return how the lights are looked for in windows before complete pictures are searched; live, where it hastens.
+def _looks(setup: Setup, track: Track) -> tuple[Grown, ...]:
+    """Return how lights are looked for in windows, one after the other, before complete pictures are searched.
 
-    There the windows follow a light that was hidden in the moment before as well, and each light is grown from its peak
-    where what lies above a threshold gave no pose.
+    Live, a light that was hidden in the moment before has a window as well, and each is grown from its peak where what
+    lies above a threshold gave no pose.
     """
-    live = setup.pace.live and setup.target.model_known
-    if track is None or not (track.complete or (live and len(track.names) == len(setup.model))):
-        return ()
-    return (Grown.MISSED, Grown.EACH) if live else (Grown.MISSED if setup.pace.live else Grown.NONE,)
+    if not setup.pace.live:
+        return (Grown.NONE,) if track.complete else ()
+    known = setup.target.model_known and len(track.names) == len(setup.model)
+    return (Grown.MISSED, Grown.EACH) if track.complete or known else ()
 
 
 def _too_many(setup: Setup, measured: Measured) -> bool:
@@ -275,8 +276,7 @@ def _measure_windows(
         return None
     solved, matched = look.solved, (look.left, look.right)
     step = continuation(setup, track, t_s, solved)
-    alone = setup.pace.live and track.complete and not (left_seen.rejected or right_seen.rejected)
-    if not (step.likely or (step.possible and alone)):
+    if not step.likely and not (step.possible and _all_seen(setup, (left, right), at, (left_seen, right_seen), track)):
         return None
     innovation = None
     if not look.hidden:
@@ -294,6 +294,21 @@ def _measure_windows(
         tracked=True,
         cause=solved.cause,
     )
+
+
+def _all_seen(setup: Setup, frames: Pair, expected: Array, seen: tuple[Spots, Spots], track: Track) -> bool:
+    """Tell whether a knock may be judged by what is in windows: live, where the track was complete.
+
+    No more may stand out like a light in windows as wide as before the first motion, about each place expected
+    (2, n, 2): else the target may be elsewhere, and complete pictures are searched.
+    """
+    if not (setup.pace.live and track.complete):
+        return False
+    half = half_window_px(seen, None)
+    if setup.overlaid:
+        both = np.concatenate([one.uv_px for one in seen])
+        return alone(frames[0].image, expected.reshape(-1, 2), half, both, setup.sides[0])
+    return all(alone(frames[s].image, expected[s], half, seen[s].uv_px, setup.sides[s]) for s in (0, 1))
 
 
 def _in_windows(

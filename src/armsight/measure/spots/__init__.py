@@ -2,7 +2,7 @@
 
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.find import find_candidates, find_spots, track_spots, warm_up
-from armsight.measure.spots.grey import CANDIDATE, FIT_S, SECOND_LOOK, TOUCHING, Candidates, Grown
+from armsight.measure.spots.grey import CANDIDATE, FIT_S, SECOND_LOOK, TOUCHING, Candidates, Grown, alone
 
 __all__ = [
     "CANDIDATE",
@@ -12,6 +12,7 @@ __all__ = [
     "Candidates",
     "Grown",
     "SpotSettings",
+    "alone",
     "find_candidates",
     "find_spots",
     "track_spots",

@@ -30,10 +30,10 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import whiten_clipped
-from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, grow_near, locate, locate_near
+from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, alone_near, grow_near, locate, locate_near
 from armsight.measure.spots.kernels.measure_areas import measure_areas
 from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
-from armsight.records import Spots, trusted
+from armsight.records import Spots, for_kernels, trusted
 
 Rejected = tuple[tuple[float, float, str], ...]
 Located = tuple[Array, NDArray[np.int64], Array, int]
@@ -131,14 +131,15 @@ def track_grey(
     """Return the spots in windows around predicted (n, 2), and the prediction of each; see track_spots."""
     grey = searchable(image, settings)
     half = int(half_window_px + 0.5)
-    look, grown = (grey, settings.mask_bytes, settings.options, predicted), grown if settings.threshold is None else 0
+    look = grey, settings.mask_bytes, settings.options, predicted
+    grown = grown if settings.threshold is None else Grown.NONE
     areas, state, survey, cut = locate_near(*look, half)
-    if grown == Grown.EACH:
+    if grown is Grown.EACH:
         areas, state = grow_near(*look, np.arange(len(predicted)), half)
     uv, covariance, looks, refused = measured(grey, settings, areas, state, survey)
     if len(cut):
         refused = np.concatenate([refused, cut])
-    seen = set(looks[3].tolist()) if grown == Grown.MISSED else range(len(predicted))
+    seen = set(looks[3].tolist()) if grown is Grown.MISSED else range(len(predicted))
     missed = [k for k in range(len(predicted)) if k not in seen]
     if missed:
         areas, state = grow_near(*look, np.array(missed), half)
@@ -146,6 +147,17 @@ def track_grey(
         uv, covariance = np.concatenate([uv, more[0]]), np.concatenate([covariance, more[1]])
         looks = np.concatenate([looks, more[2]], axis=1)
     return record(uv, covariance, looks, refused), looks[3].astype(np.intp)
+
+
+def alone(image: Image, expected: Array, half_window_px: int, seen_px: Array, settings: SpotSettings) -> bool:
+    """Tell whether nothing but lights at seen_px (m, 2) stands out like one in windows around expected (n, 2).
+
+    False where that is not known: of colours, shapes, or above a threshold given.
+    """
+    if settings.colour is not None or settings.method == "seed" or settings.threshold is not None:
+        return False
+    grey = searchable(image, settings)
+    return bool(alone_near(grey, settings.mask_bytes, settings.options, expected, half_window_px, for_kernels(seen_px)))
 
 
 def measured(
