@@ -16,8 +16,8 @@ from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
-from armsight.measure.poses.tracking import MAX_GAP_S, continuation, half_window_px, jumped, next_track
-from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, Grown, alone, find_candidates, track_spots
+from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
+from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, Grown, Part, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, parallel_rig
 from armsight.records import (
@@ -36,6 +36,11 @@ Pair = tuple[Frame, Frame]
 
 NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring stops here"
 _MASK = "mask the background, lower the exposure, or give the target one more light"
+NEARBY_PX = 64
+"""How far beyond the places expected a live picture is searched for a target that was knocked, or whose lights are not
+told by windows, before all of it is."""
+COARSEST_PX = 32
+"""Pixels of a picture to one of the pyramid's coarsest level at most."""
 FIT_SHARE = 0.15
 """Share of a deadline that is for measuring the chosen lights of an image."""
 
@@ -62,11 +67,8 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
         return measure_board_pair(setup, left, right, t_s)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
-    if track is not None:
-        for grown in _looks(setup, track):
-            measured = _measure_windows(setup, left, right, t_s, track, grown)
-            if measured is not None:
-                return measured
+    if track is not None and (tracked := _measure_tracked(setup, left, right, t_s, track)) is not None:
+        return tracked
     at_left, at_right = _candidates(setup, left, right)
     frames = left, right
     measured = _measure_candidates(setup, frames, t_s, at_left, at_right, track)
@@ -82,16 +84,22 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
 
 
-def _looks(setup: Setup, track: Track) -> tuple[Grown, ...]:
-    """Return how lights are looked for in windows, one after the other, before complete pictures are searched.
+def _measure_tracked(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
+    """Return the pose from where the track expects the lights; None where complete pictures are to be searched.
 
-    Live, a light that was hidden in the moment before has a window as well, and each is grown from its peak where what
-    lies above a threshold gave no pose.
+    Live, a light that was hidden in the moment before has a window as well, each is grown from its peak where what lies
+    above a threshold gave no pose, and what is nearby is searched before the complete pictures.
     """
-    if not setup.pace.live:
-        return (Grown.NONE,) if track.complete else ()
-    known = setup.target.model_known and len(track.names) == len(setup.model)
-    return (Grown.MISSED, Grown.EACH) if track.complete or known else ()
+    live = setup.pace.live
+    known = live and setup.target.model_known and len(track.names) == len(setup.model)
+    looks = (Grown.MISSED, Grown.EACH) if live else (Grown.NONE,)
+    for grown in looks if track.complete or known else ():
+        measured = _measure_windows(setup, left, right, t_s, track, grown)
+        if isinstance(measured, Measured):
+            return measured
+        if measured is Unseen.MOTION:
+            break
+    return _measure_nearby(setup, (left, right), t_s, track) if live and track.complete and known else None
 
 
 def _too_many(setup: Setup, measured: Measured) -> bool:
@@ -104,12 +112,15 @@ def _more_to_see(candidates: Candidates, seen: Spots) -> bool:
     return candidates.room or any(why in SECOND_LOOK for _, _, why in seen.rejected)
 
 
-def _candidates(setup: Setup, left: Frame, right: Frame) -> tuple[Candidates, Candidates]:
-    """Return what may be a light in both images; one image that holds both views is searched once."""
-    if setup.overlaid:
-        found = find_candidates(left.image, setup.sides[0], setup.pace)
-        return found, found
-    return setup.pace.both(lambda side: find_candidates((left, right)[side].image, setup.sides[side], setup.pace))
+def _candidates(
+    setup: Setup, left: Frame, right: Frame, parts: Sequence[Part | None] = (None, None)
+) -> tuple[Candidates, Candidates]:
+    """Return what may be a light in parts of both images; one image that holds both views is searched once."""
+
+    def search(side: int) -> Candidates:
+        return find_candidates((left, right)[side].image, setup.sides[side], setup.pace, parts[side])
+
+    return (search(0),) * 2 if setup.overlaid else setup.pace.both(search)
 
 
 def _closer(setup: Setup, left: Candidates, right: Candidates) -> tuple[Candidates, Candidates]:
@@ -251,10 +262,10 @@ def check_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
 
 def _measure_windows(
     setup: Setup, left: Frame, right: Frame, t_s: float, track: Track, grown: Grown
-) -> Measured | None:
+) -> Measured | Unseen | None:
     """Return the pose from windows around the predicted spots; None where not every one of them is found and fits.
 
-    Live, a pose of lights beside which nothing else is bright is taken where a knock may have brought the target there.
+    MOTION where the target does not go on as it moved.
     """
     n, packed = len(track.names), setup.packed
     predicted, at = np.empty((n, 3)), np.empty((2, n, 2))
@@ -276,8 +287,8 @@ def _measure_windows(
         return None
     solved, matched = look.solved, (look.left, look.right)
     step = continuation(setup, track, t_s, solved)
-    if not step.likely and not (step.possible and _all_seen(setup, (left, right), at, (left_seen, right_seen), track)):
-        return None
+    if not step.likely:
+        return Unseen.MOTION
     innovation = None
     if not look.hidden:
         if track.motion is None and jumped(setup, track, t_s, solved):
@@ -296,19 +307,30 @@ def _measure_windows(
     )
 
 
-def _all_seen(setup: Setup, frames: Pair, expected: Array, seen: tuple[Spots, Spots], track: Track) -> bool:
-    """Tell whether a knock may be judged by what is in windows: live, where the track was complete.
+def _measure_nearby(setup: Setup, frames: Pair, t_s: float, track: Track) -> Measured | None:
+    """Return the pose from a search of the pictures' part in which a target of which all was seen is expected.
 
-    No more may stand out like a light in windows as wide as before the first motion, about each place expected
-    (2, n, 2): else the target may be elsewhere, and complete pictures are searched.
+    Lights there are named anew, among all that is like one, and measured as in complete pictures. None where the pose
+    is not whole.
     """
-    if not (setup.pace.live and track.complete):
-        return False
-    half = half_window_px(seen, None)
-    if setup.overlaid:
-        both = np.concatenate([one.uv_px for one in seen])
-        return alone(frames[0].image, expected.reshape(-1, 2), half, both, setup.sides[0])
-    return all(alone(frames[s].image, expected[s], half, seen[s].uv_px, setup.sides[s]) for s in (0, 1))
+    n, dt = len(track.names), t_s - track.t_s
+    at, places = np.empty((2, n, 2)), np.empty((n, 3))
+    if n < 3 or not kernels.predict_views(setup.packed.arrays, track.xyz_m, track.velocity_m_s, dt, places, at):
+        return None
+    expected = at.reshape(1, 2 * n, 2) if setup.overlaid else at
+    found = _candidates(setup, *frames, [_part_about(one) for one in expected])
+    measured = _measure_candidates(setup, frames, t_s, *found, track)
+    whole = measured.pose.status is PoseStatus.OK and measured.names == setup.model.names
+    return replace(measured, tracked=True) if whole else None
+
+
+def _part_about(expected: Array) -> Part:
+    """Return the rows and columns NEARBY_PX about the places expected (n, 2), begun where the whole pyramid's pixels
+    begin."""
+    first = np.maximum((expected.min(axis=0) - NEARBY_PX) // COARSEST_PX * COARSEST_PX, 0.0)
+    last = np.maximum(expected.max(axis=0) + NEARBY_PX, 0.0)
+    x, y = (slice(a, b) for a, b in zip(first.astype(int).tolist(), last.astype(int).tolist(), strict=True))
+    return y, x
 
 
 def _in_windows(

@@ -2,7 +2,7 @@
 
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.find import find_candidates, find_spots, track_spots, warm_up
-from armsight.measure.spots.grey import CANDIDATE, FIT_S, SECOND_LOOK, TOUCHING, Candidates, Grown, alone
+from armsight.measure.spots.grey import CANDIDATE, FIT_S, SECOND_LOOK, TOUCHING, Candidates, Grown, Part
 
 __all__ = [
     "CANDIDATE",
@@ -11,8 +11,8 @@ __all__ = [
     "TOUCHING",
     "Candidates",
     "Grown",
+    "Part",
     "SpotSettings",
-    "alone",
     "find_candidates",
     "find_spots",
     "track_spots",

@@ -30,14 +30,16 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import whiten_clipped
-from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, alone_near, grow_near, locate, locate_near
+from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, grow_near, locate, locate_near
 from armsight.measure.spots.kernels.measure_areas import measure_areas
 from armsight.measure.spots.kernels.peaks import add_peaks, strongest_first
-from armsight.records import Spots, for_kernels, trusted
+from armsight.records import Spots, trusted
 
 Rejected = tuple[tuple[float, float, str], ...]
 Located = tuple[Array, NDArray[np.int64], Array, int]
 """What `locate` returns of an image: areas, their state, the survey, outcome."""
+Part = tuple[slice, slice]
+"""Rows and columns of an image in which lights before a room are looked for."""
 
 MODEL_NAMES = ("gaussian", "ellipse", "joint", "streak", "centroid")
 """How a spot was measured, in the order of the kernels' numbers."""
@@ -63,25 +65,28 @@ SECOND_LOOK = frozenset(REASONS[i] for i in (BORDER, LARGE, FAILED, SATURATED, U
 """Reasons behind which a light may hide: it stands before something bright, or touches it."""
 
 
-def grey_candidates(image: Image, settings: SpotSettings, pace: Pace) -> Candidates:
+def grey_candidates(image: Image, settings: SpotSettings, pace: Pace, part: Part | None = None) -> Candidates:
     """Return what may be a light in an image (h, w) or (h, w, 3), searched as grey; see find_candidates."""
     grey = searchable(image, settings)
-    return _among_located(grey, settings, pace, locate(grey, settings.mask_bytes, settings.options), faint=False)
+    located = locate(grey, settings.mask_bytes, settings.options)
+    return _among_located(grey, settings, pace, located, part or (slice(None), slice(None)), faint=False)
 
 
-def _among_located(grey: Image, settings: SpotSettings, pace: Pace, located: Located, *, faint: bool) -> Candidates:
+def _among_located(
+    grey: Image, settings: SpotSettings, pace: Pace, located: Located, part: Part, *, faint: bool
+) -> Candidates:
     """Return the candidates of an image: the areas above the threshold, or, before a room, blobs of any level."""
     areas, state, survey, outcome = located
     complete = True
     refused: Rejected = ()
     free = settings.threshold is None
     room = free and (faint or outcome != FULL or not is_dark(areas, state, settings))
-    closer = partial(_among_located, grey, settings, pace, located, faint=True) if free and not faint else None
+    closer = partial(_among_located, grey, settings, pace, located, part, faint=True) if free and not faint else None
     quiet = outcome == FULL and not room and is_quiet(state, settings.max_spots)
     if room:
         if outcome == FULL:
             refused = too_large(areas, state)
-        areas, complete = blobs(grey, settings, float(survey[-1, col.NOISE]), pace, faint)
+        areas, complete = blobs(grey, settings, float(survey[-1, col.NOISE]), pace, faint, part)
         state = fresh_state(len(areas))
     if not len(areas) and outcome != FULL:
         refused = (whole_frame(grey, _too_bright(outcome, float(survey[-1, col.NUMBER]))),)
@@ -147,17 +152,6 @@ def track_grey(
         uv, covariance = np.concatenate([uv, more[0]]), np.concatenate([covariance, more[1]])
         looks = np.concatenate([looks, more[2]], axis=1)
     return record(uv, covariance, looks, refused), looks[3].astype(np.intp)
-
-
-def alone(image: Image, expected: Array, half_window_px: int, seen_px: Array, settings: SpotSettings) -> bool:
-    """Tell whether nothing but lights at seen_px (m, 2) stands out like one in windows around expected (n, 2).
-
-    False where that is not known: of colours, shapes, or above a threshold given.
-    """
-    if settings.colour is not None or settings.method == "seed" or settings.threshold is not None:
-        return False
-    grey = searchable(image, settings)
-    return bool(alone_near(grey, settings.mask_bytes, settings.options, expected, half_window_px, for_kernels(seen_px)))
 
 
 def measured(
@@ -327,23 +321,29 @@ class Candidates:
         return self.fit(self.positions(most), MANY)
 
 
-def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: bool) -> tuple[Array, bool]:
-    """Return the blobs (n, COLUMNS) of a grey image that stand out of their own surroundings, strongest first.
+def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: bool, part: Part) -> tuple[Array, bool]:
+    """Return the blobs (n, COLUMNS) of a part of a grey image that stand out of what is round them, strongest first.
 
     noise: variance of a pixel. faint: down to what the noise allows. The flag tells whether all peaks were looked at.
     """
     contrast = max(FAINT_SIGMA * float(np.sqrt(noise)), LEAST_CONTRAST) if faint else CONTRAST
-    seen = np.asarray(cv2.bitwise_not(grey), dtype=np.uint8) if settings.inverted else grey
-    peaks = pyramid_peaks(seen, contrast, settings.max_radius_px)
+    seen = np.ascontiguousarray(grey[part]).view()
+    seen.setflags(write=False)
+    mask = np.ascontiguousarray(settings.mask_bytes[part]) if settings.mask_bytes.size else settings.mask_bytes
+    bright = np.asarray(cv2.bitwise_not(seen), dtype=np.uint8) if settings.inverted else seen
+    peaks = pyramid_peaks(bright, contrast, settings.max_radius_px)
     table = np.empty((MOST, col.COLUMNS))
     n, looked, _ = grow_blobs(
-        (grey, np.uint8(255 if settings.inverted else 0), settings.saturation, settings.mask_bytes),
+        (seen, np.uint8(255 if settings.inverted else 0), settings.saturation, mask),
         peaks,
         (contrast, float(settings.min_pixels), settings.max_radius_px),
         table,
         pace.most(MOST_GROWN, GROWN_S, GROWN_SHARE),
     )
-    return table[:n], bool(looked == len(peaks))
+    found, (y, x) = table[:n], (one.start or 0 for one in part)
+    found[:, [col.SUM_X, col.SUM_Y]] += found[:, [col.WEIGHT]] * [x, y]
+    found[:, [col.X_MIN, col.X_MAX, col.Y_MIN, col.Y_MAX]] += [x, x, y, y]
+    return found, bool(looked == len(peaks))
 
 
 def pyramid_peaks(grey: Image, contrast: float, max_radius_px: float) -> NDArray[np.int64]:

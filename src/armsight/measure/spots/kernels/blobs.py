@@ -302,27 +302,12 @@ def grow_blobs(picture, peaks, limits, table, work):
     return n, looked, spent
 
 
-@lean_kernel
-def holds_any(row, places):
-    """Tell whether one of the places (m, 2) is within the box of the blob."""
-    for k in range(places.shape[0]):
-        across = row[col.X_MIN] - 0.5 <= places[k, 0] <= row[col.X_MAX] + 0.5
-        if across and row[col.Y_MIN] - 0.5 <= places[k, 1] <= row[col.Y_MAX] + 0.5:
-            return True
-    return False
-
-
 @inner_kernel
-def blob_near(picture, u, v, box, limits, known, row):
-    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none.
-
-    known (m, 2): places of blobs that are not meant. Where there are some, more peaks than are looked at count as one.
-    """
+def blob_near(picture, u, v, box, limits, row):
+    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none."""
     ring = np.empty(RING_SAMPLES)
     at = np.empty((MOST_PEAKS, 2), np.int64)
     n = nearest_peaks(picture, u, v, box, limits.contrast, at)
-    if n == MOST_PEAKS and known.shape[0] > 0:
-        return True
     reach = np.int64(0)
     marks = np.zeros((0, 0), np.int32)
     stack = np.empty(0, np.int64)
@@ -340,8 +325,7 @@ def blob_near(picture, u, v, box, limits, known, row):
                 marks = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
                 stack = np.empty(marks.size, np.int64)
             labels = Labels(marks, x - reach - 1, y - reach - 1, stack)
-            fine = blob_at(picture, x, y, top, RING * scale, limits, stamp, labels, ring, row)
-            if fine > 0.0 and not holds_any(row, known):
+            if blob_at(picture, x, y, top, RING * scale, limits, stamp, labels, ring, row) > 0.0:
                 return True
             scale *= 2
     return False

@@ -40,7 +40,6 @@ RING_NOISE = 1.35
 """Standard deviations of the noise that the quartiles of a ring may be apart where the background does not change."""
 MOST_SEEN = 32
 """Areas looked at in one window."""
-NO_PLACES = np.empty((0, 2))
 FULL, NOTHING_ABOVE, TOO_BRIGHT, BUSY = range(4)
 BUSY_SHARE = 0.5
 """Share of the blocks above an automatic threshold from which the background is no even surface but a picture."""
@@ -322,7 +321,7 @@ def locate_near(image, mask, options, predicted, half):
         i = nearest(table, count, u, v, box, options, w, h, margin)
         # a threshold tells a light from its background, not from a bright room: there it is grown from its peak
         if automatic and crowded_window(table, count, box):
-            if blob_near(picture, u, v, box, limits, NO_PLACES, seen[n]):
+            if blob_near(picture, u, v, box, limits, seen[n]):
                 if classify(seen[n], w, h, box, limits.min_pixels, limits.max_radius, margin) == BEYOND:
                     write_cut(seen[n], cut[n_cut])
                     n_cut += 1
@@ -369,23 +368,8 @@ def grow_near(image, mask, options, predicted, missed, half):
         if not (-0.5 <= u < w - 0.5 and -0.5 <= v < h - 0.5):
             continue
         set_window(u, v, half, w, h, box)
-        if blob_near(picture, u, v, box, limits, NO_PLACES, comps[n]) and find_duplicate(comps, n, comps[n]) < 0:
+        if blob_near(picture, u, v, box, limits, comps[n]) and find_duplicate(comps, n, comps[n]) < 0:
             state[n, col.OWNER] = k
             state[n, col.STATUS] = classify(comps[n], w, h, box, limits.min_pixels, limits.max_radius, 0.0)
             n += 1
     return comps[:n].copy(), state[:n].copy()
-
-
-@kernel
-def alone_near(image, mask, options, predicted, half, known):
-    """Tell whether no blob but those at the places known (m, 2) has its peak in the windows about predicted (n, 2)."""
-    h, w = image.shape
-    picture = Picture(image, np.uint8(options[col.O_FLIP]), int(options[col.O_SATURATION]), mask)
-    limits = BlobLimits(WINDOW_CONTRAST, options[col.O_MIN_PIXELS], options[col.O_MAX_RADIUS])
-    box, row = np.empty(4, np.int64), np.empty(col.COLUMNS)
-    for k in range(predicted.shape[0]):
-        u, v = predicted[k, 0], predicted[k, 1]
-        set_window(u, v, half, w, h, box)
-        if box[0] < box[1] and box[2] < box[3] and blob_near(picture, u, v, box, limits, known, row):
-            return False
-    return True
