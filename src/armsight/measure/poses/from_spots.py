@@ -69,7 +69,7 @@ def measure_among(
         missed = match.missed if chosen and match.why else explain(setup, left, right, pairs, match.missed)
         return lost_moment(t_s, (left, right), missed, track), 1.0
     i, j = pairs.index[match.best.pair].T
-    look = look_at(setup, t_s, match.best.names, (take_spots(left, i), take_spots(right, j)), seen)
+    look = _look(setup, t_s, match.best.names, (take_spots(left, i), take_spots(right, j)), seen)
     if isinstance(look, NotSeen):
         return lost_moment(t_s, (left, right), look, track), 1.0
     names, solved, matched = look.names, look.solved, (look.left, look.right)
@@ -94,7 +94,7 @@ def measure_among(
     return measured, match.chance
 
 
-def look_at(
+def _look(
     setup: Setup, t_s: float, names: tuple[str, ...], matched: tuple[Spots, Spots], frames: Pair
 ) -> Observation | NotSeen:
     """Return the lights that are there as a whole with what is solved from them, or why nothing is."""

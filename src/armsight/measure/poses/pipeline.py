@@ -11,13 +11,14 @@ from armsight.arrays import Array, Index
 from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
-from armsight.measure.poses.from_spots import left_out_notes, look_at, measure_among, measure_spots
+from armsight.measure.poses.from_spots import measure_among, measure_spots
 from armsight.measure.poses.kernels import tracking as kernels
 from armsight.measure.poses.outcome import Measured, Track, doubted, lost_moment
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
+from armsight.measure.poses.solving import solve_seen
 from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
-from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, Grown, Part, find_candidates, track_spots
+from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, Part, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, parallel_rig
 from armsight.records import (
@@ -67,7 +68,7 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
         return measure_board_pair(setup, left, right, t_s)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
-    if track is not None and (tracked := _measure_tracked(setup, left, right, t_s, track)) is not None:
+    if track is not None and (tracked := _measure_tracked(setup, (left, right), t_s, track)) is not None:
         return tracked
     at_left, at_right = _candidates(setup, left, right)
     frames = left, right
@@ -82,24 +83,6 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
         return measured
     again = _measure_candidates(setup, frames, t_s, *_closer(setup, at_left, at_right), track)
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
-
-
-def _measure_tracked(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
-    """Return the pose from where the track expects the lights; None where complete pictures are to be searched.
-
-    Live, a light that was hidden in the moment before has a window as well, each is grown from its peak where what lies
-    above a threshold gave no pose, and what is nearby is searched before the complete pictures.
-    """
-    live = setup.pace.live
-    known = live and setup.target.model_known and len(track.names) == len(setup.model)
-    looks = (Grown.MISSED, Grown.EACH) if live else (Grown.NONE,)
-    for grown in looks if track.complete or known else ():
-        measured = _measure_windows(setup, left, right, t_s, track, grown)
-        if isinstance(measured, Measured):
-            return measured
-        if measured is Unseen.MOTION:
-            break
-    return _measure_nearby(setup, (left, right), t_s, track) if live and track.complete and known else None
 
 
 def _too_many(setup: Setup, measured: Measured) -> bool:
@@ -260,68 +243,62 @@ def check_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
         )
 
 
-def _measure_windows(
-    setup: Setup, left: Frame, right: Frame, t_s: float, track: Track, grown: Grown
-) -> Measured | Unseen | None:
-    """Return the pose from windows around the predicted spots; None where not every one of them is found and fits.
-
-    MOTION where the target does not go on as it moved.
-    """
+def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
+    """Return the pose from windows around the predicted spots; None where not every one of them is found and fits."""
     n, packed = len(track.names), setup.packed
     predicted, at = np.empty((n, 3)), np.empty((2, n, 2))
     dt = t_s - track.t_s
     if not kernels.predict_views(packed.arrays, track.xyz_m, track.velocity_m_s, dt, predicted, at):
         return None
     if setup.overlaid:
-        both = _in_windows(setup, 0, left, at.reshape(2 * n, 2), track.half_window_px, grown)
+        both = _in_windows(setup, 0, left, at.reshape(2 * n, 2), track.half_window_px)
         left_seen, right_seen = (
             (None, None) if both is None else (both.take(list(range(n))), both.take(list(range(n, 2 * n))))
         )
     else:
-        left_seen = _in_windows(setup, 0, left, at[0], track.half_window_px, grown)
-        right_seen = None if left_seen is None else _in_windows(setup, 1, right, at[1], track.half_window_px, grown)
+        left_seen = _in_windows(setup, 0, left, at[0], track.half_window_px)
+        right_seen = None if left_seen is None else _in_windows(setup, 1, right, at[1], track.half_window_px)
     if left_seen is None or right_seen is None:
         return None
-    look = look_at(setup, t_s, track.names, (left_seen, right_seen), (left, right))
-    if isinstance(look, NotSeen) or not look.solved.fits or (look.hidden and grown is not Grown.EACH):
+    seen = solve_seen(setup, t_s, track.names, left_seen, right_seen, (left, right))
+    solved, left_seen, right_seen = seen.solved, seen.left, seen.right
+    if not solved.fits or solved.pose.status is PoseStatus.LOST or seen.hidden:
         return None
-    solved, matched = look.solved, (look.left, look.right)
     step = continuation(setup, track, t_s, solved)
-    if not step.likely:
-        return Unseen.MOTION
-    innovation = None
-    if not look.hidden:
-        if track.motion is None and jumped(setup, track, t_s, solved):
-            return None
-        innovation = max(map(kernels.largest_innovation, (left_seen.uv_px, right_seen.uv_px), at))
+    if not step.likely or (track.motion is None and jumped(setup, track, t_s, solved)):
+        return None
+    innovation = max(map(kernels.largest_innovation, (left_seen.uv_px, right_seen.uv_px), at))
     return Measured(
         pose=solved.pose,
         points=solved.points,
-        spots=matched,
-        names=look.names,
+        spots=(left_seen, right_seen),
+        names=track.names,
         seen=(left_seen, right_seen),
-        track=next_track(setup, t_s, solved, matched, track, step, innovation),
-        notes=left_out_notes(setup, solved, left_seen, right_seen),
+        track=next_track(setup, t_s, solved, (left_seen, right_seen), track, step, innovation),
         tracked=True,
         cause=solved.cause,
     )
 
 
-def _measure_nearby(setup: Setup, frames: Pair, t_s: float, track: Track) -> Measured | None:
-    """Return the pose from a search of the pictures' part in which a target of which all was seen is expected.
+def _measure_tracked(setup: Setup, frames: Pair, t_s: float, track: Track) -> Measured | None:
+    """Return the pose from where the track expects the lights; None where complete pictures are to be searched.
 
-    Lights there are named anew, among all that is like one, and measured as in complete pictures. None where the pose
-    is not whole.
+    Live, what is near the place of a target whose lights windows do not tell is searched first: what is like a light
+    there is named anew and measured, as in complete pictures.
     """
-    n, dt = len(track.names), t_s - track.t_s
+    if track.complete and (measured := _measure_windows(setup, *frames, t_s, track)) is not None:
+        return measured
+    n, m, dt = len(track.names), len(setup.model), t_s - track.t_s
     at, places = np.empty((2, n, 2)), np.empty((n, 3))
-    if n < 3 or not kernels.predict_views(setup.packed.arrays, track.xyz_m, track.velocity_m_s, dt, places, at):
+    if not setup.pace.live or not setup.target.model_known or not n == m >= 3:
+        return None
+    if not kernels.predict_views(setup.packed.arrays, track.xyz_m, track.velocity_m_s, dt, places, at):
         return None
     expected = at.reshape(1, 2 * n, 2) if setup.overlaid else at
     found = _candidates(setup, *frames, [_part_about(one) for one in expected])
     measured = _measure_candidates(setup, frames, t_s, *found, track)
-    whole = measured.pose.status is PoseStatus.OK and measured.names == setup.model.names
-    return replace(measured, tracked=True) if whole else None
+    whole = measured.pose.status is PoseStatus.OK and len(measured.names) == m
+    return replace(measured, tracked=True) if whole or measured.cause is Unseen.HALF_HIDDEN else None
 
 
 def _part_about(expected: Array) -> Part:
@@ -333,11 +310,9 @@ def _part_about(expected: Array) -> Part:
     return y, x
 
 
-def _in_windows(
-    setup: Setup, side: int, frame: Frame, expected: Array, half_window_px: int, grown: Grown
-) -> Spots | None:
+def _in_windows(setup: Setup, side: int, frame: Frame, expected: Array, half_window_px: int) -> Spots | None:
     """Return the spots in the order of expected (n, 2); None where not every one was found, or one twice."""
-    spots, of = track_spots(frame.image, expected, half_window_px, setup.sides[side], grown)
+    spots, of = track_spots(frame.image, expected, half_window_px, setup.sides[side], grown=setup.pace.live)
     order, whole = of.tolist(), list(range(len(expected)))
     if order == whole:
         return spots

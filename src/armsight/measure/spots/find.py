@@ -15,7 +15,6 @@ from armsight.measure.spots.colour import coloured_candidates, track_coloured
 from armsight.measure.spots.grey import (
     FIT_S,
     Candidates,
-    Grown,
     Part,
     fresh_state,
     grey_candidates,
@@ -68,15 +67,16 @@ def track_spots(
     predicted_uv_px: ArrayLike,
     half_window_px: float,
     settings: SpotSettings = DEFAULTS,
-    grown: Grown = Grown.NONE,
+    *,
+    grown: bool = False,
 ) -> tuple[Spots, Index]:
     """Return the spots in windows around predicted_uv_px (n, 2), and the prediction that each belongs to.
 
     In each window of half_window_px to either side, the bright area nearest to the prediction is measured as in
     find_spots; two predictions never share one. A prediction whose window is dark, or whose spot was rejected, has
-    no entry. Touching spots give two spots of the same prediction. grown: which grey lights are grown from their peaks,
-    as they may hang together with what they stand before. Raises as find_spots, and Inconsistent where the predictions
-    are not an (n, 2) array of finite numbers or the window is empty.
+    no entry. Touching spots give two spots of the same prediction. grown: a grey light that hangs together with what
+    it stands before is then grown from its peak. Raises as find_spots, and Inconsistent where
+    the predictions are not an (n, 2) array of finite numbers or the window is empty.
     """
     predicted = np.ascontiguousarray(predicted_uv_px, dtype=np.float64)
     if predicted.ndim != 2 or predicted.shape[1] != 2 or not np.isfinite(predicted).all():
@@ -87,7 +87,7 @@ def track_spots(
         return track_coloured(image, predicted, half_window_px, settings)
     if settings.method == "seed":
         return track_seeded(image, predicted, half_window_px, settings)
-    return track_grey(image, predicted, half_window_px, settings, grown)
+    return track_grey(image, predicted, half_window_px, settings, grown=grown)
 
 
 def warm_up() -> None:
@@ -101,7 +101,7 @@ def warm_up() -> None:
     room[80:84, 10:14] = 255
     for settings, image in ((DEFAULTS, grey), (SpotSettings(colour=RED), red), (SpotSettings(colour=RED), room)):
         find_spots(image, settings)
-        track_spots(image, [[60.0, 50.0], [9.0, 86.0]], 16.0, settings, Grown.MISSED)
+        track_spots(image, [[60.0, 50.0], [9.0, 86.0]], 16.0, settings, grown=True)
 
 
 ARMS = (4, 2)

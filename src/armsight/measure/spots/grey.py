@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from functools import cached_property, partial
 
 import cv2
@@ -124,30 +123,20 @@ def _too_bright(outcome: int, number: float) -> str:
     return f"{100.0 * number:.0f} % of the image lies above the threshold"
 
 
-class Grown(IntEnum):
-    """Of which predictions the light is grown from its peak: before something bright a threshold cuts no light out."""
-
-    NONE, MISSED, EACH = range(3)
-
-
 def track_grey(
-    image: Image, predicted: Array, half_window_px: float, settings: SpotSettings, grown: Grown = Grown.NONE
+    image: Image, predicted: Array, half_window_px: float, settings: SpotSettings, *, grown: bool = False
 ) -> tuple[Spots, Index]:
     """Return the spots in windows around predicted (n, 2), and the prediction of each; see track_spots."""
     grey = searchable(image, settings)
     half = int(half_window_px + 0.5)
-    look = grey, settings.mask_bytes, settings.options, predicted
-    grown = grown if settings.threshold is None else Grown.NONE
-    areas, state, survey, cut = locate_near(*look, half)
-    if grown is Grown.EACH:
-        areas, state = grow_near(*look, np.arange(len(predicted)), half)
+    areas, state, survey, cut = locate_near(grey, settings.mask_bytes, settings.options, predicted, half)
     uv, covariance, looks, refused = measured(grey, settings, areas, state, survey)
     if len(cut):
         refused = np.concatenate([refused, cut])
-    seen = set(looks[3].tolist()) if grown is Grown.MISSED else range(len(predicted))
+    seen = set(looks[3].tolist()) if grown and settings.threshold is None else range(len(predicted))
     missed = [k for k in range(len(predicted)) if k not in seen]
     if missed:
-        areas, state = grow_near(*look, np.array(missed), half)
+        areas, state = grow_near(grey, settings.mask_bytes, settings.options, predicted, np.array(missed), half)
         more = measured(grey, settings, areas, state, survey)
         uv, covariance = np.concatenate([uv, more[0]]), np.concatenate([covariance, more[1]])
         looks = np.concatenate([looks, more[2]], axis=1)

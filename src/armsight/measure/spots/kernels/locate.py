@@ -9,7 +9,7 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel, lean_kernel
 from armsight.measure.spots.kernels import columns as col
 from armsight.measure.spots.kernels.area import ACCEPTED, BEYOND, HOT, OTHER, SMALL, boxes_overlap, classify
-from armsight.measure.spots.kernels.blobs import RING_SAMPLES, BlobLimits, blob_near, find_duplicate, ring_level
+from armsight.measure.spots.kernels.blobs import RING_SAMPLES, BlobLimits, blob_near, ring_level
 from armsight.measure.spots.kernels.columns import Picture, copy_to
 from armsight.measure.spots.kernels.scan import (
     BLOCK,
@@ -368,7 +368,7 @@ def grow_near(image, mask, options, predicted, missed, half):
         if not (-0.5 <= u < w - 0.5 and -0.5 <= v < h - 0.5):
             continue
         set_window(u, v, half, w, h, box)
-        if blob_near(picture, u, v, box, limits, comps[n]) and find_duplicate(comps, n, comps[n]) < 0:
+        if blob_near(picture, u, v, box, limits, comps[n]):
             state[n, col.OWNER] = k
             state[n, col.STATUS] = classify(comps[n], w, h, box, limits.min_pixels, limits.max_radius, 0.0)
             n += 1
