@@ -316,9 +316,8 @@ def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: 
     noise: variance of a pixel. faint: down to what the noise allows. The flag tells whether all peaks were looked at.
     """
     contrast = max(FAINT_SIGMA * float(np.sqrt(noise)), LEAST_CONTRAST) if faint else CONTRAST
-    seen = np.ascontiguousarray(grey[part]).view()
-    seen.setflags(write=False)
-    mask = np.ascontiguousarray(settings.mask_bytes[part]) if settings.mask_bytes.size else settings.mask_bytes
+    seen, mask = _cut_out(grey, part), settings.mask_bytes
+    mask = _cut_out(mask, part) if mask.size else mask
     bright = np.asarray(cv2.bitwise_not(seen), dtype=np.uint8) if settings.inverted else seen
     peaks = pyramid_peaks(bright, contrast, settings.max_radius_px)
     table = np.empty((MOST, col.COLUMNS))
@@ -333,6 +332,13 @@ def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: 
     found[:, [col.SUM_X, col.SUM_Y]] += found[:, [col.WEIGHT]] * [x, y]
     found[:, [col.X_MIN, col.X_MAX, col.Y_MIN, col.Y_MAX]] += [x, x, y, y]
     return found, bool(looked == len(peaks))
+
+
+def _cut_out(image: Image, part: Part) -> Image:
+    """Return a part of an image, contiguous and read-only as all of it is: one compilation serves both."""
+    cut = np.ascontiguousarray(image[part]).view()
+    cut.setflags(write=False)
+    return cut
 
 
 def pyramid_peaks(grey: Image, contrast: float, max_radius_px: float) -> NDArray[np.int64]:
