@@ -106,7 +106,7 @@ def weights(M: Array, m: Array) -> Array:
     the axes of what is seen, where the noise is as claimed.
     """
     seen = np.vstack([np.column_stack([M, m]), [0.0, 0.0, 0.0, 1.0]])
-    return np.einsum("il,sj->lsji", np.linalg.inv(M), seen).reshape(TERMS, 3)
+    return np.asarray(np.einsum("il,sj->lsji", np.linalg.inv(M), seen).reshape(TERMS, 3))
 
 
 @cache
