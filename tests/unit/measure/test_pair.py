@@ -106,6 +106,38 @@ def test_a_light_that_touches_something_bright_is_measured_in_its_window_where_s
         track = measured.track
 
 
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside another"])
+@pytest.mark.parametrize("setup", [SETUP, LIVE], ids=["file", "live"])
+def test_a_knock_is_told_by_what_is_nearby_where_somebody_waits(setup: Setup, beside: bool) -> None:
+    track: Track | None = None
+    for number in range(10):
+        T = pose_at(number, 0.001)
+        if number == 9:
+            T = RigidTransform.from_components(np.add(T.translation, [0.0, 0.004, 0.0]), T.rotation)
+        points = T.apply(X)
+        if beside and number == 9:
+            points = np.vstack([points, points[0] + [0.012, 0.0, 0.05]])
+        measured = measure_pair(setup, *frames(points, number), track)
+        assert_pose(measured, T)
+        assert measured.tracked is (0 < number < 9 or (number == 9 and setup is LIVE))
+        track = measured.track
+
+
+@pytest.mark.parametrize("setup", [SETUP, LIVE], ids=["file", "live"])
+def test_a_light_that_was_hidden_for_a_moment_is_looked_for_in_its_window_where_somebody_waits(setup: Setup) -> None:
+    track: Track | None = None
+    for number in range(6):
+        T = pose_at(number)
+        points = T.apply(X[:2] if number == 4 else X)
+        measured = measure_pair(setup, *frames(points, number), track)
+        track = measured.track
+        if number == 4:
+            assert measured.pose.status is PoseStatus.POSITION_ONLY
+        else:
+            assert_pose(measured, T)
+            assert measured.tracked is (0 < number < 4 or (number == 5 and setup is LIVE))
+
+
 def test_a_jump_out_of_the_windows_falls_back_to_the_whole_frame() -> None:
     first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))
     jumped = RigidTransform.from_components([-0.1, 0.06, 0.7], Rotation.from_rotvec([-0.1, 0.3, 1.0]))

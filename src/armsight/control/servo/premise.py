@@ -14,12 +14,13 @@ honest runs, closed loop or not (Ville 1939).
 from __future__ import annotations
 
 from collections import deque
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
-from armsight.control.servo.premise_bank import UNMOVED, Premise, bank, late_by
+from armsight.control.servo.premise_bank import TERMS, UNMOVED, Premise, bank, late_by
 from armsight.units import DEG
 
 FRAMES, FEWEST = 40, 7
@@ -57,6 +58,8 @@ STILL_M, STILL_RAD = 5e-4, 0.1 * DEG
 """A camera that moved less in the window tells nothing."""
 LEVER_M = 0.01 / (2.0 * DEG)
 """A turn counts as the way at this lever: 2 degrees as 10 mm."""
+TICK_S = 1e-4
+"""Step in which the times of a window are told where a hand's shapes are made from them: even frames share theirs."""
 
 
 class PremiseWatch:
@@ -66,10 +69,12 @@ class PremiseWatch:
         """others: premises under which the cameras are elsewhere; where, is told with each frame. late_s: by how much
         pictures may be older than their times."""
         self._others, self._late_s = others, late_s
-        self._t_s: deque[float] = deque(maxlen=FRAMES + BACK[-1])
-        self._T: deque[Array] = deque(maxlen=FRAMES + BACK[-1])
-        self._seen: deque[Array] = deque(maxlen=FRAMES)
-        self._elsewhere: deque[Array] = deque(maxlen=FRAMES)
+        self._t_s: deque[float] = deque(maxlen=FRAMES)
+        self._T: deque[Array] = deque(maxlen=BACK[-1] + 1)
+        self._rows: deque[Array] = deque(maxlen=FRAMES)
+        self._turns: deque[Array] = deque(maxlen=FRAMES)
+        handicaps = [one.handicap for one in (*bank()[0], UNMOVED, *map(late_by, BACK), *others)]
+        self._handicaps = np.array(handicaps)
         self._anew = False
         self._unfit = 0
         self.way_m = 0.0
@@ -93,9 +98,14 @@ class PremiseWatch:
             self.way_m += float(max(way_m, LEVER_M * turn))
         self._t_s.append(t_s)
         self._T.append(T_frame_rig)
-        self._seen.append(np.concatenate([xyz_m, sigma_m]))
-        self._elsewhere.append(np.empty((0, 4, 4)) if others is None else others)
-        if len(self._seen) >= FEWEST:
+        newest = len(self._T) - 1
+        T = np.array([self._T[max(newest - k, 0)] for k in BACK])  # where it was before the first frame, it stood
+        T = T if others is None else np.concatenate([T, others])
+        point = np.append(xyz_m, 1.0)
+        products = T_frame_rig[:3, :, None] * point
+        self._rows.append(np.concatenate([products.ravel(), xyz_m, (T[:, :3] @ point).ravel(), sigma_m]))
+        self._turns.append(np.concatenate([np.eye(3)[None], T[:, :3, :3]]))
+        if len(self._rows) >= FEWEST:
             self.wrong = self._judged()
 
     def refuse(self, premise: Premise) -> None:
@@ -106,7 +116,7 @@ class PremiseWatch:
 
     def begin(self) -> None:
         """Begin anew: another track of the target. For the thread that sees."""
-        for kept in (self._t_s, self._T, self._seen, self._elsewhere):
+        for kept in (self._t_s, self._T, self._rows, self._turns):
             kept.clear()
         self.way_m, self.wrong, self._anew = 0.0, None, False
 
@@ -118,39 +128,36 @@ class PremiseWatch:
     def _judged(self) -> Premise | None:
         """Return the likeliest premise where one is far likelier than the one believed; once it was, with each frame
         anew: the first that is likely is not always the likeliest in the end."""
-        n = len(self._seen)
-        T, seen = np.array(self._T), np.array(self._seen)
-        t_s, now = np.array(self._t_s)[-n:], T[-n:]
-        if max(np.ptp(now[:, :3, 3], axis=0).max() / STILL_M, np.ptp(now[:, :3, :3], axis=0).max() / STILL_RAD) < 1.0:
+        n, t_s, rows = len(self._rows), np.array(self._t_s), np.array(self._rows)
+        products, ways, sigma_m = rows[:, :TERMS], rows[:, TERMS:-3], rows[:, -3:]
+        T = products.reshape(n, 3, 4, 4)[..., 3]
+        moved = T.max(axis=0) - T.min(axis=0)
+        if max(moved[:, 3].max() / STILL_M, moved[:, :3].max() / STILL_RAD) < 1.0:
             return self.wrong
-        xyz_m, sigma_m = seen[:, :3], np.sqrt(np.square(seen[:, 3:]).mean(axis=0) + FLOOR_M**2)
-        variances, modes = hand_modes(t_s)
-        rows = np.arange(len(T) - n, len(T)) - np.array(BACK)[:, None]  # where it was before the first frame, it stood
-        elsewhere = np.array([*self._elsewhere]).swapaxes(0, 1)  # (o, n, 4, 4)
-        ways = placed(np.concatenate([T[np.maximum(rows, 0)], elsewhere]), xyz_m)  # (o, n, 3)
-        ways = np.concatenate([xyz_m[None], ways])
-        terms = modes.T @ camera_terms(now, xyz_m)  # (k, 39)
+        variances, modes = hand_modes(tuple(np.rint((t_s - t_s[0]) / TICK_S).tolist()))
         believed, weights, honest = bank()
-        paths = np.concatenate([terms @ weights, spread(modes, ways)], axis=1)
-        speeds = swept(t_s, now, xyz_m)
-        doubt = np.concatenate([terms @ honest, spread(modes, HONEST_S * speeds[None])], axis=1)
-        sigma_m = np.sqrt(sigma_m**2 + np.square(JITTER_S * speeds).mean(axis=0))
-        likely, level = likelihoods(by_way(paths), by_way(doubt), variances, sigma_m)
-        frame_s = float(t_s[-1] - t_s[0]) / (n - 1)
-        premises = (*believed, UNMOVED, *(late_by(one * frame_s) for one in BACK), *self._others)
-        borne = len(believed) + 1 + np.flatnonzero(np.array(BACK) * frame_s <= self._late_s)
+        R = T[n // 2, :, :3]  # all is told in the axes of the middle frame, each premise's own
+        terms = (R.T @ (modes.T @ products).reshape(-1, 3, 16)).reshape(-1, TERMS)
+        told = np.einsum("khl,hli->ikh", (modes.T @ ways).reshape(len(variances), -1, 3), self._turns[n // 2])
+        paths = np.concatenate([terms @ weights, told], axis=2)  # (3, k, h)
+        speeds = swept(t_s, T, rows[:, TERMS : TERMS + 3]) @ R
+        doubt = np.concatenate([terms @ honest, HONEST_S * (modes.T @ speeds).T[:, :, None]], axis=2)
+        variance_m2 = np.square(sigma_m).mean(axis=0) + FLOOR_M**2 + np.square(JITTER_S * speeds).mean(axis=0)
+        likely, level = likelihoods(paths, doubt, variances, variance_m2)
+        late_s = np.array(BACK) * float(t_s[-1] - t_s[0]) / (n - 1)
+        borne = len(believed) + 1 + np.flatnonzero(late_s <= self._late_s)
         likely[0] = max(likely[0], *likely[borne], -np.inf)
         likely[borne] = -np.inf
-        handicap = np.array([premise.handicap for premise in premises]) + MOVING * level
-        least = LIKELY + MISSING * max(ENOUGH - n, 0)
-        if self.wrong is None and (likely - likely[0] - handicap).max() < least:
+        over = likely - likely[0] - self._handicaps - MOVING * level
+        if self.wrong is None and over.max() < LIKELY + MISSING * max(ENOUGH - n, 0):
             return None
-        return premises[1 + int(np.argmax(likely[1:]))]
+        return (*believed, UNMOVED, *map(late_by, late_s.tolist()), *self._others)[1 + int(np.argmax(likely[1:]))]
 
 
-def hand_modes(t_s: Array) -> tuple[Array, Array]:
+@lru_cache(maxsize=64)
+def hand_modes(ticks: tuple[float, ...]) -> tuple[Array, Array]:
     """Return variances (k,) of a hand's ways (n, k) at times (n,), beside place and velocity, for a unit of power."""
-    t = t_s - t_s[0]
+    t = TICK_S * np.array(ticks)
     s, u = np.minimum.outer(t, t), np.maximum.outer(t, t)
     K = s**3 * (10.0 * u**2 - 5.0 * u * s + s**2) / 120.0 + BEGIN_S * np.square(s * u) / 4.0
     free = np.linalg.qr(np.stack([np.ones_like(t), t], axis=1), mode="complete")[0][:, 2:]
@@ -158,58 +165,30 @@ def hand_modes(t_s: Array) -> tuple[Array, Array]:
     return np.maximum(variances[::-1][:MODES], 0.0), np.asarray(free @ shapes[:, ::-1][:, :MODES])
 
 
-def relative(T: Array) -> tuple[Array, Array]:
-    """Return rotations (..., n, 3, 3) and places (..., n, 3) of rigs (..., n, 4, 4) in the axes of the middle one."""
-    middle = T[..., T.shape[-3] // 2, None, :, :]
-    R = middle[..., :3, :3].swapaxes(-1, -2)
-    return R @ T[..., :3, :3], (R @ (T[..., :3, 3] - middle[..., :3, 3])[..., None])[..., 0]
-
-
-def placed(T: Array, xyz_m: Array) -> Array:
-    """Return where (..., n, 3) a target seen at xyz_m (n, 3) is, in the axes of the middle of rigs (..., n, 4, 4)."""
-    middle, at = T[..., T.shape[-3] // 2, :, :], (T[..., :3, :3] * xyz_m[:, None, :]).sum(axis=-1) + T[..., :3, 3]
-    return np.asarray((at - middle[..., None, :3, 3]) @ middle[..., :3, :3])
-
-
-def camera_terms(T: Array, xyz_m: Array) -> Array:
-    """Return the products (n, 39) of which `weights` makes the target's way under each premise of the bank."""
-    R, p = relative(T)
-    products = R[:, :, :, None] * xyz_m[:, None, None, :]
-    return np.concatenate([products.reshape(-1, 27), R.reshape(-1, 9), p], axis=1)
-
-
-def spread(modes: Array, ways: Array) -> Array:
-    """Return the parts (k, 3 h) that ways (h, n, 3) have of each shape (n, k)."""
-    return np.asarray((modes.T @ ways).swapaxes(0, 1).reshape(modes.shape[1], -1))
-
-
-def by_way(parts: Array) -> Array:
-    """Return parts (k, 3 h) of shapes way by way, (h, k, 3)."""
-    return parts.reshape(len(parts), -1, 3).swapaxes(0, 1)
-
-
 def swept(t_s: Array, T: Array, xyz_m: Array) -> Array:
-    """Return the velocity (n, 3) of a point fixed to the rig at xyz_m (n, 3): what an error of time does."""
-    R, p = relative(T)
+    """Return the velocity (n, 3) of a point fixed to the rigs T (n, 3, 4) at xyz_m (n, 3): what an error of time does,
+    in the axes of T."""
     k = np.arange(len(t_s))
     after, before = np.minimum(k + 1, len(k) - 1), np.maximum(k - 1, 0)
-    way = ((R[after] - R[before]) * xyz_m[:, None, :]).sum(axis=2) + p[after] - p[before]
+    change = T[after] - T[before]
+    way = (change[:, :, :3] * xyz_m[:, None, :]).sum(axis=2) + change[:, :, 3]
     return np.asarray(way / (t_s[after] - t_s[before])[:, None])
 
 
-def likelihoods(paths: Array, doubt: Array, variances: Array, sigma_m: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Return (h,) logarithms of the likelihood of ways (h, k, 3), each at its best one of LEVELS, and which (h,).
+def likelihoods(paths: Array, doubt: Array, variances: Array, variance_m2: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return (h,) logarithms of the likelihood of ways (3, k, h), each at its best one of LEVELS, and which (h,).
 
-    doubt (r, k, 3): what the honest errors do to a way, each of unit deviation; they are eliminated, as is usual in
-    generalised least squares. variances (k,): of the hand's shapes.
+    doubt (3, k, r): what the honest errors do to a way, each of unit deviation; they are eliminated, as is usual in
+    generalised least squares. variances (k,): of the hand's shapes. variance_m2 (3,): of a position.
     """
-    x, g = paths.reshape(len(paths), -1), doubt.reshape(len(doubt), -1)
-    V = (LEVELS[:, None, None] * variances[:, None] + np.square(sigma_m)).reshape(len(LEVELS), -1)
+    x, g = paths.reshape(-1, paths.shape[2]), doubt.reshape(-1, doubt.shape[2]).T
+    V = (LEVELS[:, None, None] * variances + variance_m2[:, None]).reshape(len(LEVELS), -1)
     weighed = g / V[:, None]  # (level, r, 3 k)
     root = np.linalg.cholesky(np.eye(len(g)) + weighed @ g.T)
-    projector = np.linalg.solve(root, weighed)  # (level, r, 3 k)
-    # a product with ones sums faster than numpy along a short axis
-    explained = np.square(x @ projector.reshape(-1, x.shape[1]).T) @ np.repeat(np.eye(len(LEVELS)), len(g), axis=0)
+    projector = (np.linalg.inv(root) @ weighed).reshape(-1, len(x))
+    explained = np.square(projector @ x).reshape(len(LEVELS), len(g), -1).sum(axis=1)
     spread_log = np.log(V).sum(axis=1) + 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-    likely = -0.5 * (np.square(x) @ (1.0 / V).T - explained + spread_log) - CALM * np.arange(len(LEVELS))
-    return likely.max(axis=1), likely.argmax(axis=1)
+    likely = (
+        -0.5 * ((1.0 / V) @ np.square(x) - explained + spread_log[:, None]) - CALM * np.arange(len(LEVELS))[:, None]
+    )
+    return likely.max(axis=0), likely.argmax(axis=0)

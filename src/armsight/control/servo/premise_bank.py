@@ -95,26 +95,24 @@ def impossible_pose(status: PoseStatus, distance_m: float) -> Premise | None:
     return None
 
 
+TERMS = 48
+"""Products of the entries of a rig's T (3, 4) with those of a point (x, y, z, 1) in it, of which a way is made."""
+
+
 def weights(M: Array, m: Array) -> Array:
-    """Return (39, 3): the way M^-1 (R (M x + m) + p) of a target seen at x is in the products of camera_terms.
+    """Return (TERMS, 3): the way M^-1 (R (M x + m) + p) of a target seen at x is in the products of R, p with x.
 
     M (3, 3), m (3,): what is seen is x, and in the axes of the rig that is believed it is M x + m. The way is told in
     the axes of what is seen, where the noise is as claimed.
     """
-    inverse = np.linalg.inv(M)
-    return np.concatenate(
-        [
-            np.einsum("il,sj->lsji", inverse, M).reshape(27, 3),
-            np.einsum("il,s->lsi", inverse, m).reshape(9, 3),
-            inverse.T,
-        ]
-    )
+    seen = np.vstack([np.column_stack([M, m]), [0.0, 0.0, 0.0, 1.0]])
+    return np.asarray(np.einsum("il,sj->lsji", np.linalg.inv(M), seen).reshape(TERMS, 3))
 
 
 @cache
 def bank() -> tuple[tuple[Premise, ...], Array, Array]:
     """Return the premises under which what is seen is changed alike in each frame: the one believed first, their
-    weights (39, 3 h), and the doubt (39, 3 r): what honest errors of a standard deviation do."""
+    weights (3, TERMS, h), and the doubt (3, TERMS, r): what honest errors of a standard deviation do."""
     found: list[tuple[Premise, Array, Array]] = [(Premise(Cause.HAND_EYE, ""), np.eye(3), np.zeros(3))]
     directions = [np.array(v) - 1.0 for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]
     for direction in directions:
@@ -137,12 +135,12 @@ def bank() -> tuple[tuple[Premise, ...], Array, Array]:
             deeper = _as_if(Cause.RIG, f"its distance were {factor:.3g} times the one measured", 4.0)
             found.append((deeper, np.diag([1.0, 1.0, factor]), np.zeros(3)))
     premises, maps, shifts = zip(*found, strict=True)
-    doubt = np.concatenate(honest_errors(), axis=1)
-    return premises, np.concatenate(list(map(weights, maps, shifts)), axis=1), doubt
+    ways = np.array(list(map(weights, maps, shifts)))
+    return premises, np.ascontiguousarray(ways.T), np.ascontiguousarray(np.array(honest_errors()).T)
 
 
 def honest_errors() -> list[Array]:
-    """Return the weights (39, 3) of small errors of a calibration: by turn, scale, place, a standard deviation each."""
+    """Return the weights (TERMS, 3) of a calibration's errors by turn, scale and place, a standard deviation each."""
     believed, still, eps = np.eye(3), np.zeros(3), 1e-6
     steps = [(HONEST_RAD, skew(axis), still) for axis in np.eye(3)]
     steps += [(HONEST_SCALE, believed, still)] + [(HONEST_M, np.zeros((3, 3)), axis) for axis in np.eye(3)]

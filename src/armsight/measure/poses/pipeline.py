@@ -18,7 +18,7 @@ from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_seen
 from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
-from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, find_candidates, track_spots
+from armsight.measure.spots import FIT_S, SECOND_LOOK, Candidates, Part, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, parallel_rig
 from armsight.records import (
@@ -37,6 +37,11 @@ Pair = tuple[Frame, Frame]
 
 NOT_OF_THE_RIG = "The calibration says nothing about such frames, so measuring stops here"
 _MASK = "mask the background, lower the exposure, or give the target one more light"
+NEARBY_PX = 64
+"""How far beyond the places expected a live picture is searched for a target that was knocked, or whose lights are not
+told by windows, before all of it is."""
+COARSEST_PX = 32
+"""Pixels of a picture to one of the pyramid's coarsest level at most."""
 FIT_SHARE = 0.15
 """Share of a deadline that is for measuring the chosen lights of an image."""
 
@@ -63,10 +68,8 @@ def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Me
         return measure_board_pair(setup, left, right, t_s)
     if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
         track = None
-    if track is not None and track.complete:
-        measured = _measure_windows(setup, left, right, t_s, track)
-        if measured is not None:
-            return measured
+    if track is not None and (tracked := _measure_tracked(setup, (left, right), t_s, track)) is not None:
+        return tracked
     at_left, at_right = _candidates(setup, left, right)
     frames = left, right
     measured = _measure_candidates(setup, frames, t_s, at_left, at_right, track)
@@ -92,12 +95,15 @@ def _more_to_see(candidates: Candidates, seen: Spots) -> bool:
     return candidates.room or any(why in SECOND_LOOK for _, _, why in seen.rejected)
 
 
-def _candidates(setup: Setup, left: Frame, right: Frame) -> tuple[Candidates, Candidates]:
-    """Return what may be a light in both images; one image that holds both views is searched once."""
-    if setup.overlaid:
-        found = find_candidates(left.image, setup.sides[0], setup.pace)
-        return found, found
-    return setup.pace.both(lambda side: find_candidates((left, right)[side].image, setup.sides[side], setup.pace))
+def _candidates(
+    setup: Setup, left: Frame, right: Frame, parts: Sequence[Part | None] = (None, None)
+) -> tuple[Candidates, Candidates]:
+    """Return what may be a light in parts of both images; one image that holds both views is searched once."""
+
+    def search(side: int) -> Candidates:
+        return find_candidates((left, right)[side].image, setup.sides[side], setup.pace, parts[side])
+
+    return (search(0),) * 2 if setup.overlaid else setup.pace.both(search)
 
 
 def _closer(setup: Setup, left: Candidates, right: Candidates) -> tuple[Candidates, Candidates]:
@@ -272,6 +278,36 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         tracked=True,
         cause=solved.cause,
     )
+
+
+def _measure_tracked(setup: Setup, frames: Pair, t_s: float, track: Track) -> Measured | None:
+    """Return the pose from where the track expects the lights; None where complete pictures are to be searched.
+
+    Live, what is near the place of a target whose lights windows do not tell is searched first: what is like a light
+    there is named anew and measured, as in complete pictures.
+    """
+    if track.complete and (measured := _measure_windows(setup, *frames, t_s, track)) is not None:
+        return measured
+    n, m, dt = len(track.names), len(setup.model), t_s - track.t_s
+    at, places = np.empty((2, n, 2)), np.empty((n, 3))
+    if not setup.pace.live or not setup.target.model_known or not n == m >= 3:
+        return None
+    if not kernels.predict_views(setup.packed.arrays, track.xyz_m, track.velocity_m_s, dt, places, at):
+        return None
+    expected = at.reshape(1, 2 * n, 2) if setup.overlaid else at
+    found = _candidates(setup, *frames, [_part_about(one) for one in expected])
+    measured = _measure_candidates(setup, frames, t_s, *found, track)
+    whole = measured.pose.status is PoseStatus.OK and len(measured.names) == m
+    return replace(measured, tracked=True) if whole or measured.cause is Unseen.HALF_HIDDEN else None
+
+
+def _part_about(expected: Array) -> Part:
+    """Return the rows and columns NEARBY_PX about the places expected (n, 2), begun where the whole pyramid's pixels
+    begin."""
+    first = np.maximum((expected.min(axis=0) - NEARBY_PX) // COARSEST_PX * COARSEST_PX, 0.0)
+    last = np.maximum(expected.max(axis=0) + NEARBY_PX, 0.0)
+    x, y = (slice(a, b) for a, b in zip(first.astype(int).tolist(), last.astype(int).tolist(), strict=True))
+    return y, x
 
 
 def _in_windows(setup: Setup, side: int, frame: Frame, expected: Array, half_window_px: int) -> Spots | None:

@@ -5,7 +5,7 @@ Lights that are covered are told by their outlines, and taken with more doubt or
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -298,19 +298,18 @@ def widen(
         views.cov_px2[:] += hidden.swapaxes(0, 1)
         placed = solve_views(setup, t_s, names, views)
         return None if placed.pose.status is PoseStatus.LOST else placed
-    C = np.array(own)
+    C, most = np.array(own), max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * float(np.diag(own)[3:].max()))
     if views.uv_px.shape[1] == TWO or not setup.target.model_known:
         for moved in _moves(setup, names, views, T, found):
             C += moved.T @ moved / len(moved)
+            if np.diag(C)[3:].max() > most:
+                return None  # the moves that are left would only add to it
     else:
         limit, slack_px, _ = _rules(setup, names, views)
         spots, rules = named_spots(setup, names, views), (slack_px**2, limit, LEAST_STEP_PX)
         of = for_kernels(spots.xyz_m), spots.radius_m, spots.normal
         add_moved(setup.packed.arrays, views[:2], rules, of, T, found, np.array(SHARES), C)
-    before = float(max(own[3, 3], own[4, 4], own[5, 5]))
-    if max(C[3, 3], C[4, 4], C[5, 5]) > max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * before):
-        return None
-    return with_covariance(solved, C)
+    return None if np.diag(C)[3:].max() > most else with_covariance(solved, C)
 
 
 def widened_or_odd(
@@ -325,8 +324,8 @@ def widened_or_odd(
     return widen(setup, t_s, names, views, solved, found), np.asarray(doubt == doubt.max())
 
 
-def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, found: Array) -> list[Array]:
-    """Return the ways (1 to 2, 6) from the pose T, of a pair or of unmeasured lights, to those with a spot moved.
+def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, found: Array) -> Iterator[Array]:
+    """Give the ways (1 to 2, 6) from the pose T, of a pair or of unmeasured lights, to those with a spot moved.
 
     Each is moved both ways by what may be hidden; where the target then fits neither way, less is hidden; none where it
     never does. The poses begin as if nothing were known; those of other rigs begin from T (add_moved).
@@ -336,10 +335,10 @@ def _moves(setup: Setup, names: tuple[str, ...], views: Views, T: Array, found: 
     variances, axes = np.linalg.eigh(hidden)
     steps = (np.sqrt(np.maximum(variances, 0.0))[:, None, :] * axes).swapaxes(1, 2).reshape(-1, 2)
     at, long = np.stack([lights, sides], axis=1).repeat(2, axis=0), (steps**2).sum(axis=1) > LEAST_STEP_PX**2
-    moves = [
-        _moved(setup, names, views, T, (i, s), way) for (i, s), way in zip(at[long].tolist(), steps[long], strict=True)
-    ]
-    return [moved for moved in moves if len(moved)]
+    for (i, s), way in zip(at[long].tolist(), steps[long], strict=True):
+        moved = _moved(setup, names, views, T, (i, s), way)
+        if len(moved):
+            yield moved
 
 
 def _moved(setup: Setup, names: tuple[str, ...], views: Views, T: Array, at: tuple[int, int], step_px: Array) -> Array:

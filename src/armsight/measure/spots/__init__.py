@@ -2,7 +2,7 @@
 
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.find import find_candidates, find_spots, track_spots, warm_up
-from armsight.measure.spots.grey import CANDIDATE, FIT_S, SECOND_LOOK, TOUCHING, Candidates
+from armsight.measure.spots.grey import CANDIDATE, FIT_S, SECOND_LOOK, TOUCHING, Candidates, Part
 
 __all__ = [
     "CANDIDATE",
@@ -10,6 +10,7 @@ __all__ = [
     "SECOND_LOOK",
     "TOUCHING",
     "Candidates",
+    "Part",
     "SpotSettings",
     "find_candidates",
     "find_spots",

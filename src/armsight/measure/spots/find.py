@@ -15,6 +15,7 @@ from armsight.measure.spots.colour import coloured_candidates, track_coloured
 from armsight.measure.spots.grey import (
     FIT_S,
     Candidates,
+    Part,
     fresh_state,
     grey_candidates,
     searchable,
@@ -47,13 +48,18 @@ def find_spots(image: Image, settings: SpotSettings = DEFAULTS, pace: Pace = BAT
     return found.measure_strongest(pace.most(settings.max_spots, FIT_S, FOUND_SHARE))
 
 
-def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, pace: Pace = BATCH) -> Candidates:
-    """Return what may be a light in an image, each with a coarse centre, to be measured on demand; see find_spots."""
+def find_candidates(
+    image: Image, settings: SpotSettings = DEFAULTS, pace: Pace = BATCH, part: Part | None = None
+) -> Candidates:
+    """Return what may be a light in an image, each with a coarse centre, to be measured on demand; see find_spots.
+
+    part: to which the search is confined where grey lights are before a room.
+    """
     if settings.colour is not None:
         return coloured_candidates(image, settings, pace)
     if settings.method == "seed":
         return seeded_candidates(image, settings)
-    return grey_candidates(image, settings, pace)
+    return grey_candidates(image, settings, pace, part)
 
 
 def track_spots(

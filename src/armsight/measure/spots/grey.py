@@ -37,6 +37,8 @@ from armsight.records import Spots, trusted
 Rejected = tuple[tuple[float, float, str], ...]
 Located = tuple[Array, NDArray[np.int64], Array, int]
 """What `locate` returns of an image: areas, their state, the survey, outcome."""
+Part = tuple[slice, slice]
+"""Rows and columns of an image in which lights before a room are looked for."""
 
 MODEL_NAMES = ("gaussian", "ellipse", "joint", "streak", "centroid")
 """How a spot was measured, in the order of the kernels' numbers."""
@@ -62,25 +64,28 @@ SECOND_LOOK = frozenset(REASONS[i] for i in (BORDER, LARGE, FAILED, SATURATED, U
 """Reasons behind which a light may hide: it stands before something bright, or touches it."""
 
 
-def grey_candidates(image: Image, settings: SpotSettings, pace: Pace) -> Candidates:
+def grey_candidates(image: Image, settings: SpotSettings, pace: Pace, part: Part | None = None) -> Candidates:
     """Return what may be a light in an image (h, w) or (h, w, 3), searched as grey; see find_candidates."""
     grey = searchable(image, settings)
-    return _among_located(grey, settings, pace, locate(grey, settings.mask_bytes, settings.options), faint=False)
+    located = locate(grey, settings.mask_bytes, settings.options)
+    return _among_located(grey, settings, pace, located, part or (slice(None), slice(None)), faint=False)
 
 
-def _among_located(grey: Image, settings: SpotSettings, pace: Pace, located: Located, *, faint: bool) -> Candidates:
+def _among_located(
+    grey: Image, settings: SpotSettings, pace: Pace, located: Located, part: Part, *, faint: bool
+) -> Candidates:
     """Return the candidates of an image: the areas above the threshold, or, before a room, blobs of any level."""
     areas, state, survey, outcome = located
     complete = True
     refused: Rejected = ()
     free = settings.threshold is None
     room = free and (faint or outcome != FULL or not is_dark(areas, state, settings))
-    closer = partial(_among_located, grey, settings, pace, located, faint=True) if free and not faint else None
+    closer = partial(_among_located, grey, settings, pace, located, part, faint=True) if free and not faint else None
     quiet = outcome == FULL and not room and is_quiet(state, settings.max_spots)
     if room:
         if outcome == FULL:
             refused = too_large(areas, state)
-        areas, complete = blobs(grey, settings, float(survey[-1, col.NOISE]), pace, faint)
+        areas, complete = blobs(grey, settings, float(survey[-1, col.NOISE]), pace, faint, part)
         state = fresh_state(len(areas))
     if not len(areas) and outcome != FULL:
         refused = (whole_frame(grey, _too_bright(outcome, float(survey[-1, col.NUMBER]))),)
@@ -305,23 +310,35 @@ class Candidates:
         return self.fit(self.positions(most), MANY)
 
 
-def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: bool) -> tuple[Array, bool]:
-    """Return the blobs (n, COLUMNS) of a grey image that stand out of their own surroundings, strongest first.
+def blobs(grey: Image, settings: SpotSettings, noise: float, pace: Pace, faint: bool, part: Part) -> tuple[Array, bool]:
+    """Return the blobs (n, COLUMNS) of a part of a grey image that stand out of what is round them, strongest first.
 
     noise: variance of a pixel. faint: down to what the noise allows. The flag tells whether all peaks were looked at.
     """
     contrast = max(FAINT_SIGMA * float(np.sqrt(noise)), LEAST_CONTRAST) if faint else CONTRAST
-    seen = np.asarray(cv2.bitwise_not(grey), dtype=np.uint8) if settings.inverted else grey
-    peaks = pyramid_peaks(seen, contrast, settings.max_radius_px)
+    seen, mask = _cut_out(grey, part), settings.mask_bytes
+    mask = _cut_out(mask, part) if mask.size else mask
+    bright = np.asarray(cv2.bitwise_not(seen), dtype=np.uint8) if settings.inverted else seen
+    peaks = pyramid_peaks(bright, contrast, settings.max_radius_px)
     table = np.empty((MOST, col.COLUMNS))
     n, looked, _ = grow_blobs(
-        (grey, np.uint8(255 if settings.inverted else 0), settings.saturation, settings.mask_bytes),
+        (seen, np.uint8(255 if settings.inverted else 0), settings.saturation, mask),
         peaks,
         (contrast, float(settings.min_pixels), settings.max_radius_px),
         table,
         pace.most(MOST_GROWN, GROWN_S, GROWN_SHARE),
     )
-    return table[:n], bool(looked == len(peaks))
+    found, (y, x) = table[:n], (one.start or 0 for one in part)
+    found[:, [col.SUM_X, col.SUM_Y]] += found[:, [col.WEIGHT]] * [x, y]
+    found[:, [col.X_MIN, col.X_MAX, col.Y_MIN, col.Y_MAX]] += [x, x, y, y]
+    return found, bool(looked == len(peaks))
+
+
+def _cut_out(image: Image, part: Part) -> Image:
+    """Return a part of an image, contiguous and read-only as all of it is: one compilation serves both."""
+    cut = np.ascontiguousarray(image[part]).view()
+    cut.setflags(write=False)
+    return cut
 
 
 def pyramid_peaks(grey: Image, contrast: float, max_radius_px: float) -> NDArray[np.int64]:

@@ -27,6 +27,8 @@ FEWEST_SAMPLES = 12
 """Ring samples within the image without which nothing is known of the background."""
 BACKGROUND_SHARE = 0.75
 """Share of the ring that the background level lies above: a bright region may cover a quarter of it and more."""
+MOST_ABOVE = RING_SAMPLES - int(BACKGROUND_SHARE * RING_SAMPLES)
+"""Samples brighter than that from which on the level is brighter, however many of the ring are in the image."""
 LEAST_FILL = 0.7
 """Area over that of the ellipse with the same second moments (1 for a filled ellipse): ragged blobs lie below."""
 LEAST_AXES = 0.2
@@ -77,15 +79,19 @@ def has_contrast(image, flip, x0, y0, radius, top, contrast):
     h, w = image.shape
     most = top - contrast
     n = 0
-    below = 0
+    above = 0
+    if most < 0:
+        return False
     for i in range(RING_SAMPLES):
         x = int(x0 + radius * RING_X[i] + 0.5)
         y = int(y0 + radius * RING_Y[i] + 0.5)
         if 0 <= x < w and 0 <= y < h:
             n += 1
-            below += np.uint8(image[y, x] ^ flip) <= most
+            above += np.uint8(image[y, x] ^ flip) > most
+            if above >= MOST_ABOVE:
+                return False
     # the entry of the sorted ring that blob_at takes is below most if and only if more samples than its number are
-    return n >= FEWEST_SAMPLES and below > min(int(BACKGROUND_SHARE * n), n - 1)
+    return n >= FEWEST_SAMPLES and n - above > min(int(BACKGROUND_SHARE * n), n - 1)
 
 
 @lean_kernel
