@@ -209,7 +209,7 @@ def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most, cle
     """
     N = guess.shape[0]
     uv, cov, quality = guess.copy(), np.zeros((N, 2, 2)), np.zeros((N, 4))
-    window, W = np.empty(3 * LARGEST), np.empty(ROWS * CHUNK)
+    window, W = np.zeros(3 * LARGEST + CHUNK, np.float32), np.empty(ROWS * CHUNK, np.float32)
     found, flat = np.full((N, N_CORNER), np.nan), np.zeros((5, 5))
     H = np.empty((N_CORNER, N_CORNER))
     C = np.empty((N_CORNER, N_CORNER))
@@ -284,7 +284,7 @@ def fit_dots(image, guess, shape, reach, hole, most):
     """
     N = guess.shape[0]
     uv, cov, quality = guess.copy(), np.zeros((N, 2, 2)), np.zeros((N, 4))
-    window, W = np.empty(3 * LARGEST), np.empty(ROWS * CHUNK)
+    window, W = np.zeros(3 * LARGEST + CHUNK, np.float32), np.empty(ROWS * CHUNK, np.float32)
     straight, flat = np.zeros((2, 3)), np.zeros((5, 5))
     p = np.empty(N_DOT)
     H = np.empty((N_DOT, N_DOT))
