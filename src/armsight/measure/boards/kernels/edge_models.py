@@ -114,7 +114,7 @@ def dot_rows(n, p, W):
 
 
 @inner_sum_kernel
-def _squares(W, n, H, g):
+def _squares(W, n, full, H, g):
     """Add J'J to H (lower half) and J'r to g, of n columns of W; return the sum of squares of r. Rows: see accumulate.
 
     Two rows by two, so that a number that was fetched is used twice; by columns, which become vector instructions.
@@ -131,7 +131,7 @@ def _squares(W, n, H, g):
             s_k += k[i] * r[i]
         g[a] += s_j
         g[a + 1] += s_k
-        for b in range(0, a + 1, 2):
+        for b in range(0, a + 1 if full else 0, 2):
             x, y = W[b * CHUNK : b * CHUNK + n], W[(b + 1) * CHUNK : (b + 1) * CHUNK + n]
             jx = jy = kx = ky = NIL
             for i in range(n):
@@ -189,7 +189,7 @@ def set_aside(n, p, window, flat):
 
 
 @inner_kernel
-def accumulate(kind, n, p, window, flat, W, H, g):
+def accumulate(kind, n, p, window, flat, W, full, H, g):
     """Fill H = J'J (lower half) and g = J'r of the model in the window; return the sum of squares.
 
     window: rows of LARGEST, the pixels' places from the window's centre and grey levels. W: rows of CHUNK, the same for
@@ -197,30 +197,31 @@ def accumulate(kind, n, p, window, flat, W, H, g):
     grey levels V and residuals REST. Both are flat, and their rows a constant apart, so that the compiler knows that
     they do not overlap, and makes vector instructions of a loop that fills them all. flat: of pixels set aside.
     """
-    H[:] = 0.0
+    if full:
+        H[:] = 0.0
     g[:] = 0.0
     cost = flat[4, 4]
     for a in range(4):
         for b in range(4):
             g[6 + a] += flat[a, b] * p[6 + b]
-            if b <= a:
+            if full and b <= a:
                 H[6 + a, 6 + b] = flat[a, b]
         g[6 + a] -= flat[a, 4]
         cost += p[6 + a] * (g[6 + a] - flat[a, 4])
     for begin in range(0, n, CHUNK):
-        m = min(CHUNK, n - begin)
-        full = (m + LANES - 1) // LANES * LANES
-        for i in range(full):
+        left = min(CHUNK, n - begin)
+        m = (left + LANES - 1) // LANES * LANES
+        for i in range(m):
             W[6 * CHUNK + i] = ONE
             W[X * CHUNK + i] = window[begin + i]
             W[Y * CHUNK + i] = window[LARGEST + begin + i]
             W[V * CHUNK + i] = window[2 * LARGEST + begin + i]
         if kind == 0:
-            corner_rows(full, p, W)
+            corner_rows(m, p, W)
         else:
-            dot_rows(full, p, W)
+            dot_rows(m, p, W)
         for row in range(ROWS):
-            for i in range(m, full):
+            for i in range(left, m):
                 W[row * CHUNK + i] = NIL
-        cost += _squares(W, full, H, g)
+        cost += _squares(W, m, full, H, g)
     return cost
