@@ -174,8 +174,7 @@ def refine_corners(image: Image, board: Target, guess: Array, source: str, fits:
     """Fit every corner several times, the last in a large window, and keep what passes the checks."""
     grid, sign = grid_of(board), parity_of(board)
     smooth, distance = fit_map(grid, guess)
-    refuse_miscount(image, board, guess, smooth, source)
-    if not _first_square_is_black(image, board, guess):
+    if not refuse_miscount(image, board, guess, smooth, source):
         sign = -sign
     uv, like = guess, ALONE
     for effort in fits:

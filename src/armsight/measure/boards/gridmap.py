@@ -105,13 +105,14 @@ PLACES_WITHIN = np.array([(0.3, 0.3), (0.3, 0.7), (0.7, 0.3), (0.7, 0.7)])[:, No
 """Where in a square its grey level is read."""
 
 
-def refuse_miscount(image: Image, board: Target, guess: Array, smooth: GridMap, source: str) -> None:
+def refuse_miscount(image: Image, board: Target, guess: Array, smooth: GridMap, source: str) -> bool:
     """Raise BadImage where corners (n, 2) px are not those of columns x rows neighbouring squares' corners.
 
-    smooth: the map to them.
+    smooth: the map to them. Return whether the first square, between the first four corners, is black.
     """
     grid = np.rint(board.xyz_m[:, :2] / board.pitch_m)
-    if alternating_share(image, board, smooth) < ALTERNATE:
+    share, black = alternating_share(image, board, smooth)
+    if share < ALTERNATE:
         raise unused_image(
             f"{source}: the grid of {board.columns}x{board.rows} corners that is there has no squares between them",
             cure="Count the inner corners again, or show the whole board, sharp and evenly lit",
@@ -121,6 +122,7 @@ def refuse_miscount(image: Image, board: Target, guess: Array, smooth: GridMap, 
             raise too_few(
                 f"{source}: the {side} of {board.columns}x{board.rows} inner corners is not where the others put it"
             )
+    return black
 
 
 def outer_lines(board: Target) -> list[tuple[str, int, float]]:
@@ -139,15 +141,18 @@ def too_few(cause: str) -> BadImage:
     )
 
 
-def alternating_share(image: Image, board: Target, smooth: GridMap) -> float:
-    """Return the share of neighbouring inner squares, read at four places each, whose grey levels differ in turn."""
+def alternating_share(image: Image, board: Target, smooth: GridMap) -> tuple[float, bool]:
+    """Return the share of neighbouring inner squares, read at four places each, whose grey levels differ in turn.
+
+    And whether the first is a black one.
+    """
     places, sign = _places_in_squares(board.columns - 1, board.rows - 1)
     level = levels_at(image, smooth(places)).reshape(-1, *sign.shape) * sign
     across, along = level[:, :, 1:] + level[:, :, :-1], level[:, 1:] + level[:, :-1]
     bright, dark = (
         np.count_nonzero(s > 0.0) + np.count_nonzero(t > 0.0) for s, t in ((across, along), (-across, -along))
     )
-    return max(bright, dark) / (across.size + along.size)
+    return max(bright, dark) / (across.size + along.size), dark > bright
 
 
 @cache

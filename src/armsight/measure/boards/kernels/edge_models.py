@@ -20,7 +20,7 @@ LANES = 32
 CHUNK = 320
 """Pixels that are worked on at a time: a table of so many stays in the nearest cache, and its rows, no power of two
 apart, do not push each other out of it; a whole window's costs twice the time."""
-FLAT, FLAT_PX = 4.0, 0.5
+FLAT, FLAT_PX = 3.5, 0.5
 """A pixel so many blurs, and so many px more, from both edges has its quarter's own level to 1e-4 of the contrast."""
 RATIONAL = np.float32(0.3275911 * 0.7071067811865476)
 ERF_1, ERF_2, ERF_3, ERF_4, ERF_5 = np.float32((0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429))
