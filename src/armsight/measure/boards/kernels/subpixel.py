@@ -25,7 +25,7 @@ TRIALS = 40
 LAST_STEP_PX = 3e-3
 """A step this short is within the noise of the sharpest corner; it is taken, and the model is not evaluated again: what
 is left then is a tenth of it at most."""
-NEAR_PX, NEAR = 0.2, 0.1
+NEAR_PX, NEAR = 0.1, 0.04
 """After a step so short, whose blur changes by no more than this share, the normal matrix is the one before."""
 SETTLED = 1e-6
 """Relative fall of the squares at which the fit ends."""
@@ -56,11 +56,8 @@ def _descend(kind, n, p, reach, last_px, most, H, window, flat, W):
     accumulate.
     """
     m = H.shape[0]
-    g = np.empty(m)
-    step = np.empty(m)
-    trial = np.zeros(p.shape[0])
-    H_trial = np.empty((m, m))
-    g_trial = np.empty(m)
+    g, step, trial = np.empty(m), np.empty(m), np.zeros(p.shape[0])
+    H_trial, g_trial = np.empty((m, m)), np.empty(m)
     damping = 1e-3
     cost = accumulate(kind, n, p, window, flat, W, True, H, g)
     evaluated = 1
@@ -220,8 +217,7 @@ def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most, cle
     uv, cov, quality = guess.copy(), np.zeros((N, 2, 2)), np.zeros((N, 4))
     window, W = np.zeros(3 * LARGEST + CHUNK, np.float32), np.empty(ROWS * CHUNK, np.float32)
     found, flat = np.full((N, N_CORNER), np.nan), np.zeros((5, 5))
-    H = np.empty((N_CORNER, N_CORNER))
-    C = np.empty((N_CORNER, N_CORNER))
+    H, C = np.empty((N_CORNER, N_CORNER)), np.empty((N_CORNER, N_CORNER))
     for i in range(N):
         n = _sample(image, guess[i, 0], guess[i, 1], basis[i], bend[i], reach[i], -1.0, window)
         if clear < reach[i]:
@@ -255,10 +251,8 @@ def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most, cle
 @inner_kernel
 def _start_dot(x, y, v, n, E, p):
     """Fill p with the ellipse of half axes E and the grey levels met inside and outside; False where one is empty."""
-    inside = 0.0
-    n_inside = 0
-    outside = 0.0
-    n_outside = 0
+    inside = outside = 0.0
+    n_inside = n_outside = 0
     det = E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0]
     M = np.empty((2, 2))  # (E E')^-1
     M[0, 0] = (E[1, 0] ** 2 + E[1, 1] ** 2) / det**2
@@ -295,9 +289,7 @@ def fit_dots(image, guess, shape, reach, hole, most):
     uv, cov, quality = guess.copy(), np.zeros((N, 2, 2)), np.zeros((N, 4))
     window, W = np.zeros(3 * LARGEST + CHUNK, np.float32), np.empty(ROWS * CHUNK, np.float32)
     straight, flat = np.zeros((2, 3)), np.zeros((5, 5))
-    p = np.empty(N_DOT)
-    H = np.empty((N_DOT, N_DOT))
-    C = np.empty((N_DOT, N_DOT))
+    p, H, C = np.empty(N_DOT), np.empty((N_DOT, N_DOT)), np.empty((N_DOT, N_DOT))
     for i in range(N):
         E = shape[i]
         n = _sample(image, guess[i, 0], guess[i, 1], E, straight, reach[i], hole, window)
