@@ -152,7 +152,7 @@ def alternating_share(image: Image, board: Target, smooth: GridMap) -> tuple[flo
     bright, dark = (
         np.count_nonzero(s > 0.0) + np.count_nonzero(t > 0.0) for s, t in ((across, along), (-across, -along))
     )
-    return max(bright, dark) / (across.size + along.size), dark > bright
+    return float(max(bright, dark) / (across.size + along.size)), bool(dark > bright)
 
 
 @cache
