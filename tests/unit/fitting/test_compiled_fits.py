@@ -91,13 +91,14 @@ def test_a_boards_corner_is_the_engines(aside: bool) -> None:
     v = level(truth) + rng.normal(0.0, 1.0, x.shape)
     p = truth + np.array([0.2, 0.2, 0.05, -0.05, 0.2, -0.1, 5.0, 0.0, 0.0, -8.0])
     start = p.copy()
-    H, window, work = np.empty((10, 10)), np.zeros((3, subpixel.LARGEST)), np.empty(subpixel.ROWS * subpixel.CHUNK)
+    H, window = np.empty((10, 10)), np.zeros((3, subpixel.LARGEST), np.float32)
+    work = np.empty(subpixel.ROWS * subpixel.CHUNK, np.float32)
     window[:, : len(x)] = x, y, v
-    window, flat, near = window.ravel(), np.zeros((5, 5)), len(x)
+    window, flat, near = np.append(window, np.zeros(subpixel.CHUNK, np.float32)), np.zeros((5, 5)), len(x)
     if aside:
         near = subpixel.set_aside(len(x), p, window, flat)
         assert near < 0.7 * len(x)
-    subpixel._descend(0, near, p, 5.0, subpixel.LAST_STEP_PX, subpixel.TRIALS, H, window, flat, work)
+    subpixel._descend(0, near, p, 5.0, 1e-4, subpixel.TRIALS, H, window, flat, work)
     slow = by_engine(lambda q: level(q) - v, start)
     assert slow.covariance is not None
     std = np.sqrt(np.diag(slow.covariance.matrix))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armsight.arrays import Array, Image, Mask
+from armsight.arrays import Array, Image, Index, Mask
 from armsight.errors import BadImage, Unseen, unused_image
 from armsight.measure.boards.gridmap import (
     GridMap,
@@ -173,18 +173,17 @@ def _squares_alike(board: Target) -> Mask:
 def refine_corners(image: Image, board: Target, guess: Array, source: str, fits: Fits = FITS) -> BoardView:
     """Fit every corner several times, the last in a large window, and keep what passes the checks."""
     grid, sign = grid_of(board), parity_of(board)
-    refuse_miscount(image, board, guess, source)
-    if not _first_square_is_black(image, board, guess):
+    smooth, distance = fit_map(grid, guess)
+    if not refuse_miscount(image, board, guess, smooth, source):
         sign = -sign
     uv, like = guess, ALONE
     for effort in fits:
-        smooth, distance = fit_map(grid, uv)
         slopes = smooth.derivatives(grid)
         size = _square_px(slopes[0])
         start = np.where((distance > OFF_GRID * size)[:, None], smooth(grid), uv)
         uv, covariance, quality, like = _fit(image, slopes, start, sign, effort, like)
         like = np.where((quality[:, 0] > SURE)[:, None], like, np.nan)
-    smooth, distance = fit_map(grid, uv)
+        smooth, distance = fit_map(grid, uv)
     size = _square_px(smooth.derivatives(grid)[0])
     contrast = quality[:, 1]
     limit = np.clip(SCATTER * median(distance), SMOOTH * size, OFF_GRID * size)
@@ -192,7 +191,7 @@ def refine_corners(image: Image, board: Target, guess: Array, source: str, fits:
     usual = float(median(contrast[good])) if good.any() else 0.0
     good &= contrast > LOW_CONTRAST * usual
     _refuse(image, board, source, smooth, good, quality, size, sign)
-    for side, axis, line in outer_lines(board):
+    for side, axis, line in () if good.all() else outer_lines(board):
         if good[np.abs(grid[:, axis] - line) < 0.5].mean() < SEEN_SIDE:
             raise too_few(f"{source}: most of the {side} of {board.columns}x{board.rows} inner corners are not there")
     index = np.flatnonzero(good)
@@ -208,7 +207,7 @@ def refine_corners(image: Image, board: Target, guess: Array, source: str, fits:
 
 def _square_px(E: Array) -> Array:
     """Return the shorter side (n,) in px of a square at each corner, of the map's slopes E (n, 2, 2)."""
-    return np.asarray(np.linalg.norm(E, axis=1).min(axis=1))
+    return np.asarray(np.sqrt(np.square(E).sum(axis=1).min(axis=1)))
 
 
 def _fit(
@@ -262,12 +261,10 @@ def _refuse(
 ) -> None:
     """Raise BadImage where the corners are not those of this board, or too blurred to be placed."""
     _refuse_unclear(source, good, quality, size)
-    grid = grid_of(board)
-    inner = grid[(grid < grid.max(axis=0)).all(axis=1)]
-    usual = _step(image, smooth(inner + 0.5), _sign_at(inner, sign))
+    sides, looked_at, kind = _beyond(board.columns, board.rows)
+    usual, *steps = sign[0] * _steps(image, smooth(looked_at), kind)
     clear, contrast = median(quality[good, 0]), median(quality[good, 1])
-    for side, (more, behind, parity) in _beyond(board.columns, board.rows).items():
-        step = _step(image, smooth(behind), sign[0] * parity)
+    for (side, more), step in zip(sides.items(), steps, strict=True):
         if step < ALTERNATING * usual:
             continue
         there, unknown = smooth(more), np.isnan(step)
@@ -292,35 +289,42 @@ def _refuse(
             )
 
 
-def _step(image: Image, uv: Array, sign: Array) -> float:
-    """Return how much brighter the image is at the pixels (n, 2) of sign +1 than at the others; NaN for none."""
+def _steps(image: Image, uv: Array, kind: Index) -> Array:
+    """Return of each group (k,) of pixels (n, 2) how much brighter the image is at those of kind 2 k + 1 than at those
+    of kind 2 k; NaN where there are none of either.
+    """
     seen = ((uv >= -0.5) & (uv < [image.shape[1] - 0.5, image.shape[0] - 0.5])).all(axis=1)
-    level, bright = levels_at(image, uv[seen]), sign[seen] > 0.0
-    if bright.all() or not bright.any():
-        return float("nan")
-    return float(level[bright].mean() - level[~bright].mean())
+    count = np.bincount(kind[seen], minlength=kind.max() + 1)
+    total = np.bincount(kind[seen], levels_at(image, uv[seen]), len(count))
+    level = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+    return np.asarray(level[1::2] - level[::2])
 
 
 @cache
-def _beyond(columns: int, rows: int) -> dict[str, tuple[Array, Array, Array]]:
-    """Return the grid coordinates (m, 2) of the corners that one more row or column would have, by the side's name; and
-    of the squares behind them, were there one: where they are looked at (k, 2), and +1 where they have the colour of
-    the first corner's own, else -1, (k,)."""
+def _beyond(columns: int, rows: int) -> tuple[dict[str, Array], Array, Index]:
+    """Return the grid coordinates (m, 2) of the corners that one more row or column would have, by the side's name.
+
+    And where squares are looked at (n, 2), the board's own and those behind these corners, side by side; and for each
+    (n,) twice the number of its group, and 1 more where it has the colour of the first corner's own.
+    """
     i, j = np.arange(rows, dtype=float), np.arange(columns, dtype=float)
-    lines = {
+    sides = {
         "one more column before the first": np.stack([np.full(rows, -1.0), i], axis=1),
         "one more column after the last": np.stack([np.full(rows, float(columns)), i], axis=1),
         "one more row before the first": np.stack([j, np.full(columns, -1.0)], axis=1),
         "one more row after the last": np.stack([j, np.full(columns, float(rows))], axis=1),
     }
-    last, sides = np.array([columns - 1.0, rows - 1.0]), {}
-    for side, more in lines.items():
+    last = np.array([columns - 1.0, rows - 1.0])
+    corners = np.stack(np.meshgrid(j[:-1], i[:-1]), axis=-1).reshape(-1, 2)
+    looked_at, named = [corners + 0.5], [corners]
+    for more in sides.values():
         outwards = np.rint(more[0] - np.clip(more[0], 0, last))
         along = more[(np.where(outwards == 0.0, more, 0.0) < last).all(axis=1)]
-        behind = along + np.where(outwards == 0.0, 0.5, BEHIND * outwards)
+        looked_at.append(along + np.where(outwards == 0.0, 0.5, BEHIND * outwards))
         # a square is named by its corner nearest to the origin
-        sides[side] = more, behind, _sign_at(along + np.minimum(outwards, 0.0), np.ones(1))
-    return sides
+        named.append(along + np.minimum(outwards, 0.0))
+    first = [2 * group + (_sign_at(corner, np.ones(1)) > 0.0) for group, corner in enumerate(named)]
+    return sides, np.concatenate(looked_at), np.concatenate(first)
 
 
 def _sign_at(grid: Array, sign: Array) -> Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -104,11 +105,14 @@ PLACES_WITHIN = np.array([(0.3, 0.3), (0.3, 0.7), (0.7, 0.3), (0.7, 0.7)])[:, No
 """Where in a square its grey level is read."""
 
 
-def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> None:
-    """Raise BadImage where corners (n, 2) px are not those of columns x rows neighbouring squares' corners."""
+def refuse_miscount(image: Image, board: Target, guess: Array, smooth: GridMap, source: str) -> bool:
+    """Raise BadImage where corners (n, 2) px are not those of columns x rows neighbouring squares' corners.
+
+    smooth: the map to them. Return whether the first square, between the first four corners, is black.
+    """
     grid = np.rint(board.xyz_m[:, :2] / board.pitch_m)
-    smooth, _ = fit_map(grid, guess)
-    if alternating_share(image, board, smooth) < ALTERNATE:
+    share, black = alternating_share(image, board, smooth)
+    if share < ALTERNATE:
         raise unused_image(
             f"{source}: the grid of {board.columns}x{board.rows} corners that is there has no squares between them",
             cure="Count the inner corners again, or show the whole board, sharp and evenly lit",
@@ -118,6 +122,7 @@ def refuse_miscount(image: Image, board: Target, guess: Array, source: str) -> N
             raise too_few(
                 f"{source}: the {side} of {board.columns}x{board.rows} inner corners is not where the others put it"
             )
+    return black
 
 
 def outer_lines(board: Target) -> list[tuple[str, int, float]]:
@@ -136,17 +141,25 @@ def too_few(cause: str) -> BadImage:
     )
 
 
-def alternating_share(image: Image, board: Target, smooth: GridMap) -> float:
-    """Return the share of neighbouring inner squares, read at four places each, whose grey levels differ in turn."""
-    c, r = board.columns - 1, board.rows - 1
-    square = np.stack(np.meshgrid(np.arange(c), np.arange(r)), axis=-1)  # (r, c, 2)
-    level = levels_at(image, smooth((square + PLACES_WITHIN).reshape(-1, 2))).reshape(-1, r, c)
-    level *= np.where(square.sum(axis=2) % 2 == 0, 1.0, -1.0)
+def alternating_share(image: Image, board: Target, smooth: GridMap) -> tuple[float, bool]:
+    """Return the share of neighbouring inner squares, read at four places each, whose grey levels differ in turn.
+
+    And whether the first is a black one.
+    """
+    places, sign = _places_in_squares(board.columns - 1, board.rows - 1)
+    level = levels_at(image, smooth(places)).reshape(-1, *sign.shape) * sign
     across, along = level[:, :, 1:] + level[:, :, :-1], level[:, 1:] + level[:, :-1]
     bright, dark = (
         np.count_nonzero(s > 0.0) + np.count_nonzero(t > 0.0) for s, t in ((across, along), (-across, -along))
     )
-    return max(bright, dark) / (across.size + along.size)
+    return float(max(bright, dark) / (across.size + along.size)), bool(dark > bright)
+
+
+@cache
+def _places_in_squares(columns: int, rows: int) -> tuple[Array, Array]:
+    """Return where squares are looked at (4 * rows * columns, 2), and +1 and -1 by their colours (rows, columns)."""
+    square = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+    return (square + PLACES_WITHIN).reshape(-1, 2), np.where(square.sum(axis=2) % 2 == 0, 1.0, -1.0)
 
 
 def levels_at(image: Image | Array, uv: Array) -> Array:

@@ -28,10 +28,13 @@ GOES_ON = 0.5
 
 def grid_at_a_glance(image: Image, columns: int, rows: int) -> Array | None:
     """Return the corners (n, 2), row by row, of a whole grid in the smallest copy that shows one, to a part of a px."""
-    for factor in _factors(image):
-        uv = _complete_grid(_calmed(image if factor == 1 else shrunk(image, factor)), columns, rows)
+    copies = [image]
+    while min(copies[-1].shape) >= 2 * SMALLEST_SIDE_PX:
+        copies.append(shrunk(copies[-1], 2))
+    for power, copy in reversed(list(enumerate(copies))):
+        uv = _complete_grid(_calmed(copy), columns, rows) if copy.shape[1] <= LARGEST_WIDTH_PX else None
         if uv is not None:
-            return uv if factor == 1 else _sharpened(image, (uv + 0.5) * factor - 0.5, factor)
+            return uv if power == 0 else _sharpened(image, (uv + 0.5) * 2**power - 0.5, 2**power)
     return None
 
 
@@ -46,15 +49,6 @@ def _sharpened(image: Image, uv: Array, reach: int) -> Array:
     low = np.maximum(uv.min(axis=0).astype(np.intp) - margin, 0)
     high = uv.max(axis=0).astype(np.intp) + margin + 2
     return np.asarray(saddles_near(_calmed(image[low[1] : high[1], low[0] : high[0]]), uv - low, reach) + low)
-
-
-def _factors(image: Image) -> list[int]:
-    """Return by which the image is made smaller, the most first."""
-    height, width = image.shape
-    factors = [1]
-    while min(height, width) / (2 * factors[-1]) >= SMALLEST_SIDE_PX:
-        factors.append(2 * factors[-1])
-    return [factor for factor in factors[::-1] if width / factor <= LARGEST_WIDTH_PX]
 
 
 def shrunk(image: Image, factor: int) -> Image:
@@ -104,6 +98,7 @@ def _window(node: Index, uv: Array, columns: int, rows: int) -> Array | None:
         return None
     turned, i, j = found[0]
     around = turned[i - 1 : i + columns + 1, j - 1 : j + rows + 1] >= 0
-    if max(side[1:-1].mean() for side in (around[0], around[-1], around[:, 0], around[:, -1])) >= GOES_ON:
-        return None
+    for side in (around[0, 1:-1], around[-1, 1:-1], around[1:-1, 0], around[1:-1, -1]):
+        if np.count_nonzero(side) >= GOES_ON * len(side):
+            return None
     return uv[turned[i : i + columns, j : j + rows].T.ravel()]

@@ -25,6 +25,8 @@ TRIALS = 40
 LAST_STEP_PX = 3e-3
 """A step this short is within the noise of the sharpest corner; it is taken, and the model is not evaluated again: what
 is left then is a tenth of it at most."""
+NEAR_PX, NEAR = 0.1, 0.04
+"""After a step so short, whose blur changes by no more than this share, the normal matrix is the one before."""
 SETTLED = 1e-6
 """Relative fall of the squares at which the fit ends."""
 BLUR_MIN_PX = 0.25
@@ -54,13 +56,10 @@ def _descend(kind, n, p, reach, last_px, most, H, window, flat, W):
     accumulate.
     """
     m = H.shape[0]
-    g = np.empty(m)
-    step = np.empty(m)
-    trial = np.zeros(p.shape[0])
-    H_trial = np.empty((m, m))
-    g_trial = np.empty(m)
+    g, step, trial = np.empty(m), np.empty(m), np.zeros(p.shape[0])
+    H_trial, g_trial = np.empty((m, m)), np.empty(m)
     damping = 1e-3
-    cost = accumulate(kind, n, p, window, flat, W, H, g)
+    cost = accumulate(kind, n, p, window, flat, W, True, H, g)
     evaluated = 1
     settled = False
     while evaluated < most and damping < 1e6:
@@ -69,14 +68,16 @@ def _descend(kind, n, p, reach, last_px, most, H, window, flat, W):
             for a in range(m):
                 trial[a] = p[a] + step[a]
             moved = _possible(kind, trial, reach)
+        short = abs(step[0]) + abs(step[1])
         # not while it is damped: a short step is then of the damping, not of the minimum
-        if moved and evaluated > 1 and damping < 1.0 and (settled or abs(step[0]) + abs(step[1]) < last_px):
+        if moved and evaluated > 1 and damping < 1.0 and (settled or short < last_px):
             for a in range(m):
                 cost += g[a] * step[a]  # by as much the squares fall to the minimum of the parabola
             copy_1(trial, p)
             return cost
         if moved:
-            new = accumulate(kind, n, trial, window, flat, W, H_trial, g_trial)
+            near = kind == 0 and short < NEAR_PX and max(abs(step[4]) / p[4], abs(step[5]) / p[5]) < NEAR
+            new = accumulate(kind, n, trial, window, flat, W, not near, H_trial, g_trial)
             evaluated += 1
             moved = new <= cost
         if not moved:
@@ -86,7 +87,8 @@ def _descend(kind, n, p, reach, last_px, most, H, window, flat, W):
         cost = new
         copy_1(trial, p)
         copy_1(g_trial, g)
-        copy_2(H_trial, H)
+        if not near:
+            copy_2(H_trial, H)
         damping = max(damping * 0.1, 1e-9)
     return cost
 
@@ -137,7 +139,9 @@ def _sample(image, u, v, E, Q, reach, hole, window):
     bx = abs(E[0, 0]) * reach + abs(E[0, 1]) * reach
     by = abs(E[1, 0]) * reach + abs(E[1, 1]) * reach
     # by names of their own: an array's entries are read anew for each pixel, since what is filled might be they
-    u_ss, u_st, u_tt, v_ss, v_st, v_tt = Q[0, 0], Q[0, 1], Q[0, 2], Q[1, 0], Q[1, 1], Q[1, 2]
+    single = np.float32
+    u_ss, u_st, u_tt = single(0.5 * Q[0, 0]), single(Q[0, 1]), single(0.5 * Q[0, 2])
+    v_ss, v_st, v_tt = single(0.5 * Q[1, 0]), single(Q[1, 1]), single(0.5 * Q[1, 2])
     n = 0
     for row in range(max(0, int(v - by)), min(h, int(v + by) + 2), step):
         dy = row - v
@@ -153,12 +157,14 @@ def _sample(image, u, v, E, Q, reach, hole, window):
         here = image[row, first : first + count]
         x, y = window[n : n + count], window[LARGEST + n : LARGEST + n + count]
         level = window[2 * LARGEST + n : 2 * LARGEST + n + count]
+        begin, down = single(first - u), single(dy)
+        s_x, s_y, t_x, t_y = single(sx), single(sy * dy), single(tx), single(ty * dy)
         for k in range(count):
-            dx = first + k - u
-            s = sx * dx + sy * dy
-            t = tx * dx + ty * dy
-            x[k] = dx - 0.5 * (u_ss * s * s + 2.0 * u_st * s * t + u_tt * t * t)
-            y[k] = dy - 0.5 * (v_ss * s * s + 2.0 * v_st * s * t + v_tt * t * t)
+            dx = begin + single(k)
+            s = s_x * dx + s_y
+            t = t_x * dx + t_y
+            x[k] = dx - (u_ss * s * s + u_st * s * t + u_tt * t * t)
+            y[k] = down - (v_ss * s * s + v_st * s * t + v_tt * t * t)
             level[k] = here[k]
         n += count if hole < 0.0 else _ring(window, n, count, (sx, sy, tx, ty), hole, reach)
     return n
@@ -209,10 +215,9 @@ def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most, cle
     """
     N = guess.shape[0]
     uv, cov, quality = guess.copy(), np.zeros((N, 2, 2)), np.zeros((N, 4))
-    window, W = np.empty(3 * LARGEST), np.empty(ROWS * CHUNK)
+    window, W = np.zeros(3 * LARGEST + CHUNK, np.float32), np.empty(ROWS * CHUNK, np.float32)
     found, flat = np.full((N, N_CORNER), np.nan), np.zeros((5, 5))
-    H = np.empty((N_CORNER, N_CORNER))
-    C = np.empty((N_CORNER, N_CORNER))
+    H, C = np.empty((N_CORNER, N_CORNER)), np.empty((N_CORNER, N_CORNER))
     for i in range(N):
         n = _sample(image, guess[i, 0], guess[i, 1], basis[i], bend[i], reach[i], -1.0, window)
         if clear < reach[i]:
@@ -246,10 +251,8 @@ def fit_corners(image, guess, basis, bend, reach, sign, like, last_px, most, cle
 @inner_kernel
 def _start_dot(x, y, v, n, E, p):
     """Fill p with the ellipse of half axes E and the grey levels met inside and outside; False where one is empty."""
-    inside = 0.0
-    n_inside = 0
-    outside = 0.0
-    n_outside = 0
+    inside = outside = 0.0
+    n_inside = n_outside = 0
     det = E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0]
     M = np.empty((2, 2))  # (E E')^-1
     M[0, 0] = (E[1, 0] ** 2 + E[1, 1] ** 2) / det**2
@@ -284,11 +287,9 @@ def fit_dots(image, guess, shape, reach, hole, most):
     """
     N = guess.shape[0]
     uv, cov, quality = guess.copy(), np.zeros((N, 2, 2)), np.zeros((N, 4))
-    window, W = np.empty(3 * LARGEST), np.empty(ROWS * CHUNK)
+    window, W = np.zeros(3 * LARGEST + CHUNK, np.float32), np.empty(ROWS * CHUNK, np.float32)
     straight, flat = np.zeros((2, 3)), np.zeros((5, 5))
-    p = np.empty(N_DOT)
-    H = np.empty((N_DOT, N_DOT))
-    C = np.empty((N_DOT, N_DOT))
+    p, H, C = np.empty(N_DOT), np.empty((N_DOT, N_DOT)), np.empty((N_DOT, N_DOT))
     for i in range(N):
         E = shape[i]
         n = _sample(image, guess[i, 0], guess[i, 1], E, straight, reach[i], hole, window)
