@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,7 +185,7 @@ def fit_cell(
         block=data.block,
         scale=data.scale,
         wander=data.wander,
-        normals=model.normals(fit.shared, data.spots, bundle.W, data.block),
+        normals=bundle.normals(fit.shared),
         free=tuple(name for name in model.names if name in free),
         known=known,
         fit=fit,
@@ -202,6 +202,7 @@ class _Bundle:
     W: Array
     information: Array
     root: Array
+    last: list[tuple[Array, BlockNormals]] = field(default_factory=list)
 
     @classmethod
     def of(cls, model: CellModel, data: CellData, known: Knowledge, free: Collection[str]) -> _Bundle:
@@ -211,11 +212,16 @@ class _Bundle:
         W = data.spots.whitening(data.scale)
         return cls(model=model, data=data, known=known, W=W, information=information, root=_root(information))
 
+    def normals(self, x: Array) -> BlockNormals:
+        """Return those of the stretches at x (P,); the last ones are kept, as a fit mostly ends where it looked last."""
+        if not self.last or self.last[0][0] is not x:
+            self.last[:] = [(x, self.model.normals(x, self.data.spots, self.W, self.data.block))]
+        return self.last[0][1]
+
     def evaluate(self, x: Array, local: Array) -> Evaluation:
         """Return the normal equations at x (P,), and residuals whose squares are the cost."""
         del local
-        model, wander = self.model, self.data.wander
-        normals = model.normals(x, self.data.spots, self.W, self.data.block)
+        model, wander, normals = self.model, self.data.wander, self.normals(x)
         pull = model.difference(x, self.known.x)
         shape, off = shape_terms(model, x, self.known.shape)
         if wander is None:
