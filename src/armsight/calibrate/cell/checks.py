@@ -175,9 +175,7 @@ class _System:
             followed = followed.reshape(len(normals.A), -1, both.shape[1])
         return cls(normals=normals, free=free, H=H, wander=wander, chol=chol, followed=followed)
 
-    def likeliest(
-        self, cause: Cause, part: str, U: Array, begins: NDArray[np.intp], t_s: Array | None
-    ) -> Suspicion:
+    def likeliest(self, cause: Cause, part: str, U: Array, begins: NDArray[np.intp], t_s: Array | None) -> Suspicion:
         """Return what directions U (P, k) would take off that apply from the best of some stretches on.
 
         t_s (b,): when the stretches begin, where a moment is told.

@@ -219,7 +219,7 @@ class _Bundle:
         return cls(model=model, data=data, known=known, W=W, information=information, root=_root(information))
 
     def normals(self, x: Array) -> BlockNormals:
-        """Return those of the stretches at x (P,); the last ones are kept, as a fit mostly ends where it looked last."""
+        """Return those of the stretches at x (P,); the last are kept, as a fit mostly ends where it looked last."""
         if not self.last or self.last[0][0] is not x:
             self.last[:] = [(x, self.model.normals(x, self.data.spots, self.W, self.data.block))]
         return self.last[0][1]
